@@ -18,10 +18,9 @@ import numpy as np
 import touchfield as tf
 from machine import SHARED, Bar, Figures, at_least, bench, column, timed
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
-from touchfield.measure.block_rate import BlockCounter
 from touchfield.measure.context import ContextCounter
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.limits import coding_limits
+from touchfield.measure.limits import BlockCounter, coding_limits
 from touchfield.measure.prequential import PrequentialCoder
 
 DIRECTIONS = 252

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from touchfield.measure.plug_in import entropy_bits
+from touchfield.measure.estimators import entropy_bits
 from touchfield.medium.field import brick_keys
 from touchfield.perception.weber import gate_in_time
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from reproduction.experiment import markdown_table
-from touchfield.measure.plug_in import binary_entropy_bits
+from touchfield.measure.estimators import binary_entropy_bits
 
 __all__ = ["PRINTED_1", "PRINTED_2", "PrintedScene", "density_needed", "identity", "identity_table"]
 

@@ -1,7 +1,7 @@
 """Table 1 of the paper: sizes, entropies and bits of two scenes for a point device (section 5.1).
 
 Every lattice of the paper is counted at its own size, and none is allocated: by systematic samples of it
-(`touchfield.measure.stratified`), and by the volume of bodies with a formula.
+(`reproduction.lattice_sample`), and by the volume of bodies with a formula.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from reproduction.section_5_1 import NOMINAL, READINGS, PaperScene, scenes
 from reproduction.table_1_counts import MASK_K, NW, STEPS, SceneCounts, counts_of
 from reproduction.table_wording import bits, count, counted, percent
 from touchfield.devices import device
-from touchfield.measure.plug_in import binary_entropy_bits
+from touchfield.measure.estimators import binary_entropy_bits
 
 if TYPE_CHECKING:
-    from touchfield.measure.stratified import LatticeSample
+    from reproduction.lattice_sample import LatticeSample
 
 __all__ = ["EXPERIMENT"]
 

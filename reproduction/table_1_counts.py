@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from reproduction.later_frames import LaterFrames, consecutive_runs, later_frames
+from reproduction.lattice_sample import LatticeSample, sample_lattice
 from reproduction.section_5_1 import READINGS
-from touchfield.measure.stratified import LatticeSample, sample_lattice
 from touchfield.medium import Grid, HapticMedium
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from reproduction.section_5_1 import READINGS, PaperScene, scenes
 from reproduction.table_1_counts import MASK_K
 from reproduction.table_wording import count, percent
 from touchfield.devices import device
-from touchfield.measure.plug_in import entropy_bits
+from touchfield.measure.estimators import entropy_bits
 
 if TYPE_CHECKING:
     from touchfield.medium import ForceField, HapticMedium

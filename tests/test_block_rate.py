@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from limits_makers import fields_of, markov, most_mib, sparse
-from touchfield.measure.block_rate import BlockCounter, block_rates, scan_line_rates
+from touchfield.measure.estimators import entropy_bits
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.plug_in import entropy_bits
+from touchfield.measure.limits import BlockCounter, block_rates, scan_line_rates
 from touchfield.medium import Grid
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")

@@ -1,4 +1,62 @@
-"""Blocks and their bootstrap: order, counts, a slow double, coverage on dependent sources, refusals."""
+"""The block bootstrap: a slow double, coverage on dependent sources, refusals.
+
+Measured coverage of 95 % intervals, 300 draws each (standard error 1.5 %), n samples in B blocks, AR(1) of
+correlation 0.8 between neighbours:
+
+========================================================= ===== ==== ========== ==========
+statistic and source                                          n    B percentile  our own
+========================================================= ===== ==== ========== ==========
+plug-in H, binary Markov chain, a = 0.05, b = 0.2          4096    8      86 %       92 %
+the same                                                   4096   16      88 %       92 %
+the same                                                   4096   64      90 %       89 %
+the same                                                  16384   64      94 %       93 %
+plug-in H, AR(1) in 64 levels                              4096   16      81 %       94 %
+the same                                                   1024   32      58 %       92 %
+Miller-Madow H, AR(1) in 64 levels                         1024   32      75 %       88 %
+plug-in I(X;Y), two AR(1) in 8 levels, I = 0.3            4096   64      86 %       93 %
+the same                                                   1024   32      63 %       91 %
+plug-in I(X;Y), independent AR(1) in 8 levels              4096   64       0 %      100 %
+========================================================= ===== ==== ========== ==========
+
+Bias-corrected estimators, independent draws in 64 blocks: H of p ~ 1/rank, K = 1000, n = 20 000, and I(X;Y) = 0 of
+independent X and Y uniform over 8, n = 4096 (300 draws; 100 for I; 40 for nsb, whose K is known):
+
+============== ======= ========= ==============================================================================
+estimator      H basic our own
+============== ======= ========= ==============================================================================
+plug-in           96 %      96 % I: 100 %; our own is the basic one
+miller-madow      64 %      96 % I: 100 %
+grassberger       60 %      97 %
+chao-shen         47 %      94 % I: 6 %; where no symbol is seen just once it *is* plug-in, and as high for I
+chao-wang-jost    59 %      97 % I: 100 %
+nsb                5 %      58 % itself 1.7 standard deviations high here
+============== ======= ========= ==============================================================================
+
+A ratio H(M(W)) / H(W) of what a mapping M leaves of W is resampled in pairs (`ratio_interval`): the same blocks of
+both. Coverage, and width beside that of the opposite corners of two our own intervals, of W as above and 300
+draws of a plug-in ratio; corners cover 97 % to 100 %:
+
+========================================================= ===== ==== ====== ==============
+W and M                                                       n    B paired width/corners
+========================================================= ===== ==== ====== ==============
+AR(1) in 64 levels, a quarter as many levels               1024   32   92 %           0.28
+the same                                                   4096   16   95 %           0.25
+the same                                                   4096   64   95 %           0.25
+the same                                                  16384   64   94 %           0.24
+AR(1) in 64 levels, clipped at level 40                    1024   32   87 %           0.68
+the same                                                   4096   64   91 %           0.67
+AR(1) in 64 levels, every fourth sample in 16 levels       1024   32   93 %           0.44
+the same                                                   4096   64   94 %           0.39
+binary Markov chain, the greater of each two samples       1024   32   91 %           0.13
+the same                                                   4096   64   90 %           0.12
+binary Markov chain, the lesser of each two samples        4096   64   92 %           0.16
+========================================================= ===== ==== ====== ==============
+
+Miller-Madow ratios of the same: 88 % to 97 % (100 draws). Of fields of 64^3 samples in 64 boxes, 150 draws, smoothed
+so that samples 2 (4) apart still agree: half the lattice and half the levels 96 % (91 %) at an eighth of the width of
+corners; an array of 32 x 32 that takes the maximum of the depth 90 % at six tenths (73 % at half). Its boxes are
+columns of 8 x 8 samples, which is too few for a dependence over 4, and corners cover 98 % there.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +65,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import block_counts, blocked, interval
-from touchfield.measure.estimators import ESTIMATORS, estimate_bits
-from touchfield.measure.plug_in import entropy_bits
+from touchfield.measure.bootstrap import interval
+from touchfield.measure.estimators import ESTIMATORS, entropy_bits, estimate_bits
 
 Ints = NDArray[np.int64]
 
@@ -37,67 +92,8 @@ def levels(rng: np.random.Generator, n: int) -> Ints:
 
 
 def counted(symbols: Ints, blocks: int, alphabet: int) -> Ints:
-    samples, edges = blocked(symbols, (len(symbols) // blocks,))
-    return block_counts(samples, edges, alphabet)
-
-
-# -- blocks -----------------------------------------------------------------------------------------------------
-
-
-@given(st.lists(st.tuples(st.integers(1, 12), st.integers(1, 15)), min_size=1, max_size=4))
-def test_every_sample_stands_in_one_block_and_blocks_are_boxes(axes: list[tuple[int, int]]) -> None:
-    shape, block = tuple(a for a, _ in axes), tuple(b for _, b in axes)
-    samples, edges = blocked(np.arange(math.prod(shape)).reshape(shape), block)
-    assert np.array_equal(np.sort(samples), np.arange(math.prod(shape)))
-    assert len(edges) - 1 == math.prod(max(1, n // b) for n, b in axes)
-    for begin, end in zip(edges[:-1], edges[1:]):
-        places = np.array(np.unravel_index(samples[begin:end], shape))
-        extent = np.ptp(places, axis=1) + 1
-        assert extent.prod() == end - begin  # full boxes
-        for size, (n, b) in zip(extent, axes):
-            assert min(n, b) <= size < max(2 * b, 2)
-        assert (np.diff(samples[begin:end]) > 0).all()  # in the order of the array
-
-
-def test_a_square_in_four() -> None:
-    samples, edges = blocked([[1, 2, 3, 4], [5, 6, 7, 8]], (1, 2))
-    assert samples.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
-    samples, edges = blocked([[1, 2, 3, 4], [5, 6, 7, 8]], (2, 2))
-    assert samples.tolist() == [1, 2, 5, 6, 3, 4, 7, 8] and edges.tolist() == [0, 4, 8]
-    assert block_counts(samples, edges, 9).sum(axis=1).tolist() == [4, 4]
-    assert block_counts(samples, edges, 9)[1].tolist() == [0, 0, 0, 1, 1, 0, 0, 1, 1]
-
-
-@pytest.mark.parametrize(
-    ("array", "block", "words"),
-    [
-        (np.zeros((0, 3)), (1, 1), "at least one sample"),
-        (np.zeros((4, 3)), (1,), "2 whole numbers"),
-        (np.zeros((4, 3)), (0, 1), "2 whole numbers"),
-        (np.zeros((4, 3)), (1.5, 1), "2 whole numbers"),
-        ([[1, 2], [3]], (1,), "differ in length"),
-    ],
-)
-def test_blocks_that_cannot_be(array: NDArray[np.float64], block: tuple[int, ...], words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
-        blocked(array, block)
-
-
-@pytest.mark.parametrize(
-    ("symbols", "edges", "words"),
-    [
-        ([0, 3], [0, 2], "found 0 to 3; expected 0 to 2"),
-        ([-1, 2], [0, 2], "found -1 to 2"),
-        ([0.0, 1.0], [0, 2], "whole numbers"),
-        ([0, 1], [0, 1], "from 0 to 2"),
-        ([0, 1], [0, 2, 1, 2], "ascending"),
-        ([0, 1], [2], "ascending"),
-        ([[0, 1], [2]], [0, 2], "differ in length"),
-    ],
-)
-def test_counts_of_blocks_that_cannot_be(symbols: list[float], edges: list[int], words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
-        block_counts(symbols, edges, 3)
+    owner = np.arange(len(symbols)) * blocks // len(symbols)
+    return np.bincount(owner * alphabet + symbols, minlength=blocks * alphabet).reshape(blocks, alphabet)
 
 
 # -- the interval -----------------------------------------------------------------------------------------------

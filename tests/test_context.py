@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from limits_makers import fields_of, markov, most_mib, sparse
-from touchfield.measure.causal import boxes_of
-from touchfield.measure.cells import CellCounter
+from touchfield.measure.causal import CellCounter, boxes_of
 from touchfield.measure.context import NEIGHBOURHOODS, context_entropy
-from touchfield.measure.plug_in import binary_entropy_bits, entropy_bits
+from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
 from touchfield.measure.prequential import prequential_code_length
 from touchfield.measure.quantity import FewSamplesWarning
 

@@ -16,11 +16,13 @@ from touchfield.filters.device_filter import Placement
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.correlation import (
+    Contact,
     classes_of_equal_share,
+    contact_along_axis,
+    contact_along_rays,
     correlation_length_px,
     picture_correlation,
 )
-from touchfield.measure.first_contact import Contact, contact_along_axis, contact_along_rays
 from touchfield.medium import ForceField, Grid
 
 Float64s = NDArray[np.float64]

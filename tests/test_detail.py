@@ -11,7 +11,7 @@ from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters import RigidMotion, halved, interpolated, most_levels, pyramid, rebuilt
 from touchfield.job import coarsest
-from touchfield.measure.plug_in import entropy_bits
+from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid, HapticMedium
 
 GRID = Grid((32, 32, 32), (0.001,) * 3, (-0.0155,) * 3)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.estimators import ESTIMATORS, _geometric_tail, estimate_bits, nsb_nats, tally
-from touchfield.measure.plug_in import entropy_bits
+from touchfield.measure.estimators import ESTIMATORS, _geometric_tail, entropy_bits, estimate_bits, nsb_nats, tally
 
 LN2 = math.log(2)
 Probabilities = NDArray[np.float64]

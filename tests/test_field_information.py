@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from touchfield.errors import InvalidArgument
 from touchfield.job.symbol_frames import FrameRange, SymbolFrames
 from touchfield.measure import information as info
+from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.measure.field_count import BrickBoxes, BrickGroups
 from touchfield.measure.field_information import field_entropy, field_joint
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.plug_in import binary_entropy_bits
 from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import Grid

@@ -55,8 +55,8 @@ def test_large_arrays_of_every_spread(dtype: str, spread: int) -> None:
 
 @pytest.mark.parametrize("low", [0, 65_400, 32_760, -64])
 @pytest.mark.parametrize("width", [1, 2, 17, 128, 129, 256])
-def test_the_window_of_pairs_is_checked(low: int, width: int) -> None:
-    """What a few samples promise is wrong for a few stretches, at the beginning, within, and at the end."""
+def test_narrow_ranges_with_strange_symbols(low: int, width: int) -> None:
+    """At the beginning, within, and at the end."""
     rng = np.random.default_rng(width)
     samples = ((low + rng.integers(0, width, 400_001)) % 65_536).astype(np.uint16)
     for strange in ((), (1,), (399_999,), (5, 123_457, 300_001)):
@@ -74,8 +74,8 @@ def same_as_bincount(x: NDArray[np.int16]) -> None:
 @pytest.mark.parametrize("low", [-63, -1, -32_768, 32_767])
 @pytest.mark.parametrize("width", [63, 64, 65, 127, 128, 129])
 @pytest.mark.parametrize("power", [1, 4, 9])
-def test_ranges_at_the_edges_of_the_tables_of_pairs(low: int, width: int, power: int) -> None:
-    """Evenly spread symbols and mostly low ones, which have other tables; odd lengths, starts within a word."""
+def test_ranges_of_every_width(low: int, width: int, power: int) -> None:
+    """Evenly spread symbols and mostly low ones; odd lengths, starts within a word."""
     offsets = (width * np.random.default_rng(width).random(66_001) ** power).astype(np.int64)
     offsets[[7, 40_000, 66_000]] = 0, width - 1, width - 1
     x = (low + offsets).astype(np.uint16).view(np.int16)
@@ -100,7 +100,7 @@ def test_blocks_that_change_their_range(widths: tuple[int, ...], every: int, mon
 
 
 @pytest.mark.parametrize("apart", [100, 1500, 20_011])
-def test_some_symbols_outside_the_window(apart: int) -> None:
+def test_some_symbols_far_from_the_others(apart: int) -> None:
     """None, a few and most stretches of a block have one, which is its first, its last or neither."""
     x = np.random.default_rng(apart).integers(-20, 21, 700_003).astype(np.int16)
     x[apart::apart] = 30_000

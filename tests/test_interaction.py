@@ -17,7 +17,7 @@ from scipy import io, stats
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.interaction import Trace, interaction_entropy, read_trace, visit_blocks, visits
+from touchfield.measure.interaction import Trace, interaction_entropy, read_trace, visits
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium import Grid
 from touchfield.medium import trace as trace_module
@@ -69,19 +69,6 @@ def test_what_lies_outside_is_counted_apart() -> None:
     edge = np.array([LOW_M + 1e-9, LOW_M - 1e-9, HIGH_M - 1e-9, HIGH_M + 1e-9, [1e300, 0, 0], [-1e300] * 3])
     found = visits(Trace.regular(edge), GRID)
     assert found.places.tolist() == [[0, 0, 0], [4, 11, 8]] and found.counts.tolist() == [1, 1] and found.outside == 4
-
-
-def test_blocks_are_the_visits_in_pieces_of_time() -> None:
-    trace = walk(1000)
-    found, table = visits(trace, GRID), visit_blocks(trace, GRID, 16)
-    assert table.shape == (16, len(found.counts))
-    assert (table.sum(axis=0) == found.counts).all()
-    assert set(table.sum(axis=1).tolist()) <= {62, 63}
-    quarter = visits(Trace.regular(trace.positions_m[:250]), GRID)
-    assert table[:4].sum() == 250
-    assert (table[:4].sum(axis=0) > 0).sum() == len(quarter.counts)
-    with pytest.raises(InvalidArgument, match="blocks: found 16 for 5 samples"):
-        visit_blocks(Trace.regular(trace.positions_m[:5]), GRID, 16)
 
 
 # -- entropy ----------------------------------------------------------------------------------------------------

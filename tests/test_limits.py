@@ -11,11 +11,10 @@ import pytest
 from limits_makers import fields_of, sparse
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
-from touchfield.measure.block_rate import block_rates, scan_line_rates
 from touchfield.measure.context import context_entropy
+from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.limits import coding_limits
-from touchfield.measure.plug_in import binary_entropy_bits
+from touchfield.measure.limits import block_rates, coding_limits, scan_line_rates
 from touchfield.measure.prequential import PrequentialCoder, kt_code_length_bits, prequential_code_length
 from touchfield.medium import ForceField, Grid
 

@@ -17,13 +17,12 @@ from sklearn import metrics
 
 from touchfield.measure import distribution as exact
 from touchfield.measure import information as info
-from touchfield.measure.block_rate import block_rates
 from touchfield.measure.context import context_entropy
-from touchfield.measure.estimators import estimate_bits
+from touchfield.measure.estimators import entropy_bits, estimate_bits
 from touchfield.measure.field_information import field_entropy, field_joint
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.histogram import Histogram, JointHistogram
-from touchfield.measure.plug_in import SymbolCounter, entropy_bits
+from touchfield.measure.histogram import Histogram, JointHistogram, SymbolCounter
+from touchfield.measure.limits import block_rates
 from touchfield.measure.quantity import Quantity
 from touchfield.medium import Grid
 

@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 from limits_makers import fields_of, markov, sparse
 from prequential_reference import ReferenceCode
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
-from touchfield.measure.plug_in import binary_entropy_bits
+from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.measure.prequential import PrequentialCoder, kt_code_length_bits, prequential_code_length
 from touchfield.medium import ForceField
 

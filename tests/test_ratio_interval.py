@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import block_counts, blocked, interval, ratio_interval
+from touchfield.measure.bootstrap import interval, ratio_interval
 from touchfield.measure.capacity import capacity, paired_ratio
-from touchfield.measure.plug_in import binary_entropy_bits, entropy_bits
+from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
 from touchfield.measure.quantity import Interval, Quantity
 
 Ints = NDArray[np.int64]
@@ -38,8 +38,8 @@ def level_shares() -> NDArray[np.float64]:
 
 
 def counted(symbols: Ints, blocks: int) -> Ints:
-    samples, edges = blocked(symbols, (len(symbols) // blocks,))
-    return block_counts(samples, edges, 64)
+    owner = np.arange(len(symbols)) * blocks // len(symbols)
+    return np.bincount(owner * 64 + symbols, minlength=blocks * 64).reshape(blocks, 64)
 
 
 def test_it_equals_one_resample_of_both_after_the_other() -> None:

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
+from touchfield.measure.field_count import SharedBoxes, shared_counts
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.histogram import Histogram
-from touchfield.measure.shared_boxes import SharedBoxes, shared_counts
 from touchfield.medium.grid import Grid
 
 OWN = Grid.over_box((-0.04, -0.03, 0.0), (0.04, 0.03, 0.03), (40, 30, 17))
@@ -100,10 +100,10 @@ def test_lattices_that_share_too_little(other: Grid) -> None:
 def test_many_symbols_leave_fewer_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     dense = symbols(OWN, 1)
     histogram, f = Histogram.of(dense), field(OWN, dense)
-    monkeypatch.setattr("touchfield.measure.shared_boxes.MOST_BLOCK_CELLS", 12 * 10)
+    monkeypatch.setattr("touchfield.measure.field_count.MOST_BLOCK_CELLS", 12 * 10)
     found = shared_counts((f, f), (OWN, OWN), (histogram, histogram))
     assert found is not None and 8 <= len(found[0]) <= 12
-    monkeypatch.setattr("touchfield.measure.shared_boxes.MOST_BLOCK_CELLS", 7 * 10)
+    monkeypatch.setattr("touchfield.measure.field_count.MOST_BLOCK_CELLS", 7 * 10)
     assert shared_counts((f, f), (OWN, OWN), (histogram, histogram)) is None
 
 

@@ -16,11 +16,9 @@ from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import resample
 from touchfield.measure import information as info
-from touchfield.measure.compression_distance import compression_distance, packed
-from touchfield.measure.field_frames import Frames
-from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.field_symbols import FieldSymbols, Frames
 from touchfield.measure.quantity import Quantity
-from touchfield.measure.similarity import Similarity, similarity
+from touchfield.measure.similarity import Similarity, compression_distance, packed, similarity
 from touchfield.medium import ForceField, Grid
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")

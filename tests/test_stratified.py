@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from reproduction.lattice_sample import LatticeSample, sample_lattice
 
 from touchfield.codec.paper.field_quantiser import FieldQuantiser, FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
-from touchfield.measure.plug_in import binary_entropy_bits, entropy_bits
-from touchfield.measure.stratified import LatticeSample, sample_lattice
+from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.laws import LawSpec, profile_of

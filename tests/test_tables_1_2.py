@@ -20,7 +20,7 @@ from reproduction.progress import Steps
 from reproduction.section_5_1 import NOMINAL, READINGS, PaperScene, height_scene
 from reproduction.table_1_counts import counts_of
 
-from touchfield.measure.plug_in import binary_entropy_bits
+from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.medium import ForceField, Grid, PoseTrack
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene

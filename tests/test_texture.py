@@ -13,7 +13,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters import contact
 from touchfield.filters.contact import TextureFilter
 from touchfield.filters.response import frequency_response
-from touchfield.measure.plug_in import entropy_bits
+from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid
 
 WORD = (1 << 64) - 1

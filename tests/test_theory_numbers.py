@@ -29,12 +29,11 @@ from touchfield.filters.fir import fir_filter
 from touchfield.job import EncodeSpec
 from touchfield.measure import distribution as exact
 from touchfield.measure import information as info
-from touchfield.measure.block_rate import block_rates
 from touchfield.measure.capacity import capacity, codomain_bits
 from touchfield.measure.context import context_entropy
-from touchfield.measure.estimators import estimate_bits
+from touchfield.measure.estimators import binary_entropy_bits, estimate_bits
 from touchfield.measure.histogram import Histogram
-from touchfield.measure.plug_in import binary_entropy_bits
+from touchfield.measure.limits import block_rates
 from touchfield.measure.quantity import Quantity
 from touchfield.medium import ForceField, Grid
 from touchfield.perception.weber import WeberLadder, mask_kept_from_n, quantise_fixed_step

@@ -16,7 +16,7 @@ from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.job.stream_scene import Source
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.measure.plug_in import SymbolCounter
+from touchfield.measure.histogram import SymbolCounter
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.perception.hand_motion import HandMotion, HoldMeter, SlideMeter, SlideSpec
 from touchfield.perception.human import vibration_threshold

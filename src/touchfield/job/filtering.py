@@ -21,7 +21,7 @@ from touchfield.job.objects import felt_objects
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.measure.plug_in import SymbolCounter
+from touchfield.measure.histogram import SymbolCounter
 from touchfield.medium import ForceField
 from touchfield.sources.scene import Scene
 

@@ -22,9 +22,8 @@ from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream_scene import Source, StreamScene
 from touchfield.job.symbol_frames import SymbolFrames
-from touchfield.measure.correlation import Correlation, picture_correlation
+from touchfield.measure.correlation import Correlation, contact_along_axis, contact_along_rays, picture_correlation
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, descriptor, part_slots
-from touchfield.measure.first_contact import contact_along_axis, contact_along_rays
 from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.measure.similarity import Similarity, similarity
 from touchfield.medium import HapticMedium
@@ -149,7 +148,7 @@ def correlate(
 
     `video` is a video, a GIF, a picture or a folder of pictures, `source_rate_hz` its rate where it does not say;
     `frames` are the times that are looked at, evenly spaced over what both have, `reading` is "first" or "peak"
-    (`touchfield.measure.first_contact`), and `intrinsics` are fx, fy, cx, cy, pixels of the video.
+    (`touchfield.measure.correlation`), and `intrinsics` are fx, fy, cx, cy, pixels of the video.
 
     Raises
     ------

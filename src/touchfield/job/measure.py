@@ -26,13 +26,13 @@ from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream_scene import StreamScene, is_stream
 from touchfield.job.symbol_frames import FrameRange, SymbolFrames
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
+from touchfield.measure.field_count import shared_counts
 from touchfield.measure.field_information import FieldCounts, field_counts, field_joint
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.interaction import interaction_entropy
 from touchfield.measure.limits import coding_limits
 from touchfield.measure.passivity import passivity
 from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
-from touchfield.measure.shared_boxes import shared_counts
 from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
 

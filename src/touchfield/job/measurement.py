@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from touchfield.codec.rate import RAW_BITS_PER_VECTOR
-from touchfield.measure.plug_in import binary_entropy_bits
+from touchfield.measure.estimators import binary_entropy_bits
 
 if TYPE_CHECKING:
     from touchfield.measure.capacity import Capacity

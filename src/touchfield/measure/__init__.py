@@ -19,17 +19,20 @@ A measured result is a `Quantity`: its unit, quantiser, weighting, estimator and
 """
 
 from touchfield.measure import distribution
-from touchfield.measure.block_rate import block_rates, scan_line_rates
 from touchfield.measure.bootstrap import interval
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits
-from touchfield.measure.compression_distance import compression_distance
 from touchfield.measure.context import context_entropy
-from touchfield.measure.correlation import Correlation, picture_correlation
+from touchfield.measure.correlation import (
+    Contact,
+    Correlation,
+    contact_along_axis,
+    contact_along_rays,
+    picture_correlation,
+)
 from touchfield.measure.descriptors import Descriptor, descriptor
 from touchfield.measure.estimators import ESTIMATORS, estimate_bits
 from touchfield.measure.field_information import FieldJoint, field_entropy, field_joint
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.first_contact import Contact, contact_along_axis, contact_along_rays
 from touchfield.measure.histogram import Histogram, JointHistogram
 from touchfield.measure.information import (
     conditional_entropy,
@@ -42,12 +45,12 @@ from touchfield.measure.information import (
     variation_of_information,
 )
 from touchfield.measure.interaction import interaction_entropy, visits
-from touchfield.measure.limits import CodingLimits, coding_limits
+from touchfield.measure.limits import CodingLimits, block_rates, coding_limits, scan_line_rates
 from touchfield.measure.passivity import Passivity, curl_n_per_m, loop_work_j, passivity
 from touchfield.measure.prequential import prequential_code_length
 from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
 from touchfield.measure.retrieval import MediumIndex, chance_average_precision, mean_average_precision
-from touchfield.measure.similarity import Similarity, similarity
+from touchfield.measure.similarity import Similarity, compression_distance, similarity
 from touchfield.medium.trace import Trace, read_trace
 
 __all__ = [

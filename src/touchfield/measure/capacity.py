@@ -92,17 +92,14 @@ class Capacity:
 def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
     """C_dev = log2 |codomain| of a device, bits per frame.
 
+    InvalidArgument if a number is not whole or below 1.
+
     Parameters
     ----------
     samples_per_frame : int
         Lattice points or actuators, at least 1.
     alphabet : int
         Symbols that each of them can be told, "no force" among them, at least 1.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is not whole or below 1.
     """
     for where, count in (("samples_per_frame", samples_per_frame), ("alphabet", alphabet)):
         if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
@@ -118,6 +115,10 @@ def capacity(
     ratio: Interval | None = None,
 ) -> Capacity:
     """C, WMR and HIL of a mapping M of a medium W into a haptic workspace (paper eq. 1-3).
+
+    InvalidArgument if a unit is not "bit/frame", a number is negative or not finite, the weightings differ, the
+    reading is unknown or has no use for `ratio`, or a rendered entropy that cannot be overestimated is above C_dev
+    (the codomain is then another's).
 
     Parameters
     ----------
@@ -143,13 +144,6 @@ def capacity(
         1 - a and 1 - b, both hold together with at least 1 - a - b (Bonferroni), which is the level stated. It is
         wider than need be, since the two estimates come from one medium and err together. The interval of C is
         always made so.
-
-    Raises
-    ------
-    InvalidArgument
-        If a unit is not "bit/frame", a number is negative or not finite, the weightings differ, the reading is
-        unknown or has no use for `ratio`, or a rendered entropy that cannot be overestimated is above C_dev (the
-        codomain is then another's).
     """
     if reading not in READINGS:
         raise InvalidArgument("reading", repr(reading), f"one of {', '.join(READINGS)}")
@@ -186,23 +180,11 @@ def paired_ratio(
     M(W) is a function of W, so that their estimates err together, which `touchfield.measure.bootstrap.ratio_interval`
     keeps; its coverage is measured there.
 
-    Parameters
-    ----------
-    counts : (int64 [B, K], int64 [B, K'])
-        Of W and of M(W) over voxels, in the same blocks (`touchfield.measure.shared_boxes.shared_counts`).
-    voxels : (int, int)
-        Of a frame of W and of M(W).
-    alphabets : (int, int)
-        The symbols that there can be, for the estimators that use them.
-    codomain_bits : float
-        C_dev, bits per frame.
-    estimator : str
-        Of both entropies.
-
-    Returns
-    -------
-    Interval or None
-        None where W is a single symbol in all the blocks of a resample.
+    `counts` (int64 [B, K], int64 [B, K']): of W and of M(W) over voxels, in the same blocks
+    (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): of a frame of W and of M(W). `alphabets`
+    (int, int): the symbols that there can be, for the estimators that use them. `codomain_bits`: C_dev, bits per
+    frame. `estimator`: of both entropies. Returns Interval or None: None where W is a single symbol in all the
+    blocks of a resample.
     """
 
     def held(c: NDArray[np.int64]) -> float:

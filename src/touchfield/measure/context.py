@@ -29,6 +29,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure.causal import (
+    CellCounter,
     array_frames,
     array_of,
     boxes_of,
@@ -38,7 +39,6 @@ from touchfield.measure.causal import (
     reached_bricks,
     scan_relabelled,
 )
-from touchfield.measure.cells import CellCounter
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium.field import slots_around
@@ -63,24 +63,11 @@ _NO_FRAME = np.zeros((0, 8, 8, 8), np.int32)
 class ContextEntropy:
     """H(S | c) and how far to trust it.
 
-    Attributes
-    ----------
-    neighbourhood : str
-        One of `NEIGHBOURHOODS`.
-    previous_frame : bool
-        Whether c takes in the co-located voxel of the previous frame.
-    per_voxel : Quantity
-        bit/sample over all voxels.
-    per_supported : Quantity
-        The same bits over the voxels that are not 0; NaN where there is none.
-    contexts : int
-        How many different c were seen.
-    cells : int
-        How many different (S, c) were seen; K of the dilution.
-    informed : int
-        Voxels where S or any part of c is not 0: n of the dilution. The others are all one cell.
-    once : int
-        Cells that were seen only once.
+    `neighbourhood`: one of `NEIGHBOURHOODS`. `previous_frame`: whether c takes in the co-located voxel of the
+    previous frame. `per_voxel`: bit/sample over all voxels. `per_supported`: the same bits over the voxels that are
+    not 0; NaN where there is none. `contexts`: how many different c were seen. `cells`: how many different (S, c)
+    were seen; K of the dilution. `informed`: voxels where S or any part of c is not 0: n of the dilution. The
+    others are all one cell. `once`: cells that were seen only once.
     """
 
     neighbourhood: str
@@ -126,12 +113,8 @@ class ContextCounter:
     Memory beyond the frames grows with the different cells that are there (see `CellCounter`), never with the
     lattice or the array: bricks, and boxes of an array, are looked at some at a time.
 
-    Parameters
-    ----------
-    alphabet : int
-        Symbols are below it.
-    previous_frame : bool
-        Whether to count the co-located voxel of the previous frame, too.
+    `alphabet`: symbols are below it. `previous_frame`: whether to count the co-located voxel of the previous frame,
+    too.
     """
 
     def __init__(self, alphabet: int, *, previous_frame: bool) -> None:
@@ -182,10 +165,7 @@ class ContextCounter:
     ) -> ContextEntropy:
         """H(S | c) of what was counted.
 
-        Raises
-        ------
-        InvalidArgument
-            If the neighbourhood or the estimator is unknown, or the previous frame was not counted.
+        InvalidArgument if the neighbourhood or the estimator is unknown, or the previous frame was not counted.
         """
         if neighbourhood not in NEIGHBOURHOODS:
             raise InvalidArgument("neighbourhood", repr(neighbourhood), f"one of {', '.join(NEIGHBOURHOODS)}")
@@ -235,6 +215,9 @@ def context_entropy(
 ) -> ContextEntropy:
     """H(S | c) of symbols, bits a voxel.
 
+    InvalidArgument for values that are not symbols, an unknown name, or a previous frame of a single array.
+    FewSamplesWarning if there are fewer than ten informed voxels to a cell.
+
     Parameters
     ----------
     frames : int array of 1 to 4 dimensions, FieldSymbols, or an iterable of FieldSymbols
@@ -245,20 +228,6 @@ def context_entropy(
         Whether to condition on the co-located voxel of the previous frame; before the first there is only 0.
     estimator : str
         Of both entropies, one of `ESTIMATORS`.
-
-    Returns
-    -------
-    ContextEntropy
-
-    Raises
-    ------
-    InvalidArgument
-        For values that are not symbols, an unknown name, or a previous frame of a single array.
-
-    Warns
-    -----
-    FewSamplesWarning
-        If there are fewer than ten informed voxels to a cell.
 
     Examples
     --------

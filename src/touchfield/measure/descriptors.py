@@ -47,23 +47,117 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
-from touchfield.measure.direction_power import DirectionSums
-from touchfield.measure.plug_in import entropy_bits
+from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.field import brick_keys
 from touchfield.perception.weber import WeberLadder
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
+    from numpy.typing import ArrayLike, NDArray
 
     from touchfield.medium import Grid
 
+    Float64s = NDArray[np.float64]
 
-__all__ = ["DESCRIPTOR_LENGTH", "DESCRIPTOR_VERSION", "LEVELS", "PARTS", "Descriptor", "descriptor", "octree_levels"]
+__all__ = [
+    "DESCRIPTOR_LENGTH",
+    "DESCRIPTOR_VERSION",
+    "LEVELS",
+    "PARTS",
+    "Descriptor",
+    "DirectionSums",
+    "descriptor",
+    "icosahedral_directions",
+    "octree_levels",
+    "real_harmonics",
+]
 
-# -- What a field is at each level of an octree around its support: how full, and how varied
+SPREAD: Final = 0.3
+"""Radians: about half the angle between neighbouring directions."""
+
+_AT_ONCE = 1 << 15
+
+
+class DirectionSums:
+    """Adds up forces by direction: around 42 icosahedral directions, and harmonics up to a degree.
+
+    `degree`: the highest, 1 or more. `by_direction` float64 [42]: sum of the amplitudes around each of
+    `icosahedral_directions`, newtons. A force is shared between them in proportion to exp(cos(angle) / `SPREAD`^2),
+    so that a small turn moves a small part of it. `coefficients` float64 [(degree + 1)^2]: a_lm, newtons; a_lm at l
+    (l + 1) + m.
+    """
+
+    def __init__(self, degree: int) -> None:
+        if degree < 1:
+            raise InvalidArgument("degree", f"{degree}", "1 or more")
+        self.degree = degree
+        self.by_direction = np.zeros(len(icosahedral_directions()))
+        self.coefficients = np.zeros((degree + 1) ** 2)
+
+    def add(self, vectors_n: ArrayLike) -> None:
+        """Count force vectors, newtons, float [n, 3]; those of length 0 tell nothing."""
+        forces = np.asarray(vectors_n, np.float64)
+        for begin in range(0, len(forces), _AT_ONCE):
+            some = forces[begin : begin + _AT_ONCE]
+            lengths = np.linalg.norm(some, axis=1)
+            some, lengths = some[lengths > 0], lengths[lengths > 0]
+            unit = some / lengths[:, None]
+            near = np.exp((unit @ icosahedral_directions().T - 1) / SPREAD**2)
+            self.by_direction += lengths @ (near / near.sum(axis=1, keepdims=True))
+            self.coefficients += lengths @ real_harmonics(unit, self.degree)
+
+    def power(self) -> Float64s:
+        """P_1 .. P_degree, float64 [degree], 0 to 1; all 0 where there was no force."""
+        total = self.by_direction.sum()
+        squares = self.coefficients**2
+        edges = np.arange(self.degree + 1) ** 2
+        of_degree = np.add.reduceat(squares, edges)[1:]
+        factors = 4 * math.pi / (2 * np.arange(1, self.degree + 1) + 1)
+        power: Float64s = np.clip(factors * of_degree / (total**2 or 1.0), 0.0, 1.0)
+        return power
+
+
+def real_harmonics(unit: Float64s, degree: int) -> Float64s:
+    """Y_lm of unit vectors [n, 3], orthonormal over the sphere, float64 [n, (degree + 1)^2], at l (l + 1) + m.
+
+    Y_l,-m goes with sin(m phi) and Y_lm with cos(m phi), m > 0.
+    """
+    x, y, z = unit.T
+    out = np.empty(((degree + 1) ** 2, len(unit)))
+    around = np.ones(len(unit), np.complex128)  # (x + i y)^m: sin^m of the polar angle times exp(i m phi)
+    for m in range(degree + 1):
+        before, legendre = np.zeros(len(unit)), np.full(len(unit), (-1.0) ** m * math.prod(range(1, 2 * m, 2)))
+        for order in range(m, degree + 1):
+            ratio = math.factorial(order - m) / math.factorial(order + m)
+            norm = math.sqrt((2 * order + 1) / (4 * math.pi) * ratio * (2 if m else 1))
+            centre = order * (order + 1)
+            np.multiply(norm * legendre, around.real, out=out[centre + m])
+            if m:
+                np.multiply(norm * legendre, around.imag, out=out[centre - m])
+            above = ((2 * order + 1) * z * legendre - (order + m) * before) / (order + 1 - m)
+            before, legendre = legendre, above
+        around *= x + 1j * y
+    return out.T
+
+
+@cache
+def icosahedral_directions() -> Float64s:
+    """The 12 corners of an icosahedron and the middles of its 30 edges, unit vectors, float64 [42, 3], ascending.
+
+    Those of the coder's codebook "ico2", which lies in a higher layer.
+    """
+    golden = (1 + math.sqrt(5)) / 2
+    one = np.array([(0.0, a, b * golden) for a in (1, -1) for b in (1, -1)])
+    corners = np.concatenate([np.roll(one, shift, axis=1) for shift in range(3)])
+    first, second = np.nonzero(np.triu(np.isclose(corners @ corners.T, golden)))  # neighbours
+    points = np.concatenate([corners, corners[first] + corners[second]])
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    ordered: Float64s = points[np.lexsort(np.round(points, 9).T[::-1])]
+    ordered.flags.writeable = False
+    return ordered
+
+
+# -- levels of an octree around the support: how full, and how varied
 
 
 LEVELS: Final = 5
@@ -75,15 +169,9 @@ def octree_levels(
 ) -> tuple[Float64s, Float64s]:
     """Support fractions, float64 [LEVELS], and entropies in bits a cell, float64 [LEVELS], of one frame.
 
-    Parameters
-    ----------
-    grid : Grid
-    positions : int32 [L, 3]
-        Indices of the samples of the support that count; one or more.
-    amplitudes_n : float32 [L]
-        Newtons.
-    thresholds_n : float64 [K]
-        Ascending borders of the classes of amplitude, newtons; what is below the first is a class, too.
+    `positions` int32 [L, 3]: indices of the samples of the support that count; one or more. `amplitudes_n` float32
+    [L]: newtons. `thresholds_n` float64 [K]: ascending borders of the classes of amplitude, newtons; what is below
+    the first is a class, too.
     """
     spacing = np.asarray(grid.spacing_m)
     low, high = positions.min(axis=0), positions.max(axis=0)
@@ -108,7 +196,7 @@ def octree_levels(
     return fractions, entropies
 
 
-# -- What a haptic medium is filed under: a short vector of numbers (paper section 4: "indexing"; 5.1: "data indexi
+# -- the descriptor
 
 
 DESCRIPTOR_VERSION: Final = 1
@@ -147,15 +235,12 @@ _MOST_JSON = 1 << 16
 class Descriptor:
     """An entry of an index; see the module.
 
+    InvalidArgument if the length is another, or a number is not within 0 .. 1.
+
     Parameters
     ----------
     values : float64 [83]
         All parts one after the other, each number from 0 to 1.
-
-    Raises
-    ------
-    InvalidArgument
-        If the length is another, or a number is not within 0 .. 1.
     """
 
     values: Float64s
@@ -195,12 +280,7 @@ class Descriptor:
     def from_json(cls, text: str) -> Descriptor:
         """What `to_json` wrote.
 
-        Raises
-        ------
-        CorruptFile
-            If it is no such text.
-        UnsupportedVersion
-            If another version wrote it.
+        CorruptFile if it is no such text. UnsupportedVersion if another version wrote it.
         """
         where = "descriptor"
         try:
@@ -228,17 +308,14 @@ def part_slots() -> Iterator[tuple[str, slice]]:
 def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor:
     """Describe a medium for an index.
 
+    InvalidArgument if none of these frames holds a force of 0.05 N, or `frames` is below 1.
+
     Parameters
     ----------
     medium : HapticMedium or ForceField
         A field is a medium that stands still.
     frames : int
         How many frames are looked at, at most; each with the one 1/30 s later, as long as there is one.
-
-    Raises
-    ------
-    InvalidArgument
-        If none of these frames holds a force of 0.05 N, or `frames` is below 1.
     """
     if frames < 1:
         raise InvalidArgument("frames", f"{frames}", "1 or more")

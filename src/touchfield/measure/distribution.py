@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.quantity import NORMALISATIONS, Quantity, normaliser_bits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,10 +40,6 @@ __all__ = [
 TOLERANCE: Final = 1e-9
 """How far from 1 probabilities may add up."""
 
-NORMALISATIONS: Final = ("sqrt", "min", "max", "mean", "joint")
-"""What I(X;Y) is divided by: sqrt(H(X) H(Y)), the smaller or larger of the two, their mean, or H(X,Y)."""
-
-
 # -- plain numbers --------------------------------------------------------------------------------------------------
 
 
@@ -53,25 +49,6 @@ def _bits(p: Float64s) -> float:
     if len(held) < 2:
         return 0.0  # a certainty, also where its shares add up to 1 - 1e-16
     return float(-(held * np.log2(held)).sum())
-
-
-def normaliser_bits(x_bits: float, y_bits: float, joint_bits: float, by: str) -> float:
-    """The denominator of normalised mutual information, bits.
-
-    Raises
-    ------
-    InvalidArgument
-        If `by` is not one of `NORMALISATIONS`.
-    """
-    if by not in NORMALISATIONS:
-        raise InvalidArgument("by", repr(by), f"one of {', '.join(NORMALISATIONS)}")
-    return {
-        "sqrt": math.sqrt(x_bits * y_bits),
-        "min": min(x_bits, y_bits),
-        "max": max(x_bits, y_bits),
-        "mean": (x_bits + y_bits) / 2,
-        "joint": joint_bits,
-    }[by]
 
 
 def _checked(probabilities: ArrayLike, where: str, dims: int | None) -> Float64s:
@@ -122,11 +99,8 @@ def _cells(p: ArrayLike) -> int:
 def entropy(p: ArrayLike) -> Quantity:
     """H(X) = -sum p log2 p of a vector of probabilities [K].
 
-    Raises
-    ------
-    InvalidArgument
-        As every function here: if a probability is negative or NaN, there is none, they do not add up to 1 within
-        1e-9, or the shape is wrong.
+    InvalidArgument as every function here: if a probability is negative or NaN, there is none, they do not add up
+    to 1 within 1e-9, or the shape is wrong.
     """
     return _exact("H(X)", _bits(_checked(p, "p", 1)), _cells(p))
 

@@ -40,7 +40,41 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-__all__ = ["ESTIMATORS", "Estimator", "Tally", "estimate_bits", "nsb_nats", "tally"]
+__all__ = [
+    "ESTIMATORS",
+    "Estimator",
+    "Tally",
+    "binary_entropy_bits",
+    "entropy_bits",
+    "estimate_bits",
+    "nsb_nats",
+    "tally",
+]
+
+
+def entropy_bits(counts: ArrayLike) -> float:
+    """Plug-in entropy -sum p log2 p of a histogram, bits a sample; 0 for an empty one.
+
+    Exact to rounding also where one symbol dominates, such as the empty space around one brick.
+    """
+    n = np.asarray(counts, np.float64).ravel()
+    n = n[n > 0]
+    if not len(n):
+        return 0.0
+    total = n.sum()
+    common = int(n.argmax())
+    others = np.delete(n, common)
+    rest = others.sum()
+    if rest < n[common]:  # its share is nearly 1, and what is left of a difference of logarithms would be rounding
+        p = others / total
+        return float(-(1 - rest / total) * np.log1p(-rest / total) / np.log(2) - (p * np.log2(p)).sum()) + 0.0
+    return float(max(0.0, np.log2(total) - (n * np.log2(n)).sum() / total))
+
+
+def binary_entropy_bits(p: float) -> float:
+    """h2(p), bits."""
+    return entropy_bits([p, 1.0 - p])
+
 
 # -- The Nemenman-Shafee-Bialek estimate of entropy, stable for any n and K (paper section 3, H(X), estimated)
 
@@ -56,14 +90,8 @@ _FAR: Final = 30.0  # from here on the asymptotic series is exact to rounding
 def nsb_nats(counts: Float64s, times: Float64s, alphabet: float) -> float:
     """The posterior mean of the entropy, nats.
 
-    Parameters
-    ----------
-    counts : float64 [d]
-        The different counts, all at least 1.
-    times : float64 [d]
-        How many symbols were counted so often.
-    alphabet : float
-        K, at least the sum of `times`.
+    `counts` float64 [d]: the different counts, all at least 1. `times` float64 [d]: how many symbols were counted
+    so often. `alphabet`: K, at least the sum of `times`.
     """
     if alphabet == 1:
         return 0.0
@@ -171,12 +199,8 @@ def _mean_entropy(u: Float64s, counts: Float64s, times: Float64s, alphabet: floa
 class Tally:
     """What an estimator sees of the counts: how many symbols were counted how often.
 
-    Attributes
-    ----------
-    counts : float64 [d]
-        The different counts, whole numbers of at least 1, ascending.
-    times : float64 [d]
-        How many symbols were counted so often.
+    `counts` float64 [d]: the different counts, whole numbers of at least 1, ascending. `times` float64 [d]: how
+    many symbols were counted so often.
     """
 
     counts: NDArray[np.float64]
@@ -202,19 +226,11 @@ class Tally:
 class Estimator:
     """One estimator of entropy.
 
-    Attributes
-    ----------
-    name : str
-    nats : callable
-        ``nats(tally, alphabet)``: the estimate in nats. `alphabet` is K where it is known, else the observed number.
-    is_biased_low : bool
-        The expected value is at most the entropy for every distribution and every n (a theorem, and a shared test).
-    uses_alphabet : bool
-        The estimate depends on K, so that it is worth knowing.
-    corrects_bias : bool
-        Most of the bias is taken off, so that an interval must not take it off again
-        (`touchfield.measure.bootstrap.interval`).
-    source : str
+    `nats`: ``nats(tally, alphabet)``: the estimate in nats. `alphabet` is K where it is known, else the observed
+    number. `is_biased_low`: the expected value is at most the entropy for every distribution and every n (a
+    theorem, and a shared test). `uses_alphabet`: the estimate depends on K, so that it is worth knowing.
+    `corrects_bias`: most of the bias is taken off, so that an interval must not take it off again
+    (`touchfield.measure.bootstrap.interval`).
     """
 
     name: str
@@ -228,10 +244,7 @@ class Estimator:
 def tally(counts: ArrayLike) -> Tally:
     """Count the counts; zeros are left out.
 
-    Raises
-    ------
-    InvalidArgument
-        If counts are negative, not whole, not finite, or none is above zero.
+    InvalidArgument if counts are negative, not whole, not finite, or none is above zero.
     """
     n = as_array(counts, "counts").ravel()
     if n.dtype.kind not in "biuf":
@@ -330,8 +343,6 @@ def _geometric_tail(a: float, n: float) -> float:
 
 
 def _nsb(t: Tally, alphabet: float) -> float:
-    from touchfield.measure.estimators import nsb_nats
-
     return nsb_nats(t.counts, t.times, alphabet)
 
 
@@ -357,6 +368,9 @@ def estimate_bits(counts: ArrayLike, estimator: str = "plug-in", alphabet: int |
     An estimate outside 0 .. log2 K is taken to the nearer end, which can only mend it; the upper end holds where
     `alphabet` is given.
 
+    InvalidArgument if the estimator is unknown, the counts are negative, not whole, not finite or without a sample,
+    or the alphabet is smaller than the number of observed symbols.
+
     Parameters
     ----------
     counts : int array, any shape
@@ -366,16 +380,6 @@ def estimate_bits(counts: ArrayLike, estimator: str = "plug-in", alphabet: int |
     alphabet : int, optional
         K, how many symbols there are. Only "nsb" depends on it; without it, "nsb" takes what was observed for all
         there is, and its estimate is then low where symbols were missed.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    InvalidArgument
-        If the estimator is unknown, the counts are negative, not whole, not finite or without a sample, or the
-        alphabet is smaller than the number of observed symbols.
     """
     if estimator not in ESTIMATORS:
         raise InvalidArgument("estimator", repr(estimator), f"one of {', '.join(ESTIMATORS)}")

@@ -34,12 +34,7 @@ _CHUNK = 4096  # bricks at a time: 25 MB of float32 forces
 class FidelityMeter:
     """Adds up the error of decoded frames against their originals.
 
-    Parameters
-    ----------
-    k : float
-        Weber fraction of the mask.
-    f0_n : float
-        F_0, absolute threshold of the mask, newtons, positive.
+    `k`: Weber fraction of the mask. `f0_n`: F_0, absolute threshold of the mask, newtons, positive.
     """
 
     def __init__(self, k: float, f0_n: float) -> None:

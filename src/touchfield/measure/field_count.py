@@ -11,27 +11,27 @@ numbers of neighbouring bricks of the support.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.field_frames import FramePairs, Frames, frames_changed
+from touchfield.measure.field_symbols import Fields, FramePairs, Frames, frames_changed
 from touchfield.measure.histogram import LEAST_BLOCKS, MOST_BLOCK_CELLS, Histogram
+from touchfield.measure.quantity import Counted
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     Int64s = NDArray[np.int64]
 
+__all__ = ["BrickBoxes", "BrickGroups", "SharedBoxes", "SymbolCount", "count_symbols", "no_support", "shared_counts"]
 
-__all__ = ["BrickBoxes", "BrickGroups", "SymbolCount", "count_symbols", "no_support"]
-
-# -- Parts of space for a block bootstrap over a field: boxes of its lattice, or groups of the bricks of its suppor
+# -- parts of space for a block bootstrap: boxes of a lattice, or groups of bricks of the support
 
 
 LEAST_BLOCK_BRICKS = 8
@@ -82,6 +82,17 @@ def _wanted(most: int, bricks: int) -> int:
     return min(most, bricks, max(LEAST_BLOCKS, bricks // LEAST_BLOCK_BRICKS))
 
 
+def _cuts(sides: ArrayLike, room: Sequence[int], most: int) -> tuple[int, int, int]:
+    """At most so many boxes in all and `room` along each axis, cut again and again across the longest side."""
+    cuts = [1, 1, 1]
+    while True:
+        longest_first = np.argsort(np.asarray(sides) / cuts)[::-1]
+        open_ = [a for a in longest_first if cuts[a] < room[a] and math.prod(cuts) // cuts[a] * (cuts[a] + 1) <= most]
+        if not open_:
+            return cuts[0], cuts[1], cuts[2]
+        cuts[open_[0]] += 1
+
+
 @dataclass(frozen=True)
 class BrickBoxes:
     """Boxes of bricks that fill the lattice, `cuts` of them along each axis."""
@@ -92,20 +103,12 @@ class BrickBoxes:
     def of(cls, grid: Grid, most: int) -> BrickBoxes:
         """At most so many, cut again and again across the longest side."""
         most = _wanted(most, math.prod(grid.brick_shape))
-        cuts = [1, 1, 1]
-        while True:
-            sides = [n / c for n, c in zip(grid.brick_shape, cuts, strict=True)]
-            open_ = [a for a in np.argsort(sides)[::-1] if cuts[a] < grid.brick_shape[a]]
-            longest = [a for a in open_ if np.prod(cuts) // cuts[a] * (cuts[a] + 1) <= most]
-            if not longest:
-                return cls((cuts[0], cuts[1], cuts[2]))
-            cuts[longest[0]] += 1
+        return cls(_cuts(grid.brick_shape, grid.brick_shape, most))
 
     @property
     def count(self) -> int:
         """B."""
-        a, b, c = self.cuts
-        return a * b * c
+        return math.prod(self.cuts)
 
     def owner(self, grid: Grid, bricks: NDArray[np.int32]) -> Int64s:
         """The block of each brick, int64 [m], of int32 [m, 3]."""
@@ -124,26 +127,27 @@ class BrickBoxes:
         return samples
 
 
-# -- Counting the symbols of quantised frames, over all voxels and over the object, in as few passes as can be
+# -- counting
 
 
 @dataclass(frozen=True)
 class SymbolCount:
     """What was counted over one weighting.
 
-    Attributes
-    ----------
-    histogram : Histogram
-        Of all frames; without any symbol over an object that there is none of.
-    blocks : int64 [B, K] or None
-        Its counts in each part of space.
-    notes : tuple of str
-        Why there are no blocks, where they were wanted.
+    `histogram`: of all frames; without any symbol over an object that there is none of. `blocks` int64 [B, K] or
+    None: its counts in each part of space. `notes` tuple of str: why there are no blocks, where they were wanted.
     """
 
     histogram: Histogram
     blocks: Int64s | None
     notes: tuple[str, ...] = ()
+
+    def counted(self, estimator: str, quantiser: str, over: str, *, interval: bool = True) -> Counted:
+        """The counts with what they are of."""
+        h, blocks, notes = self.histogram, self.blocks, self.notes
+        if not interval:
+            blocks, notes = None, ()
+        return Counted(h.counts, blocks, h.total, estimator, quantiser, over, notes)
 
 
 def count_symbols(
@@ -151,19 +155,8 @@ def count_symbols(
 ) -> Mapping[str, SymbolCount]:
     """Count all frames over each weighting of `overs`.
 
-    Parameters
-    ----------
-    frames : Frames or FramePairs
-    overs : tuple of "voxel" and "object"
-    interval : bool
-        Whether blocks are wanted.
-    blocks : int
-        How many; 8 or more.
-
-    Raises
-    ------
-    InvalidArgument
-        If there are 2^63 voxels or more, or the frames change from one pass to the next.
+    `interval`: whether blocks are wanted. `blocks`: how many; 8 or more. InvalidArgument if there are 2^63 voxels
+    or more, or the frames change from one pass to the next.
     """
     everywhere = frames.grid.voxel_count * frames.count
     if everywhere >= 1 << 63:
@@ -238,9 +231,15 @@ def _held_symbols(frames: Frames | FramePairs, keep_support: bool) -> tuple[Hist
 
 
 def _held_by_part(
-    frames: Frames | FramePairs, held: Histogram, parts: Mapping[str, BrickBoxes | BrickGroups]
+    frames: Frames | FramePairs,
+    held: Histogram,
+    parts: Mapping[str, BrickBoxes | BrickGroups | SharedBoxes],
+    grid: Grid | None = None,
 ) -> dict[str, Int64s]:
-    """The counts of symbols other than 0 in each part, int64 [B, K], for every way to part the space: one pass."""
+    """The counts of symbols other than 0 in each part, int64 [B, K], for every way to part the space: one pass.
+
+    `grid` says where the lattice of the frames lies, if that is not what they say themselves.
+    """
     from touchfield.measure.kernels.count import add_counts
 
     k = len(held.counts)
@@ -250,8 +249,112 @@ def _held_by_part(
         cells = np.searchsorted(held.symbols, symbols[inside])
         if (cells == k).any():  # beyond the table
             raise frames_changed()
-        each = inside.sum(axis=1)
         for name, part in parts.items():
-            owner = np.repeat(part.owner(frames.grid, bricks), each)
-            add_counts(owner * k + cells, out[name].reshape(-1))
+            owner = part.owner(grid or frames.grid, bricks).reshape(len(bricks), -1)  # of bricks, or of samples
+            add_counts(np.broadcast_to(owner, inside.shape)[inside] * k + cells, out[name].reshape(-1))
     return out
+
+
+LEAST_SAMPLES = (BRICK, 2)
+"""Along each side of a box, of the medium and of what is rendered of it: their neighbours depend on each other."""
+
+
+@dataclass(frozen=True)
+class SharedBoxes:
+    """The box of a lattice, cut into equal boxes; what lies beyond belongs to the nearest.
+
+    `low_m`, `high_m` float64 [3]: the box that is cut. `cuts` (int, int, int): boxes along each axis.
+    """
+
+    low_m: NDArray[np.float64]
+    high_m: NDArray[np.float64]
+    cuts: tuple[int, int, int]
+
+    @classmethod
+    def of(cls, grid: Grid, other: Grid, most: int) -> SharedBoxes | None:
+        """At most so many boxes of `grid`, all of which hold samples of both lattices, or None for fewer than 8.
+
+        They are cut again and again across the longest side, while 8 samples of `grid` and 2 of `other` are left
+        along it: an axis along which the other has a single sample, as an array of actuators has, is not cut.
+
+        `grid`, `other`: of one space.
+        """
+        low, high = grid.box_m
+        inside = [
+            int(((x >= lo) & (x < hi)).sum()) for x, lo, hi in zip(_along_m(other), low, high, strict=True)
+        ]  # samples of the other along each axis
+        room = [
+            max(1, min(n // LEAST_SAMPLES[0], m // LEAST_SAMPLES[1])) for n, m in zip(grid.shape, inside, strict=True)
+        ]
+        found = cls(low, high, _cuts(high - low, room, most))
+        both = (found.voxels(grid) > 0) & (found.voxels(other) > 0)
+        return found if found.count >= LEAST_BLOCKS and both.all() else None
+
+    @property
+    def count(self) -> int:
+        """B."""
+        return math.prod(self.cuts)
+
+    def owner(self, grid: Grid, bricks: NDArray[np.int32]) -> Int64s:
+        """The box of each sample of bricks of a lattice, int64 [m, 512], of int32 [m, 3]."""
+        x, y, z = (
+            np.pad(o, (0, -len(o) % BRICK)).reshape(-1, BRICK)[b]
+            for o, b in zip(self._along(grid), bricks.T, strict=True)
+        )
+        owner = (x[:, :, None, None] * self.cuts[1] + y[:, None, :, None]) * self.cuts[2] + z[:, None, None, :]
+        flat: Int64s = owner.reshape(len(bricks), -1)
+        return flat
+
+    def voxels(self, grid: Grid) -> Int64s:
+        """Samples of a lattice in each box, int64 [B]."""
+        x, y, z = (np.bincount(o, minlength=n) for o, n in zip(self._along(grid), self.cuts, strict=True))
+        samples: Int64s = (x[:, None, None] * y[:, None] * z).reshape(-1)
+        return samples
+
+    def _along(self, grid: Grid) -> list[Int64s]:
+        """For each axis the cut that each sample lies in."""
+        axes = zip(_along_m(grid), self.low_m, self.high_m, self.cuts, strict=True)
+        return [np.clip((x - lo) / (hi - lo) * n, 0, n - 1).astype(np.int64) for x, lo, hi, n in axes]
+
+
+def shared_counts(
+    fields: tuple[Fields, Fields], grids: tuple[Grid, Grid], histograms: tuple[Histogram, Histogram], most: int = 64
+) -> tuple[Int64s, Int64s] | None:
+    """The counts over "voxel" of two media in the same boxes of space, for a bootstrap of both together.
+
+    `fields` two of FieldSymbols or a sequence of them: a medium, and what is rendered of it, frame by frame. Each
+    frame is asked for once, those of the medium first. `grids` (Grid, Grid): their lattices in one space, such as
+    hand metres. `histograms` (Histogram, Histogram): of all voxels of all frames of each. `most`: boxes that are
+    wanted. Fewer are made where 2^24 counts would not hold them. Returns (int64 [B, K], int64 [B, K']), or None:
+    none where there would be fewer than 8 boxes, or one of them held samples of one lattice alone. InvalidArgument
+    if there are not as many frames of each, or a histogram is not that of the frames.
+    """
+    frames = Frames(fields[0], "medium"), Frames(fields[1], "rendered")
+    if frames[0].count != frames[1].count:
+        raise InvalidArgument("rendered", f"{frames[1].count} frames", f"{frames[0].count}, as many as the medium")
+    cells = sum(len(h.counts) for h in histograms)
+    boxes = SharedBoxes.of(*grids, min(most, MOST_BLOCK_CELLS // cells))
+    if boxes is None:
+        return None
+    first, second = (_counts(f, g, h, boxes) for f, g, h in zip(frames, grids, histograms, strict=True))
+    return first, second
+
+
+def _counts(frames: Frames, grid: Grid, histogram: Histogram, boxes: SharedBoxes) -> Int64s:
+    empty = int(histogram.symbols[0] == 0)
+    held = Histogram(histogram.symbols[empty:], histogram.counts[empty:])
+    out = _held_by_part(frames, held, {"voxel": boxes}, grid)["voxel"]
+    if empty:
+        rest = boxes.voxels(grid) * frames.count - out.sum(axis=1)
+        out = np.concatenate([rest[:, None], out], axis=1)
+    if not np.array_equal(out.sum(axis=0), histogram.counts):
+        raise frames_changed()
+    return out
+
+
+def _along_m(grid: Grid) -> Sequence[NDArray[np.float64]]:
+    """Where the samples lie along each axis, metres."""
+    return [
+        o + h * np.arange(n, dtype=np.float64)
+        for o, h, n in zip(grid.origin_m, grid.spacing_m, grid.shape, strict=True)
+    ]

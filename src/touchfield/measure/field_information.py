@@ -20,11 +20,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.counted import Counted, Entropies, measured
-from touchfield.measure.distribution import NORMALISATIONS
 from touchfield.measure.field_count import SymbolCount, count_symbols, no_support
-from touchfield.measure.field_frames import Fields, FramePairs, Frames
+from touchfield.measure.field_symbols import Fields, FramePairs, Frames
 from touchfield.measure.histogram import LEAST_BLOCKS
+from touchfield.measure.quantity import Counted, Entropies, check_normalisation, measured
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -49,6 +48,10 @@ def field_entropy(
 ) -> Quantity:
     """H(S) of a quantised field, bits a sample.
 
+    FewSamplesWarning if there are fewer than ten samples to a symbol. InvalidArgument if the frames differ in grid
+    or Q, or from one pass to the next; `over` is unknown, its counts are wrong or no visit is inside the grid; or
+    there is no support to be uniform over.
+
     Parameters
     ----------
     fields : FieldSymbols, or a sequence of them
@@ -69,17 +72,6 @@ def field_entropy(
     -------
     Quantity
         Unit "bit/sample", a sample being a voxel, a voxel of the support, or a visit.
-
-    Warns
-    -----
-    FewSamplesWarning
-        If there are fewer than ten samples to a symbol.
-
-    Raises
-    ------
-    InvalidArgument
-        If the frames differ in grid or Q, or from one pass to the next; `over` is unknown, its counts are wrong or
-        no visit is inside the grid; or there is no support to be uniform over.
     """
     frames = Frames(fields, "fields")
     if not isinstance(over, str):
@@ -91,14 +83,7 @@ def field_entropy(
 class FieldCounts:
     """The symbols of quantised frames, counted: their entropies, without another look at the frames.
 
-    Attributes
-    ----------
-    counts : mapping of str to SymbolCount
-        Over "voxel", "object" or both.
-    frame_count : int
-    alphabet : int
-        K, with "no force".
-    quantiser : str
+    `counts` mapping of str to SymbolCount: over "voxel", "object" or both. `alphabet`: K, with "no force".
     """
 
     counts: Mapping[str, SymbolCount]
@@ -111,15 +96,7 @@ class FieldCounts:
         found = self.counts[over]
         if not len(found.histogram.counts):
             raise no_support(self.frame_count)
-        counted = Counted(
-            found.histogram.counts,
-            found.blocks if interval else None,
-            found.histogram.total,
-            estimator,
-            self.quantiser,
-            over,
-            found.notes if interval else (),
-        )
+        counted = found.counted(estimator, self.quantiser, over, interval=interval)
         alphabet = self.alphabet - (over == "object")
         return measured("H(S)", Entropies(estimator, (), (alphabet,)).joint, counted)
 
@@ -129,17 +106,9 @@ def field_counts(
 ) -> FieldCounts:
     """The symbols of quantised frames, over voxels and over the object at once.
 
-    Parameters
-    ----------
-    fields, interval, blocks
-        As of `field_entropy`. Both weightings together ask for each frame as often as the object alone: once without
-        an interval, and twice with one.
-    overs : tuple of "voxel" and "object"
-
-    Raises
-    ------
-    InvalidArgument
-        As of `field_entropy`; that there is no support is only said when the entropy of the object is asked for.
+    `fields`, `interval`, `blocks`: as of `field_entropy`. Both weightings together ask for each frame as often as
+    the object alone: once without an interval, and twice with one. InvalidArgument as of `field_entropy`; that
+    there is no support is only said when the entropy of the object is asked for.
     """
     return _counts(Frames(fields, "fields"), tuple(_choice(over) for over in overs), interval, blocks)
 
@@ -196,6 +165,8 @@ def field_joint(
 ) -> FieldJoint:
     """Joint measures of two fields, voxel by voxel, such as a medium before and after a filter.
 
+    InvalidArgument as of `field_entropy`; also if the two differ in grid or length.
+
     Parameters
     ----------
     first, second : FieldSymbols, or sequences of as many
@@ -209,14 +180,8 @@ def field_joint(
         One of `touchfield.measure.distribution.NORMALISATIONS`.
     estimator, interval
         As of `field_entropy`; 27 blocks.
-
-    Raises
-    ------
-    InvalidArgument
-        As of `field_entropy`; also if the two differ in grid or length.
     """
-    if by not in NORMALISATIONS:
-        raise InvalidArgument("by", repr(by), f"one of {', '.join(NORMALISATIONS)}")
+    check_normalisation(by)
     over = _choice(over)
     a, b = Frames(first, "first"), Frames(second, "second")
     if a.count != b.count:
@@ -229,7 +194,7 @@ def field_joint(
     histogram = found.histogram
     if not len(histogram.counts):
         raise no_support(pairs.count)
-    counted = Counted(histogram.counts, found.blocks, histogram.total, estimator, pairs.quantiser, over, found.notes)
+    counted = found.counted(estimator, pairs.quantiser, over)
     columns = np.divmod(histogram.symbols, sizes[1])
     places = tuple(np.unique(c, return_inverse=True)[1].reshape(-1) for c in columns)
     e = Entropies(estimator, places, (*sizes, sizes[0] * sizes[1] - (over == "object")))

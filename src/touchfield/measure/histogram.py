@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from touchfield.errors import InvalidArgument
+from touchfield.measure.estimators import entropy_bits
 from touchfield.measure.symbol_keys import STRETCH, SymbolKeys, checked_symbols, keys_of, stretch
 from touchfield.medium.field import frozen
 from touchfield.parallel import for_chunks
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Counted = tuple[Int64s, Int64s]
 
-__all__ = ["Histogram", "JointHistogram", "block_counts"]
+__all__ = ["Histogram", "JointHistogram", "SymbolCounter", "block_counts", "merged"]
 
 MOST_BLOCK_CELLS = 1 << 24
 """Blocks times symbols that `block_counts` may hold: 128 MiB."""
@@ -39,17 +40,14 @@ _NOTHING = np.zeros(0, np.int64)
 class Histogram:
     """How often each symbol occurs.
 
+    InvalidArgument if shapes, order or counts are wrong.
+
     Parameters
     ----------
     symbols : int64 [K]
         Strictly ascending.
     counts : int64 [K]
         At least 1 each.
-
-    Raises
-    ------
-    InvalidArgument
-        If shapes, order or counts are wrong.
     """
 
     symbols: Int64s
@@ -69,16 +67,9 @@ class Histogram:
     def of(cls, samples: ArrayLike | Iterable[NDArray[Any]]) -> Histogram:
         """Count symbols.
 
-        Parameters
-        ----------
-        samples : array of integers or booleans, any shape, size and byte order; or an iterable of such arrays
-            A list or tuple is taken for an iterable of arrays where all its items are arrays. No sample at all is
-            an empty histogram.
-
-        Raises
-        ------
-        InvalidArgument
-            If the samples are not whole numbers below 2^63.
+        `samples` array of integers or booleans, any shape, size and byte order; or an iterable of such arrays: a
+        list or tuple is taken for an iterable of arrays where all its items are arrays. No sample at all is an
+        empty histogram. InvalidArgument if the samples are not whole numbers below 2^63.
         """
         return cls(*_merged_stream(_count_array(checked_symbols(chunk)) for chunk in _chunks(samples)))
 
@@ -91,7 +82,7 @@ class Histogram:
         """The histogram with `count` more of one symbol, such as the empty space that is not stored."""
         if count == 0:
             return self
-        return Histogram(*_merged([(self.symbols, self.counts), (np.array([symbol]), np.array([count]))]))
+        return Histogram(*merged([(self.symbols, self.counts), (np.array([symbol]), np.array([count]))]))
 
 
 @dataclass(frozen=True)
@@ -125,10 +116,7 @@ class JointHistogram:
     def of(cls, *samples: ArrayLike) -> JointHistogram:
         """Count the joint symbols of arrays of one shape, sample by sample.
 
-        Raises
-        ------
-        InvalidArgument
-            If there is no array, the shapes differ, or a symbol is not a whole number below 2^63.
+        InvalidArgument if there is no array, the shapes differ, or a symbol is not a whole number below 2^63.
         """
         if not samples:
             raise InvalidArgument("samples", "no array", "at least one")
@@ -162,28 +150,40 @@ class JointHistogram:
         return np.unique(self.symbols[:, axis], return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
+class SymbolCounter:
+    """Counts the symbols of the support and the empty voxels, frame after frame."""
+
+    def __init__(self) -> None:
+        self._counted: Counted = (_NOTHING, _NOTHING)
+        self._voxels = 0
+
+    def add(self, symbols: ArrayLike, voxel_count: int) -> None:
+        """Count one frame: the symbols of its support, whole numbers, and the number of all its voxels."""
+        frame = np.unique(np.asarray(symbols, np.int64), return_counts=True)
+        self._counted = merged([self._counted, frame])
+        self._voxels += voxel_count
+
+    @property
+    def object_bits(self) -> float:
+        """H_object, bits per supported voxel."""
+        return entropy_bits(self._counted[1])
+
+    @property
+    def voxel_bits(self) -> float:
+        """H_voxel, bits per voxel, the empty voxel being one more symbol."""
+        counts = self._counted[1]
+        return entropy_bits(np.append(counts, self._voxels - counts.sum()))
+
+
 def block_counts(
     samples: ArrayLike | Sequence[ArrayLike], blocks: int, cells: Histogram | JointHistogram
 ) -> Int64s | None:
     """The counts of `cells` in each of some contiguous blocks of the samples in C order, for a block bootstrap.
 
-    Parameters
-    ----------
-    samples : array, or for a `JointHistogram` a sequence of arrays of one shape
-        Those of which `cells` is the histogram.
-    blocks : int
-        How many are wanted. Fewer are made where 2^24 counts would not hold them, or where there are fewer samples.
-    cells : Histogram or JointHistogram
-
-    Returns
-    -------
-    int64 [B, K], or None
-        Blocks are equal but for one sample. None where there would be fewer than 8.
-
-    Raises
-    ------
-    InvalidArgument
-        If `cells` is not the histogram of the samples.
+    `samples` array, or for a `JointHistogram` a sequence of arrays of one shape: those of which `cells` is the
+    histogram. `blocks`: how many are wanted. Fewer are made where 2^24 counts would not hold them, or where there
+    are fewer samples. Returns int64 [B, K], or None: blocks are equal but for one sample. None where there would be
+    fewer than 8. InvalidArgument if `cells` is not the histogram of the samples.
     """
     given: Any = samples if isinstance(cells, JointHistogram) else (samples,)
     arrays = tuple(checked_symbols(x) for x in given)
@@ -263,9 +263,9 @@ def _count_keys(code: SymbolKeys, begin: int, end: int) -> Counted:
         stop = min(end, b + 16 * STRETCH)
 
         def piece(first: int, last: int, offset: int = b) -> Counted:
-            return _merged([np.unique(k, return_counts=True) for k in code.stretches(offset + first, offset + last)])
+            return merged([np.unique(k, return_counts=True) for k in code.stretches(offset + first, offset + last)])
 
-        found = _merged([found, *for_chunks(piece, stop - b, chunk=STRETCH)])
+        found = merged([found, *for_chunks(piece, stop - b, chunk=STRETCH)])
     return found
 
 
@@ -288,13 +288,13 @@ def _distinct(code: SymbolKeys) -> Int64s:
     return _count_keys(code, 0, code.count)[0]
 
 
-def _merged(parts: Sequence[Counted]) -> Counted:
-    """The sum of several histograms."""
-    held = [p for p in parts if len(p[0])]
-    if len(held) < 2:
-        return held[0] if held else (_NOTHING, _NOTHING)
-    symbols = np.concatenate([p[0] for p in held])
-    counts = np.concatenate([p[1] for p in held])
+def merged(parts: Sequence[Counted]) -> Counted:
+    """The sum of several histograms: symbols int64 [K], ascending, and counts int64 [K]."""
+    full = [p for p in parts if len(p[0])]
+    if len(full) < 2:
+        return full[0] if full else (_NOTHING, _NOTHING)
+    symbols = np.concatenate([p[0] for p in full])
+    counts = np.concatenate([p[1] for p in full])
     order = np.argsort(symbols, kind="stable")
     symbols = symbols[order]
     first = np.flatnonzero(np.concatenate([[True], symbols[1:] != symbols[:-1]]))
@@ -310,8 +310,8 @@ def _merged_stream(parts: Iterable[Counted]) -> Counted:
         waiting.append(part)
         held += len(part[0])
         if held > max(len(total[0]), STRETCH):
-            total, waiting, held = _merged([total, *waiting]), [], 0
-    return _merged([total, *waiting])
+            total, waiting, held = merged([total, *waiting]), [], 0
+    return merged([total, *waiting])
 
 
 # -- checks -------------------------------------------------------------------------------------------------------

@@ -12,8 +12,6 @@ it is), so that the interval comes from blocks of consecutive samples.
 
 from __future__ import annotations
 
-import math
-import warnings
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -21,19 +19,17 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.quantity import LEAST_BLOCKS, Counted, Entropies, measured
 from touchfield.medium.field import frozen
 from touchfield.medium.trace import Trace, read_trace
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from touchfield.measure.quantity import Quantity
     from touchfield.medium import Grid
 
-__all__ = ["Trace", "Visits", "interaction_entropy", "read_trace", "visit_blocks", "visits"]
-
-MIN_BLOCKS: Final = 8
-"""Fewer blocks give no interval."""
+__all__ = ["Trace", "Visits", "interaction_entropy", "read_trace", "visits"]
 
 _MOST_CELLS: Final = 1 << 24  # blocks times symbols of one table
 _LATE: Final = 1e-6  # share of a frame by which a time stamp may fall short of it, for stamps rounded to decimals
@@ -43,14 +39,8 @@ _UNEVEN: Final = 2.0  # longest step of a trace over its median step that is sti
 class Visits(NamedTuple):
     """The visit histogram mu, up to its sum.
 
-    Attributes
-    ----------
-    places : int64 [m, 3]
-        Indices of the visited lattice points in raster order (x slowest, z fastest).
-    counts : int64 [m]
-        Samples of the trace in the cell of each.
-    outside : int
-        Samples of the trace in no cell of the grid.
+    `places` int64 [m, 3]: indices of the visited lattice points in raster order (x slowest, z fastest). `counts`
+    int64 [m]: samples of the trace in the cell of each. `outside`: samples of the trace in no cell of the grid.
     """
 
     places: NDArray[np.int64]
@@ -71,29 +61,6 @@ def visits(trace: Trace, grid: Grid) -> Visits:
     return Visits(frozen(places), frozen(counts.astype(np.int64)), int(np.count_nonzero(cells < 0)))
 
 
-def visit_blocks(trace: Trace, grid: Grid, blocks: int = 64) -> NDArray[np.int64]:
-    """The counts of `visits` apart for each block of consecutive samples, int64 [B, m], for a block bootstrap.
-
-    Samples outside the grid are left out first; what remains is cut into `blocks` pieces that differ by one sample at
-    most, or into fewer where B * m would exceed 2^24.
-
-    Raises
-    ------
-    InvalidArgument
-        If fewer than eight blocks fit.
-    """
-    cells = _cells(trace.positions_m, grid)
-    keys, place = np.unique(cells[cells >= 0], return_inverse=True)
-    table = _per_block(place.reshape(-1), len(keys), blocks)
-    if table is None:
-        raise InvalidArgument(
-            "blocks",
-            f"{blocks} for {len(place)} samples at {len(keys)} lattice points",
-            f"at least {MIN_BLOCKS}, each of one sample or more, and at most {_MOST_CELLS} counts",
-        )
-    return table
-
-
 def interaction_entropy(
     trace: Trace,
     symbols: FieldSymbols | Sequence[FieldSymbols],
@@ -103,6 +70,8 @@ def interaction_entropy(
     blocks: int = 64,
 ) -> Quantity:
     """H(S) of the field as a probe met it, bits per sample of the trace.
+
+    InvalidArgument if no sample meets the field, the frames do not fit each other, or an argument is out of range.
 
     Parameters
     ----------
@@ -126,51 +95,24 @@ def interaction_entropy(
     Quantity
         Weighting "interaction". Samples before the first frame or after the last are left out, and so are those
         during the frames that lie outside the box of the grid; a note counts each of the two.
-
-    Raises
-    ------
-    InvalidArgument
-        If no sample meets the field, the frames do not fit each other, or an argument is out of range.
     """
-    from touchfield.measure.estimators import ESTIMATORS, estimate_bits
-
-    if blocks < MIN_BLOCKS:
-        raise InvalidArgument("blocks", repr(blocks), f"at least {MIN_BLOCKS}")
+    if blocks < LEAST_BLOCKS:
+        raise InvalidArgument("blocks", repr(blocks), f"at least {LEAST_BLOCKS}")
     first, met, in_time = _met(trace, symbols, rate_hz)
     if not len(met):
         raise InvalidArgument("trace", *_where_it_was(trace, first, rate_hz))
     seen, place = np.unique(met, return_inverse=True)
 
-    def bits(counts: NDArray[np.int64]) -> float:
-        return estimate_bits(counts, estimator, first.alphabet)
-
-    notes = _notes(trace, in_time, len(met), len(seen))
-    spread = None
+    place, notes, table = place.reshape(-1), _notes(trace, in_time, len(met)), None
     if interval:
-        table = _per_block(place.reshape(-1), len(seen), blocks)
+        table = _per_block(place, len(seen), blocks)
         if table is None:
-            notes.append(
-                f"no interval: {len(met)} samples of {len(seen)} symbols fill fewer than {MIN_BLOCKS} blocks"
-            )
-        else:
-            from touchfield.measure import bootstrap
-
-            corrects_bias = ESTIMATORS[estimator].corrects_bias
-            spread = bootstrap.interval(
-                bits, table, bounds=(0.0, math.log2(first.alphabet)), corrects_bias=corrects_bias
-            )
-    return Quantity(
-        "H(S)",
-        bits(np.bincount(place.reshape(-1), minlength=len(seen))),
-        "bit/sample",
-        quantiser=first.quantiser,
-        weighting="interaction",
-        estimator=estimator,
-        samples=len(met),
-        symbols=len(seen),
-        interval=spread,
-        notes=tuple(notes),
-    )
+            few = f"{len(met)} samples of {len(seen)} symbols fill fewer than {LEAST_BLOCKS} blocks"
+            notes.append(f"no interval: {few}")
+    counts = np.bincount(place, minlength=len(seen))
+    counted = Counted(counts, table, len(met), estimator, first.quantiser, "interaction", tuple(notes))
+    entropies = Entropies(estimator, (), (first.alphabet,))
+    return measured("H(S)", entropies.joint, counted, most=entropies.most_bits())
 
 
 def _cells(positions_m: NDArray[np.float64], grid: Grid) -> NDArray[np.int64]:
@@ -186,7 +128,7 @@ def _cells(positions_m: NDArray[np.float64], grid: Grid) -> NDArray[np.int64]:
 def _per_block(place: NDArray[np.int64], symbols: int, blocks: int) -> NDArray[np.int64] | None:
     """Counts of symbols 0 .. symbols - 1 in contiguous blocks of `place`, int64 [B, symbols]; None below 8 blocks."""
     fit = min(blocks, len(place), _MOST_CELLS // max(1, symbols))
-    if fit < MIN_BLOCKS:
+    if fit < LEAST_BLOCKS:
         return None
     owner = np.arange(len(place)) * fit // len(place)
     counts = np.bincount(owner * symbols + place, minlength=fit * symbols)
@@ -248,7 +190,7 @@ def _where_it_was(trace: Trace, field: FieldSymbols, rate_hz: float | None) -> t
     return found, f"positions within {box(*field.grid.box_m)}, in the medium's time", "Shift or scale the trace."
 
 
-def _notes(trace: Trace, in_time: int, samples: int, symbols: int) -> list[str]:
+def _notes(trace: Trace, in_time: int, samples: int) -> list[str]:
     """What a reader must be told; `in_time` samples are during the frames, `samples` of those inside the box."""
     notes = []
     if early_or_late := len(trace) - in_time:
@@ -266,8 +208,4 @@ def _notes(trace: Trace, in_time: int, samples: int, symbols: int) -> list[str]:
             f"the trace is not sampled regularly (steps of {steps.min():.3g} to {steps.max():.3g} s): a visit is a "
             "sample and not a duration"
         )
-    if samples < 10 * symbols:
-        few = f"few samples: {samples} for {symbols} symbols, fewer than 10 each; the estimate may be mostly bias"
-        warnings.warn(few, FewSamplesWarning, stacklevel=3)
-        notes.append(few)
     return notes

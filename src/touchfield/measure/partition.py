@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.histogram import merged
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     Float64s = NDArray[np.float64]
 
     Int64s = NDArray[np.int64]
+    Counts = tuple[Int64s, Int64s]
 
 __all__ = ["BoxLosses", "DyadicBox", "DyadicLattice", "Partition", "optimal_partition"]
 
@@ -45,18 +47,9 @@ MOST_DEPTH = 7
 class DyadicLattice:
     """A fine lattice and how a device's lattice divides it.
 
-    Parameters
-    ----------
-    grid : Grid
-        The fine lattice over the workspace.
-    device_shape : (int, int, int)
-        Samples of the device along each axis. An axis with as many samples as the grid is not split; along all others
-        the grid has 2^D as many, with one D.
-
-    Raises
-    ------
-    InvalidArgument
-        If the grid is not such a multiple, or D is greater than 7.
+    `grid`: the fine lattice over the workspace. `device_shape` (int, int, int): samples of the device along each
+    axis. An axis with as many samples as the grid is not split; along all others the grid has 2^D as many, with one
+    D. InvalidArgument if the grid is not such a multiple, or D is greater than 7.
     """
 
     grid: Grid
@@ -103,47 +96,21 @@ class DyadicLattice:
         return Grid(self.device_shape, level.spacing_m, tuple(origin))
 
 
-@dataclass
-class _Counts:
-    """How often each key was counted, keys ascending."""
-
-    keys: Int64s = field(default_factory=lambda: np.zeros(0, np.int64))
-    counts: Int64s = field(default_factory=lambda: np.zeros(0, np.int64))
-
-    def add(self, keys: Int64s, factor: int = 1) -> None:
-        found, counts = np.unique(keys, return_counts=True)
-        both, place = np.unique(np.concatenate([self.keys, found]), return_inverse=True)
-        total = np.zeros(len(both), np.int64)
-        np.add.at(total, place, np.concatenate([self.counts, counts * factor]))
-        self.keys, self.counts = both, total
-
-
 class BoxLosses:
-    """Adds up the symbols of frames, and tells what each dyadic box loses.
-
-    Parameters
-    ----------
-    lattice : DyadicLattice
-    """
+    """Adds up the symbols of frames, and tells what each dyadic box loses."""
 
     def __init__(self, lattice: DyadicLattice) -> None:
         self.lattice = lattice
         self.frame_count, self._alphabet, self._quantiser = 0, 0, ""
-        self._rows = [_Counts() for _ in range(lattice.depth)]  # of (box, k), k > 0: fine samples
-        self._pairs = [_Counts() for _ in range(lattice.depth)]  # of (box, k, s), s > 0
+        none: Counts = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+        self._rows = [none] * lattice.depth  # of (box, k), k > 0: fine samples
+        self._pairs = [none] * lattice.depth  # of (box, k, s), s > 0
 
     def add(self, levels: Sequence[FieldSymbols]) -> None:
         """Count one frame.
 
-        Parameters
-        ----------
-        levels : sequence of FieldSymbols
-            Of one Q, on ``lattice.lattice(d)`` for d = 0 .. D.
-
-        Raises
-        ------
-        InvalidArgument
-            If there are others, they differ in Q, or there are too many boxes and symbols to count.
+        `levels` sequence of FieldSymbols: of one Q, on ``lattice.lattice(d)`` for d = 0 .. D. InvalidArgument if
+        there are others, they differ in Q, or there are too many boxes and symbols to count.
         """
         d_most, last = self.lattice.depth, levels[-1]
         if [s.grid.shape for s in levels] != [self.lattice.lattice(d).shape for d in range(d_most + 1)]:
@@ -159,18 +126,17 @@ class BoxLosses:
             cells = places // ratio
             told = levels[d].symbols_at(cells).astype(np.int64)
             boxes = self._box_of(cells, d)
-            self._pairs[d].add((boxes * self._alphabet + told) * self._alphabet + symbols)
+            pairs = (boxes * self._alphabet + told) * self._alphabet + symbols
+            self._pairs[d] = merged([self._pairs[d], np.unique(pairs, return_counts=True)])
             cells, told = _held(levels[d])
-            self._rows[d].add(self._box_of(cells, d) * self._alphabet + told, int(ratio.prod()))
+            rows, counts = np.unique(self._box_of(cells, d) * self._alphabet + told, return_counts=True)
+            self._rows[d] = merged([self._rows[d], (rows, counts * int(ratio.prod()))])
         self.frame_count += 1
 
     def bits(self) -> tuple[Float64s, ...]:
         """L of the boxes of each depth, bits a frame, float64 of shape ``lattice.boxes(d)`` for d = 0 .. D.
 
-        Raises
-        ------
-        InvalidArgument
-            If no frame was added.
+        InvalidArgument if no frame was added.
         """
         if not self.frame_count:
             raise InvalidArgument("box losses", "no frame", "at least one")
@@ -181,20 +147,20 @@ class BoxLosses:
         """L times the frames."""
         shape = self.lattice.boxes(d)
         box_count = int(np.prod(shape))
-        rows, pairs = self._rows[d], self._pairs[d]
-        row_of_pair = pairs.keys // self._alphabet
+        (rows, row_counts), (pairs, pair_counts) = self._rows[d], self._pairs[d]
+        row_of_pair = pairs // self._alphabet
         held, first = np.unique(row_of_pair, return_index=True)
         box, told = np.divmod(held, self._alphabet)
         in_rows = np.zeros(box_count, np.int64)
-        np.add.at(in_rows, rows.keys // self._alphabet, rows.counts)
+        np.add.at(in_rows, rows // self._alphabet, row_counts)
         per_box = self.lattice.grid.voxel_count // box_count * self.frame_count
         total = per_box - in_rows[box]  # of k = 0
         known = told > 0
-        total[known] = rows.counts[np.searchsorted(rows.keys, held[known])]
-        empty = total - (np.add.reduceat(pairs.counts, first) if len(first) else 0)
+        total[known] = row_counts[np.searchsorted(rows, held[known])]
+        empty = total - (np.add.reduceat(pair_counts, first) if len(first) else 0)
         bits = _xlog2x(total) - _xlog2x(empty)
         if len(first):
-            bits -= np.add.reduceat(_xlog2x(pairs.counts), first)
+            bits -= np.add.reduceat(_xlog2x(pair_counts), first)
         loss = np.zeros(box_count)
         np.add.at(loss, box, np.maximum(bits, 0.0))
         return loss.reshape(shape)
@@ -230,14 +196,8 @@ def _xlog2x(counts: Int64s) -> Float64s:
 class DyadicBox:
     """One box of a partition.
 
-    Attributes
-    ----------
-    depth : int
-        How often the workspace was halved along each axis.
-    index : (int, int, int)
-        Which of the 2^depth boxes along each axis.
-    lost_bits : float
-        What the device leaves out of it, bits a frame.
+    `depth`: how often the workspace was halved along each axis. `index` (int, int, int): which of the 2^depth boxes
+    along each axis. `lost_bits`: what the device leaves out of it, bits a frame.
     """
 
     depth: int
@@ -249,12 +209,7 @@ class DyadicBox:
 class Partition:
     """Disjoint boxes that cover the workspace, in ascending order of depth and index.
 
-    Attributes
-    ----------
-    lattice : DyadicLattice
-    penalty_bits : float
-        lambda, bits a box.
-    boxes : tuple of DyadicBox
+    `penalty_bits`: lambda, bits a box.
     """
 
     lattice: DyadicLattice
@@ -291,18 +246,9 @@ class Partition:
 def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalty_bits: float) -> Partition:
     """The partition with the least J.
 
-    Parameters
-    ----------
-    lattice : DyadicLattice
-    losses : sequence of float64 arrays
-        For each depth 0 .. D the loss of its boxes, of shape ``lattice.boxes(d)``, bits a frame (`BoxLosses.bits`).
-    penalty_bits : float
-        lambda, 0 or more. A greater one never gives more boxes, nor a smaller sum of losses.
-
-    Raises
-    ------
-    InvalidArgument
-        If lambda is negative, or the losses have other shapes or are not finite.
+    `losses` sequence of float64 arrays: for each depth 0 .. D the loss of its boxes, of shape ``lattice.boxes(d)``,
+    bits a frame (`BoxLosses.bits`). `penalty_bits`: lambda, 0 or more. A greater one never gives more boxes, nor a
+    smaller sum of losses. InvalidArgument if lambda is negative, or the losses have other shapes or are not finite.
     """
     if not 0 <= penalty_bits < math.inf:
         raise InvalidArgument("penalty_bits", repr(penalty_bits), "bits a box, 0 or more")

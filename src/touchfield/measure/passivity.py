@@ -54,16 +54,13 @@ _GAUSS: Final = (0.5 - math.sqrt(1 / 12), 0.5 + math.sqrt(1 / 12))  # two points
 def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
     """The work of a field on a hand that goes once round a closed polyline, joules, exact for `ForceField.sample_n`.
 
+    InvalidArgument if there are fewer than three corners, or one is not finite or 10^9 spacings away.
+
     Parameters
     ----------
     force_field : ForceField
     path_m : float [n, 3]
         Corners in metres, at least three; the last is joined to the first. Beyond the grid there is no force.
-
-    Raises
-    ------
-    InvalidArgument
-        If there are fewer than three corners, or one is not finite or 10^9 spacings away.
     """
     path = np.asarray(path_m, np.float64)
     if path.ndim != 2 or path.shape[1] != 3 or len(path) < 3:
@@ -275,6 +272,8 @@ class Passivity:
 def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, seed: int = 0) -> Passivity:
     """Curl, and work around closed loops, of a field.
 
+    InvalidArgument if the field is empty, or `loops` or `seed` is out of range.
+
     Parameters
     ----------
     force_field : ForceField
@@ -291,11 +290,6 @@ def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, se
     -------
     Passivity
         The same bits for any number of threads.
-
-    Raises
-    ------
-    InvalidArgument
-        If the field is empty, or `loops` or `seed` is out of range.
     """
     if isinstance(loops, bool) or not isinstance(loops, int) or not 0 <= loops <= _MOST_LOOPS:
         raise InvalidArgument("loops", repr(loops), f"0 to {_MOST_LOOPS}")

@@ -64,10 +64,7 @@ def kt_code_length_bits(zeros: ArrayLike, ones: ArrayLike) -> NDArray[np.float64
     -log2 B(zeros + 1/2, ones + 1/2) / pi, B being the beta function: the chance of the next one is (ones + 1/2) /
     (n + 1). It never exceeds n H + log2(n)/2 + 1, H being the plug-in entropy (IEEE Trans. Inf. Theory 27, 1981).
 
-    Raises
-    ------
-    InvalidArgument
-        If a count is negative or not finite.
+    InvalidArgument if a count is negative or not finite.
     """
     from scipy.special import betaln
 
@@ -83,14 +80,7 @@ def kt_code_length_bits(zeros: ArrayLike, ones: ArrayLike) -> NDArray[np.float64
 class FrameBits:
     """What one frame costs.
 
-    Attributes
-    ----------
-    bricks : float
-        Bits for which bricks hold anything.
-    support : float
-        Bits for where in them.
-    symbols : float
-        Bits for what.
+    `bricks`: bits for which bricks hold anything. `support`: bits for where in them. `symbols`: bits for what.
     """
 
     bricks: float
@@ -107,12 +97,9 @@ class FrameBits:
 class PrequentialLength:
     """A code length, frame by frame.
 
-    Attributes
-    ----------
-    frames : tuple of FrameBits
-        The first is coded without a previous frame.
-    per_frame, per_voxel, per_supported : Quantity
-        The mean, bit/frame; bit/sample over all voxels; over the voxels that are not 0 (NaN where there is none).
+    `frames` tuple of FrameBits: the first is coded without a previous frame. `per_frame`, `per_voxel`,
+    `per_supported`: the mean, bit/frame; bit/sample over all voxels; over the voxels that are not 0 (NaN where
+    there is none).
     """
 
     frames: tuple[FrameBits, ...]
@@ -141,18 +128,9 @@ class PrequentialLength:
 class PrequentialCoder:
     """The code and what it has learnt.
 
-    Parameters
-    ----------
-    alphabet : int
-        K; symbols are 0 .. K - 1.
-    split : int, optional
-        D, if symbol s > 0 is ``1 + first * D + second``, such as an amplitude level and a direction of a codebook of
-        D: then each is coded in the contexts of its own kind. 1 .. K - 1; without it a symbol is one digit.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range.
+    `alphabet`: K; symbols are 0 .. K - 1. `split`: D, if symbol s > 0 is ``1 + first * D + second``, such as an
+    amplitude level and a direction of a codebook of D: then each is coded in the contexts of its own kind. 1 .. K -
+    1; without it a symbol is one digit. InvalidArgument if a number is out of range.
     """
 
     def __init__(self, alphabet: int, split: int | None = None) -> None:
@@ -266,6 +244,9 @@ def prequential_code_length(
 ) -> PrequentialLength:
     """How many bits a sequential adaptive code needs for these symbols.
 
+    InvalidArgument for values that are not symbols or not below the alphabet, a split out of range, or frames that
+    do not match.
+
     Parameters
     ----------
     frames : int array of 1 to 4 dimensions, FieldSymbols, or an iterable of FieldSymbols
@@ -279,11 +260,6 @@ def prequential_code_length(
     -------
     PrequentialLength
         Estimator "prequential".
-
-    Raises
-    ------
-    InvalidArgument
-        For values that are not symbols or not below the alphabet, a split out of range, or frames that do not match.
 
     Examples
     --------

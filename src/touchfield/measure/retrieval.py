@@ -49,17 +49,8 @@ __all__ = [
 def average_precision(ranked: Sequence[str], relevant: Collection[str]) -> float:
     """The average precision of one query, 0 to 1.
 
-    Parameters
-    ----------
-    ranked : sequence of str
-        The best first, each once.
-    relevant : collection of str
-        At least one.
-
-    Raises
-    ------
-    InvalidArgument
-        If nothing is relevant, or a name is ranked twice.
+    `ranked` sequence of str: the best first, each once. `relevant` collection of str: at least one. InvalidArgument
+    if nothing is relevant, or a name is ranked twice.
     """
     wanted = frozenset(relevant)
     if not wanted:
@@ -73,17 +64,14 @@ def average_precision(ranked: Sequence[str], relevant: Collection[str]) -> float
 def mean_average_precision(ranks: Mapping[str, Sequence[str]], relevant: Mapping[str, Collection[str]]) -> float:
     """The mean of `average_precision` over queries, 0 to 1.
 
+    InvalidArgument if there is no query, one has nothing relevant, or `relevant` does not tell of one.
+
     Parameters
     ----------
     ranks : mapping of query to ranked names
         The query itself should not be among them.
     relevant : mapping of query to names
         For each query of `ranks`.
-
-    Raises
-    ------
-    InvalidArgument
-        If there is no query, one has nothing relevant, or `relevant` does not tell of one.
     """
     if not ranks:
         raise InvalidArgument("ranks", "no query", "at least one")
@@ -96,10 +84,7 @@ def mean_average_precision(ranks: Mapping[str, Sequence[str]], relevant: Mapping
 def chance_average_precision(relevant_count: int, count: int) -> float:
     """The mean average precision of all orders of `count` items of which `relevant_count` are relevant.
 
-    Raises
-    ------
-    InvalidArgument
-        If the counts do not fit.
+    InvalidArgument if the counts do not fit.
     """
     if not 1 <= relevant_count <= count:
         raise InvalidArgument(
@@ -126,11 +111,7 @@ _FORMAT: Final = "touchfield medium index"
 class Match(NamedTuple):
     """A medium that was found.
 
-    Attributes
-    ----------
-    name : str
-    distance : float
-        From the query; 0 where the descriptors are the same.
+    `distance`: from the query; 0 where the descriptors are the same.
     """
 
     name: str
@@ -164,10 +145,7 @@ class MediumIndex:
     def add(self, name: str, entry: Descriptor) -> None:
         """File a medium under a name of its own, 1 to 1000 characters.
 
-        Raises
-        ------
-        InvalidArgument
-            If the name is empty, too long or there already, or the index is full (2^20 media).
+        InvalidArgument if the name is empty, too long or there already, or the index is full (2^20 media).
         """
         if not isinstance(name, str) or not 1 <= len(name) <= _MOST_NAME:
             raise InvalidArgument("name", repr(name)[:80], f"1 to {_MOST_NAME} characters")
@@ -183,18 +161,9 @@ class MediumIndex:
     ) -> tuple[Match, ...]:
         """The media nearest to a descriptor, the nearest first; of equally near ones that which was added first.
 
-        Parameters
-        ----------
-        entry : Descriptor
-        count : int, optional
-            How many are wanted; all, where it is not given.
-        weights : mapping of str to float, optional
-            Of the parts by name, 0 or more; 1 for those that are not named. `ANY_POSE` is such a mapping.
-
-        Raises
-        ------
-        InvalidArgument
-            If the index is empty, `count` is below 1, or a weight is out of range or of no part.
+        `count`: how many are wanted; all, where it is not given. `weights` mapping of str to float: of the parts by
+        name, 0 or more; 1 for those that are not named. `ANY_POSE` is such a mapping. InvalidArgument if the index
+        is empty, `count` is below 1, or a weight is out of range or of no part.
         """
         from scipy.spatial import cKDTree
 
@@ -215,12 +184,7 @@ class MediumIndex:
     def save(self, path: str | Path) -> None:
         """Write the index as ``.npz``, whole or not at all; equal indices give equal bytes.
 
-        Raises
-        ------
-        InvalidArgument
-            If the folder is not there.
-        SourceError
-            If the system refuses to write.
+        InvalidArgument if the folder is not there. SourceError if the system refuses to write.
         """
         head = {
             "format": _FORMAT,
@@ -241,10 +205,8 @@ class MediumIndex:
     def load(cls, path: str | Path) -> MediumIndex:
         """Read what `save` wrote.
 
-        Raises
-        ------
-        SourceError
-            If the file is no such index, is cut short or damaged, or was made by another version of the descriptor.
+        SourceError if the file is no such index, is cut short or damaged, or was made by another version of the
+        descriptor.
         """
         archive = NpzArchive(Path(path))
         names = _names(archive)

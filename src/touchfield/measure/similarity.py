@@ -10,7 +10,7 @@ NMI                  symbols voxel by voxel                      no; 1 - NMI is 
 VI                   symbols voxel by voxel                      yes, over "voxel"
 sqrt(JSD)            histograms of the symbols, wherever         yes, over either
                      they lie
-NCD                  what one medium tells a compressor of the   no; see `touchfield.measure.compression_distance`
+NCD                  what one medium tells a compressor of the   no; see `touchfield.measure.similarity`
                      other, at any shift
 ===================  ==========================================  ==================================================
 
@@ -26,26 +26,119 @@ Theory 49, 2003 (sqrt(JSD)).
 
 from __future__ import annotations
 
+import lzma
 import math
+import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.compression_distance import compression_distance
-from touchfield.measure.counted import Counted, Entropies, measured
-from touchfield.measure.distribution import NORMALISATIONS, jensen_shannon_bits
+from touchfield.measure.distribution import jensen_shannon_bits
 from touchfield.measure.field_count import count_symbols, no_support
-from touchfield.measure.field_frames import Fields, FramePairs, Frames
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.field_symbols import Fields, FramePairs, Frames
+from touchfield.measure.quantity import Entropies, Quantity, check_normalisation, measured
+from touchfield.medium.field import brick_keys
+from touchfield.medium.grid import BRICK
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Int64s = NDArray[np.int64]
 
-__all__ = ["Similarity", "similarity"]
+__all__ = ["COMPRESSORS", "Similarity", "compression_distance", "packed", "similarity"]
+
+MOST_BYTES: Final = 1 << 25
+"""Of the packed symbols of both media; lzma takes about twelve times as much memory."""
+
+ZLIB_WINDOW_BYTES: Final = 1 << 15
+_COUNT_BYTES: Final = 8
+_NOT_A_METRIC: Final = "not a metric: NCD(x,x) is not 0, and the triangle inequality holds only nearly"
+
+
+def compression_distance(first: Fields, second: Fields, compressor: str = "lzma") -> Quantity:
+    """NCD of two media of one lattice and one Q; about 0 for equal ones, about 1 for unrelated ones.
+
+    InvalidArgument if the compressor is unknown, lattice or Q differ, or both together take more than 32 MiB when
+    packed.
+
+    Parameters
+    ----------
+    first, second : FieldSymbols, or sequences of them
+        They may differ in length. Each frame is asked for once.
+    compressor : str
+        One of `COMPRESSORS`.
+
+    Returns
+    -------
+    Quantity
+        "NCD(S,T)", unit "1", mu "voxel", the compressor as its estimator.
+    """
+    if compressor not in COMPRESSORS:
+        raise InvalidArgument("compressor", repr(compressor), f"one of {', '.join(COMPRESSORS)}")
+    media = Frames(first, "first"), Frames(second, "second")
+    a, b = media
+    if (a.grid, a.quantiser, a.alphabet) != (b.grid, b.quantiser, b.alphabet):
+        raise InvalidArgument("second", "another lattice or quantiser", "those of the first")
+    voxels = a.grid.voxel_count * (a.count + b.count)
+    data = [packed(media[0], MOST_BYTES)]
+    data.append(packed(media[1], MOST_BYTES - len(data[0])))
+    data.sort(key=lambda d: (len(d), d))  # so that the order does not matter
+    x, y = data
+    window = max(1 << 12, 1 << (len(x) + len(y)).bit_length())
+    one, other, both = (COMPRESSORS[compressor](d, window) for d in (x, y, x + y))
+    notes = [f"C is {compressor}", _NOT_A_METRIC]
+    if compressor == "zlib" and len(x) + len(y) > ZLIB_WINDOW_BYTES:
+        found = f"{(len(x) + len(y)) / 1024:.0f} KiB of symbols"
+        notes.append(f"{found} are more than the 32 KiB that zlib looks back over: it may miss what is alike")
+    value = (both - min(one, other)) / max(one, other)
+    return Quantity(
+        "NCD(S,T)", value, "1", a.quantiser, "voxel", compressor, samples=voxels, notes=tuple(notes)
+    )  # fmt: skip
+
+
+def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
+    """The symbols of all frames as bytes, the same for the same symbols however they are stored.
+
+    For each frame the number of bricks that hold a force, the place of each as the distance from the one before it,
+    and its 512 symbols, in whole bytes, the low bytes of a brick before the high ones.
+
+    InvalidArgument if there are more than `most_bytes`.
+    """
+    width = max(1, -(-(frames.alphabet - 1).bit_length() // 8))
+    parts: list[bytes] = []
+    total = 0
+    for n in range(frames.count):
+        field = frames.take(n)
+        held = field.symbols.any(axis=(1, 2, 3))
+        total += _COUNT_BYTES + int(held.sum()) * (_COUNT_BYTES + BRICK**3 * width)
+        if total > most_bytes:
+            raise InvalidArgument(
+                "symbols to compress", f"more than {MOST_BYTES >> 20} MiB of both media",
+                f"up to {MOST_BYTES >> 20} MiB", "Take fewer frames, a coarser lattice, or no NCD.",
+            )  # fmt: skip
+        keys = brick_keys(field.grid, field.bricks[held])
+        symbols = field.symbols[held].reshape(len(keys), BRICK**3).astype("<u4")
+        planes = symbols.view(np.uint8).reshape(len(keys), BRICK**3, 4)[:, :, :width].transpose(0, 2, 1)
+        parts += [len(keys).to_bytes(_COUNT_BYTES, "little"), np.diff(keys, prepend=0).astype("<u8").tobytes()]
+        parts.append(planes.tobytes())
+    return b"".join(parts)
+
+
+def _lzma_bytes(data: bytes, window_bytes: int) -> int:
+    filters = [{"id": lzma.FILTER_LZMA2, "preset": 6, "dict_size": window_bytes}]
+    return len(lzma.compress(data, lzma.FORMAT_RAW, filters=filters))
+
+
+def _zlib_bytes(data: bytes, window_bytes: int) -> int:
+    return len(zlib.compress(data, 9))
+
+
+COMPRESSORS: Final[dict[str, Callable[[bytes, int], int]]] = {"lzma": _lzma_bytes, "zlib": _zlib_bytes}
+"""C, the bytes of compressed data, by name; the second argument is how far back it should look, bytes."""
+
 
 BLOCKS = 27
 """Of the bootstrap."""
@@ -89,6 +182,9 @@ def similarity(
 ) -> Similarity:
     """Compare two media of one lattice and one Q.
 
+    InvalidArgument if the media differ in lattice, Q or length, an option is unknown, over "object" one of them has
+    no force, or the symbols are too many to compress.
+
     Parameters
     ----------
     first, second : FieldSymbols, or sequences of as many
@@ -103,23 +199,16 @@ def similarity(
     compressor : str or None
         "lzma" or "zlib", of the NCD; None for no NCD, which takes the longest.
     interval : bool
-        Whether NMI, VI and sqrt(JSD) get a block-bootstrap interval, of 64 parts of space.
+        Whether NMI, VI and sqrt(JSD) get a block-bootstrap interval, of 27 parts of space.
 
     Returns
     -------
     Similarity
         By plug-in counts: the bias-corrected estimates are no metrics.
-
-    Raises
-    ------
-    InvalidArgument
-        If the media differ in lattice, Q or length, an option is unknown, over "object" one of them has no force,
-        or the symbols are too many to compress.
     """
     if over not in ("voxel", "object"):
         raise InvalidArgument("over", repr(over), '"voxel" or "object"')
-    if by not in NORMALISATIONS:
-        raise InvalidArgument("by", repr(by), f"one of {', '.join(NORMALISATIONS)}")
+    check_normalisation(by)
     pairs = FramePairs(Frames(first, "first"), Frames(second, "second"))
     _check_alike(pairs)
     size = pairs.first.alphabet
@@ -130,9 +219,7 @@ def similarity(
     cells, places = np.unique(symbols, return_inverse=True)
     places = places.reshape(symbols.shape)  # numpy 2.0 gives it flat
 
-    counted = Counted(
-        found.histogram.counts, found.blocks, found.histogram.total, "plug-in", pairs.quantiser, over, found.notes
-    )
+    counted = found.counted("plug-in", pairs.quantiser, over)
     quiet = replace(counted, warns=False)  # the joint symbols are the most, one warning is enough
     e = Entropies("plug-in", (places[0], places[1]), (size, size, None))
     normalised = measured(f"NMI_{by}(S;T)", lambda c: e.normalised(by, c), counted, "1", 1.0)

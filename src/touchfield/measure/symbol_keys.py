@@ -32,10 +32,7 @@ _MOST = 1 << 63
 def as_array(values: ArrayLike, where: str) -> NDArray[Any]:
     """`values` as an array, not copied where it is one already.
 
-    Raises
-    ------
-    InvalidArgument
-        If it is a list of lists that differ in length.
+    InvalidArgument if it is a list of lists that differ in length.
     """
     try:
         return np.asarray(values)
@@ -46,11 +43,8 @@ def as_array(values: ArrayLike, where: str) -> NDArray[Any]:
 def checked_symbols(samples: ArrayLike, where: str = "samples") -> NDArray[Any]:
     """`samples` as an array of whole numbers, not copied where it is one already.
 
-    Raises
-    ------
-    InvalidArgument
-        If they are not whole numbers, or lists that differ in length; floats are refused even where whole, for they
-        are seldom meant as symbols.
+    InvalidArgument if they are not whole numbers, or lists that differ in length; floats are refused even where
+    whole, for they are seldom meant as symbols.
     """
     x = as_array(samples, where)
     if x.dtype.kind in "biu":
@@ -111,14 +105,7 @@ class _Column:
 class SymbolKeys:
     """The samples of d arrays of one shape as numbers 0 .. span - 1, in the order of the symbols.
 
-    Attributes
-    ----------
-    columns : tuple
-        How each array enters.
-    span : int
-        Below 2^63.
-    count : int
-        n, samples of each array.
+    `columns`: how each array enters. `span`: below 2^63. `count`: n, samples of each array.
     """
 
     columns: tuple[_Column, ...]
@@ -165,10 +152,7 @@ Distinct = Callable[[SymbolKeys], "Int64s"]
 def keys_of(arrays: tuple[NDArray[Any], ...], distinct: Distinct) -> SymbolKeys:
     """How to number the joint symbols of `arrays`, all of one shape and not empty.
 
-    Raises
-    ------
-    InvalidArgument
-        If the shapes differ, a symbol is 2^63 or more, or n times a range is.
+    InvalidArgument if the shapes differ, a symbol is 2^63 or more, or n times a range is.
     """
     if any(x.shape != arrays[0].shape for x in arrays):
         shapes = ", ".join(str(x.shape) for x in arrays)

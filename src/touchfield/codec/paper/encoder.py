@@ -30,7 +30,7 @@ from touchfield.codec.paper.quantisers import (
 from touchfield.codec.paper.stage_encoder import encode_staged
 from touchfield.codec.segment import CodedSegment, FrameKind
 from touchfield.codec.support import encode_support
-from touchfield.measure.plug_in import entropy_bits
+from touchfield.measure.estimators import entropy_bits
 from touchfield.medium.field import brick_keys
 from touchfield.perception.weber import gate, gate_in_time
 

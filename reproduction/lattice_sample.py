@@ -26,8 +26,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.estimators import estimate_bits
-from touchfield.measure.plug_in import binary_entropy_bits, entropy_bits
+from touchfield.measure.estimators import binary_entropy_bits, entropy_bits, estimate_bits
 from touchfield.measure.quantity import Interval, Quantity
 from touchfield.medium.grid import Grid
 
