@@ -204,7 +204,7 @@ def _(kind: Struct) -> Iterator[tuple[Any, bytes | None]]:
 
 def cursor_on(data: bytes) -> Any:
     """A cursor on `data`, which stands alone."""
-    from touchfield.container.cursor import Cursor
+    from touchfield.container.fields import Cursor
 
     return Cursor(data, "test")
 

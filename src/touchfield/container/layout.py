@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
-from touchfield.container.cursor import Cursor
-from touchfield.container.fields import FieldType, shown
+from touchfield.container.fields import Cursor, FieldType, shown
 from touchfield.errors import InvalidArgument
 
 __all__ = ["Row", "Struct", "row", "rows_of"]

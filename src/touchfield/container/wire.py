@@ -12,8 +12,7 @@ import struct
 import zlib
 from typing import Any, Final, NamedTuple
 
-from touchfield.container.cursor import Cursor
-from touchfield.container.fields import shown
+from touchfield.container.fields import Cursor, shown
 from touchfield.container.records import MAGIC, RECORD_OF, REQUIRED, VERSION_MAJOR, VERSION_MINOR, Record
 from touchfield.container.source import ByteSource
 from touchfield.errors import CorruptFile, ForeignFile, TruncatedFile, UnsupportedVersion
