@@ -29,8 +29,7 @@ from touchfield.container.fields import (
     Text,
     Whole,
 )
-from touchfield.container.layout import Struct, rows_of
-from touchfield.container.records import MAGIC, RECORD_OF, Record
+from touchfield.container.records import MAGIC, RECORD_OF, Record, Struct, rows_of
 
 Values = st.SearchStrategy[Any]
 

@@ -21,11 +21,10 @@ from touchfield.codec.rate import RAW_BITS_PER_VECTOR
 from touchfield.codec.registry import coder
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
-from touchfield.job.mapping import mapped
+from touchfield.job.mapping import FrameRange, SymbolFrames, mapped
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream_scene import StreamScene, is_stream
-from touchfield.job.symbol_frames import FrameRange, SymbolFrames
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
 from touchfield.measure.field_information import FieldCounts, field_counts, field_joint
 from touchfield.measure.field_symbols import FieldSymbols
