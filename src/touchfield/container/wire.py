@@ -45,7 +45,7 @@ __all__ = [
 
 
 class ByteSource:
-    """A file that is read at given places.
+    """A file that is read at given places; all reading of a ``.touch`` file passes here, also from many threads.
 
     Parameters
     ----------
