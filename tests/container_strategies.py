@@ -29,8 +29,7 @@ from touchfield.container.fields import (
     Text,
     Whole,
 )
-from touchfield.container.layout import Struct, rows_of
-from touchfield.container.records import MAGIC, RECORD_OF, Record
+from touchfield.container.records import MAGIC, RECORD_OF, Record, Struct, rows_of
 
 Values = st.SearchStrategy[Any]
 
@@ -204,7 +203,7 @@ def _(kind: Struct) -> Iterator[tuple[Any, bytes | None]]:
 
 def cursor_on(data: bytes) -> Any:
     """A cursor on `data`, which stands alone."""
-    from touchfield.container.cursor import Cursor
+    from touchfield.container.fields import Cursor
 
     return Cursor(data, "test")
 

@@ -26,8 +26,7 @@ from container_strategies import (
 )
 from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.container.fields import Array, FieldType, Listed, Real, Shape, Text, Whole
-from touchfield.container.layout import Row, rows_of
-from touchfield.container.records import RECORDS, Pair, SegmentEntry
+from touchfield.container.records import RECORDS, Pair, Row, SegmentEntry, rows_of
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError
 
 LAYOUTS = [*(record.layout for record in RECORDS), Pair, SegmentEntry]

@@ -16,8 +16,7 @@ from container_strategies import EXAMPLE_HEAD, CountingFile, allowed, assembled,
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.container import reader as reader_module
 from touchfield.container import writer as writer_module
-from touchfield.container.layout import Struct
-from touchfield.container.records import MAX_OBJECTS, OBJECTS_CODER, Index, SegmentEntry
+from touchfield.container.records import MAX_OBJECTS, OBJECTS_CODER, Index, SegmentEntry, Struct
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument
 
 HEAD = dataclasses.replace(EXAMPLE_HEAD, coder=OBJECTS_CODER)

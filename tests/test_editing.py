@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
-from touchfield.job.edit_words import operator_of, region_of
-from touchfield.job.editing import edit, levels_of_detail, resample_file, splice
+from touchfield.job.editing import edit, levels_of_detail, operator_of, region_of, resample_file, splice
 from touchfield.job.joining import joined, read_medium, resampled, retimed
 
 AXES = "x right, y up, z towards the viewer"

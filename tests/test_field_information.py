@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
-from touchfield.job.symbol_frames import FrameRange, SymbolFrames
+from touchfield.job.mapping import FrameRange, SymbolFrames
 from touchfield.measure import information as info
 from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.measure.field_count import BrickBoxes, BrickGroups

@@ -9,8 +9,7 @@ import pytest
 
 from container_strategies import example_file
 from touchfield.container.fields import FieldType, Listed
-from touchfield.container.layout import Struct, rows_of
-from touchfield.container.records import MAX_BRICKS, MAX_OBJECTS, RECORDS, Pair, Record, SegmentEntry
+from touchfield.container.records import MAX_BRICKS, MAX_OBJECTS, RECORDS, Pair, Record, SegmentEntry, Struct, rows_of
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "format"
 CONTAINER = (FOLDER / "container.md").read_text(encoding="utf-8")

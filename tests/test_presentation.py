@@ -20,8 +20,8 @@ from touchfield.medium import ForceField, Grid
 from touchfield.sources.samples import tiny_scenes
 from touchfield.viewer import picture
 from touchfield.viewer.information import Bar, DeviceBars, InformationView, draw_information
+from touchfield.viewer.page import lines_that_fit, shortened
 from touchfield.viewer.picture import PictureSpec, draw_comparison
-from touchfield.viewer.wording import lines_that_fit, shortened
 
 Capture = pytest.CaptureFixture[str]
 

@@ -16,8 +16,7 @@ from second import CONFORMANCE, decoder, reading
 
 from container_strategies import OPENING, allowed, assembled, encoded, example_file, framed, heads
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
-from touchfield.container.layout import Struct
-from touchfield.container.records import OBJECTS_CODER
+from touchfield.container.records import OBJECTS_CODER, Struct
 from touchfield.errors import FormatError
 
 EXAMPLE = example_file()

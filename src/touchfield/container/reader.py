@@ -24,12 +24,12 @@ from touchfield.container.records import (
     SegmentEntry,
     Vibration,
 )
-from touchfield.container.source import ByteSource
 from touchfield.container.wire import (
     AGAIN,
     CRC_SIZE,
     FRAME_SIZE,
     OPENING_SIZE,
+    ByteSource,
     FoundRecord,
     check_crc,
     find_record,

@@ -25,8 +25,7 @@ from touchfield.container.records import (
     SegmentEntry,
     Vibration,
 )
-from touchfield.container.source import reason
-from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, encode_opening, encode_record
+from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, encode_opening, encode_record, reason
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.atomic import atomic_path
 

@@ -18,8 +18,7 @@ from touchfield.job.compare import Comparison, compare, hand_motion
 from touchfield.job.encode import Encoded, encode
 from touchfield.job.filtering import FilterReport, draw_filtered, filter_report
 from touchfield.job.level_of_detail import LevelChoice, coarsest
-from touchfield.job.measure import MeasureSpec, measure_medium
-from touchfield.job.measurement import Measurement
+from touchfield.job.measure import Measurement, MeasureSpec, measure_medium
 from touchfield.job.partition_workspace import partition_workspace
 from touchfield.job.plan import Budget, Plan, PlanGrid, parse_budget, plan
 from touchfield.job.prepare import Prepared, prepare

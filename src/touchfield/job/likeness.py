@@ -18,10 +18,10 @@ from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import Placement
 from touchfield.job.joining import joined
+from touchfield.job.mapping import SymbolFrames
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream_scene import Source, StreamScene
-from touchfield.job.symbol_frames import SymbolFrames
 from touchfield.measure.correlation import Correlation, contact_along_axis, contact_along_rays, picture_correlation
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, descriptor, part_slots
 from touchfield.measure.quantity import FewSamplesWarning

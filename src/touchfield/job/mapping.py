@@ -11,8 +11,9 @@ paper's min() excludes), nor would the empty rest of a larger workspace. An arra
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from touchfield.devices import Device, device
 from touchfield.filters.device_filter import limited
 from touchfield.job.placing import Mapping, mapping_of
 from touchfield.job.spec import EncodeSpec
+from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.stored import StoredScene
@@ -28,7 +30,10 @@ from touchfield.sources.stored import StoredScene
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Mapped", "mapped"]
+    from touchfield.codec.paper.field_quantiser import FieldQuantiser
+    from touchfield.medium import HapticMedium
+
+__all__ = ["FrameRange", "Mapped", "SymbolFrames", "mapped"]
 
 
 @dataclass(frozen=True)
@@ -130,3 +135,42 @@ def _levels(chosen: Device, asked: FieldQuantiserSpec) -> FieldQuantiserSpec:
     if chosen.is_array:
         return replace(asked, directions="none")
     return asked
+
+
+class SymbolFrames(Sequence[FieldSymbols]):
+    """The frames of a medium through Q, each made when it is asked for; the last two are kept."""
+
+    def __init__(self, medium: HapticMedium, quantiser: FieldQuantiser) -> None:
+        self.medium, self.quantiser = medium, quantiser
+        self._kept: dict[int, FieldSymbols] = {}
+
+    def __len__(self) -> int:
+        return len(self.medium)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        i = index + len(self) if index < 0 else index
+        if not 0 <= i < len(self):
+            raise IndexError(index)
+        if i not in self._kept:
+            while len(self._kept) > 1:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[i] = self.quantiser(self.medium[i])
+        return self._kept[i]
+
+    def __iter__(self) -> Iterator[FieldSymbols]:
+        return (self[i] for i in range(len(self)))
+
+
+class FrameRange(Sequence[FieldSymbols]):
+    """Some of the frames, without making them twice."""
+
+    def __init__(self, frames: SymbolFrames, begin: int, end: int) -> None:
+        self._frames, self._range = frames, range(begin, end)
+
+    def __len__(self) -> int:
+        return len(self._range)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._frames[self._range[index]]

@@ -20,9 +20,9 @@ from threading import Lock
 from typing import Any, Final
 
 from touchfield.container.records import MAGIC, Head, Pair, Provenance, Segment, Vibration
-from touchfield.container.source import ByteSource
 from touchfield.container.wire import (
     OPENING_SIZE,
+    ByteSource,
     encode_opening,
     encode_record,
     find_record,

@@ -17,8 +17,7 @@ from typing import Any, Final
 
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.container.records import MAGIC, OBJECTS_CODER, ObjectRecord, Provenance, Segment, Vibration
-from touchfield.container.source import ByteSource
-from touchfield.container.wire import OPENING_SIZE, find_record, read_opening, read_record
+from touchfield.container.wire import OPENING_SIZE, ByteSource, find_record, read_opening, read_record
 from touchfield.errors import CorruptFile, InvalidArgument, MissingExtra, SourceError
 from touchfield.medium.atomic import atomic_path
 from touchfield.parallel import Report, silent

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from touchfield.viewer.page import titled_figure, write_png
-from touchfield.viewer.wording import shortened
+from touchfield.viewer.page import shortened, titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
