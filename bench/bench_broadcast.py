@@ -170,7 +170,7 @@ def on_air(segment_s: float) -> Iterator[tuple[str, float]]:
 
 def delays(segment_s: float, seconds: float) -> list[float]:
     """Seconds between a frame at the sender and in the hand, sampled while it plays."""
-    from touchfield.adapters.point_registry import point_device
+    from touchfield.adapters.registry import point_device
     from touchfield.devices import device
     from touchfield.medium.trace import Trace
     from touchfield.render.player import Player
