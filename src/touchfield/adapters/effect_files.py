@@ -81,7 +81,7 @@ _STEPS: Final = 100
 
 
 def fits_vest(lattice: tuple[int, int, int]) -> bool:
-    """Whether an array of these columns and rows is one that a vest's dots can show."""
+    """True for an array of columns and rows that a vest's dots can show."""
     columns, rows, depth = lattice
     return columns == COLUMNS and rows in ROWS_OF and depth == 1
 

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 __all__ = ["MODALITIES", "read_hjif_array", "read_hjif_force"]
 
 MODALITIES: Final = ("Vibrotactile", "Vibrotactile Texture", "Pressure", "Force", "Other")
-"""What can be shown by an array of actuators. What is "Other" is shown as a vibration: the reference encoder calls
+"""Perception modalities that actuators can show. "Other" is shown as a vibration: the reference encoder calls
 every sound and pattern that it is given so."""
 
 _MOST_WORK: Final = 1 << 28
@@ -184,7 +184,7 @@ def _frames(document: Hjif, perception: Perception, rate_hz: float) -> int:
 
 
 def _check_work(perception: Perception, instants: int) -> None:
-    """That the bands are not so many that to look at each instant of each would take for ever."""
+    """Refuse so many bands that a look at each instant of each would take for ever."""
     bands = sum(len(channel.bands) + 1 for channel in perception.channels)
     if bands * instants > _MOST_WORK:
         raise perception.place.wrong(f"{bands} bands at {instants} instants", f"at most {_MOST_WORK} of both")

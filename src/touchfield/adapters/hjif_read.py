@@ -416,7 +416,7 @@ def _coefficients(bits: _Coder, length: int, planes: int) -> list[int]:
 
 
 def _look(bits: _Coder, context: int, at: int, step: int, out: list[int], known: list[int], lone: list[int]) -> None:
-    """Whether a coefficient shows in this bit plane: then it is known with its sign, else it is looked at again."""
+    """Read one coefficient's bit of this plane: once it is set, the sign is known; else it is looked at again."""
     if bits.bit(context):
         out[at] = step if bits.bit(_SIGN) else -step
         known.append(at)

@@ -74,7 +74,7 @@ class _Bits:
 
 
 class _Document:
-    """What the packets told so far."""
+    """The document as far as the packets have come."""
 
     def __init__(self, file: str) -> None:
         self.file, self.timescale, self.time = file, 1000, 0

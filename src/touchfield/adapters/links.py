@@ -60,7 +60,7 @@ def address(words: str, where: str, default: Address | None = None) -> Address:
 
 
 def reason(error: BaseException) -> str:
-    """What went wrong in a few words, on one line."""
+    """An error's reason in a few words, on one line."""
     if isinstance(error, TimeoutError):
         return "no answer in time"
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
@@ -114,7 +114,7 @@ def web_socket(
 
 
 def service_check(what: str, to: Address, mend: str) -> Check:
-    """Whether something listens there."""
+    """Check that something listens there."""
     try:
         connected(to, what, 0.3, mend).close()
     except DeviceError as error:

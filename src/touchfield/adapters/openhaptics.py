@@ -125,7 +125,7 @@ class OpenHaptics(PointDevice):
         self._seen = (0, time.monotonic())
 
     def watch(self) -> None:
-        """Whether the driver calls, and has no fault to tell."""
+        """Check that the driver calls, and has no fault to tell."""
         from touchfield.adapters import kernels as kernel
 
         if self._operation is None:
@@ -166,7 +166,7 @@ class OpenHaptics(PointDevice):
             library.hdDisableDevice(device)
 
     def _ended(self) -> bool:
-        """Whether the callback put its last force, zero, and will be called no more."""
+        """True once the callback put its last force, zero, and will be called no more."""
         from touchfield.adapters import kernels as kernel
 
         box, force = self._box, self._box.view(np.float64)[kernel.FORCE : kernel.FORCE + 3]
@@ -205,7 +205,7 @@ class OpenHaptics(PointDevice):
 
 
 def _wait(condition: Any, seconds: float) -> bool:
-    """Whether `condition` came true in time."""
+    """Wait for `condition`; True if it came true in time."""
     end = time.monotonic() + seconds
     while not condition():
         if time.monotonic() >= end:

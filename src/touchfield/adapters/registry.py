@@ -61,7 +61,7 @@ class Check:
 
 
 def library_check(name: str, extra: str = "", module: str = "", purpose: str = "") -> Check:
-    """Whether a library is installed, and how to get it.
+    """Check that a library is installed; how to get it if not.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def point_device(words: str, trajectory: Trace | None = None) -> PointChoice:
 
 
 def is_array_device(words: str) -> bool:
-    """Whether these words name an array, rightly written or not."""
+    """True if these words name an array, rightly written or not."""
     return words.partition(":")[0] in ARRAYS
 
 

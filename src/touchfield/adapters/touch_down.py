@@ -42,7 +42,7 @@ SHARE: Final = 0.6
 """Of the greatest force on the way in, that the probe goes in to."""
 
 _LEGS: Final = (("come", 0.2), ("press", 0.1), ("rest", 0.05), ("slide", 0.4), ("rest", 0.05), ("leave", 0.2))
-"""What is done, and its share of the time."""
+"""Steps of the work, and each one's share of the time."""
 
 _VIEWER_WEIGHT: Final = 1.8
 """Of the side where the user sits, which goes from -1 to 1: a little less than that of a field that pushes back."""

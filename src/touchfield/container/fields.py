@@ -235,7 +235,7 @@ class Shape(Array):
         return f"each {self.of.bounds}; at most {self.most_bricks} bricks"
 
     def holds(self, shape: tuple[int, ...]) -> bool:
-        """Whether a shape has no more bricks."""
+        """True for a shape of no more bricks."""
         return math.prod(-(-n // BRICK) for n in shape) <= self.most_bricks
 
     def encode(self, value: Any, where: str) -> bytes:
@@ -253,13 +253,13 @@ class Shape(Array):
 
 @dataclass(frozen=True)
 class Pattern:
-    """What characters a text may be made of, as a regular expression and in words."""
+    """Characters that a text may be made of, as a regular expression and in words."""
 
     expression: str
     words: str
 
     def holds(self, text: str) -> bool:
-        """Whether all of `text` is allowed."""
+        """True if all of `text` is allowed."""
         return re.fullmatch(self.expression, text) is not None
 
 

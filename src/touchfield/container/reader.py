@@ -132,7 +132,7 @@ class TouchReader:
         return segment.body
 
     def read_vibration(self, index: int) -> bytes | None:
-        """What vibrates in the frames of segment `index`, checked against its CRC-32; None where nothing does."""
+        """Vibrations in the frames of segment `index`, checked against its CRC-32; None where nothing does."""
         if not 0 <= index < len(self.segments):
             raise InvalidArgument("segment", repr(index), f"0 to {len(self.segments) - 1}")
         self._expect(index)
@@ -243,7 +243,7 @@ class TouchReader:
         return tuple(objects)
 
     def _check_segments(self, begin: int, end: int) -> None:
-        """Whether the segments hold every frame once and lie between `begin` and `end` without overlap."""
+        """Check that the segments hold every frame once and lie between `begin` and `end` without overlap."""
         frame = 0
         for i, entry in enumerate(self.segments):
             where = f"{self.name}: INDX.segments[{i}]"

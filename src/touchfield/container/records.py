@@ -159,7 +159,7 @@ CODER_PARAMETERS: Final = Octets(1 << 16)
 
 @dataclass(frozen=True, kw_only=True)
 class Head:
-    """What the whole file has in common: lattice, time, device, and what was promised to the hand."""
+    """Properties of the whole file: lattice, time, device, and the promise to the hand."""
 
     grid_shape: tuple[int, int, int] = row(GRID_SHAPE, "Samples along x, y, z.")
     spacing_m: tuple[float, float, float] = row(SPACING_M, "Distance between neighbouring samples.", "m")
@@ -224,7 +224,7 @@ class Segment:
 
 @dataclass(frozen=True, kw_only=True)
 class Vibration:
-    """What vibrates beside the force in the frames of the segment behind it (start of the paper's section 6.4)."""
+    """Vibrations beside the force in the frames of the segment behind it (start of the paper's section 6.4)."""
 
     first_frame: int = row(FIRST_FRAME, "As in that segment.")
     frame_count: int = row(FRAME_COUNT, "As in that segment.")
@@ -253,7 +253,7 @@ class Index:
 
 @dataclass(frozen=True, kw_only=True)
 class End:
-    """What a reader looks for at the end of the file."""
+    """The last record, which a reader looks for first: where the index is."""
 
     index_offset: int = row(Whole("u64"), "Position of the INDX record.")
     file_length: int = row(Whole("u64"), "Bytes of the whole file, this record included.")

@@ -57,7 +57,7 @@ class ByteSource:
     Attributes
     ----------
     name : str
-        What to call it in messages.
+        Its name in messages.
     size : int
         Its length, bytes.
     remote : RemoteFile or None
@@ -194,7 +194,7 @@ class FoundRecord(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What to call it in messages."""
+        """Its name in messages."""
         return f"{self.tag} record at byte {self.offset}"
 
 

@@ -159,7 +159,7 @@ class TouchWriter:
         self._vibrating = None
 
     def _check_frames(self, call: str, first_frame: int, frame_count: int) -> None:
-        """Whether these frames are among those of the head."""
+        """Check that these frames are among those of the head."""
         if self._head is not None and first_frame + frame_count > self._head.frame_count:
             found = f"frames up to {first_frame + frame_count - 1}"
             raise InvalidArgument(call, found, f"{self._head.frame_count} frames, as the head says")
@@ -211,7 +211,7 @@ class TouchWriter:
 
 
 def _refusal(path: Path, error: OSError) -> SourceError:
-    """What the system refused, and how to mend it."""
+    """The error for a refusal of the system, and how to mend it."""
     mend = MENDS.get(error.errno or 0, "Write to another place.")
     return SourceError(str(path), reason(error), "a file that can be written", mend)
 

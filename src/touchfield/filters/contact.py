@@ -1,4 +1,4 @@
-"""What a surface adds to a force (paper section 3.2): friction, damping, texture; and vibration (6.4).
+"""Effects that a surface adds to a force (paper section 3.2): friction, damping, texture; and vibration (6.4).
 
 The coefficients mu and b travel beside the frames of a medium, and no frame changes. With the force F of the field
 where the point is, and its velocity v::

@@ -75,7 +75,7 @@ class Interval:
     """
 
     population: ClassVar[str] = "media from the source of this one, of which it is a single draw"
-    """What an interval speaks of: of this one medium the value itself is exact."""
+    """Population of an interval: of this one medium the value itself is exact."""
 
     low: float
     high: float

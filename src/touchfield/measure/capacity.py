@@ -72,7 +72,7 @@ class Capacity:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Which guard acted, or why a ratio does not exist."""
+        """Guards that acted, or why a ratio does not exist."""
         return self.wmr.notes
 
     def summary(self) -> dict[str, Any]:
@@ -233,7 +233,7 @@ def _of(
 
 
 def _guards(reference: Quantity, rendered: Quantity, device_bits: float, reading: str) -> tuple[str, ...]:
-    """What a reader must know of the min() of eq. 1."""
+    """Notes on the min() of eq. 1."""
     notes = []
     if reading == "realised" and rendered.value > device_bits * (1 + _ROUNDING):
         notes.append(
@@ -253,7 +253,7 @@ def _guards(reference: Quantity, rendered: Quantity, device_bits: float, reading
 
 
 def _base(reference: Quantity, rendered: Quantity, notes: tuple[str, ...]) -> Quantity:
-    """What C, WMR and HIL share."""
+    """The base that C, WMR and HIL share."""
     q, e = {reference.quantiser, rendered.quantiser}, {reference.estimator, rendered.estimator}
     return Quantity(
         "C",

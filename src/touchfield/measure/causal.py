@@ -1,4 +1,4 @@
-"""What a causal code may look at: frames one after the other, voxels in order, nothing beyond (theory: coding limit).
+"""Contexts of a causal code: frames one after the other, voxels in order, nothing beyond (theory: coding limit).
 
 Frames are `FieldSymbols` of one grid and one Q, or arrays of symbols of one shape. What lies outside the grid or the
 array, and before the first frame, is symbol 0 to all of them: every voxel then has all its neighbours, and all

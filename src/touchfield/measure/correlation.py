@@ -59,7 +59,7 @@ _RAYS = 1 << 16  # at a time
 
 @dataclass(frozen=True)
 class Contact:
-    """What the rays meet.
+    """Points that rays meet first.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ MOST_SHUFFLES: Final = 1 << 20
 
 @dataclass(frozen=True)
 class Correlation:
-    """What a picture tells of a haptic medium.
+    """Information of a picture about a haptic medium.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a haptic medium is filed under: a short vector of numbers (paper section 4: "indexing"; 5.1: "data indexing").
+"""Descriptor of a haptic medium: a short vector of numbers (paper section 4: "indexing"; 5.1: "data indexing").
 
 The paper names no descriptor. This one has seven named parts, of fixed lengths:
 
@@ -278,7 +278,7 @@ class Descriptor:
 
     @classmethod
     def from_json(cls, text: str) -> Descriptor:
-        """What `to_json` wrote.
+        """Read the text of `to_json`.
 
         CorruptFile if it is no such text. UnsupportedVersion if another version wrote it.
         """

@@ -111,7 +111,7 @@ def joint_entropy(table: ArrayLike) -> Quantity:
 
 
 def conditional_entropy(table: ArrayLike, given: int | Sequence[int] = 1) -> Quantity:
-    """What stays unknown of the other variables once those of the axes `given` are known, H(X|Y).
+    """Entropy of the other variables once those of the axes `given` are known, H(X|Y).
 
     Parameters
     ----------

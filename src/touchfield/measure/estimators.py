@@ -197,7 +197,7 @@ def _mean_entropy(u: Float64s, counts: Float64s, times: Float64s, alphabet: floa
 
 @dataclass(frozen=True)
 class Tally:
-    """What an estimator sees of the counts: how many symbols were counted how often.
+    """Counts as an estimator sees them: how many symbols were counted how often.
 
     `counts` float64 [d]: the different counts, whole numbers of at least 1, ascending. `times` float64 [d]: how
     many symbols were counted so often.

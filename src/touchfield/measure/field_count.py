@@ -132,7 +132,7 @@ class BrickBoxes:
 
 @dataclass(frozen=True)
 class SymbolCount:
-    """What was counted over one weighting.
+    """Counts over one weighting.
 
     `histogram`: of all frames; without any symbol over an object that there is none of. `blocks` int64 [B, K] or
     None: its counts in each part of space. `notes` tuple of str: why there are no blocks, where they were wanted.

@@ -92,7 +92,7 @@ class FieldCounts:
     quantiser: str
 
     def entropy(self, over: str = "voxel", estimator: str = "plug-in", *, interval: bool = True) -> Quantity:
-        """What `field_entropy` returns, with an interval only if blocks were counted."""
+        """The result of `field_entropy`, with an interval only if blocks were counted."""
         found = self.counts[over]
         if not len(found.histogram.counts):
             raise no_support(self.frame_count)
@@ -122,7 +122,7 @@ def _counts(frames: Frames, overs: tuple[str, ...], interval: bool, blocks: int)
 
 @dataclass(frozen=True)
 class FieldJoint:
-    """What two quantised fields S and T of one grid say of each other; each a `Quantity`.
+    """Information that two quantised fields S and T of one grid share; each a `Quantity`.
 
     Attributes
     ----------

@@ -146,7 +146,7 @@ class JointHistogram:
         return JointHistogram(symbols, counts)
 
     def places(self, axis: int) -> Int64s:
-        """Which symbol of the marginal of one column each cell has, int64 [K]: for `numpy.bincount`."""
+        """Symbol of the marginal of one column that each cell has, int64 [K]: for `numpy.bincount`."""
         return np.unique(self.symbols[:, axis], return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
@@ -325,7 +325,7 @@ def _check_counts(counts: Int64s) -> None:
 
 
 def _rows_ascend(rows: Int64s) -> bool:
-    """Whether each row comes after the one before, the first column deciding first."""
+    """True if each row comes after the one before, the first column deciding first."""
     decided = np.zeros(max(0, len(rows) - 1), np.bool_)
     for column in rows.T:
         step = (column[1:] > column[:-1]).astype(np.int8) - (column[1:] < column[:-1])

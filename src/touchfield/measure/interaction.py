@@ -178,7 +178,7 @@ def _at(field: FieldSymbols, positions_m: NDArray[np.float64]) -> NDArray[np.int
 
 
 def _where_it_was(trace: Trace, field: FieldSymbols, rate_hz: float | None) -> tuple[str, str, str]:
-    """What an error says of a trace that never meets the field."""
+    """Words of an error on a trace that never meets the field."""
 
     def box(low: Any, high: Any) -> str:
         return " to ".join(f"({', '.join(f'{x:.4g}' for x in corner)})" for corner in (low, high)) + " m"
@@ -191,7 +191,7 @@ def _where_it_was(trace: Trace, field: FieldSymbols, rate_hz: float | None) -> t
 
 
 def _notes(trace: Trace, in_time: int, samples: int) -> list[str]:
-    """What a reader must be told; `in_time` samples are during the frames, `samples` of those inside the box."""
+    """Notes for a reader; `in_time` samples are during the frames, `samples` of those inside the box."""
     notes = []
     if early_or_late := len(trace) - in_time:
         notes.append(

@@ -249,7 +249,7 @@ LINE_AXIS: Final = 2
 
 @dataclass(frozen=True)
 class CodingLimits:
-    """What a coder of these frames can hope for, and what it surely reaches.
+    """Rates that a coder of these frames can hope for, and those it surely reaches.
 
     Attributes
     ----------

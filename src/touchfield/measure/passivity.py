@@ -1,4 +1,4 @@
-"""Whether a field could feed a hand with energy: curl, and work around closed loops (theory: apart from eq. 1).
+"""Energy that a field could feed to a hand: curl, and work around closed loops (theory: apart from eq. 1).
 
 The paper calls a mapping "passive" when it creates no information (eq. 1). That says nothing of energy: a field gives
 none to a hand that moves in a circle if and only if the integral of F dl vanishes around every closed loop, that is,
@@ -131,7 +131,7 @@ def _random_samples(
 
 
 def _fit(force_field: ForceField, paths_m: Float64s) -> NDArray[np.bool_]:
-    """Whether all cells that each path [p, v, 3] crosses have their eight corners in the support, bool [p]."""
+    """True where all cells that a path of [p, v, 3] crosses have their eight corners in the support, bool [p]."""
     index = force_field.grid.to_index(paths_m)
     corners = _cells_held(force_field, index.reshape(-1, 3)).reshape(index.shape[:2])
     fits = np.asarray(corners.all(axis=1))
@@ -146,7 +146,7 @@ def _fit(force_field: ForceField, paths_m: Float64s) -> NDArray[np.bool_]:
 
 
 def _cells_held(force_field: ForceField, index: Float64s) -> NDArray[np.bool_]:
-    """Whether the eight lattice points around fractional indices [m, 3] are in the support, bool [m]."""
+    """True where the eight lattice points around fractional indices [m, 3] are in the support, bool [m]."""
     grid = force_field.grid
     low = np.floor(index)
     held = np.asarray(((low >= 0) & (low + 1 < grid.shape)).all(axis=1))
@@ -206,7 +206,7 @@ def _pieces(
         yield segment[:-1][whole], share[:-1][whole], share[1:][whole]
 
 
-# -- Whether a field could feed a hand with energy: curl, and work around closed loops (theory: apart from eq. 1)
+# -- Energy that a field could feed to a hand: curl, and work around closed loops (theory: apart from eq. 1)
 
 
 _MOST_LOOPS: Final = 1 << 12

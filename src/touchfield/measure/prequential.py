@@ -52,7 +52,7 @@ _LOWER: Final = (0, 1, 3, 4, 9, 10, 12)  # of the 27 bricks around one, those of
 _BEFORE: Final = 1 << 7
 _AXES: Final = 1 << 3 | 1 << 5 | 1 << 6  # bricks 4, 10 and 12
 _MODELS: Final = (0, _AXES, 127, _BEFORE, _BEFORE | _AXES, _BEFORE | 127)
-"""Which flags each set of contexts looks at: none, the axis neighbours, the corner; and the same with the brick's own
+"""Flags that each set of contexts looks at: none, the axis neighbours, the corner; and the same with the brick's own
 flag in the previous frame."""
 
 _VOXELS_AT_ONCE: Final = 1 << 15
@@ -78,7 +78,7 @@ def kt_code_length_bits(zeros: ArrayLike, ones: ArrayLike) -> NDArray[np.float64
 
 @dataclass(frozen=True)
 class FrameBits:
-    """What one frame costs.
+    """Costs of one frame.
 
     `bricks`: bits for which bricks hold anything. `support`: bits for where in them. `symbols`: bits for what.
     """

@@ -135,7 +135,7 @@ _FEW = 10  # samples to a symbol
 
 
 NORMALISATIONS: Final = ("sqrt", "min", "max", "mean", "joint")
-"""What I(X;Y) is divided by: sqrt(H(X) H(Y)), the smaller or larger of the two, their mean, or H(X,Y)."""
+"""Divisors of I(X;Y): sqrt(H(X) H(Y)), the smaller or larger of the two, their mean, or H(X,Y)."""
 
 
 def check_normalisation(by: str) -> None:

@@ -146,7 +146,7 @@ BLOCKS = 27
 
 @dataclass(frozen=True)
 class Similarity:
-    """What tells two media apart; each a `Quantity`.
+    """Measures that tell two media apart; each a `Quantity`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a Weber fraction k makes imperceptible (paper section 4.2): quantisers (eq. 6) and the deadband (eq. 8).
+"""Steps that a Weber fraction k makes imperceptible (paper section 4.2): quantisers (eq. 6) and the deadband (eq. 8).
 
 Q(x) = sgn(x) Delta [|x| / Delta + 1/2]; the bracket must be the floor. As printed, with Delta = k |x|, it is
 k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the mask k |x| is kept for certain only

@@ -30,7 +30,7 @@ _MAGIC: Final = b"TF"
 _HEAD: Final = struct.Struct("<2sIIIHI")
 _PACKET: Final = 4
 _SYMBOLS: Final = 36
-"""That a message is cut into, or more: the fewer there are, the more repair a share of them must be."""
+"""Least number of pieces of a message: the fewer there are, the larger the share of repair."""
 
 _LEAST_REPAIR: Final = 3
 _LEAST_SYMBOL, _MOST_SYMBOL = 128, 1152

@@ -203,7 +203,7 @@ class LiveFrames:
             return self._base + index < newest.first + len(newest.fields) or self._error is not None or is_late
 
     def vibration(self, index: int) -> VibrationFrame:
-        """What vibrates in a frame; see `__call__`."""
+        """Vibrations in a frame; see `__call__`."""
         place, one = self._place_of(index)
         return one.band[place] if one is not None and one.band else VibrationFrame.empty(self.grid)
 

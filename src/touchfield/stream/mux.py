@@ -33,7 +33,7 @@ _FORMS: Final = (".mp4", ".m4v", ".mov", ".ts")
 
 @dataclass(frozen=True)
 class Muxed:
-    """What was put beside a movie, or taken out of it."""
+    """Counts of a stream that was put beside a movie, or taken out of it."""
 
     path: Path
     segments: int

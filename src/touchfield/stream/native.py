@@ -32,7 +32,7 @@ def _core() -> Any:
 
 
 def is_for(reader: TouchReader) -> bool:
-    """Whether `touchfield_core` is there, and the file one that it decodes."""
+    """True if `touchfield_core` is there, and the file one that it decodes."""
     return reader.head.coder == "touch" and not reader.is_remote and reader.size <= MOST_BYTES and _core() is not None
 
 

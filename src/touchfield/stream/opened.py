@@ -59,10 +59,10 @@ class OpenStream(ABC):
     """
 
     is_live = False
-    """Whether it has no end, and frames are waited for."""
+    """True if it has no end, and frames are waited for."""
 
     is_native = False
-    """Whether `touchfield_core` decodes its frames, and no kernel."""
+    """True if `touchfield_core` decodes its frames, and no kernel."""
 
     def __init__(self, reader: TouchReader, file_bytes: int) -> None:
         self.reader, self.file_bytes = reader, file_bytes

@@ -65,7 +65,7 @@ class DeviceBars:
 
 @dataclass(frozen=True)
 class InformationView:
-    """What `draw_information` shows.
+    """Content of `draw_information`.
 
     Attributes
     ----------

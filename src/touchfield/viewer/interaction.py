@@ -33,7 +33,7 @@ _SHORTEST_S: Final = 0.02
 
 @dataclass(frozen=True)
 class InteractionView:
-    """What `draw_interaction` shows.
+    """Content of `draw_interaction`.
 
     Attributes
     ----------

@@ -71,7 +71,7 @@ def add_title(figure: Figure, text: str) -> None:
 
 
 def title_height_inch(text: str, width_inch: float) -> float:
-    """What the lines of a title take beyond its first."""
+    """Height of the lines of a title beyond its first."""
     return _LINE_INCH * (len(lines_that_fit(text, 72 * width_inch)) - 1)
 
 

@@ -30,7 +30,7 @@ _EMPTY = "0.86"
 
 @dataclass(frozen=True)
 class PictureSpec:
-    """What stands around the panels.
+    """Texts around the panels.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["COLUMNS", "curl_and_loops"]
 
 COLUMNS = ("points", "held", "curl2", "gradient2", "squares", "work2", "curl2_max", "work_max")
-"""What is found of each brick: samples with a curl, those among them with a force, |curl|^2, |gradient|^2; squares,
+"""Sums of each brick: samples with a curl, those among them with a force, |curl|^2, |gradient|^2; squares,
 W^2; the largest |curl|^2 and |W|. The first six are sums."""
 
 

@@ -63,7 +63,7 @@ _EPSILON = 2.0**-20  # a mixture is never surer than this: at most 20 bits for o
 
 
 class Model:
-    """What the code has learnt: its tables, and the bits so far.
+    """State of the code: its tables, and the bits so far.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class Model:
     @property
     def arrays(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.uint64],
                               NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
-        """What the kernel takes."""
+        """Arrays of the kernel."""
         return self.radices, self.depths, self.order0, self.table, self.weights, self.totals
 
 
