@@ -189,3 +189,23 @@ def test_the_slices_go_through_where_the_most_force_is(tmp_path: Path, monkeypat
     draw_comparison(tmp_path / "x.png", field, field, PictureSpec("t", "c", "x right, y up", 0.1, 0.02))
     titles = [panel.get_title() for panel in drawn[0].axes]
     assert sum("slice at y = 15.0 mm" in title for title in titles) == 4
+
+
+def test_the_axes_are_millimetres_of_the_lattice_where_forces_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grid = Grid.over_box((-0.02, 0, 0.1), (0.02, 0.02, 0.14), (20, 10, 20))
+    dense = np.zeros((20, 10, 20, 3))
+    dense[5:15, 2:7, 3:9, 2] = 1.0
+    drawn: list = []
+    monkeypatch.setattr(picture, "write_png", lambda figure, path: drawn.append(figure))
+    field = ForceField.from_dense(grid, dense)
+    draw_comparison(tmp_path / "x.png", field, field, PictureSpec("t", "c", "x right, y up", 0.1, 0.02))
+    front, _, _, top = drawn[0].axes[:4]
+    low, high = grid.box_m
+    for panel in (front, top):
+        assert panel.get_xlabel() == "x / mm"
+        seen = sorted(panel.get_xlim())
+        # the box of the forces, -10 to 10 mm, with at most a few samples around it
+        assert 1e3 * low[0] - 1e-6 <= seen[0] <= -10 + 1e-6 and 10 - 1e-6 <= seen[1] <= 1e3 * high[0] + 1e-6
+    assert top.get_ylabel() == "z / mm" and 100 - 1e-6 <= min(top.get_ylim()) <= 106 + 1e-6

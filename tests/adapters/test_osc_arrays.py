@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from osc_listener import Listener, listening
 from touchfield.adapters import osc
-from touchfield.adapters.osc import MOST_BYTES, Osc
+from touchfield.adapters.osc import _FLOATS_AT_ONCE, MOST_BYTES, Osc
 from touchfield.adapters.registry import array_device
 from touchfield.devices import Device, device
 from touchfield.errors import DeviceError, InvalidArgument
@@ -57,6 +57,7 @@ def test_a_large_array_is_cut_into_datagrams() -> None:
     assert (told.frames[0]["drives"] == pins).all() and len(told.sizes) == 4
 
 
+@example(_FLOATS_AT_ONCE + 1, 1, 2, None, 0.5, True)  # one actuator begins a datagram of its own
 @given(
     st.integers(1, 70),
     st.integers(1, 70),

@@ -114,6 +114,17 @@ def test_any_wish_is_held_within_the_limits(
         before = force
 
 
+def test_a_force_that_turns_while_its_limit_sinks_keeps_the_slew() -> None:
+    for turn in range(1, 40):
+        memory, before = Memory.empty(W.FREE), np.zeros(3)
+        write_parameters(memory, RenderSpec(thermal_s=0.02, slew_n_per_s=1000.0), OMNI, 0.0, 0.0, "")
+        for tick in range(turn + 8):
+            wish = (-3.0, 4.0, 0.0) if tick >= turn else (3.0, 4.0, 0.0)
+            force = np.array(limited(memory.f8, wish, 0.001))
+            check_step(before, force, memory.f8[W.PEAK], memory.f8[W.SLEW], 0.001)
+            before = force
+
+
 def test_no_direction_rounds_beyond_the_peak() -> None:
     memory = Memory.empty(W.FREE)
     write_parameters(memory, RenderSpec(peak_n=0.7, slew_n_per_s=1e9, thermal_s=1e9), OMNI, 0.0, 0.0, "")

@@ -86,6 +86,8 @@ def test_a_message_that_is_lost_late_told_twice_or_damaged_costs_only_itself() -
     assert isinstance(receiver.receive(segments[0])[0], Refused)
     assert receiver.receive(segments[2]) == [Lost(5, 5), segment(10)]
     assert "late" in receiver.receive(segments[1])[0].reason  # type: ignore[union-attr]
+    half = sender_of(1)[0].add(replace(segment(0), first_frame=14))  # one of its frames has been felt
+    assert "late" in receiver.receive(half)[0].reason  # type: ignore[union-attr]
     damaged = bytearray(segments[3])
     damaged[40] ^= 1
     assert isinstance(receiver.receive(bytes(damaged))[0], Refused)

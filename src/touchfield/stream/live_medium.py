@@ -42,6 +42,9 @@ PATIENCE_S: Final = 10.0
 LOOKED_AT: Final = 40
 """Segments whose times of coming tell when the next ones will."""
 
+JOINING_S: Final = 1.0
+"""Segments that come so soon say nothing of the way: the first was ready before, and code is loaded for it."""
+
 SPARE_S: Final = 0.02
 """How much later than the latest of these one may come, and be in time."""
 
@@ -122,6 +125,7 @@ class LiveFrames:
         self.lost = self.refused = self.skipped = 0
         self.arrived: dict[int, float] = {}
         self._came: deque[tuple[int, float]] = deque(maxlen=LOOKED_AT)
+        self._joined_s: float | None = None
 
     def take(self, event: Event) -> None:
         """Take an event; a segment is decoded here, in the thread that receives."""
@@ -160,6 +164,9 @@ class LiveFrames:
             self._kept.append(_Decoded(segment.first_frame, fields, band, size))
             self.arrived[segment.first_frame] = came
             self._came.append((segment.first_frame, came))
+            self._joined_s = came if self._joined_s is None else self._joined_s
+            while len(self._came) > 1 and self._came[0][1] < self._joined_s + JOINING_S:
+                self._came.popleft()
             while len(self._kept) > 1 and (
                 len(self._kept) > KEPT or sum(one.size for one in self._kept) > MOST_BYTES
             ):

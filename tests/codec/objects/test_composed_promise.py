@@ -29,6 +29,11 @@ def still_field(field: ForceField) -> HapticMedium:
     return HapticMedium.from_frames([field], 1000.0)
 
 
+def test_of_equally_bad_voxels_the_first_is_named() -> None:
+    early, late = (Found(np.array([0.5]), np.array([[frame, 1, 2, 3]]), 1) for frame in (4, 9))
+    assert early.joined(late).worst == (0.5, 4, (1, 2, 3)) and early.joined(late).beyond == 2
+
+
 def noise(seed: int, size_n: float) -> ForceField:
     rng = np.random.default_rng(seed)
     held = rng.random(OWN.shape) < 0.4
