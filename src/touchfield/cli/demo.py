@@ -1,6 +1,7 @@
 """`touchfield demo`: the main job on real scenes that come with the libraries, and a hand that feels them.
 
-At last a hand that a plate of 2 mm holds, beside one that goes through: the proxy, and the stored field alone.
+Where a library is missing its scene is left out, and where none is there a tray of shapes takes their place. At last
+a hand that a plate of 2 mm holds, beside one that goes through: the proxy, and the stored field alone.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -39,6 +41,8 @@ SCENES: Final = {
         EncodeSpec(source=SourceOptions(exaggeration=5.0), friction=FRICTION),
     ),
 }
+SHAPES: Final = ("six shapes on a tray, for a Phantom Omni", EncodeSpec(friction=FRICTION))
+"""The scene that needs no library beside the core."""
 
 HALF_M: Final = (0.03, 0.02, 0.001)
 ABOVE_M, BELOW_M = 0.006, -0.0024
@@ -54,57 +58,73 @@ def run_demo(folder: Path, as_json: bool) -> None:
         raise InvalidArgument(str(folder), error.strerror or str(error), "a folder", "Name another one.") from None
     results: dict[str, Any] = {}
     missing: list[TouchfieldError] = []
-    for name, (what, spec) in SCENES.items():
+    draws = find_spec("matplotlib") is not None
+    for name, (what, spec) in [*SCENES.items(), ("shapes", SHAPES)]:
+        if name == "shapes" and results:
+            break
         try:
-            results[name] = _one(folder / name, f"sample:{name}", spec)
+            results[name] = _one(folder / name, f"sample:{name}", spec, draws)
         except MissingExtra as error:
             missing.append(error)
             continue
         if not as_json:
             show(results[name], f"{name}: {what}", False)
-            stem = folder / name
-            sys.stdout.write(f"look at {stem}.png; stream: {stem}.touch, report: {stem}.json\n")
-            sys.stdout.write(f"open {stem}.html in a browser: see it, cut it open, probe it, hear it\n")
-            sys.stdout.write(f"and at {stem}.forces.png: a simulated hand comes, presses, slides and leaves\n\n")
-    if not results:
-        raise missing[-1]  # the terrain's: its library draws the pictures, too
-    results["plate"] = _press_a_plate(folder / "plate")
-    if not as_json:
-        proxy, plain = results["plate"]["proxy"], results["plate"]["field"]
-        sys.stdout.write(
-            f"plate: a hand pressed into a plate of 2 mm is held at {proxy['hand_mm']:.1f} mm by "
-            f"{proxy['force_n']:.1f} N (--render auto), and goes through to {plain['hand_mm']:.1f} mm "
-            f"without the proxy (--render field)\nlook at {folder / 'plate'}.png\n"
-        )
+            _point_at(folder / name, draws)
+    results["plate"] = _press_a_plate(folder / "plate", draws)
     if as_json:
         show(results, "demo", True, tuple(str(error) for error in missing))
+        return
+    proxy, plain = results["plate"]["proxy"], results["plate"]["field"]
+    sys.stdout.write(
+        f"plate: a hand pressed into a plate of 2 mm is held at {proxy['hand_mm']:.1f} mm by "
+        f"{proxy['force_n']:.1f} N (--render auto), and goes through to {plain['hand_mm']:.1f} mm "
+        f"without the proxy (--render field)\n"
+    )
+    if draws:
+        sys.stdout.write(f"look at {folder / 'plate'}.png\n")
+    for fault in missing:
+        sys.stdout.write(f"left out: {fault}\n")
 
 
-def _one(stem: Path, source: str, spec: EncodeSpec) -> dict[str, Any]:
+def _point_at(stem: Path, draws: bool) -> None:
+    """Say what there is to look at."""
+    sys.stdout.write(f"stream: {stem}.touch, report: {stem}.json\n")
+    if draws:
+        sys.stdout.write(f"look at {stem}.png\n")
+    sys.stdout.write(f"open {stem}.html in a browser: see it, cut it open, probe it, hear it\n")
+    if draws:
+        sys.stdout.write(f"and at {stem}.forces.png: a simulated hand comes, presses, slides and leaves\n")
+    sys.stdout.write("\n")
+
+
+def _one(stem: Path, source: str, spec: EncodeSpec, draws: bool) -> dict[str, Any]:
     stream, picture = stem.with_suffix(".touch"), stem.with_suffix(".png")
     with progress(f"encode {stem.name}") as report:
         encode(source, stream, spec, report)
     with progress(f"compare {stem.name}") as report:
         compared = compare(source, stream, report=report)
-    compared.draw(picture)
+    if draws:
+        compared.draw(picture)
     summary = compared.summary()
     view(stream).save(stem.with_suffix(".html"))
     with progress(f"play {stem.name}", "s") as report:
-        played = play(stream, PlaySpec(offline=True, is_logged=True, is_drawn=True), report).checked()
+        played = play(stream, PlaySpec(offline=True, is_logged=True, is_drawn=draws), report).checked()
     played.write_log(stem.with_suffix(".forces.csv"))
-    played.draw(stem.with_suffix(".forces.png"))
+    if draws:
+        played.draw(stem.with_suffix(".forces.png"))
     with atomic_path(stem.with_suffix(".json")) as temporary:
         temporary.write_text(json.dumps(summary, indent=1) + "\n")
     return summary
 
 
-def _press_a_plate(stem: Path) -> dict[str, Any]:
-    """Code a plate of 60 x 40 x 2 mm, press a simulated hand on it twice, and draw both.
+def _press_a_plate(stem: Path, draws: bool) -> dict[str, Any]:
+    """Code a plate of 60 x 40 x 2 mm, press a simulated hand on it twice, and draw both where that can be.
 
     Parameters
     ----------
     stem : Path
         Of STEM.touch, STEM.csv (where the hand wants to be) and STEM.png.
+    draws : bool
 
     Returns
     -------
@@ -126,7 +146,8 @@ def _press_a_plate(stem: Path) -> dict[str, Any]:
         log = play(stream, spec).rows
         assert log is not None  # of a point device there always is one
         logs[way] = log[log["time_s"] <= PRESS_S + HOLD_S - 0.05]
-    _draw(stem.with_suffix(".png"), logs)
+    if draws:
+        _draw(stem.with_suffix(".png"), logs)
     return {
         way: {"hand_mm": 1e3 * float(log["position_m"][-1, 2]), "force_n": float(log["force_n"][-1, 2])}
         for way, log in logs.items()

@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 
 __all__ = ["SAMPLES", "sample", "tiny_scenes"]
 
-SAMPLES = ("terrain", "motorcycle", "falling-4", "falling-7")
+SAMPLES = ("shapes", "terrain", "motorcycle", "falling-4", "falling-7")
 
 
 def sample(name: str, options: SourceOptions | None = None) -> Scene:
     """A scene by name.
 
+    "shapes" is a tray of six shapes with a formula, which needs no library beside the core.
     "terrain" is the elevation model of the Jacksboro fault, Tennessee, that matplotlib carries (344 x 403
     samples of the Shuttle Radar Topography Mission); "motorcycle" is the Middlebury 2014 stereo pair that
     scikit-image carries, as a depth map. "falling-4" and "falling-7" are Scene 1 of the paper (section 5.1), bodies
@@ -47,13 +48,14 @@ def sample(name: str, options: SourceOptions | None = None) -> Scene:
         from touchfield.sources.inverse_depth import motorcycle_sequence
 
         return depth_scene(motorcycle_sequence(), options)
-    if name in ("falling-4", "falling-7"):
+    if name in ("shapes", "falling-4", "falling-7"):
         from importlib import resources
 
+        from touchfield.sources.analytic_scene import read_analytic
         from touchfield.sources.physics import open_physics
 
         with resources.as_file(resources.files("touchfield.sources") / "scenes" / f"{name}.toml") as path:
-            return open_physics(path, options)
+            return read_analytic(path, options.rate_hz) if name == "shapes" else open_physics(path, options)
     raise InvalidArgument("sample", repr(name), f"one of {', '.join(SAMPLES)}")
 
 

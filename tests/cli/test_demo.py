@@ -1,0 +1,37 @@
+"""The demo of someone who has installed the core and nothing else."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchfield.cli import demo
+from touchfield.cli.main import _exit_code
+
+HIDDEN = ("matplotlib", "skimage", "mujoco")
+
+
+def test_the_core_alone_shows_something(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def find_spec(name: str) -> Any:
+        return None if name in HIDDEN else importlib.util.find_spec(name)
+
+    for name in [*sys.modules, *HIDDEN]:
+        if name.partition(".")[0] in HIDDEN:
+            monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setattr(demo, "find_spec", find_spec)
+    assert _exit_code(["demo", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out
+    assert "left out: the motorcycle scene" in out and "left out: the bundled elevation model" in out
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "plate.csv", "plate.touch", "shapes.forces.csv", "shapes.html", "shapes.json", "shapes.touch",
+    }  # fmt: skip
+    told = json.loads((tmp_path / "out" / "shapes.json").read_text())
+    assert told["mask_violations"] == 0 and told["worst_mask_ratio"] <= 1
+    assert ".png" not in out
