@@ -9,10 +9,11 @@ from __future__ import annotations
 import os
 import stat
 from pathlib import Path
+from typing import IO
 
 from touchfield.errors import SourceError
 
-__all__ = ["plain_size", "require_beside", "require_plain"]
+__all__ = ["exactly", "plain_size", "require_beside", "require_plain", "standard_input"]
 
 
 def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: bool = False) -> None:
@@ -72,3 +73,16 @@ def require_beside(folder: Path, name: str | os.PathLike[str], where: str, *, an
             )
             raise SourceError(where, found, f"a file in the folder {folder} or below it", mend)
     return path
+
+
+def standard_input() -> IO[bytes]:
+    """Standard input without a buffer, and so without a lock that a waiting thread could hold at the end."""
+    return open(0, "rb", buffering=0, closefd=False)
+
+
+def exactly(file: IO[bytes], count: int) -> bytes:
+    """So many bytes of a pipe; fewer only at its end."""
+    data = bytearray()
+    while len(data) < count and (more := file.read(min(count - len(data), 1 << 20))):
+        data += more
+    return bytes(data)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from touchfield.cli.app import Json, Source, Stream, command
+from touchfield.cli.app import Json, Stream, command
 from touchfield.cli.options import SCENE, asks, encode_spec
 from touchfield.cli.show import progress, show
 
@@ -17,6 +18,11 @@ if TYPE_CHECKING:
     from touchfield.stream.live import LiveSender
 
 __all__: list[str] = []
+
+_LIVE: Final = (
+    "As of `encode`; or camera:N (a depth camera, by OpenCV), watch:FOLDER (pictures that are put there), "
+    "- (PNG pictures on standard input)."
+)
 
 
 @command("Broadcast", "serve streams", "serve streams --host 0.0.0.0 --token a-long-word")
@@ -39,10 +45,13 @@ def serve(
     run(folder, Access(host, port, token, is_open, tuple(cors or ())), typer.echo)
 
 
-@command("Broadcast", "live sample:falling-4 --loop", "live kinect.toml --segment-s 0.2 --port 8080")
+@command("Broadcast", "live sample:falling-4 --loop", "live watch:pictures --world causal --depth-scale 1000")
 @asks(SCENE)
 def live(
-    source: Source,
+    source: Annotated[str, typer.Argument(help=_LIVE)],
+    out: Annotated[
+        str | None, typer.Argument(help="-: to standard output, for `touchfield play -` behind a pipe; no server.")
+    ] = None,
     host: Annotated[
         str, typer.Option(help="Address to listen at; beyond this machine only with a token.")
     ] = "127.0.0.1",
@@ -61,15 +70,27 @@ def live(
     asked: dict[str, Any],
 ) -> None:
     """Send SOURCE live: coded as its frames come, for any number of receivers (touchfield play ws://...)."""
+    from touchfield.errors import InvalidArgument
     from touchfield.job.live import LiveSpec, broadcast, opened_sender
     from touchfield.stream.access import Access
+    from touchfield.stream.live import END
     from touchfield.stream.live_server import LiveServer
+    from touchfield.stream.pipe import write_message
 
     def say(note: str) -> None:
         typer.echo(f"note: {note}", err=True)
 
+    if out not in (None, "-"):
+        raise InvalidArgument("OUT", repr(out), "- or nothing", "Receivers come by ws://, http:// or --udp.")
     access, spec = Access(host, port, token, is_open, tuple(cors or ())), LiveSpec(segment_s, loop, on_air_s)
     prepared, sender = opened_sender(source, encode_spec(asked))
+    if out == "-":
+        pipe = sys.stdout.buffer
+        write_message(pipe, sender.opening)
+        sent = broadcast(prepared, lambda segment: write_message(pipe, sender.add(segment)), spec, say)
+        write_message(pipe, END)
+        say(", ".join(f"{value:,} {name}" for name, value in sent.summary().items()))
+        return
     with LiveServer(sender, access) as server:
         word = "?token=..." if token else ""
         typer.echo(f"ws://{server.address}/live{word}  http://{server.address}/live.json{word}", err=True)

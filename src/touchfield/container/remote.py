@@ -51,9 +51,10 @@ def is_remote(name: object) -> bool:
 
 
 def is_live(name: object) -> bool:
-    """True for the address of a live stream: ws://HOST:PORT/live, http://HOST:PORT/live.json, udp://HOST:PORT."""
+    """True for a live stream: ws://HOST:PORT/live, http://HOST:PORT/live.json, udp://HOST:PORT, or - for a pipe."""
     return isinstance(name, str) and (
-        name.lower().startswith(("ws://", "wss://", "udp://"))
+        name == "-"
+        or name.lower().startswith(("ws://", "wss://", "udp://"))
         or (name.lower().startswith(("http://", "https://")) and urlsplit(name).path.endswith("/live.json"))
     )
 

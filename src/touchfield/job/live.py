@@ -24,6 +24,7 @@ from touchfield.job.encode import head_of, provenance_of
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import as_source
+from touchfield.sources.capture import CaptureEnd, captured
 from touchfield.stream.live import ENDLESS, LiveSegment, LiveSender
 
 if TYPE_CHECKING:
@@ -109,18 +110,18 @@ def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSende
     if spec.coder == "touch":  # what is live has no time for a search
         spec = replace(spec, touch=replace(spec.touch, effort="fast"))
     spec = replace(spec, representation="voxel")
-    given = as_source(source, spec.device)
+    given = captured(source, spec.source) or as_source(source, spec.device)
     prepared = prepare(given, spec)
     encoder = field_encoder(prepared.medium.grid, _coding(prepared))
     sender = LiveSender()
-    name = given if isinstance(given, str | Path) else "scene"
+    name = source if isinstance(source, str | Path) else "scene"
     sender.open(head_of(prepared, encoder), provenance_of(name, prepared))
     return prepared, sender
 
 
 def broadcast(
     prepared: Prepared,
-    send: Callable[[LiveSegment], bytes],
+    send: Callable[[LiveSegment], bytes | None],
     spec: LiveSpec,
     tell: Callable[[str], None] = lambda note: None,
     clock_s: Callable[[], float] = time.monotonic,
@@ -142,7 +143,7 @@ def broadcast(
     anchor: ForceField | None = None
     encoder = field_encoder(prepared.medium.grid, _coding(prepared))
 
-    def coded(first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> LiveSegment:
+    def coded(first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> LiveSegment | None:
         nonlocal anchor
         frames: list[ForceField] = []
         spent = 0.0
@@ -157,25 +158,30 @@ def broadcast(
 
         if isinstance(encoder, TouchEncoder):  # codes a frame while the next one is made
             coming_frames = next_frames()
-            start = next(coming_frames)
+            start = next(coming_frames, None)
+            if start is None:  # the source ended before it
+                return None
             anchor = encoder.anchor(start, anchor)  # of a world that stands
             every = chain([start], coming_frames)
             body = encoder.encode_segment(every, anchor, prepared.device.force_max_n).body
         else:
             came = list(next_frames())
+            if not came:
+                return None
             began = clock_s()
             body = encoder.encode_segment(came).body
             spent = clock_s() - began
         sent.slowest_encode_s = max(sent.slowest_encode_s, spent)
         return LiveSegment(first, len(frames), body, encode_vibration(band) if band else None)
 
-    def delivered(segment: Future[LiveSegment]) -> None:
-        if segment.exception() is None:
-            sent.sent_bytes += len(send(segment.result()))
-            sent.segments, sent.frames = sent.segments + 1, sent.frames + segment.result().frame_count
+    def delivered(future: Future[LiveSegment | None]) -> None:
+        if future.exception() is None and (segment := future.result()) is not None:
+            send(segment)
+            sent.sent_bytes += len(segment.body) + len(segment.vibration or b"")
+            sent.segments, sent.frames = sent.segments + 1, sent.frames + segment.frame_count
 
     encoder.encode_segment([prepared.medium[0]] * 2)  # code is loaded or compiled first, and is no part of the time
-    under_way: deque[Future[LiveSegment]] = deque()
+    under_way: deque[Future[LiveSegment | None]] = deque()
     with ThreadPoolExecutor(1, thread_name_prefix="touchfield-live") as pool:
         for first, frames, band in _groups(prepared, spec, sent, tell, clock_s, pause):
             while under_way and under_way[0].done():
@@ -185,15 +191,20 @@ def broadcast(
             if not is_late:
                 under_way.append(pool.submit(coded, first, coming, band))
                 under_way[-1].add_done_callback(delivered)
+            count, is_over = 0, False
             try:
-                count = 0
                 for frame in frames:
                     coming.put(frame)
                     count += 1
+            except CaptureEnd as error:
+                tell(f"{error.where}: {error.found}")
+                is_over = True
             finally:
                 coming.put(None)
             if is_late:
                 sent.leave_out(count, "coding cannot keep up", tell)
+            if is_over:
+                break
         while under_way:
             under_way.popleft().result()
     return sent

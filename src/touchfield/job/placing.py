@@ -163,6 +163,7 @@ def _wording(scene: Scene, chosen: Device, placement: Placement, spec: EncodeSpe
         return length
     start, stop = _fitted(scene, spec)
     frames = f" in frames {start} to {stop - 1}" if scene.frame_count > 1 else ""
+    frames = " in the first picture" if scene.is_captured else frames
     margin_mm = 1e3 * FIT_MARGIN * min(chosen.workspace_m)
     return (
         f"{length}: {scene.box_wording}{frames} fits into the workspace, {margin_mm:.3g} mm of it left on every side"

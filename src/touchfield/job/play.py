@@ -26,11 +26,12 @@ from touchfield.job.play_files import write_log, write_sound
 from touchfield.job.spec import Report, silent
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.render.array_player import ArrayPlayer
+from touchfield.render.block.record import FLAGS
 from touchfield.render.frame_source import FrameSource
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Player
 from touchfield.render.spec import RenderSpec
-from touchfield.stream.live_medium import LiveStream
+from touchfield.stream.live_medium import LiveEnd, LiveStream
 from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
@@ -237,6 +238,8 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report, t
         keep_up = partial(stream.keep_up, player) if isinstance(stream, LiveStream) else None
         error = _wait_playing(player, seconds, report, tell, keep_up)
         statistics, rows, notes = player.statistics(), _since_play(player.log()), player.notes
+        if isinstance(error, LiveEnd) and statistics["frames_used"]:
+            notes, error, statistics = (*notes, str(error)), None, _before_end(statistics, rows)
     friction = spec.render.friction if spec.render.friction is not None else field_of.friction
     told = {"device": spec.device, "profile": profile.name, "friction": friction, **_felt(rows), **statistics}
     view = _view(name, stream, profile, spec, rows) if error is None else None
@@ -257,6 +260,17 @@ def _wait_playing(
                 raise
             error = failed
     return error or player.error
+
+
+def _before_end(statistics: dict[str, Any], rows: NDArray[Any]) -> dict[str, Any]:
+    """The statistics without the ticks behind the last frame of a live stream, which nobody missed."""
+    running = np.flatnonzero(rows["flags"] & FLAGS["running"])
+    behind = int(np.count_nonzero(rows["flags"][running[-1] :] & FLAGS["stalled"])) if len(running) else 0
+    stalled, share = statistics["stalled_ticks"], statistics["stalled_share"]
+    if not behind or not share:
+        return statistics
+    left = max(stalled - behind, 0)
+    return {**statistics, "stalled_ticks": left, "stalled_share": left / max(stalled / share - behind, 1)}
 
 
 def _since_play(rows: NDArray[Any]) -> NDArray[Any]:

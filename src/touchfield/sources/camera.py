@@ -81,6 +81,7 @@ class DepthSequence(ABC):
     name : str; What to call it in messages (the path).
     width, height : int; Pixels, the same for every frame.
     poses : float64 [frame_count, 4, 4] or None; Camera-to-world matrices, metres.
+    is_captured : bool; A frame is taken when it is asked for: none is there ahead, and old ones are gone.
     notes : tuple of str; What the user should be told.
     """
 
@@ -91,6 +92,7 @@ class DepthSequence(ABC):
     intrinsics: Intrinsics
     rate_hz: float
     poses: NDArray[np.float64] | None = None
+    is_captured = False
     notes: tuple[str, ...] = ()
 
     @abstractmethod

@@ -115,7 +115,7 @@ class DepthScene(Scene):
         self.frame_count = sequence.frame_count
         self.rate_hz = sequence.rate_hz
         self.axes = CAMERA_AXES
-        self.notes = tuple(sequence.notes)
+        self.notes, self.is_captured = tuple(sequence.notes), sequence.is_captured
         self._poses = None
         if frame == "world" and sequence.poses is not None:
             self._poses = _relative_poses(sequence.poses, sequence.frame_count, f"{sequence.name}, poses")
@@ -137,7 +137,8 @@ class DepthScene(Scene):
     def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
         """See `bounds_m`, of frames start to stop - 1; of these those that are not interpolated, or the first."""
         if self._bounds_m is None or self._bounds_m[0] != (start, stop):
-            frames = [i for i in self.sequence.key_frames() if start <= i < stop] or [start]
+            keys = () if self.sequence.is_captured else self.sequence.key_frames()
+            frames = [i for i in keys if start <= i < stop] or [start]
             count = self.sequence.width * self.sequence.height * len(frames)
             stride = max(_BOX_STRIDE_PX, int(np.ceil(np.sqrt(count / _BOX_POINTS))))
             points = np.concatenate([self._points_m(i, stride) for i in frames])

@@ -259,7 +259,8 @@ class _Planes:
     def __init__(self, scene: DepthScene, keys: NDArray[np.int64]) -> None:
         self.scene, self.keys = scene, keys
         self._kept: dict[int, SurfacePlanes] = {}
-        self._room = _KEPT_PLANES_BYTES // (16 * scene.sequence.width * scene.sequence.height)
+        of = scene.sequence
+        self._room = 0 if of.is_captured else _KEPT_PLANES_BYTES // (16 * of.width * of.height)
 
     def __len__(self) -> int:
         return len(self.keys)

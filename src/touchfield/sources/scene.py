@@ -75,6 +75,7 @@ class Scene(ABC):
         and whether lengths are divided by it; None where any size is.
     tags : tuple of str; Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for
         something else.
+    is_captured : bool; Frames are taken as they are asked for (`touchfield.sources.capture`).
     report : callable; ``report(done, total)`` is called while a scene prepares itself for the first field; set by
         who wants to know.
     """
@@ -88,6 +89,7 @@ class Scene(ABC):
     box_wording: str = "the surface"
     unit: tuple[str, tuple[float, float], bool] | None = None
     tags: tuple[str, ...] = ("direct",)
+    is_captured: bool = False
     report: Callable[[int, int], None] = staticmethod(lambda done, total: None)
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""The receiving edge of a live stream: messages by WebSocket, manifest or datagrams, into a medium.
+"""The receiving edge of a live stream: messages by WebSocket, manifest, datagrams or a pipe, into a medium.
 
 A connection that ends is made again; what was missed meanwhile is lost, and told.
 """
@@ -9,6 +9,7 @@ import asyncio
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from threading import Event as Flag
 from threading import Thread
 from typing import Any, Final
@@ -16,8 +17,10 @@ from urllib.parse import urlsplit, urlunsplit
 
 from touchfield.container.remote import without_secret
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.files import standard_input
 from touchfield.stream.live import MOST_BYTES, Ended, LiveReceiver, LiveSegment, Opened
 from touchfield.stream.live_medium import PATIENCE_S, LiveFrames, LiveStream
+from touchfield.stream.pipe import messages
 
 __all__ = ["open_live"]
 
@@ -48,11 +51,10 @@ class _Client:
     """Receives a stream in a thread."""
 
     def __init__(self, url: str, tell: Callable[[str], None]) -> None:
-        try:
-            import aiohttp  # noqa: F401
-        except ImportError:
-            raise MissingExtra("a live stream", "aiohttp", "broadcast") from None
-        self._url, self._name, self._tell = url, without_secret(url), tell
+        if find_spec("aiohttp") is None and url != "-":
+            raise MissingExtra("a live stream", "aiohttp", "broadcast")
+        self._url, self._tell = url, tell
+        self._name = "standard input" if url == "-" else without_secret(url)
         self._receiver = LiveReceiver()
         self._opened: Opened | None = None
         self._frames: LiveFrames | None = None
@@ -77,11 +79,14 @@ class _Client:
         """End receiving."""
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(lambda: self._task and self._task.cancel())
-        self._thread.join(5)
+        self._thread.join(0.1 if self._url == "-" else 5)  # nothing ends the wait for a pipe
 
     def _run(self) -> None:
-        self._task = self._loop.create_task(self._receive())
         try:
+            if self._url == "-":
+                self._by_pipe()
+                return
+            self._task = self._loop.create_task(self._receive())
             self._loop.run_until_complete(self._task)
         except asyncio.CancelledError:
             pass
@@ -147,6 +152,13 @@ class _Client:
                 if message.type is aiohttp.WSMsgType.BINARY and await asyncio.to_thread(self._take, message.data):
                     return True
         return False
+
+    def _by_pipe(self) -> None:
+        """Take what comes through standard input until the stream is over."""
+        for message in messages(standard_input(), self._name):
+            if self._take(message):
+                return
+        raise SourceError(self._name, "its end", "a live stream, of touchfield live SOURCE -")
 
     async def _by_datagrams(self, session: Any) -> bool:
         """Receive at the address until the stream is over."""

@@ -39,14 +39,12 @@ MOST_BYTES: Final = 1 << 30
 """Of the fields that are kept; fewer segments are, where they are larger."""
 
 PATIENCE_S: Final = 10.0
-LOOKED_AT: Final = 40
-"""Segments whose times of coming tell when the next ones will."""
+FORGOTTEN: Final = 0.2
+"""Share of a delay that is forgotten with each segment that came sooner: one that was late once holds nobody back for
+long, and the delays that keep coming do."""
 
-JOINING_S: Final = 1.0
-"""Segments that come so soon say nothing of the way: the first was ready before, and code is loaded for it."""
-
-SPARE_S: Final = 0.02
-"""How much later than the latest of these one may come, and be in time."""
+SPARE_S: Final = 0.03
+"""How much later than that the next one may come, and be in time."""
 
 FAR_S: Final = 0.25
 """From what is due on, play goes there at once; nearer, it goes there a little faster or slower."""
@@ -76,10 +74,16 @@ class LiveEnd(SourceError):
 
 
 class _Decoded(NamedTuple):
+    """A segment, as far as it has been decoded."""
+
     first: int
     fields: list[ForceField]
     band: list[VibrationFrame]
-    size: int
+
+    @property
+    def size(self) -> int:
+        """Bytes of its fields."""
+        return sum(field.forces_n.nbytes for field in {id(field): field for field in self.fields}.values())
 
 
 class LiveFrames:
@@ -117,15 +121,14 @@ class LiveFrames:
             raise UnsupportedVersion("live stream", f"coder {head.coder}", "a coder of fields, such as touch")
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
         self._decoder: FieldDecoder = coder(head.coder).decoder_class(self.grid, head.coder_parameters)
-        self._tell, self._clock_s = tell, clock_s
+        self._tell, self._clock_s, self._rate_hz = tell, clock_s, head.rate_hz
         self._news = Condition()
         self._kept: deque[_Decoded] = deque()
         self._base: int | None = None
         self._error: SourceError | None = None
         self.lost = self.refused = self.skipped = 0
         self.arrived: dict[int, float] = {}
-        self._came: deque[tuple[int, float]] = deque(maxlen=LOOKED_AT)
-        self._joined_s: float | None = None
+        self._begins_s: float | None = None
 
     def take(self, event: Event) -> None:
         """Take an event; a segment is decoded here, in the thread that receives."""
@@ -152,36 +155,39 @@ class LiveFrames:
             self._tell(f"{frames} frames {why}; {self.lost} are lost so far")
 
     def _take_segment(self, segment: LiveSegment) -> None:
-        came = self._clock_s()
+        """Decode a segment, frame by frame: the first can be felt while the last is not there yet."""
+        came, first, fields = self._clock_s(), segment.first_frame, list[ForceField]()
+        begins_s = came - first / self._rate_hz  # when the stream's frame 0 would have been in time
         try:
-            fields = list(self._decoder.frames(segment.body, segment.frame_count))
             band = decode_vibration(segment.vibration, self.grid, segment.frame_count) if segment.vibration else []
+            for field in self._decoder.frames(segment.body, segment.frame_count):
+                fields.append(field)
+                with self._news:
+                    if len(fields) == 1:
+                        self._keep(_Decoded(first, fields, band), came)
+                    begins_s = max(begins_s, self._clock_s() - (first + len(fields) - 1) / self._rate_hz)
+                    self._news.notify_all()
         except FormatError as error:
-            self._lose(segment.frame_count, f"could not be decoded: {error}")
-            return
-        size = sum(field.forces_n.nbytes for field in {id(field): field for field in fields}.values())
+            self._lose(segment.frame_count - len(fields), f"could not be decoded: {error}")
         with self._news:
-            self._kept.append(_Decoded(segment.first_frame, fields, band, size))
-            self.arrived[segment.first_frame] = came
-            self._came.append((segment.first_frame, came))
-            self._joined_s = came if self._joined_s is None else self._joined_s
-            while len(self._came) > 1 and self._came[0][1] < self._joined_s + JOINING_S:
-                self._came.popleft()
-            while len(self._kept) > 1 and (
-                len(self._kept) > KEPT or sum(one.size for one in self._kept) > MOST_BYTES
-            ):
-                self.arrived.pop(self._kept.popleft().first, None)
-            if self._base is None:
-                self._base = segment.first_frame
-            self._news.notify_all()
+            before_s = begins_s if self._begins_s is None else self._begins_s
+            self._begins_s = max(begins_s, before_s + FORGOTTEN * (begins_s - before_s))
+
+    def _keep(self, one: _Decoded, came: float) -> None:
+        """Keep a segment whose first frame has been decoded, and of the others what there is room for."""
+        self._kept.append(one)
+        self.arrived[one.first] = came
+        while len(self._kept) > 1 and (len(self._kept) > KEPT or sum(one.size for one in self._kept) > MOST_BYTES):
+            self.arrived.pop(self._kept.popleft().first, None)
+        if self._base is None:
+            self._base = one.first
 
     def due_s(self, rate_hz: float) -> float | None:
-        """The time of the medium that is to be felt now, seconds: segments begin as the latest of them came."""
+        """The time of the medium that is to be felt now, seconds: segments begin as the late ones were ready."""
         with self._news:
-            if not self._kept or self._base is None:
+            if self._begins_s is None or self._base is None:
                 return None
-            latest = min(first / rate_hz - came for first, came in self._came)
-            return latest - self._base / rate_hz + self._clock_s() - SPARE_S
+            return self._clock_s() - self._begins_s - self._base / rate_hz - SPARE_S
 
     def stream_frame(self, index: int) -> int | None:
         """The sender's number of frame `index`, as things are now; None before the first segment."""

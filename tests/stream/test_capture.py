@@ -1,0 +1,213 @@
+"""Pictures that are taken while they are felt, and live streams through a pipe."""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.job import EncodeSpec
+from touchfield.job.live import LiveSpec, broadcast, opened_sender
+from touchfield.medium import Grid
+from touchfield.sources import capture
+from touchfield.sources.camera import CodedSequence, DepthCode, StoredFrame
+from touchfield.sources.capture import CapturedSequence, CaptureEnd, GrowingFolder, PipedPictures, captured
+from touchfield.sources.fused_scene import FusedScene
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.profile import ForceProfile
+from touchfield.stream.live import LiveSegment
+from touchfield.stream.pipe import messages, write_message
+
+OPTIONS = SourceOptions(intrinsics="60,60,31.5,23.5", depth_scale=1000.0, source_rate_hz=50.0, world="causal")
+
+
+def depth_mm(number: int) -> np.ndarray:
+    """A wall that comes nearer, with a step in it."""
+    picture = np.full((48, 64), 900 - 5 * number, np.uint16)
+    picture[:, 32:] += 60
+    return picture
+
+
+def png(number: int) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(depth_mm(number)).save(file, "PNG")
+    return file.getvalue()
+
+
+def put(folder: Path, number: int) -> None:
+    (folder / "being-written").write_bytes(png(number))
+    os.rename(folder / "being-written", folder / f"{number:04d}.png")
+
+
+def until(condition: Callable[[], bool]) -> None:
+    for _ in range(2000):
+        if condition():
+            return
+        time.sleep(0.005)
+    raise AssertionError("not in ten seconds")
+
+
+def piped(data: bytes, options: SourceOptions = OPTIONS) -> CapturedSequence:
+    return CapturedSequence(PipedPictures(io.BytesIO(data)), options)
+
+
+def test_a_folder_that_grows_shows_the_newest_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capture, "PATIENCE_S", 0.3)
+    put(tmp_path, 0)
+    scene = captured(f"watch:{tmp_path}", OPTIONS)
+    assert isinstance(scene, FusedScene) and scene.is_captured
+    sequence = scene.sequence
+    np.testing.assert_array_equal(sequence.depth_m(0), depth_mm(0) / np.float32(1000))
+    np.testing.assert_array_equal(sequence.depth_m(1), sequence.depth_m(0))  # nothing is new
+    put(tmp_path, 1)
+    put(tmp_path, 2)
+    frames = iter(range(2, 10_000))
+    until(lambda: bool((sequence.depth_m(next(frames)) == depth_mm(2) / np.float32(1000)).all()))
+    with pytest.raises(CaptureEnd, match=r"no new picture for 0\.3 s"):
+        until(lambda: sequence.depth_m(next(frames)) is None)
+
+
+def test_a_picture_that_is_never_finished_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capture, "PATIENCE_S", 5.0)
+    monkeypatch.setattr(capture, "_UNFINISHED_S", 0.05)
+    (tmp_path / "0000.png").write_bytes(png(0)[:-30])
+    folder = GrowingFolder(tmp_path)
+    Thread(target=lambda: (time.sleep(0.2), put(tmp_path, 1)), daemon=True).start()  # type: ignore[func-returns-value]
+    np.testing.assert_array_equal(folder.next(), depth_mm(1))
+
+
+def test_pictures_of_a_pipe_are_shown_one_by_one() -> None:
+    sequence = piped(b"".join(png(i) for i in range(5)))
+    for i in range(5):
+        np.testing.assert_array_equal(sequence.depth_m(i), depth_mm(i) / np.float32(1000))
+    np.testing.assert_array_equal(sequence.depth_m(3), depth_mm(3) / np.float32(1000))  # asked for again
+    with pytest.raises(CaptureEnd, match="its end"):
+        sequence.depth_m(5)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "its end"),
+        (b"GIF89a and more", "PNG pictures one behind the other"),
+        (png(0)[:40], "in the middle of a picture"),
+        (png(0)[:8] + struct.pack(">I4s", 1 << 31, b"IDAT"), "more than 268435456 bytes"),
+        (png(0)[:20] + b"\xff" + png(0)[21:], "picture"),
+    ],
+)
+def test_what_is_no_picture_is_told(data: bytes, words: str) -> None:
+    with pytest.raises(SourceError, match=words):
+        piped(data)
+
+
+def test_what_is_no_depth_is_told(tmp_path: Path) -> None:
+    file = io.BytesIO()
+    Image.fromarray(np.zeros((48, 64), np.uint8)).save(file, "PNG")
+    with pytest.raises(SourceError, match="16-bit"):
+        piped(file.getvalue())
+    with pytest.raises(SourceError, match="no camera intrinsics"):
+        piped(png(0), SourceOptions(depth_scale=1000.0))
+    with pytest.raises(SourceError, match="no depth scale"):
+        piped(png(0), SourceOptions(intrinsics="60,60,31.5,23.5"))
+    with pytest.raises(SourceError, match="no folder"):
+        captured(f"watch:{tmp_path / 'absent'}", OPTIONS)
+    with pytest.raises(InvalidArgument, match="all there"):
+        captured(f"watch:{tmp_path}", SourceOptions(reading="height"))
+    assert captured("room.ply", OPTIONS) is None and captured("sample:terrain", OPTIONS) is None
+
+
+def test_a_causal_world_of_a_pipe_is_that_of_the_stored_sequence() -> None:
+    class Stored:
+        frame_count, size = 6, (64, 48)
+
+        def values(self, frame: int) -> np.ndarray:
+            return StoredFrame(depth_mm(frame)).values(0)
+
+    live = FusedScene(piped(b"".join(png(i) for i in range(6))), "causal")
+    sequence = CodedSequence("stored", Stored(), DepthCode(1000.0), live.sequence.intrinsics, 50.0)
+    stored = FusedScene(sequence, "causal")
+    np.testing.assert_allclose(live.bounds_m()[0, 2], 0.9, atol=0.01)  # of the first picture
+    grid = Grid.over_box((-0.4, -0.3, 0.7), (0.4, 0.3, 1.1), (32, 32, 32))
+    profile = ForceProfile(((-0.05, 0.0, 0.0, -18.0),))
+    for frame in range(6):
+        now = live.field(frame, grid, profile)
+        assert now == stored.field(frame, grid, profile) and now.support_count
+
+
+def test_a_capture_goes_on_the_air_until_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = io.BytesIO(b"".join(png(i) for i in range(12)))
+    monkeypatch.setattr(capture, "standard_input", lambda: data)
+    prepared, _ = opened_sender("-", EncodeSpec(nw=4, source=OPTIONS))
+    assert any("in the first picture" in note for note in prepared.notes)
+    now, sent, notes = [0.0], list[LiveSegment](), list[str]()
+    told = broadcast(
+        prepared, lambda segment: sent.append(segment), LiveSpec(1.0), notes.append, lambda: now[0],
+        lambda seconds: now.__setitem__(0, now[0] + seconds),
+    )  # fmt: skip
+    assert told.frames == 12 and told.left_out == 0
+    assert [(one.first_frame, one.frame_count) for one in sent] == [(0, 12)]
+    assert notes == ["standard input: its end"]
+
+
+def test_opencv_takes_a_row_of_pictures(tmp_path: Path) -> None:
+    pytest.importorskip("cv2", reason="opencv-python-headless is not installed")
+    for i in range(4):
+        (tmp_path / f"f{i}.png").write_bytes(png(i))
+    camera = capture.OpencvCamera(str(tmp_path / "f%d.png"))
+    for i in range(4):
+        np.testing.assert_array_equal(camera.next(), depth_mm(i))
+    with pytest.raises(CaptureEnd, match="no further picture"):
+        camera.next()
+    camera.close()
+    with pytest.raises(SourceError, match="no camera that OpenCV can open"):
+        captured("camera:99", OPTIONS)
+
+
+def test_a_camera_needs_opencv(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(MissingExtra, match=r"touchfield\[camera\]"):
+        captured("camera:0", OPTIONS)
+
+
+# -- through a pipe -------------------------------------------------------------------------------------------
+
+
+def test_messages_of_a_pipe() -> None:
+    file = io.BytesIO()
+    for message in (b"one", b"", b"x" * 70000):
+        write_message(file, message)
+    data = file.getvalue()
+    assert list(messages(io.BytesIO(data), "pipe")) == [b"one", b"", b"x" * 70000]
+    for bad in (data[:-1], data[:2], struct.pack("<I", (1 << 26) + 1) + data):
+        with pytest.raises(SourceError):
+            list(messages(io.BytesIO(bad), "pipe"))
+
+
+def test_one_process_feels_what_another_sends_through_a_pipe() -> None:
+    program = [sys.executable, "-c", "from touchfield.cli.main import run; run()"]
+    camera = ["--intrinsics", "60,60,31.5,23.5", "--depth-scale", "1000", "--source-rate-hz", "50", "--nw", "4"]
+    sender = subprocess.Popen(
+        [*program, "live", "-", "-", *camera], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    hand = subprocess.Popen(
+        [*program, "play", "-", "--device", "sim", "--seconds", "9"], stdin=sender.stdout, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert sender.stdin is not None and sender.stdout is not None
+    sender.stdout.close()
+    sender.stdin.write(b"".join(png(i % 12) for i in range(200)))
+    sender.stdin.close()
+    out, told = hand.communicate(timeout=120)
+    assert sender.wait(60) == 0 and "frames_used" in out and "the sender has ended the stream" in out, told
+    assert hand.returncode == ("this has failed" in out)  # a busy machine, whose frames come too late, is told
