@@ -1,6 +1,6 @@
 """Broadcast on this machine: many receivers of a live stream, its delay, losses, and a large file by ranges.
 
-    python bench/bench_broadcast.py [--quick] [--seconds 600] [--receivers 200] [--messages 8000] [--mib 1024]
+    python bench/bench_broadcast.py [--quick] [--seconds 600] [--receivers 200] [--messages 8000] [--mib 1024] [--silent 10000]
 
 The sender is a process of its own that sends segments of a quarter of a second, coded before, at 30 frames a second;
 the receivers are tasks of another process, each of which checks every message. The delay is that of a live medium:
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import multiprocessing
+import socket
 import statistics
 import tempfile
 import threading
@@ -126,17 +127,21 @@ async def receive(address: str, count: int, ready: threading.Event) -> Figures:
     return {"gaps": gaps, "least_segments": min(took), "most_segments": max(took)}
 
 
-def many(count: int, seconds: float) -> Figures:
-    """A sender in a process of its own and its receivers here."""
+def many(count: int, seconds: float, silent: int = 0) -> Figures:
+    """A sender in a process of its own, its receivers here, and connections beside them that say nothing."""
     here, there = multiprocessing.get_context("spawn").Pipe()
     process = multiprocessing.get_context("spawn").Process(target=sender_process, args=(there, seconds))
     process.start()
     address, ready = here.recv(), threading.Event()
+    host, port = address.split(":")
+    crowd = [socket.create_connection((host, int(port))) for _ in range(silent)]
     threading.Thread(target=lambda: (ready.wait(), here.send("go")), daemon=True).start()
     heard = asyncio.run(receive(address, count, ready))
     told: Figures = here.recv()
     process.join()
-    return {**told, **heard, "seconds": seconds}
+    for link in crowd:
+        link.close()
+    return {**told, **heard, "seconds": seconds, "silent": silent}
 
 
 def live_process(link: Connection, segment_s: float) -> None:
@@ -183,10 +188,10 @@ def delays(segment_s: float, seconds: float) -> list[float]:
         choice = point_device("sim", still)
         with Player(live.medium, device("phantom-omni"), choice.opener) as player:
             player.play()
-            for i in range(int((2 + seconds) / 0.05)):
+            for i in range(int((5 + seconds) / 0.05)):
                 time.sleep(0.05)
                 live.keep_up(player)
-                if i < 40:  # it has just begun
+                if i < 100:  # it has just begun
                     continue
                 shown = frames.stream_frame(0) / RATE_HZ + player.media_s
                 seen.append(time.monotonic() - zero - shown)
@@ -261,13 +266,19 @@ def losses(messages: int) -> Figures:
     return rows
 
 
-def measure(seconds: float, receivers: int, messages: int, mib: int) -> Figures:
-    """All four."""
+def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int) -> Figures:
+    """All five."""
     with tempfile.TemporaryDirectory() as folder:
         file = large(Path(folder), mib)
     late = delays(0.25, min(20.0, seconds))
     delay = {"segment_s": FRAMES / RATE_HZ, "median_s": statistics.median(late), "most_s": max(late)}
-    return {"file": file, "delay": delay, "receivers": many(receivers, seconds), "losses": losses(messages)}
+    return {
+        "file": file,
+        "delay": delay,
+        "receivers": many(receivers, seconds),
+        "crowd": many(20, min(20.0, seconds), silent),
+        "losses": losses(messages),
+    }
 
 
 def bars(figures: Figures) -> list[Bar]:
@@ -285,6 +296,11 @@ def bars(figures: Figures) -> list[Bar]:
         at_least("seconds that they listen", air["seconds"], 600, "s"),
         at_most("cores of the sender", air["cores"], 1),
         at_most("growth of its memory", air["memory_mib"][1] - air["memory_mib"][0], 4, "MiB"),
+        at_most(
+            f"gaps of 20 beside {figures['crowd']['silent']:,} connections that say nothing",
+            figures["crowd"]["gaps"],
+            0,
+        ),
         at_least("segments of 60 kB that come through 5 % losses", min(row["came"] for row in large_ones), 0.999),
         at_most("bytes beyond theirs", max(row["overhead"] for row in large_ones), 0.3),
         at_least("segments of 20 kB", min(r["came"] for n, r in lost.items() if n.startswith("20000")), 0.999),
@@ -294,5 +310,5 @@ def bars(figures: Figures) -> list[Bar]:
 if __name__ == "__main__":
     bench(
         "broadcast", __doc__, measure, bars, seconds=(600.0, 4.0), receivers=(200, 20), messages=(8000, 200),
-        mib=(1024, 16),
+        mib=(1024, 16), silent=(10_000, 200),
     )  # fmt: skip

@@ -342,6 +342,29 @@ def test_what_is_live_is_played_until_its_end() -> None:
     assert played.statistics["frames_used"] > 20 and played.statistics["last_force_n"] == 0
 
 
+def test_connections_that_say_nothing_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundred connections where sixty fit: the others are closed, and soon the sixty, and a receiver hears all."""
+    monkeypatch.setattr("touchfield.stream.access._most_connections", lambda: 60)
+    monkeypatch.setattr("touchfield.stream.access._PATIENCE_S", 0.5)
+
+    def is_closed(link: socket.socket) -> bool:
+        link.settimeout(5)
+        try:
+            return link.recv(1) == b""
+        except ConnectionError:
+            return True
+
+    with on_air() as server:
+        host, port = server.address.split(":")
+        silent = [socket.create_connection((host, int(port))) for _ in range(100)]
+        assert all(map(is_closed, silent))
+        with open_stream(f"ws://{server.address}/live") as live:
+            time.sleep(0.7)  # who has asked stays, however long it says nothing
+            assert [live.medium[i].support_count > 0 for i in range(20)] == [True] * 20
+        for link in silent:
+            link.close()
+
+
 def test_many_receivers_and_bad_ones_beside_them() -> None:
     """Ten that read, one that never does, one that talks, and one that sends garbage: the ten miss nothing."""
     with on_air() as server:

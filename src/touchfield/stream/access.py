@@ -6,9 +6,11 @@ import asyncio
 import hmac
 import ipaddress
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 from urllib.parse import urlsplit
+from weakref import WeakSet
 
 from touchfield.errors import InvalidArgument, MissingExtra
 
@@ -19,6 +21,8 @@ except ImportError:
 
 __all__ = ["Access", "guarded", "run", "web"]
 
+_PATIENCE_S: Final = 10.0
+_MOST_CONNECTIONS: Final = 1 << 15
 _MOST_BUSY: Final = 4096
 """Answers and live receivers at once; who comes beyond is told to come again."""
 
@@ -122,24 +126,78 @@ async def run(
 ) -> None:
     """Run a web application until an event; `ready` gets its address, without an end.
 
+    A connection that asks for nothing for ten seconds is left, and beyond what the system gives to a process, one in
+    eight of which is kept for others, connections are closed as they come.
+
     Raises
     ------
     InvalidArgument
         If the address cannot be listened at.
     """
+    loop, heard = asyncio.get_running_loop(), WeakSet[object]()
+
+    @web.middleware
+    async def hear(
+        request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+    ) -> web.StreamResponse:
+        heard.add(request.transport)
+        return await handler(request)
+
+    application.middlewares.insert(0, hear)
     runner = web.AppRunner(application, access_log=None, keepalive_timeout=15.0, shutdown_timeout=2.0)
     await runner.setup()
+    assert runner.server is not None
+    answering, most = runner.server, _most_connections()
+
+    def leave(connection: web.RequestHandler) -> None:
+        if connection.transport is not None and connection.transport not in heard:
+            connection.transport.abort()
+
+    def connected() -> asyncio.Protocol:
+        if len(answering.connections) >= most:
+            return _Refusal()
+        connection = answering()
+        loop.call_later(_PATIENCE_S, leave, connection)
+        return connection
+
+    listening = None
     try:
         try:
-            await web.TCPSite(runner, access.host, access.port, backlog=4096).start()
+            listening = await loop.create_server(connected, access.host, access.port, backlog=4096)
         except OSError as error:
             found = f"{access.host}:{access.port}: {error.strerror or error}"
             raise InvalidArgument("--port", found, "an address that is free", "Take another --port.") from None
-        host, port = runner.addresses[0][:2]
+        host, port = listening.sockets[0].getsockname()[:2]
         ready(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")
         await until.wait()
     finally:
+        if listening is not None:
+            listening.close()
         await runner.cleanup()
+
+
+class _Refusal(asyncio.Protocol):
+    """A connection too many."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Close it."""
+        assert isinstance(transport, asyncio.Transport)
+        transport.abort()
+
+
+def _most_connections() -> int:
+    """Connections at once: seven eighths of the files that the system lets a process have."""
+    try:
+        import resource
+    except ImportError:  # of a system that has no such limit
+        return 8192
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = hard if hard != resource.RLIM_INFINITY else 1 << 16
+    if soft < most:
+        with suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+            soft = most
+    return max(8, min(soft, _MOST_CONNECTIONS) * 7 // 8)
 
 
 def _is_loopback(host: str) -> bool:
