@@ -1,6 +1,7 @@
 """Broadcast on this machine: many receivers of a live stream, its delay, losses, and a large file by ranges.
 
-    python bench/bench_broadcast.py [--quick] [--seconds 600] [--receivers 200] [--messages 8000] [--mib 1024] [--silent 10000]
+    python bench/bench_broadcast.py [--quick] [--seconds 600] [--receivers 200] [--messages 8000] [--mib 1024]
+                                    [--silent 10000]
 
 The sender is a process of its own that sends segments of a quarter of a second, coded before, at 30 frames a second;
 the receivers are tasks of another process, each of which checks every message. The delay is that of a live medium:
@@ -283,7 +284,7 @@ def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int
 
 def bars(figures: Figures) -> list[Bar]:
     """Those of the issue that asked for a broadcast."""
-    file, delay, air, lost = (figures[key] for key in ("file", "delay", "receivers", "losses"))
+    file, delay, air, crowd, lost = (figures[key] for key in ("file", "delay", "receivers", "crowd", "losses"))
     large_ones = [row for name, row in lost.items() if name.startswith("60000")]
     return [
         at_most("bytes before the first segment of a large file", file["before_the_segment_bytes"], 65536),
@@ -296,11 +297,7 @@ def bars(figures: Figures) -> list[Bar]:
         at_least("seconds that they listen", air["seconds"], 600, "s"),
         at_most("cores of the sender", air["cores"], 1),
         at_most("growth of its memory", air["memory_mib"][1] - air["memory_mib"][0], 4, "MiB"),
-        at_most(
-            f"gaps of 20 beside {figures['crowd']['silent']:,} connections that say nothing",
-            figures["crowd"]["gaps"],
-            0,
-        ),
+        at_most(f"gaps of 20 beside {crowd['silent']:,} silent connections", crowd["gaps"], 0),
         at_least("segments of 60 kB that come through 5 % losses", min(row["came"] for row in large_ones), 0.999),
         at_most("bytes beyond theirs", max(row["overhead"] for row in large_ones), 0.3),
         at_least("segments of 20 kB", min(r["came"] for n, r in lost.items() if n.startswith("20000")), 0.999),

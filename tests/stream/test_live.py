@@ -240,6 +240,27 @@ def test_play_stays_at_what_is_due(begins_s: float) -> None:
     assert waits == 0
 
 
+@pytest.mark.parametrize(("here_s", "there_s"), [(1000.0, 0.0), (0.0, 60.0), (-300.0, 0.0)])
+def test_a_clock_that_jumps_is_followed(here_s: float, there_s: float) -> None:
+    """The receiver's clock jumps after two seconds, or the sender's: half a second later play is where it was."""
+    now, sent = 0.0, 0
+    frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), clock_s=lambda: now + here_s * (now >= 2))
+    live, hand = LiveStream("live", Opened(HEAD, {}), frames, False), Hand(0.0)
+    bodies = [segment(5 * i) for i in range(12)]
+    for step in range(500):
+        now = 0.01 * step
+        while now >= 0.1 * (sent + 1):
+            skipped = round(there_s * 50) * (now >= 2)
+            frames.take(replace(bodies[sent % 12], first_frame=5 * sent + skipped))
+            sent += 1
+        if step % 10 == 0:
+            live.keep_up(hand)
+        if step > 260 or 150 < step < 199:
+            assert -0.02 < now + there_s * (now >= 2) - hand.media_s - 0.1 < 0.1
+            assert frames.is_there(int(hand.media_s * 50))
+        hand.media_s += 0.01 * hand.speed
+
+
 def test_a_segment_that_cannot_be_decoded_costs_only_itself() -> None:
     bad = LiveSegment(5, 5, b"\0" * 50)
     frames = frames_of(segment(0), bad, segment(10))

@@ -43,6 +43,9 @@ FORGOTTEN: Final = 0.2
 """Share of a delay that is forgotten with each segment that came sooner: one that was late once holds nobody back for
 long, and the delays that keep coming do."""
 
+ANEW_S: Final = 1.0
+"""Where a segment comes so much sooner, a clock has jumped, or a hold-up is over: all is forgotten."""
+
 SPARE_S: Final = 0.03
 """How much later than that the next one may come, and be in time."""
 
@@ -171,7 +174,8 @@ class LiveFrames:
             self._lose(segment.frame_count - len(fields), f"could not be decoded: {error}")
         with self._news:
             before_s = begins_s if self._begins_s is None else self._begins_s
-            self._begins_s = max(begins_s, before_s + FORGOTTEN * (begins_s - before_s))
+            is_anew = before_s - begins_s > ANEW_S
+            self._begins_s = begins_s if is_anew else max(begins_s, before_s + FORGOTTEN * (begins_s - before_s))
 
     def _keep(self, one: _Decoded, came: float) -> None:
         """Keep a segment whose first frame has been decoded, and of the others what there is room for."""
@@ -187,7 +191,9 @@ class LiveFrames:
         with self._news:
             if self._begins_s is None or self._base is None:
                 return None
-            return self._clock_s() - self._begins_s - self._base / rate_hz - SPARE_S
+            newest = self._kept[-1]
+            there = newest.first + len(newest.fields)  # nothing beyond it can be felt, whatever the clock says
+            return min(self._clock_s() - self._begins_s - SPARE_S, there / rate_hz) - self._base / rate_hz
 
     def stream_frame(self, index: int) -> int | None:
         """The sender's number of frame `index`, as things are now; None before the first segment."""
