@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import Head
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import FormatError, InvalidArgument, SourceError
 from touchfield.job import EncodeSpec
 from touchfield.job.live import LiveSpec, broadcast, opened_sender
 from touchfield.job.play import PlaySpec, play
@@ -34,6 +35,7 @@ from touchfield.stream.live import (
     Lost,
     Opened,
     Refused,
+    file_of,
 )  # fmt: skip
 from touchfield.stream.live_medium import LiveEnd, LiveFrames, LiveStream
 
@@ -510,3 +512,14 @@ def test_a_connection_that_is_cut_is_made_again() -> None:
                 live.medium[i]
         done.set()
     assert sum("connecting again" in note for note in notes) == 2
+
+
+def test_a_segment_is_a_file_of_its_own(tmp_path: Path) -> None:
+    _, (opening, _, second) = sender_of(2)
+    (tmp_path / "segment.touch").write_bytes(file_of(opening, second))
+    with open_stream(tmp_path / "segment.touch") as opened:
+        assert len(opened.medium) == 5 and opened.reader.provenance["source"] == "test"
+        for i in range(5):
+            np.testing.assert_allclose(opened.medium[i].to_dense(), field(5 + i).to_dense(), atol=0.2)
+    with pytest.raises(FormatError):
+        file_of(opening, second[:-1])

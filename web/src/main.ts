@@ -594,6 +594,26 @@ function wireControls(): void {
   keyList(byId("help"));
 }
 
+/** What follows of a live medium, in place of what is open: the probe, the view and the cut stay. */
+async function followBytes(data: Uint8Array, name: string): Promise<void> {
+  if (!state || document.documentElement.dataset.state !== "ready") {
+    await openBytes(data, name);
+    byId<HTMLSelectElement>("speed").value = "1";
+    return;
+  }
+  const own = ++opening;
+  try {
+    const opened = await decoder.ask<Opened>({ do: "open", data });
+    if (own !== opening) return;
+    state = { ...state, opened, name, time: 0 };
+    text("name", name);
+    await showNow(0, true);
+    if (!playing) setPlaying(true);
+  } catch (error) {
+    tellFault(error, name);
+  }
+}
+
 async function openFile(file: File): Promise<void> {
   if (file.size > MOST_BYTES) return tellFault({ fault: "too large", words: `the page takes files up to ${MOST_BYTES >> 20} MiB`, byte: null }, file.name);
   await openBytes(new Uint8Array(await file.arrayBuffer()), file.name);
@@ -626,7 +646,8 @@ async function start(): Promise<void> {
 /** For tests, and for a page that has this one in a frame: what is open, and forces at points, newtons. */
 Object.assign(window, {
   touchfield: {
-    open: (data: number[], name: string) => openBytes(Uint8Array.from(data), name),
+    open: (data: ArrayLike<number>, name: string) => openBytes(Uint8Array.from(data), name),
+    follow: (data: ArrayLike<number>, name: string) => followBytes(Uint8Array.from(data), name),
     feel: (points: number[]) => decoder.ask<Float64Array>({ do: "feel", points }).then((all) => [...all]),
     seek: (time: number) => showNow(time).catch(tellFault),
     state: () => ({

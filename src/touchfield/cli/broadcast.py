@@ -39,10 +39,12 @@ def serve(
     ] = None,
 ) -> None:
     """Serve a folder of streams: anyone plays them by their address, and fetches only what is felt."""
-    from touchfield.stream.access import Access
+    from touchfield.stream.access import Access, Pages
     from touchfield.stream.server import serve as run
+    from touchfield.viewer.browser import empty_page, served_page
 
-    run(folder, Access(host, port, token, is_open, tuple(cors or ())), typer.echo)
+    access, pages = Access(host, port, token, is_open, tuple(cors or ())), Pages(served_page(), empty_page())
+    run(folder, access, typer.echo, pages)
 
 
 @command("Broadcast", "live sample:falling-4 --loop", "live watch:pictures --world causal --depth-scale 1000")
@@ -72,10 +74,11 @@ def live(
     """Send SOURCE live: coded as its frames come, for any number of receivers (touchfield play ws://...)."""
     from touchfield.errors import InvalidArgument
     from touchfield.job.live import LiveSpec, broadcast, opened_sender
-    from touchfield.stream.access import Access
+    from touchfield.stream.access import Access, Pages
     from touchfield.stream.live import END
     from touchfield.stream.live_server import LiveServer
     from touchfield.stream.pipe import write_message
+    from touchfield.viewer.browser import empty_page, served_page
 
     def say(note: str) -> None:
         typer.echo(f"note: {note}", err=True)
@@ -91,9 +94,10 @@ def live(
         write_message(pipe, END)
         say(", ".join(f"{value:,} {name}" for name, value in sent.summary().items()))
         return
-    with LiveServer(sender, access) as server:
+    with LiveServer(sender, access, Pages(served_page(), empty_page())) as server:
         word = "?token=..." if token else ""
         typer.echo(f"ws://{server.address}/live{word}  http://{server.address}/live.json{word}", err=True)
+        typer.echo(f"in a browser: http://{server.address}/view{word}", err=True)
         with _by_datagrams(sender, udp) as also:
             try:
                 sent = broadcast(prepared, lambda segment: also(server.add(segment)), spec, say)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
@@ -170,15 +170,7 @@ class TouchWriter:
         if self._next_frame != expected:
             found = f"{self._next_frame} frames at its end" if expected else "no head at its end"
             raise InvalidArgument(str(self._path), found, f"{expected} frames" if expected else "a head")
-        index_offset = self._place
-        index = encode_record("INDX", Index(segments=tuple(self._entries)))
-        end_size = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
-        end = End(
-            index_offset=index_offset,
-            file_length=index_offset + len(index) + end_size,
-            chain_crc32=zlib.crc32(self._chain + index[-CRC_SIZE:]),
-        )
-        self._put(index + encode_record("TEND", end), flush=True)
+        self._put(index_and_end(self._entries, self._place, self._chain), flush=True)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -208,6 +200,14 @@ class TouchWriter:
             raise _refusal(self._path, error) from None
         self._whole = True
         self._place += len(data)
+
+
+def index_and_end(entries: Iterable[SegmentEntry], place: int, chain: bytes) -> bytes:
+    """The last records of a file: `place` is where they begin, `chain` what `chain_crc32` covers beside the index."""
+    index = encode_record("INDX", Index(segments=tuple(entries)))
+    length = place + len(index) + FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
+    chain_crc32 = zlib.crc32(chain + index[-CRC_SIZE:])
+    return index + encode_record("TEND", End(index_offset=place, file_length=length, chain_crc32=chain_crc32))
 
 
 def _refusal(path: Path, error: OSError) -> SourceError:

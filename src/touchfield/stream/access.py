@@ -8,7 +8,7 @@ import ipaddress
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 from urllib.parse import urlsplit
 from weakref import WeakSet
 
@@ -19,8 +19,9 @@ try:
 except ImportError:
     raise MissingExtra("a server of streams", "aiohttp", "broadcast") from None
 
-__all__ = ["Access", "guarded", "run", "web"]
+__all__ = ["Access", "Pages", "add_pages", "guarded", "run", "web"]
 
+_OWN: Final = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache", "X-Frame-Options": "SAMEORIGIN"}
 _PATIENCE_S: Final = 10.0
 _MOST_CONNECTIONS: Final = 1 << 15
 _MOST_BUSY: Final = 4096
@@ -119,6 +120,28 @@ def guarded(access: Access) -> web.Application:
             busy -= 1
 
     return web.Application(middlewares=[guard], client_max_size=1 << 10)
+
+
+class Pages(NamedTuple):
+    """Pages for a browser: `around` fetches from its server what `within`, in its frame, shows."""
+
+    around: str
+    within: str
+
+
+def add_pages(application: web.Application, pattern: str, pages: Pages | None) -> None:
+    """Answer /view and what follows it, by `pattern`, with pages, if there are any."""
+    if pages is None:
+        return
+
+    def add(path: str, text: str) -> None:
+        async def answer(request: web.Request) -> web.Response:
+            return web.Response(text=text, content_type="text/html", headers=_OWN)
+
+        application.router.add_get(path, answer)
+
+    add("/view-page.html", pages.within)
+    add(f"/view{pattern}", pages.around)
 
 
 async def run(

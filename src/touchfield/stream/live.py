@@ -19,8 +19,9 @@ from enum import Enum
 from threading import Lock
 from typing import Any, Final
 
-from touchfield.container.records import MAGIC, Head, Pair, Provenance, Segment, Vibration
+from touchfield.container.records import MAGIC, Head, Pair, Provenance, Segment, SegmentEntry, Vibration
 from touchfield.container.wire import (
+    CRC_SIZE,
     OPENING_SIZE,
     ByteSource,
     encode_opening,
@@ -29,11 +30,12 @@ from touchfield.container.wire import (
     read_opening,
     read_record,
 )
+from touchfield.container.writer import index_and_end
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument
 
 __all__ = [
     "ENDLESS", "MOST_BYTES", "Ended", "Event", "LiveReceiver", "LiveSegment", "LiveSender", "Lost", "Opened",
-    "Refused", "Subscriber",
+    "Refused", "Subscriber", "file_of",
 ]  # fmt: skip
 
 ENDLESS: Final = (1 << 31) - 1
@@ -211,6 +213,28 @@ def _segment(message: bytes) -> LiveSegment:
     if beside is not None and (beside.first_frame, beside.frame_count) != (told.first_frame, told.frame_count):
         raise CorruptFile("segment", "a VIBR of other frames", "one of its own")
     return LiveSegment(told.first_frame, told.frame_count, told.body, beside.body if beside is not None else None)
+
+
+def file_of(opening: bytes, message: bytes) -> bytes:
+    """A segment as a ``.touch`` file of its own, whose frames begin at 0: for decoders that know files alone.
+
+    Raises
+    ------
+    FormatError
+        If the opening or the message is at fault.
+    """
+    told, segment = _opened(opening), _segment(message)
+    own = {"first_frame": 0, "frame_count": segment.frame_count}
+    head = encode_record("HEAD", replace(told.head, frame_count=segment.frame_count))
+    pairs = tuple(Pair(key=key, value=value) for key, value in told.provenance.items())
+    before = encode_opening() + head + (encode_record("PROV", Provenance(pairs=pairs)) if pairs else b"")
+    if segment.vibration is not None:
+        before += encode_record("VIBR", Vibration(**own, body=segment.vibration))
+    frames = encode_record("SEGM", Segment(**own, body=segment.body))
+    crc32 = int.from_bytes(frames[-CRC_SIZE:], "little")
+    entry = SegmentEntry(**own, offset=len(before), length=len(frames), crc32=crc32)
+    chain = encode_opening() + head[-CRC_SIZE:]
+    return before + frames + index_and_end([entry], len(before) + len(frames), chain)
 
 
 def _source(message: bytes, name: str) -> ByteSource:

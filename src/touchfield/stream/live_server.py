@@ -11,8 +11,8 @@ from contextlib import suppress
 from threading import Thread
 from typing import Final
 
-from touchfield.stream.access import Access, guarded, run, web
-from touchfield.stream.live import LiveSegment, LiveSender
+from touchfield.stream.access import Access, Pages, add_pages, guarded, run, web
+from touchfield.stream.live import LiveSegment, LiveSender, file_of
 from touchfield.stream.server import MEDIA_TYPE
 
 __all__ = ["LiveServer"]
@@ -28,6 +28,8 @@ class LiveServer:
     ----------
     sender : LiveSender
     access : Access
+    pages : Pages, optional
+        For browsers, at /view.
 
     Attributes
     ----------
@@ -43,8 +45,8 @@ class LiveServer:
         Receivers that did not read, and were left.
     """
 
-    def __init__(self, sender: LiveSender, access: Access) -> None:
-        self._sender, self._access = sender, access
+    def __init__(self, sender: LiveSender, access: Access, pages: Pages | None = None) -> None:
+        self._sender, self._access, self._pages = sender, access, pages
         self.address, self.receivers, self.most_receivers, self.skipped, self.left = "", 0, 0, 0, 0
         self._loop = asyncio.new_event_loop()
         self._is_over, self._news = asyncio.Event(), asyncio.Event()
@@ -105,6 +107,8 @@ class LiveServer:
         served.router.add_get("/live.json", self._manifest)
         served.router.add_get("/live/opening", self._opening)
         served.router.add_get(r"/live/{number:\d{1,9}}", self._segment)
+        served.router.add_get(r"/live/{number:\d{1,9}}.touch", self._file)
+        add_pages(served, "", self._pages)
         return served
 
     async def _follow(self, request: web.Request) -> web.StreamResponse:
@@ -157,6 +161,11 @@ class LiveServer:
 
     async def _segment(self, request: web.Request) -> web.Response:
         return self._answer(request, self._sender.message(int(request.match_info["number"])))
+
+    async def _file(self, request: web.Request) -> web.Response:
+        """A segment as a file of its own, for whoever decodes files."""
+        message = self._sender.message(int(request.match_info["number"]))
+        return self._answer(request, None if message is None else file_of(self._sender.opening, message))
 
 
 async def _ended(socket: web.WebSocketResponse) -> None:

@@ -15,7 +15,7 @@ from urllib.parse import quote
 from aiohttp.abc import AbstractStreamWriter
 
 from touchfield.errors import InvalidArgument
-from touchfield.stream.access import Access, guarded, run, web
+from touchfield.stream.access import Access, Pages, add_pages, guarded, run, web
 
 __all__ = ["MEDIA_TYPE", "application", "serve"]
 
@@ -47,8 +47,8 @@ class _Answer(web.FileResponse):
             raise ConnectionResetError from None
 
 
-def application(folder: Path, access: Access) -> web.Application:
-    """The web application of a folder.
+def application(folder: Path, access: Access, pages: Pages | None = None) -> web.Application:
+    """The web application of a folder, with `pages` for browsers.
 
     Raises
     ------
@@ -67,11 +67,14 @@ def application(folder: Path, access: Access) -> web.Application:
         return _Answer(path, headers={**headers, "Content-Type": _TYPES[path.suffix.lower()]})
 
     served = guarded(access)
+    add_pages(served, "/{name:.*}", pages)
     served.router.add_get("/{name:.*}", file)
     return served
 
 
-def serve(folder: Path, access: Access, tell: Callable[[str], None] = lambda note: None) -> None:
+def serve(
+    folder: Path, access: Access, tell: Callable[[str], None] = lambda note: None, pages: Pages | None = None
+) -> None:
     """Serve until interrupted; `tell` gets the address of each stream once they can be read.
 
     Raises
@@ -79,7 +82,7 @@ def serve(folder: Path, access: Access, tell: Callable[[str], None] = lambda not
     InvalidArgument
         If there is no such folder, or the address cannot be listened at.
     """
-    served = application(folder, access)
+    served = application(folder, access, pages)
 
     def ready(address: str) -> None:
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*.touch"))
@@ -87,6 +90,8 @@ def serve(folder: Path, access: Access, tell: Callable[[str], None] = lambda not
             tell(f"{folder} holds no .touch file yet")
         for name in names[:_MOST_NAMED]:
             tell(f"http://{address}/{quote(name)}" + ("?token=..." if access.token else ""))
+        if names and pages:
+            tell(f"in a browser: http://{address}/view/{quote(names[0])}" + ("?token=..." if access.token else ""))
         if len(names) > _MOST_NAMED:
             tell(f"and {len(names) - _MOST_NAMED} more")
 

@@ -10,10 +10,11 @@ import html
 import json
 from collections.abc import Mapping
 from functools import cache
+from hashlib import sha256
 from importlib import resources
 from typing import Any, Final
 
-__all__ = ["empty_page", "page_of"]
+__all__ = ["empty_page", "page_of", "served_page"]
 
 _FIGURES: Final = '<script type="application/json" id="given-figures">null</script>'
 _MOVIE: Final = '<script type="text/plain" id="given-movie" data-type="" data-at="0"></script>'
@@ -24,6 +25,16 @@ _MEDIUM: Final = '<script type="text/plain" id="given-medium" data-name=""></scr
 def empty_page() -> str:
     """The page without a file: one is dropped on it, or opened."""
     return resources.files("touchfield.viewer").joinpath("web/page.html").read_text(encoding="utf-8")
+
+
+@cache
+def served_page() -> str:
+    """The page around `empty_page` that fetches from its own server: a file by its name, or what is live there."""
+    page = resources.files("touchfield.viewer").joinpath("web/from-server.html").read_text(encoding="utf-8")
+    for mark, element in (("@SCRIPT@", "script"), ("@STYLE@", "style")):
+        text = page.partition(f"<{element}>")[2].partition(f"</{element}>")[0]
+        page = page.replace(mark, f"'sha256-{base64.b64encode(sha256(text.encode()).digest()).decode()}'")
+    return page
 
 
 def page_of(
