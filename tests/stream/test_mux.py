@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ import pytest
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader
-from touchfield.errors import TouchfieldError
+from touchfield.errors import InvalidArgument, TouchfieldError
 from touchfield.job import EncodeSpec, encode
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.stream.dash import BEGINS
 from touchfield.stream.mux import demux, mux
 
 av = pytest.importorskip("av", reason="movies need the extra video")
@@ -79,6 +81,25 @@ def test_the_movie_is_decoded_as_before(folder: Path, tmp_path: Path) -> None:
         with av.open(str(path)) as movie:
             shown.append([f.to_ndarray(format="rgb24").tobytes() for f in movie.decode(video=0)])
     assert shown[0] == shown[1] and len(shown[0]) == 50
+
+
+def test_a_manifest_names_the_movie_and_the_touch(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "film.mpd"
+    assert mux(folder / "movie.mp4", folder / "noise.touch", out, 0.5).other_tracks == ("video", "audio")
+    space = "{urn:mpeg:dash:schema:mpd:2011}"
+    sets = ElementTree.parse(out).getroot().findall(f"{space}Period/{space}AdaptationSet")
+    assert [one.get("contentType") for one in sets] == ["video", "audio", "application"]
+    named = [one.findtext(f"{space}Representation/{space}BaseURL") for one in sets]
+    assert {path.name for path in tmp_path.iterdir()} == {"film.mpd", *map(str, named)}
+    assert sets[2].get("mimeType") == "haptics/vnd.touchfield" and named[2] == "film.touch"
+    told = sets[2].find(f"{space}SupplementalProperty")
+    assert told is not None and (told.get("schemeIdUri"), told.get("value")) == (BEGINS, "0.5")
+    assert (tmp_path / "film.touch").read_bytes() == (folder / "noise.touch").read_bytes()
+    assert [data for _, data in pictures(tmp_path / str(named[0]))] == [
+        data for _, data in pictures(folder / "movie.mp4")
+    ]
+    with pytest.raises(InvalidArgument, match="the movie that is read"):
+        mux(tmp_path / str(named[0]), folder / "noise.touch", out)
 
 
 def test_one_clear_line_each(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -128,7 +128,7 @@ def _by_datagrams(sender: LiveSender, address: str | None) -> Iterator[Callable[
 def mux(
     movie: Annotated[Path, typer.Argument(help="A movie; its tracks are copied as they are.")],
     stream: Stream,
-    out: Annotated[Path, typer.Argument(help="The movie with touch: .mp4, .mov or .ts.")],
+    out: Annotated[Path, typer.Argument(help="The movie with touch: .mp4, .mov or .ts; or .mpd, a DASH manifest.")],
     at_s: Annotated[float, typer.Option("--at-s", help="Second of the movie at which the touch begins.")] = 0.0,
     as_json: Json = False,
 ) -> None:

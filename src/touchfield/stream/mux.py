@@ -21,6 +21,7 @@ from touchfield.container.wire import OPENING_SIZE, ByteSource, find_record, rea
 from touchfield.errors import CorruptFile, InvalidArgument, MissingExtra, SourceError
 from touchfield.medium.atomic import atomic_path
 from touchfield.parallel import Report, silent
+from touchfield.stream.dash import write_dash
 
 __all__ = ["Muxed", "demux", "mux"]
 
@@ -28,7 +29,7 @@ _CLOCK: Final = Fraction(1, 90000)
 _MOST_BYTES: Final = 1 << 30
 """Of all touch in a movie that is taken out."""
 
-_FORMS: Final = (".mp4", ".m4v", ".mov", ".ts")
+_FORMS: Final = (".mp4", ".m4v", ".mov", ".ts", ".mpd")
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
         Any that ffmpeg reads.
     stream : path
     out : path
-        .mp4 (fragmented, for streaming), .mov or .ts.
+        .mp4 (fragmented, for streaming), .mov or .ts; or .mpd, a DASH manifest, and beside it the files that it names.
     at_s : float
         The movie's time at which the touch begins, 0 or later.
     report : callable
@@ -84,6 +85,11 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
     for source in (movie, stream):
         if Path(source).exists() and out.exists() and Path(source).samefile(out):
             raise InvalidArgument(str(out), "the file that is read", "another name")
+    if out.suffix.lower() == ".mpd":
+        with TouchReader(stream) as reader, _opened(movie) as source:
+            seconds = reader.head.frame_count / reader.head.rate_hz
+            names = write_dash(source, Path(stream), out, at_s, 8 * reader.size / seconds)
+            return Muxed(out, len(reader.segments), reader.size, seconds, at_s, names)
     with TouchReader(stream) as reader, _opened(movie) as source, atomic_path(out) as temporary:
         samples = list(_samples(reader, each_begins=out.suffix.lower() == ".ts"))
         fragments = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if out.suffix != ".ts" else {}
