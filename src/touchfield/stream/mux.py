@@ -64,7 +64,7 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
         Any that ffmpeg reads.
     stream : path
     out : path
-        .mp4 (fragmented, for streaming), .mov or .ts; or .mpd, a DASH manifest, and beside it the files that it names.
+        .mp4 (fragmented, for streaming), .mov or .ts; or .mpd, a DASH manifest, and the files that it names.
     at_s : float
         The movie's time at which the touch begins, 0 or later.
     report : callable
