@@ -8,19 +8,13 @@ from __future__ import annotations
 
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 
-__all__ = ["VARINT_LIMIT", "Parts", "chunk", "read_varint", "write_varint"]
-
-VARINT_LIMIT = 1 << 56
-"""Values lie below this: eight bytes at most."""
+VARINT_LIMIT = 1 << 56  # values lie below this: eight bytes at most
 
 
 def write_varint(value: int) -> bytes:
     """`value`, 0 <= value < `VARINT_LIMIT`, as bytes: one below 128, two below 16384, and so on.
 
-    Raises
-    ------
-    InvalidArgument
-        If the value is out of range.
+    InvalidArgument if the value is out of range.
     """
     if not 0 <= value < VARINT_LIMIT:
         raise InvalidArgument("varint", repr(value), f"0 to {VARINT_LIMIT - 1}")
@@ -35,21 +29,8 @@ def write_varint(value: int) -> bytes:
 def read_varint(data: bytes, offset: int, where: str = "varint", limit: int = VARINT_LIMIT) -> tuple[int, int]:
     """The value at `offset` of `data`, and the offset behind it.
 
-    Parameters
-    ----------
-    data : bytes
-    offset : int
-    where : str, optional
-        What the value is; for the message.
-    limit : int, optional
-        The value must lie below this.
-
-    Raises
-    ------
-    TruncatedFile
-        If the bytes end within the value.
-    CorruptFile
-        If the value is `limit` or more, or not in its shortest form.
+    `where`: what the value is; for the message. `limit`: the value must lie below this. TruncatedFile if the bytes
+    end within the value. CorruptFile if the value is `limit` or more, or not in its shortest form.
     """
     value = 0
     for place in range(8):

@@ -12,11 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from touchfield.codec.touch import frame_encoder
-from touchfield.codec.touch.fixed_field import FixedField
-from touchfield.codec.touch.frame import Known, Memory, decode_frame, fresh_memory
-from touchfield.codec.touch.frame_encoder import CodedFrame, encode_frame, sketch_of
-from touchfield.codec.touch.rule import lattice_for, limits_for
-from touchfield.codec.touch.scan import Course
+from touchfield.codec.touch.frame import Course, Known, Memory, decode_frame, fresh_memory
+from touchfield.codec.touch.frame_encoder import CodedFrame, encode_frame, lattice_for, limits_for, sketch_of
+from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField

@@ -14,25 +14,13 @@ from touchfield.errors import CorruptFile, InvalidArgument
 if TYPE_CHECKING:
     from touchfield.medium import ForceField, PoseTrack
 
-__all__ = ["ObjectsDecoder"]
-
 
 class ObjectsDecoder:
     """Decodes segments of one stream of objects; needs nothing but the stream.
 
-    Parameters
-    ----------
-    parameters : bytes
-        `HEAD.coder_parameters`, whose damping and tolerance in place become attributes.
-    objects : sequence of CodedObject
-        What the OBJT records hold, in their order.
-
-    Raises
-    ------
-    CorruptFile
-        If there are more or fewer objects than the parameters say, or one of them contradicts itself.
-    UnsupportedVersion
-        If the coder of a field is unknown.
+    `parameters`: `HEAD.coder_parameters`, whose damping and tolerance in place become attributes. `objects`: what the
+    OBJT records hold, in their order. CorruptFile if there are more or fewer objects than the parameters say, or one
+    of them contradicts itself. UnsupportedVersion if the coder of a field is unknown.
     """
 
     name = NAME
@@ -64,10 +52,7 @@ class ObjectsDecoder:
     def tracks(self, body: bytes, frame_count: int) -> tuple[PoseTrack, ...]:
         """The poses of each object in the frames of a segment.
 
-        Raises
-        ------
-        CorruptFile, TruncatedFile
-            If the bytes are not what the encoder writes.
+        CorruptFile or TruncatedFile if the bytes are not what the encoder writes.
         """
         worst, parts = self.parts(body)
         if worst is not None and worst.frame >= frame_count:

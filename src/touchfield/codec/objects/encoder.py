@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from touchfield.codec.segment import CodedSegment
     from touchfield.medium import HapticObject, HapticScene
 
-__all__ = ["PLACE_TOLERANCE_M", "ObjectsEncoder", "check_pose_count"]
-
 PLACE_TOLERANCE_M: Final = 1e-5
 """A fifth of what a Phantom Omni can tell of a place (0.055 mm), and 5 mN on a wall of 500 N/m."""
 
@@ -75,21 +73,11 @@ class _Fields(NamedTuple):
 class ObjectsEncoder:
     """Codes a haptic scene; all of it, when it is first asked for any.
 
-    Parameters
-    ----------
-    scene : HapticScene
-    spec : the spec of a coder of fields
-        How the fields are coded, and by which coder. In mode "mask" of coder `touch` the composed field keeps
-        max(F_0, k |F|), and in mode "lossless" the decoded fields are the source's; else, and where F_0 is 0,
-        nothing is promised of it.
-    f0_n : float
-        F_0, newtons: the surface damping of the decoded poses is off by a quarter of it at most.
-
-    Raises
-    ------
-    InvalidArgument
-        If the scene has more objects or poses than a file may hold. When asked: if no steps of poses keep to the
-        tolerance, or no accuracy of the fields keeps the promise.
+    `spec`: how the fields are coded, and by which coder. In mode "mask" of coder `touch` the composed field keeps
+    max(F_0, k |F|), and in mode "lossless" the decoded fields are the source's; else, and where F_0 is 0, nothing is
+    promised of it. `f0_n`: F_0, newtons: the surface damping of the decoded poses is off by a quarter of it at most.
+    InvalidArgument if the scene has more objects or poses than a file may hold. When asked: if no steps of poses keep
+    to the tolerance, or no accuracy of the fields keeps the promise.
     """
 
     name = NAME

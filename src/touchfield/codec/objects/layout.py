@@ -1,4 +1,4 @@
-"""How the coder `objects` lays a haptic scene out in bytes, written and read by the same functions."""
+"""How the coder `objects` lays a haptic scene out in bytes, written and read by the same functions; its entry."""
 
 from __future__ import annotations
 
@@ -8,19 +8,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from touchfield.codec.registry import Coder
 from touchfield.codec.varint import Parts, chunk, write_varint
 from touchfield.errors import CorruptFile
 
 if TYPE_CHECKING:
     from touchfield.medium import Grid
 
-__all__ = ["MAX_OBJECTS", "MAX_POSES", "NAME", "CodedObject", "ObjectPart", "Parameters", "SegmentParts", "Worst"]
-
 NAME: Final = "objects"
 
-MAX_OBJECTS: Final = 4096
-"""Objects of a scene."""
-
+MAX_OBJECTS: Final = 4096  # objects of a scene
 MAX_POSES: Final = 1 << 24
 """Frames times objects of a scene: a body that keeps still costs next to no bytes, but a pose in memory a frame."""
 
@@ -103,10 +100,7 @@ class SegmentParts(NamedTuple):
     def from_bytes(cls, body: bytes, is_deforming: Sequence[bool]) -> SegmentParts:
         """The inverse of `to_bytes`; nothing is decoded.
 
-        Raises
-        ------
-        TruncatedFile, CorruptFile
-            If the bytes end too early, or some are left over.
+        TruncatedFile or CorruptFile if the bytes end too early, or some are left over.
         """
         read, worst = Parts(body), None
         if ratio := read.varint("worst ratio", _RATIOS + 2):
@@ -119,3 +113,8 @@ class SegmentParts(NamedTuple):
             parts.append(ObjectPart(poses, read.chunk(f"fields of object {i}") if deforms else None))
         read.check_end("object")
         return cls(worst, parts)
+
+
+_PLACE = "touchfield.codec.objects"
+
+CODER = Coder("objects", f"{_PLACE}.encoder:ObjectsEncoder", f"{_PLACE}.decoder:ObjectsDecoder")

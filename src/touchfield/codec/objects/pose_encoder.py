@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from touchfield.codec.kernels.bits import end_of, fresh, price, writer
-from touchfield.codec.numbers import ROOM, code_numbers
+from touchfield.codec.kernels.whole_numbers import ROOM, code_numbers
 from touchfield.codec.objects.poses import (
     MODELS,
     MOST_ORDER,
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from touchfield.medium import PoseTrack
 
     Int64s = NDArray[np.int64]
-
-__all__ = ["Damping", "encode_poses", "place_steps", "rounded"]
 
 _POSITION_COST, _QUATERNION_COST = 3, 4  # numbers that a power of two makes a bit longer
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.brick_list import check_end
 from touchfield.codec.kernels.bits import Bits, fresh, reader
-from touchfield.codec.numbers import CONTEXTS, SETS, code_numbers
+from touchfield.codec.kernels.whole_numbers import CONTEXTS, SETS, code_numbers
+from touchfield.codec.support import check_end
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.pose_track import PoseTrack
 
@@ -25,17 +25,8 @@ if TYPE_CHECKING:
 
     Int64s = NDArray[np.int64]
 
-__all__ = [
-    "MODELS", "MOST_ORDER", "MOST_POSES", "MOST_STEPS", "POSITION_POWERS", "QUATERNION_POWERS", "PoseSteps",
-    "code_residuals", "decode_poses",
-]  # fmt: skip
-
-MOST_POSES: Final = (1 << 16) - 1
-"""Poses in one piece of code; a segment of a file has no more frames."""
-
-MOST_STEPS: Final = 1 << 50
-"""Of a position; seven of them, as the quadratic predictor adds, stay exact."""
-
+MOST_POSES: Final = (1 << 16) - 1  # poses in one piece of code; a segment of a file has no more frames
+MOST_STEPS: Final = 1 << 50  # of a position; seven of them, as the quadratic predictor adds, stay exact
 POSITION_POWERS: Final = (-40, 0)
 QUATERNION_POWERS: Final = (-30, -2)
 _CHANGED = "The file was changed or cut."
@@ -108,19 +99,8 @@ def code_residuals(bits: Bits, component: int, residuals: Int64s) -> None:
 def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "poses") -> PoseTrack:
     """The track that `encode_poses` has coded.
 
-    Parameters
-    ----------
-    data : bytes
-    frame_count : int
-        Poses that were coded, 1 to `MOST_POSES`; some 120 bytes are taken for each.
-    steps : PoseSteps
-    where : str
-        What to call the bytes in an error.
-
-    Raises
-    ------
-    TruncatedFile, CorruptFile
-        If the bytes are not the code of so many poses.
+    `frame_count`: poses that were coded, 1 to `MOST_POSES`; some 120 bytes are taken for each. `where`: what to call
+    the bytes in an error. TruncatedFile or CorruptFile if the bytes are not the code of so many poses.
     """
     if not 1 <= frame_count <= MOST_POSES:
         raise InvalidArgument("frame_count", repr(frame_count), f"1 to {MOST_POSES}")

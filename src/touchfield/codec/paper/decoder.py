@@ -19,24 +19,12 @@ if TYPE_CHECKING:
 
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["PaperDecoder"]
-
 
 class PaperDecoder:
     """Decodes segments of one stream; needs nothing but the stream.
 
-    Parameters
-    ----------
-    grid : Grid
-    parameters : bytes
-        `HEAD.coder_parameters`: the name of a direction codebook or of a stage, ASCII.
-    where : str, optional
-        What `parameters` are; for the message.
-
-    Raises
-    ------
-    CorruptFile
-        If there is neither such a codebook nor such a stage.
+    `parameters`: `HEAD.coder_parameters`: the name of a direction codebook or of a stage, ASCII. `where`: what
+    `parameters` are; for the message. CorruptFile if there is neither such a codebook nor such a stage.
     """
 
     name = "paper"
@@ -49,10 +37,7 @@ class PaperDecoder:
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
         """The frames of a segment, one after another.
 
-        Raises
-        ------
-        CorruptFile, TruncatedFile
-            If the bytes are not what the encoder writes.
+        CorruptFile or TruncatedFile if the bytes are not what the encoder writes.
         """
         for field, _ in self._reader(body).fields(frame_count):
             yield field

@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.codec.paper.body import INTER_SET, INTRA_SET, set_of
-from touchfield.codec.paper.body_writer import CodedFrame, write_body
+from touchfield.codec.paper.body import INTER_SET, INTRA_SET, FrameSymbols, rebuilt, set_of
+from touchfield.codec.paper.body_writer import CodedFrame, pack_runs, write_body
 from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.paper.frames import FrameSymbols, rebuilt
-from touchfield.codec.paper.huffman_encoder import pack_runs
 from touchfield.codec.paper.quantisers import (
     AmplitudeLevels,
     amplitudes_n,
@@ -41,8 +39,6 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField, Grid
 
     Float32s = NDArray[np.float32]
-
-__all__ = ["PaperEncoder"]
 
 _LEAST_FORCE_N: Final = 1e-6
 _TRAINING_SAMPLES: Final = 1 << 18

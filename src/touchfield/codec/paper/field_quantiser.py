@@ -47,13 +47,9 @@ if TYPE_CHECKING:
     Float32s = NDArray[np.float32]
     Int32s = NDArray[np.int32]
 
-__all__ = ["DEFAULT_QUANTISER", "Components", "FieldQuantiser", "FieldQuantiserSpec", "Pairs", "VectorQuantiser"]
-
 DEFAULT_QUANTISER: Final = "weber:0.1"
 FORMS: Final = ("weber", "uniform", "lloyd-max", "components", "weber-components", "distinct")
-MOST_LEVELS: Final = 511
-"""Of one component to each side, so that a triple stays within 2^30 symbols."""
-
+MOST_LEVELS: Final = 511  # of one component to each side, so that a triple stays within 2^30 symbols
 MOST_DISTINCT: Final = 1 << 22
 
 _MOST_TRAINED: Final = 1 << 22  # amplitudes a Lloyd-Max quantiser is trained on; of more, evenly spaced ones

@@ -25,20 +25,12 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Float64s = NDArray[np.float64]
 
-__all__ = ["encode_staged"]
-
 _PASSES = 4
 _ROUNDING = 1 / 3  # of the DCT: a coefficient below two thirds of a step is none
 
 
 def encode_staged(frames: Sequence[ForceField], stage: str, step_n: float) -> CodedSegment:
-    """The frames as a segment of a stage, each alone.
-
-    Raises
-    ------
-    InvalidArgument
-        If the step is too fine for the forces.
-    """
+    """The frames as a segment of a stage, each alone. InvalidArgument if the step is too fine for the forces."""
     parts, stats = [struct.pack("<d", step_n)], []
     for frame in frames:
         support = encode_support(frame.grid, frame.bricks, frame.mask)
@@ -76,7 +68,7 @@ def _points(steps: Float64s) -> Int64s:
 
 
 def _adpcm(grains: Int64s) -> Int64s:
-    from touchfield.codec.paper.kernels.adpcm import adpcm
+    from touchfield.codec.paper.kernels.loops import adpcm
 
     residuals = np.zeros((3, len(grains)), np.int64)
     for values, out in zip(np.ascontiguousarray(grains.T), residuals, strict=True):

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.codec.numbers import decode_numbers
-from touchfield.codec.paper.body import MOST_NEWTONS
-from touchfield.codec.paper.frames import field_of
+from touchfield.codec.paper.body import MOST_NEWTONS, field_of
 from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.codec.support import decode_support
@@ -42,14 +41,8 @@ if TYPE_CHECKING:
     Int64s = NDArray[np.int64]
     Int32s = NDArray[np.int32]
 
-__all__ = ["GRAIN", "LEVELS", "ORDER", "PARTS", "StageReader", "cosines", "from_bricks", "is_by_brick", "lifted"]
-
-LEVELS: Final = 3
-"""Of the wavelet: 8 samples, 4, 2."""
-
-GRAIN: Final = 16
-"""Parts of the finest step that ADPCM counts in."""
-
+LEVELS: Final = 3  # of the wavelet: 8 samples, 4, 2
+GRAIN: Final = 16  # parts of the finest step that ADPCM counts in
 _FARTHEST = float(1 << 20)  # steps of a component that are told apart
 _BYTES_PER_BRICK = 128 * BRICK**3  # that decoding takes at its height
 _FRACTION = 8  # bits below a step in the DCT
@@ -65,10 +58,7 @@ ORDER: Final = np.argsort(np.indices((BRICK,) * 3).sum(axis=0).reshape(-1), kind
 class StageReader:
     """A segment of a stage; the interface is that of `body.BodyReader`.
 
-    Raises
-    ------
-    CorruptFile, TruncatedFile
-        If the bytes contradict themselves or end too early.
+    CorruptFile or TruncatedFile if the bytes contradict themselves or end too early.
     """
 
     def __init__(self, body: bytes, grid: Grid, stage: str) -> None:
@@ -142,7 +132,7 @@ def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
     residuals = decode_numbers(data, 3 * len(slots)).reshape(3, -1)
     if stage == "dpcm":
         return np.cumsum(residuals, axis=1).T
-    from touchfield.codec.paper.kernels.adpcm import adpcm
+    from touchfield.codec.paper.kernels.loops import adpcm
 
     grains = np.zeros_like(residuals)
     for values, read in zip(grains, residuals, strict=True):

@@ -1,11 +1,11 @@
-"""How the coder `touch` lays a segment out in bytes, written and read by the same tables."""
+"""How the coder `touch` lays a segment out in bytes, and `HEAD.coder_parameters`."""
 
 from __future__ import annotations
 
 import math
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from touchfield.codec.rate import BitAccount
@@ -18,15 +18,14 @@ from touchfield.codec.touch.lattice import (
     RATE_LIMIT,
     SMALLEST_UNIT_N,
     Lattice,
-)  # fmt: skip
+)
 from touchfield.codec.touch.promise import Worst
+from touchfield.codec.touch.spec import EFFORTS, MODES, SUPPORTS, TouchSpec
 from touchfield.codec.varint import Parts, write_varint
-from touchfield.errors import CorruptFile
+from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 
 if TYPE_CHECKING:
     from touchfield.medium import Grid
-
-__all__ = ["BodyReader", "FrameRecord", "TouchCost", "shares_of", "write_body"]
 
 _WHERE: Final = "SEGM.body"
 _WORST_FLAG: Final = 1
@@ -36,36 +35,23 @@ _INTER, _GUESS, _EXCEPTIONS = 1, 2, 4
 
 @dataclass(frozen=True)
 class TouchCost(FrameCost):
-    """Cost of a frame, and how it was coded.
+    """Cost of a frame, and how it was coded."""
 
-    Attributes
-    ----------
-    guess_bits, exception_bits : int
-        The bits of what makes the guess, `BitAccount.models`; and of the side bits those of voxels sent apart.
-    """
-
+    # guess_bits, exception_bits: the bits of what makes the guess, `BitAccount.models`; and of the side bits those of
+    # voxels sent apart
     guess_bits: int
     exception_bits: int
 
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """A frame as a body holds it.
+    """A frame as a body holds it."""
 
-    Attributes
-    ----------
-    inter : bool
-        Whether the frame before is known: what it taught, and, unless there is a guess, its forces.
-    guess, payload, exceptions : bytes
-        The guess and the exceptions are empty where there are none.
-    shares : (int, int)
-        Support and amplitude of the payload, 1/255.
-    """
-
-    inter: bool
+    inter: bool  # whether the frame before is known: what it taught, and, unless there is a guess, its forces
+    # guess, payload, exceptions: the guess and the exceptions are empty where there are none
     guess: bytes
     payload: bytes
-    shares: tuple[int, int]
+    shares: tuple[int, int]  # support and amplitude of the payload, 1/255
     exceptions: bytes = b""
 
     @property
@@ -122,15 +108,7 @@ def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], worst: W
 class BodyReader:
     """Reads a segment's body from front to back.
 
-    Attributes
-    ----------
-    lattice : Lattice or None
-    worst : Worst or None
-
-    Raises
-    ------
-    CorruptFile, TruncatedFile
-        If the bytes contradict themselves or end too early.
+    CorruptFile or TruncatedFile if the bytes contradict themselves or end too early.
     """
 
     def __init__(self, body: bytes, grid: Grid, *, exact: bool) -> None:
@@ -190,3 +168,44 @@ class BodyReader:
         frame = self._parts.varint("worst frame", 1 << 16)
         x, y, z = (self._parts.varint("worst voxel", n) for n in grid.shape)
         return Worst(ratio / _RATIOS, frame, (x, y, z))
+
+
+_VERSION: Final = 1
+_NUMBERS: Final = {
+    "mask": ("k", "f0_n"),
+    "mask-direction": ("k", "f0_n", "direction_jnd_deg"),
+    "nmse": ("step_n",),
+    "lossless": (),
+}
+
+
+def write_parameters(spec: TouchSpec) -> bytes:
+    """The parameters of what was asked for."""
+    asked = MODES.index(spec.mode) | SUPPORTS.index(spec.support) << 2 | EFFORTS.index(spec.effort) << 3
+    numbers = [getattr(spec, name) for name in _NUMBERS[spec.mode]]
+    return struct.pack(f"<BB{len(numbers)}d", _VERSION, asked, *numbers)
+
+
+def read_parameters(data: bytes, where: str) -> TouchSpec:
+    """Spec that was asked for, as far as a file tells.
+
+    UnsupportedVersion if a newer touchfield wrote them. CorruptFile if they contradict themselves.
+    """
+    if len(data) < 2:
+        raise CorruptFile(where, f"{len(data)} bytes", "2 or more")
+    if data[0] != _VERSION:
+        raise UnsupportedVersion(where, f"version {data[0]}", f"version {_VERSION}", "A newer touchfield reads it.")
+    mode, support, effort = data[1] & 3, data[1] >> 2 & 1, data[1] >> 3
+    if effort >= len(EFFORTS):
+        raise CorruptFile(where, f"{data[1]:#x} for mode, support and effort", "an effort of 0 to 2")
+    names = _NUMBERS[MODES[mode]]
+    if len(data) != 2 + 8 * len(names):
+        raise CorruptFile(where, f"{len(data)} bytes", f"{2 + 8 * len(names)} bytes of mode {MODES[mode]}")
+    numbers = dict(zip(names, struct.unpack_from(f"<{len(names)}d", data, 2), strict=True))
+    if not all(map(math.isfinite, numbers.values())):
+        raise CorruptFile(where, repr(numbers), "finite numbers")
+    spec = TouchSpec(mode=MODES[mode], support=SUPPORTS[support], effort=EFFORTS[effort])
+    try:
+        return replace(spec, **numbers)
+    except InvalidArgument as error:
+        raise CorruptFile(where, f"{error.where} = {error.found}", error.expected) from None

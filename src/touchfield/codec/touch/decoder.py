@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.codec.segment import FrameStats
-from touchfield.codec.touch.body import BodyReader, FrameRecord
-from touchfield.codec.touch.fixed_field import TOP
-from touchfield.codec.touch.parameters import read_parameters
+from touchfield.codec.touch.body import BodyReader, FrameRecord, read_parameters
+from touchfield.codec.touch.lattice import TOP
 from touchfield.codec.touch.promise import Promise
 
 if TYPE_CHECKING:
@@ -18,31 +17,18 @@ if TYPE_CHECKING:
 
     from touchfield.codec.touch.body import TouchCost
     from touchfield.codec.touch.exact import Told
-    from touchfield.codec.touch.fixed_field import FixedField
+    from touchfield.codec.touch.lattice import FixedField
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["TouchDecoder"]
-
 NAME: Final = "touch"
-_TOP_UNKNOWN_N: Final = 100.0
-"""Of a field kept exactly: the ladder that it is measured by reaches that far."""
+_TOP_UNKNOWN_N: Final = 100.0  # of a field kept exactly: the ladder that it is measured by reaches that far
 
 
 class TouchDecoder:
     """Decodes segments of one stream; any number of threads may use it at once.
 
-    Parameters
-    ----------
-    grid : Grid
-    parameters : bytes
-        `HEAD.coder_parameters`.
-    where : str, optional
-        What `parameters` are; for the message.
-
-    Raises
-    ------
-    CorruptFile, UnsupportedVersion
-        If `parameters` are not those of this coder.
+    `parameters`: `HEAD.coder_parameters`. `where`: what `parameters` are; for the message. CorruptFile or
+    UnsupportedVersion if `parameters` are not those of this coder.
     """
 
     name = NAME
@@ -53,10 +39,7 @@ class TouchDecoder:
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
         """The frames of a segment, one after another.
 
-        Raises
-        ------
-        CorruptFile, TruncatedFile
-            If the bytes are not what the encoder writes.
+        CorruptFile or TruncatedFile if the bytes are not what the encoder writes.
         """
         for _, field in self._decoded(body, frame_count):
             yield field

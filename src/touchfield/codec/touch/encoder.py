@@ -1,6 +1,6 @@
 """Encoder of the coder `touch`: frames to the body of a segment, which is written only when it keeps its promise.
 
-Each frame is coded in closed loop by the ways that its effort tries (`ways`); then the finished body is decoded as
+Each frame is coded in closed loop by the ways that its effort tries (`frame_encoder`); then the finished body is decoded as
 any receiver would, every voxel of every frame is compared with the original, and what is beyond the promise is sent
 apart.
 """
@@ -15,15 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.codec.segment import CodedSegment, FrameStats
-from touchfield.codec.touch.body import FrameRecord, shares_of, write_body
+from touchfield.codec.touch.body import FrameRecord, shares_of, write_body, write_parameters
 from touchfield.codec.touch.decoder import NAME, TouchDecoder
 from touchfield.codec.touch.exact_encoder import encode_exact
 from touchfield.codec.touch.exceptions import Exceptions
+from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
 from touchfield.codec.touch.lattice import MOST_NEWTONS
-from touchfield.codec.touch.parameters import write_parameters
 from touchfield.codec.touch.promise import Worst, compared
-from touchfield.codec.touch.rule import lattice_for
-from touchfield.codec.touch.ways import Chooser
 from touchfield.errors import FormatError, InvalidArgument
 from touchfield.medium.grid import BRICK
 
@@ -33,20 +31,12 @@ if TYPE_CHECKING:
     from touchfield.codec.touch.spec import TouchSpec
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["TouchEncoder"]
-
 _ROUNDS = 4
 _STANDING = 0.02  # share of the mask by which a standing world may differ from its anchor
 
 
 class TouchEncoder:
-    """Codes segments of one stream; any number of threads may use it at once.
-
-    Parameters
-    ----------
-    grid : Grid
-    spec : TouchSpec
-    """
+    """Codes segments of one stream; any number of threads may use it at once."""
 
     name = NAME
 
@@ -63,20 +53,10 @@ class TouchEncoder:
     ) -> CodedSegment:
         """Code frames, at least one, as an independent segment.
 
-        Parameters
-        ----------
-        frames : iterable of ForceField
-            Where `longest_n` is given they are coded as they come.
-        anchor : ForceField, optional
-            A field near the first frame, to be coded in its place: segments of a world that stands, which share one,
-            begin with the same bytes, and so with the same forces. The promise is about the frames all the same.
-        longest_n : float, optional
-            No force of any frame is longer; those of the frames themselves otherwise.
-
-        Raises
-        ------
-        InvalidArgument
-            If a force is NaN, infinite or beyond 2^120 N, or a frame has another grid.
+        Where `longest_n` is given, which no force of any frame is longer than, frames are coded as they come. `anchor` is
+        a field near the first frame, to be coded in its place: segments of a world that stands, which share one,
+        begin with the same bytes, and so with the same forces. The promise is about the frames all the same. InvalidArgument if a force is NaN, infinite or beyond 2^120
+        N, or a frame has another grid.
         """
         came: list[ForceField] = []
         if longest_n is None or self._spec.mode == "lossless":

@@ -20,8 +20,6 @@ from touchfield.medium.field import brick_keys
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Exceptions"]
-
 _WHERE: Final = "SEGM.body exceptions"
 _SAMPLES: Final = 512
 _VECTOR: Final = 12
@@ -29,21 +27,11 @@ _VECTOR: Final = 12
 
 @dataclass(frozen=True)
 class Exceptions:
-    """Forces that replace decoded ones.
+    """Forces that replace decoded ones."""
 
-    Attributes
-    ----------
-    keys : int64 [m]
-        Of the bricks.
-    places : int64 [m]
-        Samples in them, 0 to 511; (key, place) ascends.
-    forces_n : float32 [m, 3]
-        Newtons, to the bit.
-    """
-
-    keys: NDArray[np.int64]
-    places: NDArray[np.int64]
-    forces_n: NDArray[np.float32]
+    keys: NDArray[np.int64]  # [m]; of the bricks
+    places: NDArray[np.int64]  # [m]; samples in them, 0 to 511; (key, place) ascends
+    forces_n: NDArray[np.float32]  # [m, 3]; newtons, to the bit
 
     @classmethod
     def of(cls, original: ForceField, keys: NDArray[np.int64], places: NDArray[np.int64]) -> Exceptions:

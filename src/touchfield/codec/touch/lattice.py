@@ -1,7 +1,8 @@
-"""Lattice of the coder `touch`: steps that grow with the force, so that a cell fits the mask's ball.
+"""Units and lattice of the coder `touch`: whole numbers, which encoder and decoder both hold, bit for bit the same.
 
-Paper section 4.2 (a Weber law of what is felt) and docs/theory.md 31: a cell of half diagonal max(F_0, k |F|).
-Everything here is in whole units (`fixed_field`), and travels in the segment.
+Forces are multiples of a unit; all that predicts one force from others works on them, and newtons appear only at the
+very end (`FixedField.field`). The lattice has steps that grow with the force, so that a cell fits the mask's ball
+(paper section 4.2, a Weber law of what is felt; docs/theory.md 31): half diagonal max(F_0, k |F|).
 """
 
 from __future__ import annotations
@@ -12,17 +13,35 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.medium import ForceField, Grid
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "BUCKET", "FLOOR_LIMIT", "LEAST_RATE", "LEAST_UNIFORM", "MOST_NEWTONS", "RATE_LIMIT", "SMALLEST_UNIT_N",
-    "Lattice", "warp_of",
-]  # fmt: skip
+TOP: Final = 1 << 16  # an encoder takes the unit so that the longest original of a segment has this length
 
-BUCKET: Final = 5
-"""Binary digits of the units in which `warp_of` looks for an amplitude together."""
 
+@dataclass(frozen=True)
+class FixedField:
+    """Vectors in units, sparse in bricks of 8x8x8 samples."""
+
+    # [n, 3]; in ascending order (x slowest, z fastest), as in `ForceField`; a brick may hold no force at all
+    bricks: NDArray[np.int32]
+    # [n, 8, 8, 8, 3]; axes (brick, x, y, z, component), units; each component within 2^17 - 1
+    vectors: NDArray[np.int32]
+
+    def field(self, grid: Grid, unit_n: float) -> ForceField:
+        """The forces in newtons: one float32 product each, the only floating-point step of decoding."""
+        from touchfield.codec.touch.kernels.lattice import newtons
+
+        forces, held = np.empty(self.vectors.shape, np.float32), np.empty(len(self.vectors), np.bool_)
+        newtons(self.vectors.reshape(-1), np.float32(unit_n), forces.reshape(-1), held)
+        if held.all():
+            return ForceField(grid, self.bricks, forces)
+        return ForceField(grid, self.bricks[held], forces[held])
+
+
+BUCKET: Final = 5  # binary digits of the units in which `warp_of` looks for an amplitude together
 LEAST_UNIFORM: Final = 21
 LEAST_RATE: Final = 64
 """A lattice has a floor of at least `LEAST_UNIFORM` units or a rate of at least `LEAST_RATE`.
@@ -37,29 +56,21 @@ RATE_LIMIT: Final = 1 << 17
 SMALLEST_UNIT_N: Final = 2.0**-126
 """The least normal float32: products with it are exact on machines that flush smaller numbers, too."""
 
-MOST_NEWTONS: Final = 2.0**120
-"""No longer force is coded: three times as much is still a float32."""
+MOST_NEWTONS: Final = 2.0**120  # no longer force is coded: three times as much is still a float32
 
 
 @dataclass(frozen=True)
 class Lattice:
     """Steps of the residual along and across the prediction.
 
-    At a force of `a` units the step along it is max(`floor`, `rate` * a / 65536), and across it
-    max(`cross_floor`, `cross_rate` * a / 65536); at least 1. Rates of 0 make it uniform.
-
-    Attributes
-    ----------
-    unit_n : float
-        Newtons of one unit; a float32.
-    floor, cross_floor : int
-        Units, 1 to 65535.
-    rate, cross_rate : int
-        0 to 131071: steps of up to twice the force.
+    At a force of `a` units the step along it is max(`floor`, `rate` * a / 65536), and across it max(`cross_floor`,
+    `cross_rate` * a / 65536); at least 1. Rates of 0 make it uniform.
     """
 
-    unit_n: float
+    unit_n: float  # newtons of one unit; a float32
+    # floor, cross_floor: units, 1 to 65535
     floor: int
+    # rate, cross_rate: 0 to 131071: steps of up to twice the force
     rate: int
     cross_floor: int
     cross_rate: int
@@ -70,14 +81,8 @@ def warp_of(floor: int, rate: int) -> tuple[NDArray[np.int64], NDArray[np.int64]
     """The amplitude at each sixteenth of a step, and where to look for an amplitude in it; nobody writes into them.
 
     ``border[0] = 0``; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border,
-    which is in 1/256 units, until it is past 2^18 units.
-
-    Returns
-    -------
-    border : int64 [n]
-        Ascending, 1/256 units.
-    first : int64 [8193]
-        For each bucket of 32 units the last border not above its begin.
+    which is in 1/256 units, until it is past 2^18 units. Returns `border`, int64 [n], ascending,
+    and `first`, int64 [8193]: for each bucket of 32 units the last border not above its begin.
     """
     told = [0]
     while told[-1] <= 1 << 26:

@@ -13,53 +13,31 @@ from typing import TYPE_CHECKING, Any
 from touchfield.medium.field import brick_keys
 
 if TYPE_CHECKING:
-    from touchfield.codec.touch.fixed_field import FixedField
     from touchfield.codec.touch.kernels.compare import Compared
+    from touchfield.codec.touch.lattice import FixedField
     from touchfield.codec.touch.spec import TouchSpec
     from touchfield.medium import ForceField
-
-__all__ = ["Promise", "Worst", "agreement", "compared"]
 
 
 @dataclass(frozen=True)
 class Worst:
-    """The voxel of a segment whose error is the largest share of what is allowed.
+    """The voxel of a segment whose error is the largest share of what is allowed."""
 
-    Attributes
-    ----------
-    ratio : float
-        That share, 0 to 1, rounded up to a multiple of 1/65535.
-    frame : int
-        In the segment.
-    voxel : (int, int, int)
-        Index into the grid.
-    """
-
-    ratio: float
-    frame: int
-    voxel: tuple[int, int, int]
+    ratio: float  # that share, 0 to 1, rounded up to a multiple of 1/65535
+    frame: int  # in the segment
+    voxel: tuple[int, int, int]  # index into the grid
 
 
 @dataclass(frozen=True)
 class Promise:
-    """Promise of a segment, and its worst voxel, found by the encoder on the decoder's own output.
+    """Promise of a segment, and its worst voxel, found by the encoder on the decoder's own output."""
 
-    Attributes
-    ----------
-    mode : str
-        See `TouchSpec`.
-    k, f0_n : float or None
-        Weber fraction, and F_0 in newtons; None in a mode without them.
-    direction_jnd_deg : float or None
-    worst : Worst or None
-        None in mode "nmse", which promises nothing. In mode "lossless" its ratio is 0.
-    """
-
-    mode: str
+    mode: str  # see `TouchSpec`
+    # k, f0_n: Weber fraction, and F_0 in newtons; None in a mode without them
     k: float | None
     f0_n: float | None
     direction_jnd_deg: float | None
-    worst: Worst | None
+    worst: Worst | None  # None in mode "nmse", which promises nothing. In mode "lossless" its ratio is 0
 
     @classmethod
     def of(cls, spec: TouchSpec, worst: Worst | None) -> Promise:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     Float64s = NDArray[np.float64]
     Float32s = NDArray[np.float32]
 
-__all__ = ["Bodies", "Rule", "bound_cells", "compare_frames"]
-
 _COLUMNS = 33
 _SLACK = 1 + 1e-6
 _NOWHERE = 1 << 40
@@ -263,15 +261,9 @@ def compare_frames(begin, end, bodies, moves, stays, world, rule):
     """The largest |error| / mask of frames begin to end - 1 at the voxels that each body has a part in.
 
     `moves` are poses and motions (`promise.Moves`), `stays` bool [frames, bodies] where a body is as it was in the
-    frame before, and `world` float64 [3, 3] origin, spacing and shape of the lattice.
-
-    Returns
-    -------
-    worst : float64 [bodies]
-    places : int64 [bodies, 4]
-        Frame and voxel of it, the first in the order of frames; -1 for none.
-    beyond : int
-        Voxels, of all frames, at which the error is beyond the mask.
+    frame before, and `world` float64 [3, 3] origin, spacing and shape of the lattice. Returns that ratio,
+    float64 [bodies]; frame and voxel of it, int64 [bodies, 4], the first in the order of frames, -1 for none; and at
+    how many voxels, of all frames, the error is beyond the mask.
     """
     count = bodies.boxes.shape[0]
     rows = np.empty((2, count, _COLUMNS))

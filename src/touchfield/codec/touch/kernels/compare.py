@@ -16,33 +16,23 @@ from touchfield.lean import entry, inlined
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["DIRECTION", "EXACTLY", "FREE", "MASK", "Compared", "compare", "largest"]
-
 MASK, DIRECTION, FREE, EXACTLY = 0, 1, 2, 3
 
 _NONE = np.iinfo(np.int64).max
 
 
 class Compared(NamedTuple):
-    """Result of `compare`.
+    """Result of `compare`."""
 
-    Attributes
-    ----------
-    keys, places : int64 [m]
-        Brick and sample (0 to 511) of each voxel that breaks the rule, ascending.
-    worst : float
-        The largest error as a share of what is allowed; infinite where nothing is.
-    worst_key, worst_place : int
-        Where it is.
-    supported, within, decoded : int
-        Voxels of the original with a force, how many of them keep the rule, and decoded voxels with a force.
-    """
-
+    # keys, places: [m]; brick and sample (0 to 511) of each voxel that breaks the rule, ascending
     keys: NDArray[np.int64]
     places: NDArray[np.int64]
-    worst: float
+    worst: float  # the largest error as a share of what is allowed; infinite where nothing is
+    # worst_key, worst_place: where it is
     worst_key: int
     worst_place: int
+    # supported, within, decoded: voxels of the original with a force, how many of them keep the rule, and decoded
+    # voxels with a force
     supported: int
     within: int
     decoded: int
@@ -151,16 +141,9 @@ def compare(
 ) -> Compared:
     """Compare two fields.
 
-    Parameters
-    ----------
-    original, decoded : (int64 [n], float32 [n, 8, 8, 8, 3])
-        Keys of the bricks, ascending, and forces, newtons.
-    rule : int
-        `MASK`, `DIRECTION`, `FREE` (anything goes) or `EXACTLY` (every bit is kept, the sign of a zero, too).
-    exact : bool
-        Whether the support must be kept as well.
-    limits : (float, float, float, float)
-        k; F_0, newtons; the sine of the direction JND, and the JND itself, radians.
+    They are keys of bricks, int64 [n], ascending, and forces, newtons, float32 [n, 8, 8, 8, 3]. `rule` is `MASK`,
+    `DIRECTION`, `FREE` (anything goes) or `EXACTLY` (every bit is kept, the sign of a zero, too); with `exact` the
+    support must be kept as well. `limits`: k; F_0, newtons; the sine of the direction JND, and the JND itself, radians.
     """
     mine, theirs = original[1].reshape(-1, 512, 3), decoded[1].reshape(-1, 512, 3)
     room = 64

@@ -12,7 +12,6 @@ import numpy as np
 from touchfield.codec.kernels.bits import gamma, mix
 from touchfield.codec.touch.kernels.lattice import amplitude_of, axes_along, level_of, rebuild, step_at
 from touchfield.codec.touch.kernels.predict import FOLLOWED, NOTHING, REFERENCE, before, chain, held
-from touchfield.codec.touch.kernels.window import DEEP, LEFT, SIZES, UP, WIDTH, length_of
 from touchfield.codec.touch.kernels.workspace import (
     ALTERNATIVES,
     APART,
@@ -20,14 +19,18 @@ from touchfield.codec.touch.kernels.workspace import (
     BASE,
     BLEND,
     CENTRE,
+    DEEP,
     EXPECTED,
+    LEFT,
     OTHER,
     SIDES,
+    SIZES,
     STEPS,
+    UP,
+    WIDTH,
+    length_of,
 )  # fmt: skip
 from touchfield.lean import inlined, lean
-
-__all__ = ["BASED", "CONTEXTS", "LEVEL", "SETS", "aim", "code_step", "code_still", "look", "place", "sizes_of"]
 
 # Contexts of a bit of each kind. Of zero, sign and size there are three, one for each component: two pairs of other
 # predictions, 256 contexts each (of zero once more where residuals around are large), and what is nearest, 64; of a
@@ -40,9 +43,7 @@ _SIZE = _SIGN + 3 * _TABLE
 CONTEXTS = _SIZE + 3 * 1152
 
 _SET_ZERO, _SET_SIGN, _SET_SIZE = 16, 40, 43
-SETS = _SET_SIZE + 48
-"""Sets of weights: of still from 0 on."""
-
+SETS = _SET_SIZE + 48  # sets of weights: of still from 0 on
 _UNARY = 14  # steps told one by one; the rest in Elias' gamma code
 
 _LOUD, _NEAR, _CLASS_0, _CLASS_1, _QUIET, _APART, _LENGTH, LEVEL, BASED = range(9)
