@@ -67,9 +67,9 @@ class HuffmanCode:
     def tables(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint16]]:
         """Tables that tell canonical codes.
 
-        `limits`, int64 [25], by length: the least code of 24 bits that begins with none of that length or less; `ranks`,
-        int64 [25], by length: what is added to a code to have its place in `order`; and `order`, uint16 [any]: the
-        symbols that occur, in the order of their codes, shorter first, by symbol within a length.
+        `limits`, int64 [25], by length: the least code of 24 bits that begins with none of that length or less;
+        `ranks`, int64 [25], by length: what is added to a code to have its place in `order`; and `order`, uint16
+        [any]: the symbols that occur, in the order of their codes, shorter first, by symbol within a length.
         """
         limits, ranks = np.zeros((2, LONGEST + 1), np.int64)
         code = place = 0

@@ -1,8 +1,8 @@
 """Encoder of the coder `touch`: frames to the body of a segment, which is written only when it keeps its promise.
 
-Each frame is coded in closed loop by the ways that its effort tries (`frame_encoder`); then the finished body is decoded as
-any receiver would, every voxel of every frame is compared with the original, and what is beyond the promise is sent
-apart.
+Each frame is coded in closed loop by the ways that its effort tries (`frame_encoder`); then the finished body is
+decoded as any receiver would, every voxel of every frame is compared with the original, and what is beyond the
+promise is sent apart.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ class TouchEncoder:
     ) -> CodedSegment:
         """Code frames, at least one, as an independent segment.
 
-        Where `longest_n` is given, which no force of any frame is longer than, frames are coded as they come. `anchor` is
-        a field near the first frame, to be coded in its place: segments of a world that stands, which share one,
-        begin with the same bytes, and so with the same forces. The promise is about the frames all the same. InvalidArgument if a force is NaN, infinite or beyond 2^120
-        N, or a frame has another grid.
+        Where `longest_n` is given, which no force of any frame is longer than, frames are coded as they come.
+        `anchor` is a field near the first frame, to be coded in its place: segments of a world that stands, which
+        share one, begin with the same bytes, and so with the same forces. The promise is about the frames all the
+        same. InvalidArgument if a force is NaN, infinite or beyond 2^120 N, or a frame has another grid.
         """
         came: list[ForceField] = []
         if longest_n is None or self._spec.mode == "lossless":

@@ -101,8 +101,9 @@ def models_after(before: Told | None) -> Models:
 def decode_exact(data: bytes, grid: Grid, before: Told | None) -> Told:
     """Decode a frame that `exact_encoder.encode_exact` wrote.
 
-    `before` is the frame before, unless the frame stands alone. TruncatedFile or CorruptFile if the bytes are not what
-    that writes. Memory is taken for a quarter of the bricks that `codec.support` allows, some 32 KiB each, and 2 MiB.
+    `before` is the frame before, unless the frame stands alone. TruncatedFile or CorruptFile if the bytes are not
+    what that writes. Memory is taken for a quarter of the bricks that `codec.support` allows, some 32 KiB each, and 2
+    MiB.
     """
     palette, data = Palette.read(data, before and before.palette)
     models = models_after(before)

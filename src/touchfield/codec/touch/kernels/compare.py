@@ -143,7 +143,8 @@ def compare(
 
     They are keys of bricks, int64 [n], ascending, and forces, newtons, float32 [n, 8, 8, 8, 3]. `rule` is `MASK`,
     `DIRECTION`, `FREE` (anything goes) or `EXACTLY` (every bit is kept, the sign of a zero, too); with `exact` the
-    support must be kept as well. `limits`: k; F_0, newtons; the sine of the direction JND, and the JND itself, radians.
+    support must be kept as well. `limits`: k; F_0, newtons; the sine of the direction JND, and the JND itself,
+    radians.
     """
     mine, theirs = original[1].reshape(-1, 512, 3), decoded[1].reshape(-1, 512, 3)
     room = 64
