@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import end_of, fresh, reader, writer
 from touchfield.codec.kernels.whole_numbers import CONTEXTS, ROOM, SETS, code_numbers
 from touchfield.codec.support import check_end
 from touchfield.errors import CorruptFile, InvalidArgument
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Int64s = NDArray[np.int64]
+Int64s = NDArray[np.int64]
 
 LARGEST: Final = (1 << 30) - 1  # no number is farther from zero
 

@@ -10,9 +10,10 @@ support that is known already. Samples beyond the grid are not coded.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels import support as kernels
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, Bits, code, end_of, fresh, reader, writer
@@ -21,14 +22,11 @@ from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.field import slots_around
 from touchfield.medium.grid import BRICK, Grid
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    X = 1
-    Int64s = NDArray[np.int64]
-    Int32s = NDArray[np.int32]
-    Bricks = tuple[Int32s, NDArray[np.bool_]]
-    "Brick coordinates int32 [n, 3], ascending, and the mask of their samples, bool [n, 8, 8, 8]."
+X = 1
+Int64s = NDArray[np.int64]
+Int32s = NDArray[np.int32]
+Bricks = tuple[Int32s, NDArray[np.bool_]]
+"Brick coordinates int32 [n, 3], ascending, and the mask of their samples, bool [n, 8, 8, 8]."
 
 BRICKS_FREE: Final = 64
 BRICKS_PER_BYTE: Final = 16

@@ -9,9 +9,11 @@ bytes.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec import support
 from touchfield.codec.kernels import whole_numbers
@@ -20,20 +22,13 @@ from touchfield.codec.support import BRICKS_PER_BYTE, check_end, padded
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import brick_keys
-from touchfield.medium.grid import BRICK
+from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.kernels import raster_slots
 from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationFrame
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from touchfield.medium.grid import Grid
-
-    Int32s = NDArray[np.int32]
-    Int64s = NDArray[np.int64]
-    Bricks = tuple[NDArray[np.int32], NDArray[np.bool_]]
+Int32s = NDArray[np.int32]
+Int64s = NDArray[np.int64]
+Bricks = tuple[NDArray[np.int32], NDArray[np.bool_]]
 
 _IN_OCTAVE: Final = 4
 _LEAST_EXPONENT: Final = -22

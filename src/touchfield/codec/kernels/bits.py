@@ -9,14 +9,12 @@ gives the bit, or anything when reading, and takes what is returned.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.lean import entry, inlined, lean
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 X, RANGE, PLACE, TASK = range(4)  # places in the state, int64 [4]
 WRITING, READING, PRICING = range(3)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, mix
 from touchfield.lean import entry
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 NEIGHBOURS: Final = (
     (-1, 0, 0), (0, -1, 0), (0, 0, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1),

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from touchfield.codec.objects.layout import NAME, CodedObject, Parameters, SegmentParts
 from touchfield.codec.objects.poses import PoseSteps, decode_poses
 from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import FieldDecoder, field_decoder
 from touchfield.errors import CorruptFile, InvalidArgument
-
-if TYPE_CHECKING:
-    from touchfield.medium import ForceField, PoseTrack
+from touchfield.medium import ForceField, PoseTrack
 
 
 class ObjectsDecoder:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -26,19 +26,14 @@ from touchfield.codec.objects.layout import (
     ObjectPart,
     Parameters,
     SegmentParts,
-    Worst,
 )  # fmt: skip
 from touchfield.codec.objects.pose_encoder import Damping, encode_poses, place_steps, rounded
+from touchfield.codec.objects.poses import PoseSteps
 from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, reach_m
-from touchfield.codec.registry import coder_of_spec, field_decoder, field_encoder
-from touchfield.codec.segment import segment_length
+from touchfield.codec.registry import FieldDecoder, coder_of_spec, field_decoder, field_encoder
+from touchfield.codec.segment import CodedSegment, Worst, segment_length
 from touchfield.errors import InvalidArgument
-
-if TYPE_CHECKING:
-    from touchfield.codec.objects.poses import PoseSteps
-    from touchfield.codec.registry import FieldDecoder
-    from touchfield.codec.segment import CodedSegment
-    from touchfield.medium import HapticObject, HapticScene
+from touchfield.medium import HapticObject, HapticScene
 
 PLACE_TOLERANCE_M: Final = 1e-5
 """A fifth of what a Phantom Omni can tell of a place (0.055 mm), and 5 mN on a wall of 500 N/m."""

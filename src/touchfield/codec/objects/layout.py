@@ -6,14 +6,13 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from touchfield.codec.registry import Coder
+from touchfield.codec.segment import Worst
 from touchfield.codec.varint import Parts, chunk, write_varint
 from touchfield.errors import CorruptFile
-
-if TYPE_CHECKING:
-    from touchfield.medium import Grid
+from touchfield.medium import Grid
 
 NAME: Final = "objects"
 
@@ -66,14 +65,6 @@ class Parameters(NamedTuple):
             if not 0 <= value < math.inf:
                 raise CorruptFile(_WHERE, f"{what} of {value!r}", "finite, 0 or more")
         return cls(count, damping, tolerance)
-
-
-class Worst(NamedTuple):
-    """The voxel of the composed field whose error is the largest share of what is allowed: share, frame and index."""
-
-    ratio: float
-    frame: int
-    voxel: tuple[int, int, int]
 
 
 class ObjectPart(NamedTuple):

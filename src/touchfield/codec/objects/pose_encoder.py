@@ -8,9 +8,10 @@ the body is farther from its place than the tolerance, measured on the decoded t
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import end_of, fresh, price, writer
 from touchfield.codec.kernels.whole_numbers import ROOM, code_numbers
@@ -26,13 +27,9 @@ from touchfield.codec.objects.poses import (
 )  # fmt: skip
 from touchfield.codec.objects.promise import displacement_m
 from touchfield.errors import InvalidArgument
+from touchfield.medium import PoseTrack
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import PoseTrack
-
-    Int64s = NDArray[np.int64]
+Int64s = NDArray[np.int64]
 
 _POSITION_COST, _QUATERNION_COST = 3, 4  # numbers that a power of two makes a bit longer
 

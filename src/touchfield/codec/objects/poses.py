@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import Bits, fresh, reader
 from touchfield.codec.kernels.whole_numbers import CONTEXTS, SETS, code_numbers
@@ -20,10 +21,7 @@ from touchfield.codec.support import check_end
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.pose_track import PoseTrack
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Int64s = NDArray[np.int64]
+Int64s = NDArray[np.int64]
 
 MOST_POSES: Final = (1 << 16) - 1  # poses in one piece of code; a segment of a file has no more frames
 MOST_STEPS: Final = 1 << 50  # of a position; seven of them, as the quadratic predictor adds, stay exact

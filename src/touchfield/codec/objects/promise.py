@@ -11,19 +11,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
 from touchfield.parallel import for_chunks
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
-
-    Float64s = NDArray[np.float64]
+Float64s = NDArray[np.float64]
 
 _FLOOR_SHARE: Final = 1e-9  # of F_max: a body's own force below it is the rounding of a place, as the receiver has it
 _FRAMES_AT_ONCE: Final = 32

@@ -13,10 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
 from touchfield.codec.paper.quantisers import AmplitudeLevels
 from touchfield.codec.rate import BitAccount
@@ -29,14 +31,9 @@ from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
 from touchfield.medium.kernels import raster_slots
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.codec.paper.directions import Codebook
-
-    Int32s = NDArray[np.int32]
-    Float32s = NDArray[np.float32]
-    Mask = NDArray[np.bool_]
+Int32s = NDArray[np.int32]
+Float32s = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

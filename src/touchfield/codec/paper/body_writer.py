@@ -5,25 +5,21 @@ from __future__ import annotations
 import heapq
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.numbers import encode_numbers
-from touchfield.codec.paper.body import INTER_SET, INTRA_SET, TableSet, set_of
+from touchfield.codec.paper.body import INTER_SET, INTRA_SET, FrameSymbols, TableSet, set_of
 from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode
 from touchfield.codec.paper.kernels.loops import LONGEST, pack_bits
+from touchfield.codec.paper.quantisers import AmplitudeLevels
 from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import CodedSegment, FrameStats
 from touchfield.codec.varint import chunk, write_varint
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.codec.paper.body import FrameSymbols
-    from touchfield.codec.paper.quantisers import AmplitudeLevels
-
-    Int64s = NDArray[np.int64]
+Int64s = NDArray[np.int64]
 
 _LONGEST_RUN = (1 << RUN_SYMBOLS) - 1
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.paper.body import BodyReader
 from touchfield.codec.paper.directions import Codebook, codebook_names
@@ -13,11 +14,7 @@ from touchfield.codec.paper.quantisers import amplitudes_n
 from touchfield.codec.paper.stages import PARTS, StageReader
 from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.errors import CorruptFile
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import ForceField, Grid
+from touchfield.medium import ForceField, Grid
 
 
 class PaperDecoder:

@@ -30,19 +30,17 @@ import math
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import combinations
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from touchfield.errors import InvalidArgument
 from touchfield.parallel import for_chunks
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Float32s = NDArray[np.float32]
-    Float64s = NDArray[np.float64]
-    Int32s = NDArray[np.int32]
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+Int32s = NDArray[np.int32]
 
 DEFAULT: Final = "ico5"
 

@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.paper.body import INTER_SET, INTRA_SET, FrameSymbols, rebuilt, set_of
 from touchfield.codec.paper.body_writer import CodedFrame, pack_runs, write_body
@@ -25,20 +26,16 @@ from touchfield.codec.paper.quantisers import (
     weber_ladder,
     weber_levels,
 )  # fmt: skip
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.paper.stage_encoder import encode_staged
 from touchfield.codec.segment import CodedSegment, FrameKind
 from touchfield.codec.support import encode_support
 from touchfield.measure.estimators import entropy_bits
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys
 from touchfield.perception.weber import gate, gate_in_time
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.codec.paper.spec import PaperSpec
-    from touchfield.medium import ForceField, Grid
-
-    Float32s = NDArray[np.float32]
+Float32s = NDArray[np.float32]
 
 _LEAST_FORCE_N: Final = 1e-6
 _TRAINING_SAMPLES: Final = 1 << 18

@@ -20,9 +20,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.paper.directions import DEFAULT as DEFAULT_DIRECTIONS
 from touchfield.codec.paper.directions import Codebook
@@ -36,16 +37,12 @@ from touchfield.codec.paper.quantisers import (
 )  # fmt: skip
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.medium import ForceField
 from touchfield.medium.grid import BRICK
 from touchfield.perception.weber import WeberLadder
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import ForceField
-
-    Float32s = NDArray[np.float32]
-    Int32s = NDArray[np.int32]
+Float32s = NDArray[np.float32]
+Int32s = NDArray[np.int32]
 
 DEFAULT_QUANTISER: Final = "weber:0.1"
 FORMS: Final = ("weber", "uniform", "lloyd-max", "components", "weber-components", "distinct")

@@ -13,17 +13,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.numbers import decode_numbers
 from touchfield.codec.paper.kernels import loops as kernels
 from touchfield.codec.paper.kernels.loops import LONGEST
 from touchfield.errors import CorruptFile, InvalidArgument
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 RUN_SYMBOLS: Final = 21  # runs of up to 2^21 - 1 held samples in one symbol
 

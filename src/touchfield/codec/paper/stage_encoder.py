@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.numbers import LARGEST, encode_numbers
 from touchfield.codec.paper.stages import GRAIN, LEVELS, ORDER, is_by_brick, lifted
@@ -15,15 +15,11 @@ from touchfield.codec.segment import CodedSegment, FrameKind, FrameStats
 from touchfield.codec.support import encode_support
 from touchfield.codec.varint import chunk, write_varint
 from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField
 from touchfield.medium.grid import BRICK
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import ForceField
-
-    Int64s = NDArray[np.int64]
-    Float64s = NDArray[np.float64]
+Int64s = NDArray[np.int64]
+Float64s = NDArray[np.float64]
 
 _PASSES = 4
 _ROUNDING = 1 / 3  # of the DCT: a coefficient below two thirds of a step is none

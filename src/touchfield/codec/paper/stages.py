@@ -18,9 +18,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.numbers import decode_numbers
 from touchfield.codec.paper.body import MOST_NEWTONS, field_of
@@ -29,17 +30,13 @@ from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.codec.support import decode_support
 from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
 from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels import raster_slots
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import ForceField, Grid
-
-    Int64s = NDArray[np.int64]
-    Int32s = NDArray[np.int32]
+Int64s = NDArray[np.int64]
+Int32s = NDArray[np.int32]
 
 LEVELS: Final = 3  # of the wavelet: 8 samples, 4, 2
 GRAIN: Final = 16  # parts of the finest step that ADPCM counts in

@@ -6,10 +6,10 @@ import math
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final
 
 from touchfield.codec.rate import BitAccount
-from touchfield.codec.segment import FrameCost, FrameKind
+from touchfield.codec.segment import FrameCost, FrameKind, Worst
 from touchfield.codec.touch.lattice import (
     FLOOR_LIMIT,
     LEAST_RATE,
@@ -19,18 +19,57 @@ from touchfield.codec.touch.lattice import (
     SMALLEST_UNIT_N,
     Lattice,
 )
-from touchfield.codec.touch.promise import Worst
 from touchfield.codec.touch.spec import EFFORTS, MODES, SUPPORTS, TouchSpec
 from touchfield.codec.varint import Parts, write_varint
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
-
-if TYPE_CHECKING:
-    from touchfield.medium import Grid
+from touchfield.medium import Grid
 
 _WHERE: Final = "SEGM.body"
 _WORST_FLAG: Final = 1
 _RATIOS: Final = 65535
 _INTER, _GUESS, _EXCEPTIONS = 1, 2, 4
+
+
+@dataclass(frozen=True)
+class Promise:
+    """Promise of a segment, and its worst voxel, found by the encoder on the decoder's own output."""
+
+    mode: str  # see `TouchSpec`
+    # k, f0_n: Weber fraction, and F_0 in newtons; None in a mode without them
+    k: float | None
+    f0_n: float | None
+    direction_jnd_deg: float | None
+    worst: Worst | None  # None in mode "nmse", which promises nothing. In mode "lossless" its ratio is 0
+
+    @classmethod
+    def of(cls, spec: TouchSpec, worst: Worst | None) -> Promise:
+        """The promise of a mode."""
+        masked = spec.mode in ("mask", "mask-direction")
+        return cls(
+            spec.mode,
+            spec.k if masked else None,
+            spec.f0_n if masked else None,
+            spec.direction_jnd_deg if spec.mode == "mask-direction" else None,
+            worst,
+        )
+
+    @property
+    def worst_ratio(self) -> float | None:
+        """The largest |error| / allowed."""
+        return None if self.worst is None else self.worst.ratio
+
+    def describe(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        worst = self.worst
+        return {
+            "mode": self.mode,
+            "k": self.k,
+            "f0_n": self.f0_n,
+            "direction_jnd_deg": self.direction_jnd_deg,
+            "worst_ratio": self.worst_ratio,
+            "worst_frame": None if worst is None else worst.frame,
+            "worst_voxel": None if worst is None else list(worst.voxel),
+        }
 
 
 @dataclass(frozen=True)

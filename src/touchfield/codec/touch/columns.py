@@ -9,9 +9,10 @@ forces add. All is predicted from the columns beside.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import PLACE, fresh, reader
 from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE
@@ -22,9 +23,6 @@ from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.parallel import for_chunks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 DEEPEST: Final = 1 << 14  # samples of a column, at most
 TILES_FREE: Final = 64  # tiles of the box that need no byte

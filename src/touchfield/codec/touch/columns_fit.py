@@ -5,23 +5,20 @@ Fields without a main axis, and walls that end before the inner border of the gr
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import columns as guess
 from touchfield.codec.touch.kernels import guess as kernels
 from touchfield.codec.touch.kernels.columns_fit import Fits, choose_row
+from touchfield.codec.touch.kernels.encode_pass import Limits
+from touchfield.codec.touch.lattice import FixedField, Lattice
 from touchfield.codec.varint import write_varint
+from touchfield.medium import ForceField
 from touchfield.medium.grid import BRICK
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.codec.touch.kernels.encode_pass import Limits
-    from touchfield.codec.touch.lattice import FixedField, Lattice
-    from touchfield.medium import ForceField
 
 _LEAST_SHARE: Final = 0.4  # of the forces along one axis, else there is none to look along
 _LEAST_REACHING: Final = 0.2  # of the tiles that reach the inner border

@@ -6,19 +6,15 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.segment import FrameStats
-from touchfield.codec.touch.body import BodyReader, FrameRecord, read_parameters
-from touchfield.codec.touch.lattice import TOP
-from touchfield.codec.touch.promise import Promise
+from touchfield.codec.touch.body import BodyReader, FrameRecord, Promise, TouchCost, read_parameters
+from touchfield.codec.touch.lattice import TOP, FixedField
+from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.codec.touch.body import TouchCost
     from touchfield.codec.touch.exact import Told
-    from touchfield.codec.touch.lattice import FixedField
-    from touchfield.medium import ForceField, Grid
 
 NAME: Final = "touch"
 _TOP_UNKNOWN_N: Final = 100.0  # of a field kept exactly: the ladder that it is measured by reaches that far

@@ -10,26 +10,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.codec.segment import CodedSegment, FrameStats
+from touchfield.codec.segment import CodedSegment, FrameStats, Worst
 from touchfield.codec.touch.body import FrameRecord, shares_of, write_body, write_parameters
 from touchfield.codec.touch.decoder import NAME, TouchDecoder
 from touchfield.codec.touch.exact_encoder import encode_exact
 from touchfield.codec.touch.exceptions import Exceptions
 from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
-from touchfield.codec.touch.lattice import MOST_NEWTONS
-from touchfield.codec.touch.promise import Worst, compared
+from touchfield.codec.touch.kernels.compare import largest
+from touchfield.codec.touch.lattice import MOST_NEWTONS, Lattice
+from touchfield.codec.touch.promise import Compared, compared
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import FormatError, InvalidArgument
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.grid import BRICK
-
-if TYPE_CHECKING:
-    from touchfield.codec.touch.kernels.compare import Compared
-    from touchfield.codec.touch.lattice import Lattice
-    from touchfield.codec.touch.spec import TouchSpec
-    from touchfield.medium import ForceField, Grid
 
 _ROUNDS = 4
 _STANDING = 0.02  # share of the mask by which a standing world may differ from its anchor
@@ -95,13 +91,11 @@ class TouchEncoder:
         return frame if len(found.keys) else before
 
     def _longest_n(self, index: int, frame: ForceField) -> float:
-        from touchfield.codec.touch.kernels.compare import largest
-
         if frame.grid != self._grid:
             raise InvalidArgument(
                 f"frame {index}", f"a grid of {frame.grid.shape}", f"that of the stream, {self._grid.shape}"
             )
-        longest_n = largest(frame.forces_n)
+        longest_n = float(largest(frame.forces_n.reshape(-1, 3)))
         if math.isinf(longest_n):
             raise InvalidArgument(f"frame {index}", "a force that is NaN or infinite", "finite newtons")
         if longest_n > MOST_NEWTONS:

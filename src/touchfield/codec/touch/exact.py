@@ -6,9 +6,10 @@ the coder `paper` makes them; or its components as they are. A frame after anoth
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import Models, fresh, reader
 from touchfield.codec.paper.directions import Codebook, codebook_names
@@ -18,11 +19,8 @@ from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import slots_around
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Int64s = NDArray[np.int64]
-    Floats = NDArray[np.float32]
+Int64s = NDArray[np.int64]
+Floats = NDArray[np.float32]
 
 _WHERE: Final = "exact frame"
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import end_of, writer
 from touchfield.codec.paper.directions import Codebook, codebook_names
@@ -14,11 +15,8 @@ from touchfield.codec.touch.exact import AS_THEY_ARE, BRICK_COUNTS, Palette, Tol
 from touchfield.codec.touch.kernels import exact as kernels
 from touchfield.medium import ForceField
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Shares = tuple[float, float, float]
-    Bounds = NDArray[np.float64]
+Shares = tuple[float, float, float]
+Bounds = NDArray[np.float64]
 
 _TRIED: Final = ("ico5", "octa3", "ico3", "ico1", "ico2", "ico4", "octa1", "octa2", "ico8", "ico10")
 _MOST_LEVELS: Final = (1 << 16) - 1

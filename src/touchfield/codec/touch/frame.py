@@ -9,28 +9,28 @@ list of bricks and of the bricks (`kernels.decode_pass`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.codec.kernels.bits import Models, fresh, reader
 from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
 from touchfield.codec.support import check_end, code_bricks
+from touchfield.codec.touch.kernels import lattice as kernels
+from touchfield.codec.touch.kernels.decode_pass import CONTEXTS, SETS, decode_bricks
+from touchfield.codec.touch.kernels.workspace import CLASSES, FEATURES, Law, Scan, fresh_work
 from touchfield.codec.touch.lattice import FixedField, Lattice, warp_of
 from touchfield.codec.varint import read_varint
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.field import slots_around
 from touchfield.medium.grid import BRICK, Grid
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Int64s = NDArray[np.int64]
 
-    from touchfield.codec.kernels.bits import Models
-    from touchfield.codec.touch.kernels.workspace import Law, Scan
-    from touchfield.medium import Grid
-
-    Int64s = NDArray[np.int64]
-
-_SAMPLES = BRICK**3
+SLOPE_LIMIT: Final = 1 << 17
+_SAMPLES: Final = BRICK**3
+_WHERE: Final = "frame of coder touch"
 
 
 @dataclass(frozen=True)
@@ -67,26 +67,20 @@ class Course:
 
     def turned(self, vectors: NDArray[Any], slots: Int64s, scale: float = 1.0) -> NDArray[Any]:
         """Vectors [n, 8, 8, 8, 3] of the grid as [n, 512, 3] of the scan: int32 stay whole, floats become float64."""
-        from touchfield.codec.touch.kernels.lattice import turned
-
         whole = vectors.dtype == np.int32
         out = np.empty((len(slots), _SAMPLES, 3), np.int32 if whole else np.float64)
         factor = np.int32(1) if whole else np.float64(scale)
-        turned(vectors.reshape(-1, _SAMPLES, 3), slots, self.axes, np.array(self.down), factor, out)
+        kernels.turned(vectors.reshape(-1, _SAMPLES, 3), slots, self.axes, np.array(self.down), factor, out)
         return out
 
     def turned_back(self, cells: NDArray[np.int32], slots: Int64s) -> NDArray[np.int32]:
         """Vectors int32 [n, 8, 8, 8, 3] of the grid, of the cells [n, 512, 8] of a scan."""
-        from touchfield.codec.touch.kernels.lattice import turned_back
-
         out = np.empty((len(slots), BRICK, BRICK, BRICK, 3), np.int32)
-        turned_back(cells, slots, self.axes, np.array(self.down), out.reshape(-1, _SAMPLES, 3))
+        kernels.turned_back(cells, slots, self.axes, np.array(self.down), out.reshape(-1, _SAMPLES, 3))
         return out
 
     def scan(self, bricks: Int64s, reference: FixedField | None) -> Scan:
         """Walk of a pass: bricks in scan order, as `order` gives them, beside a reference."""
-        from touchfield.codec.touch.kernels.workspace import Scan
-
         axes, down = self.axes, np.array(self.down)
         size = np.array(self.grid.shape, np.int64)[axes]
         count = np.array(self.grid.brick_shape, np.int64)[axes]
@@ -101,10 +95,6 @@ class Course:
             vectors, around = self.turned(reference.vectors, slots), slots_around(bricks, theirs, count, 27)
         cells = np.zeros((len(bricks), _SAMPLES, 8), np.int32)
         return Scan(slots_around(bricks, bricks, count, 13), around, low, high, vectors, cells)
-
-
-SLOPE_LIMIT: Final = 1 << 17
-_WHERE: Final = "frame of coder touch"
 
 
 @dataclass(frozen=True)
@@ -136,36 +126,20 @@ class Known:
     memory: Memory  # changed by whoever codes the frame
 
 
-def list_at() -> tuple[int, int]:
-    """Where the contexts and the sets of weights of the list of bricks begin, behind those of the pass."""
-    from touchfield.codec.touch.kernels.decode_pass import CONTEXTS, SETS
-
-    return CONTEXTS, SETS
-
-
 def fresh_memory() -> Memory:
     """Of a frame that stands alone."""
-    from touchfield.codec.kernels.bits import fresh
-    from touchfield.codec.touch.kernels.workspace import CLASSES, FEATURES
-
-    contexts, sets = list_at()
-    return Memory(fresh(contexts + LIST_CONTEXTS, sets + LIST_SETS), np.zeros((CLASSES, FEATURES), np.int64))
+    models = fresh(CONTEXTS + LIST_CONTEXTS, SETS + LIST_SETS)
+    return Memory(models, np.zeros((CLASSES, FEATURES), np.int64))
 
 
 def law_of(lattice: Lattice, slope: NDArray[np.int64]) -> Law:
     """The force law of a frame, for its pass."""
-    from touchfield.codec.touch.kernels.workspace import Law
-
     steps = lattice.floor, lattice.rate, lattice.cross_floor, lattice.cross_rate
     return Law(slope, *steps, *warp_of(lattice.floor, lattice.rate))
 
 
 def decode_frame(payload: bytes, known: Known) -> FixedField:
     """Decode a frame. CorruptFile or TruncatedFile if the bytes are not what `frame_encoder.encode_frame` writes."""
-    from touchfield.codec.kernels.bits import reader
-    from touchfield.codec.touch.kernels.decode_pass import decode_bricks
-    from touchfield.codec.touch.kernels.workspace import fresh_work
-
     if not payload:
         raise TruncatedFile(_WHERE, "no bytes", "the course of the scan")
     if payload[0] & 3 == 3 or payload[0] > 31:
@@ -175,7 +149,7 @@ def decode_frame(payload: bytes, known: Known) -> FixedField:
         slope[n], at = read_varint(payload, at, f"{_WHERE}, slope", SLOPE_LIMIT)
     bits = reader(payload[at:], known.memory.models)
     before = None if known.reference is None else known.reference.bricks
-    bricks = code_bricks(bits, *list_at(), known.grid.brick_shape, None, before)
+    bricks = code_bricks(bits, CONTEXTS, SETS, known.grid.brick_shape, None, before)
     course = Course.of_code(known.grid, payload[0])
     places, order = course.order(bricks)
     scan = course.scan(places, known.reference)

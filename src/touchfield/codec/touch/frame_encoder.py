@@ -10,13 +10,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.codec.kernels.bits import end_of, writer
 from touchfield.codec.support import code_bricks, padded
-from touchfield.codec.touch.frame import SLOPE_LIMIT, Course, Known, Memory, fresh_memory, law_of, list_at
+from touchfield.codec.touch.frame import SLOPE_LIMIT, Course, Known, Memory, fresh_memory, law_of
 from touchfield.codec.touch.guess_fit import fit
+from touchfield.codec.touch.kernels.decode_pass import CONTEXTS, SETS
+from touchfield.codec.touch.kernels.encode_pass import Limits, encode_bricks
+from touchfield.codec.touch.kernels.workspace import fresh_work
 from touchfield.codec.touch.lattice import (
     FLOOR_LIMIT,
     LEAST_UNIFORM,
@@ -27,14 +32,9 @@ from touchfield.codec.touch.lattice import (
     Lattice,
 )
 from touchfield.codec.touch.promise import agreement
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.varint import write_varint
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.codec.touch.kernels.encode_pass import Limits
-    from touchfield.codec.touch.spec import TouchSpec
-    from touchfield.medium import ForceField, Grid
+from touchfield.medium import ForceField, Grid
 
 _CELL: Final = 1.17
 """Edge of a cell over max(F_0, k |F|).
@@ -71,8 +71,6 @@ def lattice_for(spec: TouchSpec, longest_n: float) -> Lattice:
 
 def limits_for(spec: TouchSpec, lattice: Lattice) -> Limits:
     """The error that the passes may make, in units of the lattice."""
-    from touchfield.codec.touch.kernels.encode_pass import Limits
-
     free = spec.mode == "nmse"
     sine = math.sin(math.radians(spec.direction_jnd_deg)) if spec.mode == "mask-direction" else 0.0
     f0 = lattice.floor * 0.5 if free else spec.f0_n / lattice.unit_n
@@ -158,17 +156,13 @@ def _slope_of(forces: NDArray[np.float64], grid: Grid, axes: NDArray[np.int64]) 
 
 def encode_frame(sketch: Sketch, known: Known, limits: Limits) -> CodedFrame:
     """Code a frame; ``known.memory`` becomes what it has taught."""
-    from touchfield.codec.kernels.bits import end_of, writer
-    from touchfield.codec.touch.kernels.encode_pass import encode_bricks
-    from touchfield.codec.touch.kernels.workspace import fresh_work
-
     head = bytes([sketch.course.code]) + b"".join(write_varint(s) for s in sketch.slope.tolist())
     before = None if known.reference is None else known.reference.bricks
     room = (1 << 16) + 400 * len(sketch.bricks)
     while True:
         memory = known.memory.copy()
         bits = writer(room, memory.models)
-        code_bricks(bits, *list_at(), known.grid.brick_shape, sketch.bricks, before)
+        code_bricks(bits, CONTEXTS, SETS, known.grid.brick_shape, sketch.bricks, before)
         listed = 8.0 * len(head) + 8.0 * float(bits.state[2])
         scan = sketch.course.scan(sketch.places, known.reference)
         law, prices = law_of(known.lattice, sketch.slope), np.zeros(3)

@@ -13,9 +13,10 @@ its gradient is their differences. What is guessed is smooth by construction; br
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import PLACE, fresh, reader
 from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
@@ -25,15 +26,11 @@ from touchfield.codec.touch.kernels.guess import NODE_CONTEXTS, code_nodes
 from touchfield.codec.touch.lattice import TOP, FixedField
 from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
+from touchfield.medium import Grid
 from touchfield.medium.grid import BRICK
 from touchfield.parallel import for_chunks
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import Grid
-
-    Int64s = NDArray[np.int64]
+Int64s = NDArray[np.int64]
 
 SPLINE_CONTEXTS: Final = LIST_CONTEXTS + NODE_CONTEXTS
 

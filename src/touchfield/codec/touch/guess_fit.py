@@ -9,27 +9,23 @@ will do is taken.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
 from touchfield.codec.support import code_bricks, padded
 from touchfield.codec.touch import columns_fit
 from touchfield.codec.touch.guess import COLUMNS, SPLINE, SPLINE_CONTEXTS, Head, Nodes, forces_of, weights
+from touchfield.codec.touch.kernels.encode_pass import Limits
 from touchfield.codec.touch.kernels.guess import REACH, code_nodes
-from touchfield.codec.touch.lattice import TOP
+from touchfield.codec.touch.lattice import TOP, FixedField, Lattice
 from touchfield.codec.touch.promise import agreement
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.grid import BRICK
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.codec.touch.kernels.encode_pass import Limits
-    from touchfield.codec.touch.lattice import FixedField, Lattice
-    from touchfield.codec.touch.spec import TouchSpec
-    from touchfield.medium import ForceField, Grid
 
 _LOOKED_AT: Final = 64  # bricks that tell whether a field is smooth, and its stiffness
 _LEAST_SMOOTH: Final = 0.78  # of the samples there where the force grows

@@ -9,14 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.medium import ForceField, Grid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 TOP: Final = 1 << 16  # an encoder takes the unit so that the longest original of a segment has this length
 

@@ -7,20 +7,18 @@ the worst voxel found so far, and a voxel that several reach always.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from touchfield.lean import LEAN
 from touchfield.medium.kernels.cell import CELLS
 from touchfield.medium.kernels.placed import C, H, R, T, force_of, in_scene, is_held, own, place, shortened, slot_at
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-    Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+Float32s = NDArray[np.float32]
 
 _COLUMNS = 33
 _SLACK = 1 + 1e-6

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.touch.kernels import guess as layout
 from touchfield.lean import entry, inlined, lean
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _STEEP = 0.05  # no direction is less outward
 

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, mix, price
 from touchfield.codec.kernels.support import LIST_CONTEXTS as _TABLE
 from touchfield.codec.kernels.support import LIST_SETS as _SETS
 from touchfield.lean import entry, inlined, lean
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Int64s = NDArray[np.int64]
+Int64s = NDArray[np.int64]
 
 _SIZE: Final = 1 << 18
 _BESIDE: Final = (

@@ -6,15 +6,13 @@ reaches 2^62.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import READING, TASK, code, even, gamma, mix
 from touchfield.lean import entry, inlined, lean
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 REACH: Final = 1 << 23  # no coefficient is beyond it, units
 _CLASSES: Final = 10

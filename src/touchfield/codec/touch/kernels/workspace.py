@@ -10,16 +10,14 @@ known yet has length 0.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.lean import inlined, lean
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Int64s = NDArray[np.int64]
+Int64s = NDArray[np.int64]
 
 FEATURES = 13  # differences of neighbours that the blend is made of
 CLASSES = 16
