@@ -28,10 +28,7 @@ def encode_numbers(numbers: NDArray[np.integer]) -> bytes:
 
 
 def decode_numbers(data: bytes, count: int) -> Int64s:
-    """The inverse of `encode_numbers`: int64 [count]. The caller sees to it that the count is sound.
-
-    TruncatedFile or CorruptFile if the bytes are not those of so many numbers.
-    """
+    """The inverse of `encode_numbers`: int64 [count], a sound one; TruncatedFile or CorruptFile for other bytes."""
     bits, numbers = reader(data, fresh(CONTEXTS, SETS)), np.zeros(count, np.int64)
     code_numbers(bits, 0, 0, numbers)
     check_end(bits, 0, "whole numbers")

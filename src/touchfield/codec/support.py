@@ -87,10 +87,7 @@ def _level(
 
 
 def check_end(bits: Bits, count: int, where: str) -> None:
-    """Refuse a payload that ends before its code does, or goes on behind it and the zeros of `padded`.
-
-    TruncatedFile or CorruptFile.
-    """
+    """Refuse a payload that ends before its code does, or goes on behind it and the zeros of `padded`."""
     size, used = len(bits.buffer), int(bits.state[PLACE])
     if size < used - 6:
         raise TruncatedFile(where, f"{size} bytes", f"{used - 6} or more")
@@ -143,10 +140,7 @@ def _rows(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
 
 
 def encode_support(grid: Grid, bricks: Int32s, mask: NDArray[np.bool_], previous: Bricks | None = None) -> bytes:
-    """The bytes of a support by itself; see `code_support`.
-
-    InvalidArgument if bricks are out of order or without a sample, or a sample is beyond the grid.
-    """
+    """The bytes of a support by itself; InvalidArgument if it is none that `code_support` takes."""
     bits = writer(len(bricks) * ROOM + 64, fresh(CONTEXTS, SETS))
     told = code_support(bits, 0, 0, grid, (bricks, mask), previous)
     if not (np.array_equal(told[0], bricks) and np.array_equal(told[1], mask) and mask.any(axis=(1, 2, 3)).all()):
@@ -155,10 +149,7 @@ def encode_support(grid: Grid, bricks: Int32s, mask: NDArray[np.bool_], previous
 
 
 def decode_support(data: bytes, grid: Grid, previous: Bricks | None = None) -> Bricks:
-    """The inverse of `encode_support`: bricks, int32 [n, 3], and mask, bool [n, 8, 8, 8].
-
-    TruncatedFile or CorruptFile for other bytes than it writes, each of which takes 40 KiB at most.
-    """
+    """The inverse of `encode_support`; TruncatedFile or CorruptFile for other bytes. A byte takes 40 KiB at most."""
     bits = reader(data, fresh(CONTEXTS, SETS))
     found = code_support(bits, 0, 0, grid, None, previous)
     check_end(bits, len(found[0]), _WHERE)

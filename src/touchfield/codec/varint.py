@@ -12,10 +12,7 @@ VARINT_LIMIT = 1 << 56  # values lie below this: eight bytes at most
 
 
 def write_varint(value: int) -> bytes:
-    """`value`, 0 <= value < `VARINT_LIMIT`, as bytes: one below 128, two below 16384, and so on.
-
-    InvalidArgument if the value is out of range.
-    """
+    """`value`, 0 to below `VARINT_LIMIT` (else InvalidArgument), as bytes: one below 128, two below 16384, ..."""
     if not 0 <= value < VARINT_LIMIT:
         raise InvalidArgument("varint", repr(value), f"0 to {VARINT_LIMIT - 1}")
     out = bytearray()
@@ -27,10 +24,9 @@ def write_varint(value: int) -> bytes:
 
 
 def read_varint(data: bytes, offset: int, where: str = "varint", limit: int = VARINT_LIMIT) -> tuple[int, int]:
-    """The value at `offset` of `data`, and the offset behind it.
+    """The value at `offset` of `data`, and the offset behind it; TruncatedFile or CorruptFile, which name `where`.
 
-    `where`: what the value is; for the message. `limit`: the value must lie below this. TruncatedFile if the bytes
-    end within the value. CorruptFile if the value is `limit` or more, or not in its shortest form.
+    It must lie below `limit`, and be in its shortest form.
     """
     value = 0
     for place in range(8):
@@ -53,10 +49,7 @@ def chunk(data: bytes) -> bytes:
 
 
 class Parts:
-    """The body of a segment, read from the front to the end and not beyond.
-
-    Its methods take what a part is, for the message, and raise `TruncatedFile` or `CorruptFile`.
-    """
+    """The body of a segment, read from front to end; TruncatedFile or CorruptFile say what a part is."""
 
     def __init__(self, body: bytes) -> None:
         self._body, self.at = body, 0

@@ -58,10 +58,7 @@ class VibrationSymbols(NamedTuple):
 
 
 def symbols_of(frame: VibrationFrame) -> VibrationSymbols:
-    """The nearest steps; a sample too weak for the lowest (1 micronewton) does not vibrate.
-
-    InvalidArgument if an amplitude is beyond the highest step.
-    """
+    """The nearest steps; none below the lowest, 1 micronewton, and InvalidArgument beyond the highest."""
     shares, exponents = np.frexp(frame.amplitudes_n.astype(np.float64))
     # 2 * _IN_OCTAVE shares lie from 4 to 8, and 8 is the first of the next octave
     octaves = exponents.astype(np.int64) - 3 - _LEAST_EXPONENT

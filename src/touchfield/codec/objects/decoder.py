@@ -48,10 +48,7 @@ class ObjectsDecoder:
         return latest[1]
 
     def tracks(self, body: bytes, frame_count: int) -> tuple[PoseTrack, ...]:
-        """The poses of each object in the frames of a segment.
-
-        CorruptFile or TruncatedFile if the bytes are not what the encoder writes.
-        """
+        """The poses of each object in a segment; CorruptFile or TruncatedFile for other bytes than the encoder's."""
         worst, parts = self.parts(body)
         if worst is not None and worst.frame >= frame_count:
             raise CorruptFile("SEGM.body worst frame", str(worst.frame), f"below {frame_count}")

@@ -18,15 +18,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.codec.objects.layout import (
-    MAX_OBJECTS,
-    MAX_POSES,
-    NAME,
-    CodedObject,
-    ObjectPart,
-    Parameters,
-    SegmentParts,
-)  # fmt: skip
+from touchfield.codec.objects import layout
+from touchfield.codec.objects.layout import MAX_OBJECTS, MAX_POSES, CodedObject
 from touchfield.codec.objects.pose_encoder import Damping, encode_poses, place_steps, rounded
 from touchfield.codec.objects.poses import PoseSteps
 from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, reach_m
@@ -75,7 +68,7 @@ class ObjectsEncoder:
     to the tolerance, or no accuracy of the fields keeps the promise.
     """
 
-    name = NAME
+    name = layout.NAME
 
     def __init__(self, scene: HapticScene, spec: Any, f0_n: float) -> None:
         check_pose_count(len(scene.objects), scene.frame_count)
@@ -88,7 +81,7 @@ class ObjectsEncoder:
     def parameters(self) -> bytes:
         """`HEAD.coder_parameters`."""
         scene = self._scene
-        return Parameters(len(scene.objects), scene.surface_damping_n_s_per_m, PLACE_TOLERANCE_M).to_bytes()
+        return layout.Parameters(len(scene.objects), scene.surface_damping_n_s_per_m, PLACE_TOLERANCE_M).to_bytes()
 
     @property
     def supported(self) -> int:
@@ -113,13 +106,13 @@ class ObjectsEncoder:
         coded, worst = self._coded
         for i, frames in enumerate(self._ranges):
             parts = [
-                ObjectPart(
+                layout.ObjectPart(
                     encode_poses(one.track.between(frames.start, frames.stop), steps),
                     None if one.is_rigid else fields.segments[i].body,
                 )
                 for one, steps, fields in zip(self._scene.objects, self._steps, coded, strict=True)
             ]
-            yield frames.start, len(frames), SegmentParts(worst[i], parts).to_bytes()
+            yield frames.start, len(frames), layout.SegmentParts(worst[i], parts).to_bytes()
 
     @cached_property
     def _steps(self) -> list[PoseSteps]:

@@ -28,10 +28,7 @@ _MOST_SAMPLES: Final = 1 << 20
 
 @dataclass(frozen=True)
 class CodedObject:
-    """One object as a file holds it; the container's OBJT record has the same fields.
-
-    One that deforms has a field in every frame, and no `field` here. The grid is the object's own, hand metres.
-    """
+    """One object as a file and its OBJT hold it; `field` is empty where it deforms; its own grid, hand metres."""
 
     name: str
     grid: Grid

@@ -150,10 +150,7 @@ def displacement_m(source: PoseTrack, decoded: PoseTrack, reach_m: float) -> Flo
 
 
 def reach_m(one: HapticObject) -> float:
-    """How far the fields of an object reach from its origin, one cell beyond their support, metres.
-
-    0 for one that never turns, of which every point is as far from its place.
-    """
+    """How far the fields of an object reach from its origin, with one cell, metres; 0 for one that never turns."""
     if (one.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all():
         return 0.0
     far_m = 0.0

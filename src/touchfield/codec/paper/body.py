@@ -109,10 +109,7 @@ class _Frame:
 
 
 class BodyReader:
-    """A segment without a stage: levels, directions and runs.
-
-    CorruptFile or TruncatedFile if the bytes contradict themselves or end too early.
-    """
+    """A segment without a stage; CorruptFile or TruncatedFile for other bytes than the writer's."""
 
     def __init__(self, body: bytes, grid: Grid, codebook: Codebook) -> None:
         self._parts, self._grid, self._codebook = Parts(body), grid, codebook

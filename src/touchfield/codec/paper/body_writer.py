@@ -25,10 +25,7 @@ _LONGEST_RUN = (1 << RUN_SYMBOLS) - 1
 
 
 def fitted_code(counts: Int64s) -> HuffmanCode:
-    """The best code for symbols that occur `counts` times, int64 [n], by Huffman's merging.
-
-    Where a code would be longer than 24 bits, the counts are made more alike until none is.
-    """
+    """Huffman's code for symbols that occur `counts` times, int64 [n]; more alike where it had more than 24 bits."""
     lengths = np.zeros(len(counts), np.uint8)
     present = np.flatnonzero(counts)
     weights = np.asarray(counts)[present]

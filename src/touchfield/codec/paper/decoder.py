@@ -20,8 +20,7 @@ from touchfield.medium import ForceField, Grid
 class PaperDecoder:
     """Decodes segments of one stream; needs nothing but the stream.
 
-    `parameters`: `HEAD.coder_parameters`: the name of a direction codebook or of a stage, ASCII. `where`: what
-    `parameters` are; for the message. CorruptFile if there is neither such a codebook nor such a stage.
+    `parameters` (`where` in a message) name a direction codebook or a stage, in ASCII, else CorruptFile.
     """
 
     name = "paper"
@@ -32,10 +31,7 @@ class PaperDecoder:
             raise CorruptFile(where, repr(parameters[:40]), "a direction codebook, or a stage")
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
-        """The frames of a segment, one after another.
-
-        CorruptFile or TruncatedFile if the bytes are not what the encoder writes.
-        """
+        """The frames of a segment in turn; CorruptFile or TruncatedFile for other bytes than the encoder's."""
         for field, _ in self._reader(body).fields(frame_count):
             yield field
 

@@ -53,10 +53,7 @@ ORDER: Final = np.argsort(np.indices((BRICK,) * 3).sum(axis=0).reshape(-1), kind
 
 
 class StageReader:
-    """A segment of a stage; the interface is that of `body.BodyReader`.
-
-    CorruptFile or TruncatedFile if the bytes contradict themselves or end too early.
-    """
+    """A segment of a stage, as `body.BodyReader`; CorruptFile or TruncatedFile for other bytes than the writer's."""
 
     def __init__(self, body: bytes, grid: Grid, stage: str) -> None:
         self._parts, self._grid, self._stage = Parts(body), grid, stage
@@ -107,10 +104,7 @@ class StageReader:
 
 
 def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
-    """Whole numbers of the supported samples, in the order of `slots`, int64 [L, 3].
-
-    `known` are the number of bricks, `slots` int64 [L], and the number of runs.
-    """
+    """Supported samples in the order of `slots`, int64 [L, 3]; `known`: number of bricks, slots, number of runs."""
     brick_count, slots, runs = known
     if stage == "runs":
         numbers = decode_numbers(data, 4 * runs)

@@ -10,15 +10,7 @@ from typing import Any, Final
 
 from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import FrameCost, FrameKind, Worst
-from touchfield.codec.touch.lattice import (
-    FLOOR_LIMIT,
-    LEAST_RATE,
-    LEAST_UNIFORM,
-    MOST_NEWTONS,
-    RATE_LIMIT,
-    SMALLEST_UNIT_N,
-    Lattice,
-)
+from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.spec import EFFORTS, MODES, SUPPORTS, TouchSpec
 from touchfield.codec.varint import Parts, write_varint
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
@@ -28,6 +20,9 @@ _WHERE: Final = "SEGM.body"
 _WORST_FLAG: Final = 1
 _RATIOS: Final = 65535
 _INTER, _GUESS, _EXCEPTIONS = 1, 2, 4
+_MASK: Final = ("k", "f0_n")
+NUMBERS: Final = {"mask": _MASK, "mask-direction": (*_MASK, "direction_jnd_deg"), "nmse": ("step_n",), "lossless": ()}
+"""Of a spec, what a mode goes by."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +39,10 @@ class Promise:
     @classmethod
     def of(cls, spec: TouchSpec, worst: Worst | None) -> Promise:
         """The promise of a mode."""
-        masked = spec.mode in ("mask", "mask-direction")
-        return cls(
-            spec.mode,
-            spec.k if masked else None,
-            spec.f0_n if masked else None,
-            spec.direction_jnd_deg if spec.mode == "mask-direction" else None,
-            worst,
-        )
+        mine = {
+            name: getattr(spec, name) if name in NUMBERS[spec.mode] else None for name in NUMBERS["mask-direction"]
+        }
+        return cls(spec.mode, **mine, worst=worst)
 
     @property
     def worst_ratio(self) -> float | None:
@@ -60,16 +51,9 @@ class Promise:
 
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        worst = self.worst
-        return {
-            "mode": self.mode,
-            "k": self.k,
-            "f0_n": self.f0_n,
-            "direction_jnd_deg": self.direction_jnd_deg,
-            "worst_ratio": self.worst_ratio,
-            "worst_frame": None if worst is None else worst.frame,
-            "worst_voxel": None if worst is None else list(worst.voxel),
-        }
+        ratio, frame, voxel = self.worst or (None, None, None)
+        told = {name: getattr(self, name) for name in ("mode", *NUMBERS["mask-direction"])}
+        return {**told, "worst_ratio": ratio, "worst_frame": frame, "worst_voxel": voxel and list(voxel)}
 
 
 @dataclass(frozen=True)
@@ -133,8 +117,7 @@ def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], worst: W
     """The body of a segment; `lattice` is None in mode "lossless"."""
     parts = [bytes([_WORST_FLAG if worst else 0])]
     if lattice is not None:
-        steps = (lattice.floor, lattice.rate, lattice.cross_floor, lattice.cross_rate)
-        parts += [struct.pack("<f", lattice.unit_n), *map(write_varint, steps)]
+        parts.append(lattice.to_bytes())
     if worst is not None:
         ratio = min(_RATIOS, math.ceil(worst.ratio * _RATIOS))
         parts += [struct.pack("<H", ratio), *map(write_varint, (worst.frame, *worst.voxel))]
@@ -145,17 +128,14 @@ def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], worst: W
 
 
 class BodyReader:
-    """Reads a segment's body from front to back.
-
-    CorruptFile or TruncatedFile if the bytes contradict themselves or end too early.
-    """
+    """Reads a segment's body from front to back; CorruptFile or TruncatedFile for other bytes than the encoder's."""
 
     def __init__(self, body: bytes, grid: Grid, *, exact: bool) -> None:
         self._parts, self._exact = Parts(body), exact
         (flags,) = self._parts.take(1, "flags")
         if flags & ~_WORST_FLAG:
             raise CorruptFile(f"{_WHERE} flags", f"{flags:#x}", "bit 0 only")
-        self.lattice = None if exact else self._lattice()
+        self.lattice = None if exact else Lattice.read(self._parts)
         self.worst = self._worst(grid) if flags & _WORST_FLAG else None
 
     def records(self, frame_count: int) -> Iterator[FrameRecord]:
@@ -182,26 +162,6 @@ class BodyReader:
                 raise CorruptFile(f"{_WHERE} {what}", "an empty chunk", "a byte at least, or none named")
         return FrameRecord(bool(how & _INTER), guess, payload, (support, amplitude), exceptions)
 
-    def _lattice(self) -> Lattice:
-        (unit_n,) = struct.unpack("<f", self._parts.take(4, "unit"))
-        if not SMALLEST_UNIT_N <= unit_n <= MOST_NEWTONS / 65536:
-            raise CorruptFile(f"{_WHERE} unit", f"{unit_n} N", "2^-126 to 2^104 N")
-        steps = []
-        for what, least, limit in (
-            ("floor", 1, FLOOR_LIMIT),
-            ("rate", 0, RATE_LIMIT),
-            ("cross floor", 1, FLOOR_LIMIT),
-            ("cross rate", 0, RATE_LIMIT),
-        ):
-            value = self._parts.varint(what, limit)
-            if value < least:
-                raise CorruptFile(f"{_WHERE} {what}", str(value), f"{least} or more")
-            steps.append(value)
-        if steps[0] < LEAST_UNIFORM and steps[1] < LEAST_RATE:
-            found = f"a floor of {steps[0]} with a rate of {steps[1]}"
-            raise CorruptFile(f"{_WHERE} lattice", found, f"{LEAST_UNIFORM} or {LEAST_RATE} at least")
-        return Lattice(unit_n, *steps)
-
     def _worst(self, grid: Grid) -> Worst:
         (ratio,) = struct.unpack("<H", self._parts.take(2, "worst ratio"))
         frame = self._parts.varint("worst frame", 1 << 16)
@@ -210,26 +170,17 @@ class BodyReader:
 
 
 _VERSION: Final = 1
-_NUMBERS: Final = {
-    "mask": ("k", "f0_n"),
-    "mask-direction": ("k", "f0_n", "direction_jnd_deg"),
-    "nmse": ("step_n",),
-    "lossless": (),
-}
 
 
 def write_parameters(spec: TouchSpec) -> bytes:
     """The parameters of what was asked for."""
     asked = MODES.index(spec.mode) | SUPPORTS.index(spec.support) << 2 | EFFORTS.index(spec.effort) << 3
-    numbers = [getattr(spec, name) for name in _NUMBERS[spec.mode]]
+    numbers = [getattr(spec, name) for name in NUMBERS[spec.mode]]
     return struct.pack(f"<BB{len(numbers)}d", _VERSION, asked, *numbers)
 
 
 def read_parameters(data: bytes, where: str) -> TouchSpec:
-    """Spec that was asked for, as far as a file tells.
-
-    UnsupportedVersion if a newer touchfield wrote them. CorruptFile if they contradict themselves.
-    """
+    """Spec that was asked for, as far as a file tells; UnsupportedVersion or CorruptFile for other bytes."""
     if len(data) < 2:
         raise CorruptFile(where, f"{len(data)} bytes", "2 or more")
     if data[0] != _VERSION:
@@ -237,7 +188,7 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
     mode, support, effort = data[1] & 3, data[1] >> 2 & 1, data[1] >> 3
     if effort >= len(EFFORTS):
         raise CorruptFile(where, f"{data[1]:#x} for mode, support and effort", "an effort of 0 to 2")
-    names = _NUMBERS[MODES[mode]]
+    names = NUMBERS[MODES[mode]]
     if len(data) != 2 + 8 * len(names):
         raise CorruptFile(where, f"{len(data)} bytes", f"{2 + 8 * len(names)} bytes of mode {MODES[mode]}")
     numbers = dict(zip(names, struct.unpack_from(f"<{len(names)}d", data, 2), strict=True))

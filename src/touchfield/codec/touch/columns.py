@@ -98,10 +98,9 @@ def forces_of(view: View, columns: kernels.Columns, size: int | None = None) -> 
 
 
 def synthesise(data: bytes, grid: Grid) -> FixedField:
-    """The guess from its bytes; whole numbers throughout.
+    """The guess from its bytes, each of which takes some 130 KiB at most, beside 2 MiB; whole numbers throughout.
 
-    Some 130 KiB are taken for each byte at most, beside 2 MiB. TruncatedFile or CorruptFile if the bytes are not what
-    the encoder writes.
+    TruncatedFile or CorruptFile if they are not what the encoder writes.
     """
     axis, at = read_varint(data, 0, f"{_WHERE}, axis", 6)
     across = [n for c, n in enumerate(grid.brick_shape) if c != axis >> 1]

@@ -29,10 +29,9 @@ _XY_SHARE, _Z_SHARE, _A_SHARE = 0.35, 1.4, 0.9  # steps, of the mask
 
 
 def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, FixedField] | None:
-    """The bytes of columns for a frame, and the guess that `synthesise` makes of them.
+    """The bytes of columns for a frame, and the guess that `synthesise` makes of them, in the mask of `limits`.
 
-    `limits` are the mask that it should keep where it can. None where there are no columns to be told: no main axis
-    of the force, or no solid behind a surface.
+    None where there are no columns to be told: no main axis of the force, or no solid behind a surface.
     """
     view = _view_of(frame)
     if view is None:

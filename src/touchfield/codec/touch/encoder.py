@@ -80,10 +80,7 @@ class TouchEncoder:
         return self._verified(came, lattice, records)
 
     def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
-        """The field to begin a segment with whose first frame this is: the anchor before, where the world stands.
-
-        It stands where no force differs by more than a small share of the mask; then both begin with the same bytes.
-        """
+        """The anchor before, where no force differs by more than a small share of the mask, or else this frame."""
         if before is None or self._spec.mode not in ("mask", "mask-direction") or frame.grid != before.grid:
             return frame
         k, f0_n = max(_STANDING * self._spec.k, 0.001), _STANDING * self._spec.f0_n

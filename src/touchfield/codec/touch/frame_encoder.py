@@ -54,10 +54,7 @@ _THRIFT: Final = 0.1  # what a bit may cost in mode "nmse", squared steps; measu
 
 
 def lattice_for(spec: TouchSpec, longest_n: float) -> Lattice:
-    """The lattice of a segment whose longest force has `longest_n` newtons.
-
-    A uniform step is at least `LEAST_UNIFORM` units, 1/3120 of the longest force.
-    """
+    """The lattice of a segment whose longest force is `longest_n`; a uniform step is 1/3120 of it at least."""
     unit_n = float(np.float32(max(longest_n / TOP, SMALLEST_UNIT_N)))
     if spec.mode == "nmse":
         step = max(_floor(spec.step_n / unit_n), LEAST_UNIFORM)

@@ -68,10 +68,10 @@ class Head(NamedTuple):
 
 
 class Nodes:
-    """The nodes that some bricks need, in raster order (x slowest).
+    """The nodes that bricks int32 [n, 3] need, in raster order (x slowest).
 
-    `around`, int64 [n, x, y, z]: which ones each brick needs, of bricks int32 [n, 3], one at least. `before`, int64
-    [nodes, 6]: which ones lie before each (`code_nodes`).
+    Those of each brick are `around`, int64 [n, x, y, z]; those before each node `before`, int64 [nodes, 6]
+    (`code_nodes`).
     """
 
     def __init__(self, bricks: NDArray[np.int32], shifts: tuple[int, int, int]) -> None:
@@ -90,10 +90,7 @@ class Nodes:
 
 
 def weights(shift: int) -> Int64s:
-    """Weights of the nodes that a brick needs at its corners, by where it lies in a cell, of sum 6 h^3; h = 2^shift.
-
-    Returns int64 [h / 8, 1 at least, nodes, 9].
-    """
+    """Weights at a brick's corners by its place in a cell, int64 [h / 8, nodes, 9], of sum 6 h^3; h = 2^shift."""
     h, cells = 1 << shift, max(BRICK >> shift, 1)
     out = np.zeros((max(h // BRICK, 1), cells + 3, BRICK + 1), np.int64)
     for brick, corner in np.ndindex(len(out), BRICK + 1):
@@ -149,11 +146,7 @@ def _mixed(v: Int64s, along: int) -> Int64s:
 
 
 def spline_of(data: bytes, grid: Grid) -> FixedField:
-    """The guess from its bytes; whole numbers throughout.
-
-    Some 400 KiB are taken for each byte at most, beside 6 MiB. TruncatedFile or CorruptFile if the bytes are not what
-    the encoder writes.
-    """
+    """The spline's field from its bytes; see `synthesise`."""
     head, at = Head.read(data)
     bits = reader(data[at:], fresh(SPLINE_CONTEXTS, LIST_SETS))
     bricks = code_bricks(bits, 0, 0, grid.brick_shape, None, None)
@@ -172,10 +165,9 @@ COLUMNS: Final = 1  # the first byte of a guess
 
 
 def synthesise(data: bytes, grid: Grid) -> FixedField:
-    """The guess from its bytes; whole numbers throughout.
+    """The guess from its bytes, each of which takes some 400 KiB at most, beside 6 MiB; whole numbers throughout.
 
-    Some 400 KiB are taken for each byte at most, beside 6 MiB. TruncatedFile or CorruptFile if the bytes are not what
-    the encoder writes.
+    TruncatedFile or CorruptFile if they are not what the encoder writes.
     """
     if not data:
         raise TruncatedFile("guess", "no bytes", "its kind")

@@ -57,10 +57,7 @@ class _Frame(NamedTuple):
 
 
 def fit_spline(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, FixedField] | None:
-    """The bytes of a spline guess for a frame, and the guess that `synthesise` makes of them, good or bad.
-
-    None where the field is not smooth enough. `limits` are the mask that it should keep where it can.
-    """
+    """The bytes of a spline for a frame, and its field, good or bad; None if it is not smooth. `limits`: its mask."""
     seen = _looked_at(frame, lattice, limits)
     if seen is None:
         return None
@@ -223,10 +220,7 @@ _FINENESS: Final = 0.35
 def fit(
     frame: ForceField, lattice: Lattice, limits: Limits, spec: TouchSpec
 ) -> tuple[tuple[bytes, FixedField] | None, float]:
-    """The bytes of a guess and what `guess.synthesise` makes of them, or None; and how often it keeps the rule.
-
-    `limits` are the mask that it should keep where it can.
-    """
+    """The bytes of a guess within the mask of `limits` and its field, or None; and how often it keeps the rule."""
     best, most = None, 0.0 if limits.free else _LEAST
     if limits.free:
         limits = limits._replace(free=False, k=0.0, f0=_FINENESS * lattice.floor)

@@ -7,6 +7,7 @@ very end (`FixedField.field`). The lattice has steps that grow with the force, s
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -14,6 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.codec.varint import Parts, write_varint
+from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid
 
 TOP: Final = 1 << 16  # an encoder takes the unit so that the longest original of a segment has this length
@@ -66,12 +69,33 @@ class Lattice:
     """
 
     unit_n: float  # newtons of one unit; a float32
-    # floor, cross_floor: units, 1 to 65535
-    floor: int
-    # rate, cross_rate: 0 to 131071: steps of up to twice the force
-    rate: int
+    floor: int  # units, 1 to 65535
+    rate: int  # 0 to 131071: steps of up to twice the force
     cross_floor: int
     cross_rate: int
+
+    def to_bytes(self) -> bytes:
+        """The lattice in the body of a segment."""
+        steps = self.floor, self.rate, self.cross_floor, self.cross_rate
+        return struct.pack("<f", self.unit_n) + b"".join(map(write_varint, steps))
+
+    @classmethod
+    def read(cls, parts: Parts) -> Lattice:
+        """The inverse of `to_bytes`, at the place where the body is read."""
+        (unit_n,) = struct.unpack("<f", parts.take(4, "unit"))
+        if not SMALLEST_UNIT_N <= unit_n <= MOST_NEWTONS / 65536:
+            raise CorruptFile("SEGM.body unit", f"{unit_n} N", "2^-126 to 2^104 N")
+        steps: list[int] = []
+        for what, limit in zip(("floor", "rate", "cross floor", "cross rate"), (FLOOR_LIMIT, RATE_LIMIT) * 2):
+            least = int(limit == FLOOR_LIMIT)
+            value = parts.varint(what, limit)
+            if value < least:
+                raise CorruptFile(f"SEGM.body {what}", str(value), f"{least} or more")
+            steps.append(value)
+        if steps[0] < LEAST_UNIFORM and steps[1] < LEAST_RATE:
+            found = f"a floor of {steps[0]} with a rate of {steps[1]}"
+            raise CorruptFile("SEGM.body lattice", found, f"{LEAST_UNIFORM} or {LEAST_RATE} at least")
+        return cls(unit_n, *steps)
 
 
 @lru_cache(maxsize=8)

@@ -60,10 +60,7 @@ def compared(original: ForceField, decoded: ForceField, spec: TouchSpec, within_
 
 
 def agreement(original: ForceField, guess: FixedField, unit_n: float, spec: TouchSpec) -> float:
-    """The share of voxels with a force, here or in `guess`, at which `guess` keeps the rule; 1 where there is none.
-
-    In mode "nmse" the rule is an error of at most half a step.
-    """
+    """The share of voxels with a force in either at which `guess` keeps the rule, or half a step; 1 without any."""
     found = compared(original, guess.field(original.grid, unit_n), spec, within_step=spec.mode == "nmse")
     spurious = len(found.keys) - (found.supported - found.within)
     return found.within / (found.supported + spurious) if found.supported + spurious else 1.0

@@ -14,7 +14,10 @@ __all__ = ["CODER", "EFFORTS", "MODES", "SUPPORTS", "TouchSpec"]
 MODES: Final = ("mask", "mask-direction", "nmse", "lossless")
 EFFORTS: Final = ("fast", "default", "max")
 SUPPORTS: Final = ("movable", "exact")
-_CHOICES: Final = ("auto", "off", "on")
+_CHOICES: Final = {
+    "mode": MODES, "effort": EFFORTS, "support": SUPPORTS, "guess": ("auto", "off"),
+    "interframe": ("auto", "off", "on"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -72,13 +75,7 @@ class TouchSpec:
             raise InvalidArgument("step_n", repr(self.step_n), "newtons above 0")
         if self.segment_frames is not None and not 1 <= self.segment_frames <= 4096:
             raise InvalidArgument("segment_frames", repr(self.segment_frames), "1 to 4096 frames")
-        for name, choices in (
-            ("mode", MODES),
-            ("effort", EFFORTS),
-            ("support", SUPPORTS),
-            ("guess", _CHOICES[:2]),
-            ("interframe", _CHOICES),
-        ):
+        for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
 

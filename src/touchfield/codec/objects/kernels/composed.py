@@ -50,10 +50,7 @@ class Rule(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """The worst of each body so far; and room for what a voxel, a brick and a frame need.
-
-    `near` and `here` begin with how many there are, or with the body that is walked; boxes of samples are [2, 3].
-    """
+    """The worst of each body so far; and room: `near` and `here` begin with a count or a body, boxes are [2, 3]."""
 
     worst: Float64s
     places: NDArray[np.int64]

@@ -188,10 +188,7 @@ def _price(bits, law, work):
 
 @lean
 def still_pays(bits, law, work, here, f, size, rule):
-    """True where a voxel that stands costs less than one that is moved, every error having its price.
-
-    ``bits.cost`` holds the bits of letting it stand; what they are if it moves follows from them.
-    """
+    """True where to stand costs less than to move, every error having its price; ``bits.cost``: bits to stand."""
     still_bits = bits.cost[0]
     error = 0.0
     for k in range(3):
