@@ -41,19 +41,19 @@ class Compared(NamedTuple):
 def compared(original: ForceField, decoded: ForceField, spec: TouchSpec, within_step: bool = False) -> Compared:
     """How a decoded frame keeps what was asked for, or in mode "nmse" half a step; "lossless" is every bit."""
     mine, theirs = ((brick_keys(f.grid, f.bricks), f.forces_n.reshape(-1, 512, 3)) for f in (original, decoded))
+    if spec.mode == "lossless":
+        keys = np.union1d(mine[0], theirs[0])
+        bits, other = (f.forces_at(keys).reshape(-1, 512, 3).view(np.int32) for f in (original, decoded))
+        brick, place = np.nonzero((bits != other).any(axis=2))
+        held, sent = (int(np.count_nonzero(forces.any(axis=2))) for _, forces in (mine, theirs))
+        return Compared(keys[brick], place, math.inf if len(brick) else 0.0, -1, 0, held, held, sent)
     angle, exact = math.radians(spec.direction_jnd_deg), spec.support == "exact" and not within_step
-    k, f0_n = (0.0, spec.step_n / 2) if within_step else (spec.k, spec.f0_n)
+    rule, k, f0_n = (kernels.MASK, 0.0, spec.step_n / 2) if within_step else (_RULES[spec.mode], spec.k, spec.f0_n)
     room = 64
     while True:
         found = np.empty((2, room), np.int64)
-        if spec.mode == "lossless":
-            bits = [(keys, forces.view(np.int32)) for keys, forces in (mine, theirs)]
-            count = kernels.differing(*bits[0], *bits[1], found)
-            held, sent = (int(np.count_nonzero(forces.any(axis=2))) for _, forces in (mine, theirs))
-            worst, rest = math.inf if count else 0.0, [-1, 0, held, held, sent]
-        else:
-            rule, limits = kernels.MASK if within_step else _RULES[spec.mode], (k, f0_n, math.sin(angle), angle)
-            count, worst, *rest = kernels.compare(*mine, *theirs, rule, exact, limits, found)
+        limits = k, f0_n, math.sin(angle), angle
+        count, worst, *rest = kernels.compare(*mine, *theirs, rule, exact, limits, found)
         if count <= room:
             return Compared(found[0, :count], found[1, :count], math.sqrt(worst), *rest)
         room = count

@@ -77,29 +77,6 @@ def compare(keys, forces, other_keys, other, rule, exact, limits, found):
 
 
 @entry
-def differing(keys, bits, other_keys, other, found):
-    """Where two fields differ in any bit; as `compare`."""
-    count, i, j = 0, 0, 0
-    while i < keys.shape[0] or j < other_keys.shape[0]:
-        mine = keys[i] if i < keys.shape[0] else _NONE
-        theirs = other_keys[j] if j < other_keys.shape[0] else _NONE
-        key = min(mine, theirs)
-        for place in range(512):
-            differs = False
-            for c in range(3):
-                a = bits[i, place, c] if mine == key else np.int32(0)
-                b = other[j, place, c] if theirs == key else np.int32(0)
-                differs = differs or a != b
-            if differs:
-                if count < found.shape[1]:
-                    found[0, count], found[1, count] = key, place
-                count += 1
-        i += mine == key
-        j += theirs == key
-    return count
-
-
-@entry
 def largest(forces):
     """The longest |F| of float32 [n, 3]; infinite where one is not a finite number."""
     most = 0.0

@@ -32,6 +32,7 @@ _BLOCK = _BRICK + 16
 _BIT = _BLOCK + 32 + np.array([0, 1 << 14, 2 << 14], np.int64)
 CONTEXTS = int(_BIT[2]) + 4096
 SETS = RESIDUAL_SETS + 32
+_SPARE = 16  # bytes that a code may seem to go on behind its end
 
 
 @lean
@@ -117,7 +118,7 @@ def _around(old, here):
 
 @lean
 def look_at_support(bits, work, here, near, then):
-    """Gather the contexts of a voxel's bit of support; returns their set of weights."""
+    """Gather the three contexts of a voxel's bit of support; returns their set of weights."""
     window = work.window
     deep, up, left = here - DEEP, here - UP, here - LEFT
     mask = near | held(window, deep + UP) << 3 | held(window, deep + LEFT) << 4 | held(window, up + LEFT) << 5
@@ -140,12 +141,27 @@ def look_at_support(bits, work, here, near, then):
 
 
 @lean
-def code_held(bits, chosen, bit):
-    """Code that a voxel holds a force, by the contexts that `look_at_support` has gathered."""
-    return mix(bits, 3, chosen, bit)
+def enter(scan, work, n):
+    """Lay out what is around brick n, and its reference; True if the reference knows the brick."""
+    load(work.window, scan.cells, scan.near, n)
+    if scan.around.shape[0] == 0:
+        return False
+    load_reference(work.old, scan.reference, scan.around, n)
+    return scan.around[n, 13] >= 0
 
 
-_SPARE = 16  # bytes that a code may seem to go on behind its end
+@lean
+def settle(law, work, here, still):
+    """Keep the vector of a voxel, which is as expected or as its residual says, and learn from it."""
+    rows = work.rows
+    if still:
+        for k in range(3):
+            rows[VECTOR, k] = rows[EXPECTED, k]
+    else:
+        place(law, work, rows[STEPS, 0], rows[STEPS, 1], rows[STEPS, 2])
+    v0, v1, v2 = rows[VECTOR, 0], rows[VECTOR, 1], rows[VECTOR, 2]
+    store(work.window, here, v0, v1, v2, length_of(v0, v1, v2), sizes_of(work, still), law.slope)
+    learn(work)
 
 
 @entry
@@ -155,11 +171,7 @@ def decode_bricks(bits, scan, law, work):
     for n in range(scan.near.shape[0]):
         if bits.state[PLACE] > bits.buffer.shape[0] + _SPARE:
             return False
-        load(work.window, scan.cells, scan.near, n)
-        known, state = False, np.int64(0)
-        if scan.around.shape[0] > 0:
-            load_reference(work.old, scan.reference, scan.around, n)
-            known = scan.around[n, 13] >= 0
+        known, state = enter(scan, work, n), np.int64(0)
         if known:
             last = state = code_brick(bits, last, np.int64(0))
         if state == 2:
@@ -181,19 +193,13 @@ def decode_bricks(bits, scan, law, work):
 def _decode_voxel(bits, law, work, here, known, state):
     near = near_of(work.window, here)
     then = then_of(work.old, here, known)
-    if not code_held(bits, look_at_support(bits, work, here, near, then), np.int64(0)):
+    if not mix(bits, 3, look_at_support(bits, work, here, near, then), np.int64(0)):
         return
     expect(law, work, here, near, state == 1)
     look(law, work, here, near)
     still = code_still(bits, law, work, here, then, np.int64(0))
-    if still:
-        for k in range(3):
-            work.rows[VECTOR, k] = work.rows[EXPECTED, k]
-    else:
+    if not still:
         aim(law, work, here)
         for c in range(3):
             code_step(bits, law, work, c)
-        place(law, work, work.rows[STEPS, 0], work.rows[STEPS, 1], work.rows[STEPS, 2])
-    v0, v1, v2 = work.rows[VECTOR, 0], work.rows[VECTOR, 1], work.rows[VECTOR, 2]
-    store(work.window, here, v0, v1, v2, length_of(v0, v1, v2), sizes_of(work, still), law.slope)
-    learn(work)
+    settle(law, work, here, still)

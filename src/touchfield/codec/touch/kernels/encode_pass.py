@@ -6,18 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchfield.codec.kernels.bits import PLACE, PRICING, TASK, WRITING, mixed_chance, price
+from touchfield.codec.kernels.bits import PLACE, PRICING, TASK, WRITING, mix, mixed_chance, price
 from touchfield.codec.touch.kernels.decode_pass import (
     code_blocks,
     code_brick,
-    code_held,
+    enter,
     look_at_support,
     near_of,
+    settle,
     then_of,
 )
 from touchfield.codec.touch.kernels.lattice import amplitude_of, level_of, step_at
-from touchfield.codec.touch.kernels.predict import before, expect, held, learn
-from touchfield.codec.touch.kernels.residual import BASED, LEVEL, aim, code_step, code_still, look, place, sizes_of
+from touchfield.codec.touch.kernels.predict import before, expect, held
+from touchfield.codec.touch.kernels.residual import BASED, LEVEL, aim, code_step, code_still, look, place
 from touchfield.codec.touch.kernels.workspace import (
     APART,
     AXES,
@@ -30,13 +31,10 @@ from touchfield.codec.touch.kernels.workspace import (
     WIDTH,
     copy_reference,
     keep,
-    length_of,
-    load,
-    load_reference,
-    store,
 )
 from touchfield.lean import entry, inlined, lean
 
+_ROOM = 1 << 14  # bytes that a brick cannot fill
 _AROUND = np.array([0, -1, 1], np.int64)
 _ROUNDING = 2e-7  # of a force, lost where whole units become newtons of 32 bits
 _REFERENCE_ERROR = 0.36  # squared steps about, that a voxel taken from the reference may be off in mode nmse
@@ -49,10 +47,9 @@ class Limits(NamedTuple):
     f0: float
     sine: float  # of the direction JND; 0 where only the mask rules
     thrift: float  # what a bit may cost where every error has its price, squared steps
-    # free, exact, thorough: no rule at all; the support is kept; candidates are priced by what they really take
-    free: bool
-    exact: bool
-    thorough: bool
+    free: bool  # no rule at all
+    exact: bool  # the support is kept
+    thorough: bool  # candidates are priced by what they really take
 
 
 @lean
@@ -202,9 +199,6 @@ def still_pays(bits, law, work, here, f, size, rule):
     return np.int64(error / np.float64(law.floor) ** 2 + rule.thrift * still_bits < cost + rule.thrift * moved_bits)
 
 
-_ROOM = 1 << 14  # bytes that a brick cannot fill
-
-
 @entry
 def encode_bricks(bits, scan, law, work, forces, rule, prices):
     """Code forces, units float64 [n, 512, 3] in scan order; False where the buffer is too short.
@@ -216,11 +210,7 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
     for n in range(scan.near.shape[0]):
         if bits.state[PLACE] + _ROOM > bits.buffer.shape[0]:
             return False
-        load(work.window, scan.cells, scan.near, n)
-        known, state = False, np.int64(0)
-        if scan.around.shape[0] > 0:
-            load_reference(work.old, scan.reference, scan.around, n)
-            known = scan.around[n, 13] >= 0
+        known, state = enter(scan, work, n), np.int64(0)
         if known:
             last = state = code_brick(bits, last, _state_of(work.old, forces[n], rule))
         if state == 2:
@@ -297,7 +287,7 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     begun = price(bits)
     chosen = look_at_support(bits, work, here, near, then)
     bit = _worth_holding(bits, law, work, here, near, state == 1, f, chosen, rule)
-    bit = code_held(bits, chosen, bit)
+    bit = mix(bits, 3, chosen, bit)
     told = price(bits)
     prices[0] += told - begun
     if not bit:
@@ -314,10 +304,7 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     code_still(bits, law, work, here, then, still)
     prices[1] += price(bits) - told
     told = price(bits)
-    if still:
-        for k in range(3):
-            work.rows[VECTOR, k] = work.rows[EXPECTED, k]
-    else:
+    if not still:
         aim(law, work, here)
         choose(bits, law, work, here, f, size, rule)
         for c in range(3):
@@ -325,8 +312,5 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
             if c == 0:
                 prices[1] += price(bits) - told
                 told = price(bits)
-        place(law, work, work.rows[STEPS, 0], work.rows[STEPS, 1], work.rows[STEPS, 2])
     prices[2] += price(bits) - told
-    v0, v1, v2 = work.rows[VECTOR, 0], work.rows[VECTOR, 1], work.rows[VECTOR, 2]
-    store(work.window, here, v0, v1, v2, length_of(v0, v1, v2), sizes_of(work, still), law.slope)
-    learn(work)
+    settle(law, work, here, still)
