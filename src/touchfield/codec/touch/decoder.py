@@ -80,8 +80,8 @@ class TouchDecoder:
         return BodyReader(body, self._grid, exact=self.spec.mode == "lossless")
 
     def _decoded(self, body: bytes, frame_count: int) -> Iterator[tuple[FrameRecord, ForceField]]:
+        from touchfield.codec.touch.body import Exceptions
         from touchfield.codec.touch.exact import decode_exact
-        from touchfield.codec.touch.exceptions import Exceptions
         from touchfield.codec.touch.frame import Known, decode_frame, fresh_memory
         from touchfield.codec.touch.guess import synthesise
 

@@ -14,10 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from touchfield.codec.segment import CodedSegment, FrameStats, Worst
-from touchfield.codec.touch.body import FrameRecord, shares_of, write_body, write_parameters
+from touchfield.codec.touch.body import Exceptions, FrameRecord, shares_of, write_body, write_parameters
 from touchfield.codec.touch.decoder import NAME, TouchDecoder
 from touchfield.codec.touch.exact_encoder import encode_exact
-from touchfield.codec.touch.exceptions import Exceptions
 from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
 from touchfield.codec.touch.kernels.compare import largest
 from touchfield.codec.touch.lattice import MOST_NEWTONS, Lattice
