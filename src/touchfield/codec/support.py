@@ -25,13 +25,11 @@ from touchfield.medium.grid import BRICK, Grid
 X = 1
 Int64s = NDArray[np.int64]
 Int32s = NDArray[np.int32]
+# brick coordinates int32 [n, 3], ascending, and the mask of their samples, bool [n, 8, 8, 8]
 Bricks = tuple[Int32s, NDArray[np.bool_]]
-"Brick coordinates int32 [n, 3], ascending, and the mask of their samples, bool [n, 8, 8, 8]."
-
 BRICKS_FREE: Final = 64
+# A payload of n bytes lists at most `BRICKS_FREE` + 16 n bricks, of 6 KiB each when decoded
 BRICKS_PER_BYTE: Final = 16
-"""A payload of n bytes lists at most `BRICKS_FREE` + 16 n bricks, of 6 KiB each when decoded."""
-
 _CHILDREN = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1)
 
 
@@ -98,9 +96,8 @@ def check_end(bits: Bits, count: int, where: str) -> None:
 CONTEXTS: Final = kernels.LIST_CONTEXTS + kernels.SAMPLE_CONTEXTS
 SETS: Final = kernels.LIST_SETS + kernels.SAMPLE_SETS
 
+# bytes that a writer has for each brick: a bit costs 14 bits at most, as its chance is 4 of 65536 at least
 ROOM: Final = 320 + 14 * BRICK**3 // 8
-"""Bytes that a writer has for each brick: a bit costs 14 bits at most, as its chance is 4 of 65536 at least."""
-
 _WHERE: Final = "support"
 
 

@@ -39,9 +39,8 @@ _BYTES_PER_SAMPLE: Final = 128  # what decoding takes for each sample at its hei
 _FRAME: Final = BRICKS_PER_BYTE  # bricks that a frame counts for, so that a byte tells of a frame at most
 _CONTEXTS: Final = support.CONTEXTS + 2 * whole_numbers.CONTEXTS
 _SETS: Final = support.SETS + 2 * whole_numbers.SETS
+# places [L] and values [2, L] of a frame without samples
 _NOTHING: Final = np.zeros(0, np.int64), np.zeros((2, 0), np.int64)
-"""Places [L] and values [2, L] of a frame without samples."""
-
 _WHERE: Final = "VIBR.body"
 _CHANGED: Final = "The file was changed or cut."
 

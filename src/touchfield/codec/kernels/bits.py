@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from touchfield.lean import entry, inlined, lean
 
 X, RANGE, PLACE, TASK = range(4)  # places in the state, int64 [4]
+# tasks. An encoder that prices adds up in ``Bits.cost`` what bits would take, and changes nothing else
 WRITING, READING, PRICING = range(3)
-"""Tasks. An encoder that prices adds up in ``Bits.cost`` what bits would take, and changes nothing else."""
-
 INPUTS: Final = 12  # chances mixed at once, at most
 _ONE: Final = 1 << 48
 _LEAST: Final = 1 << 32

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, mix
 from touchfield.lean import entry
 
+# the six faces, those told first before the others, and the six edges told before
 NEIGHBOURS: Final = (
     (-1, 0, 0), (0, -1, 0), (0, 0, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1),
     (-1, -1, 0), (-1, 1, 0), (-1, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1),
 )  # fmt: skip
-"""The six faces, those told first before the others, and the six edges told before."""
-
 UNKNOWN: Final = 2  # state of a box that may hold bricks, for its parent does
 _EDGES: Final = 1 + 729
 _CHANGED: Final = _EDGES + 512

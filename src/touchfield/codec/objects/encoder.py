@@ -28,12 +28,10 @@ from touchfield.codec.segment import CodedSegment, Worst, segment_length
 from touchfield.errors import InvalidArgument
 from touchfield.medium import HapticObject, HapticScene
 
+# A fifth of what a Phantom Omni can tell of a place (0.055 mm), and 5 mN on a wall of 500 N/m
 PLACE_TOLERANCE_M: Final = 1e-5
-"""A fifth of what a Phantom Omni can tell of a place (0.055 mm), and 5 mN on a wall of 500 N/m."""
-
+# where no object deforms: poses alone are small, and each segment begins its predictions anew
 _RIGID_SEGMENT_FRAMES: Final = 2048
-"""Where no object deforms: poses alone are small, and each segment begins its predictions anew."""
-
 _SHARE_STEP: Final = 0.93
 _LEAST_SHARE: Final = 1 / 64
 _LEAST_K: Final = 0.001

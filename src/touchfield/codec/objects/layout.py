@@ -17,9 +17,8 @@ from touchfield.medium import Grid
 NAME: Final = "objects"
 
 MAX_OBJECTS: Final = 4096  # objects of a scene
+# frames times objects of a scene: a body that keeps still costs next to no bytes, but a pose in memory a frame
 MAX_POSES: Final = 1 << 24
-"""Frames times objects of a scene: a body that keeps still costs next to no bytes, but a pose in memory a frame."""
-
 _PARAMETERS: Final = struct.Struct("<Idd")
 _WHERE: Final = "HEAD.coder_parameters"
 _RATIOS: Final = 65535

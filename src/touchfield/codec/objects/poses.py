@@ -82,9 +82,8 @@ class PoseSteps:
         return PoseTrack(unit, numbers[:, :3].astype(np.float64) * self.position_m)
 
 
+# of a predictor: 0 for a number that never changes, 1 the number before, 2 a line, 3 a parabola through those
 MOST_ORDER: Final = 3
-"""Of a predictor: 0 for a number that never changes, 1 the number before, 2 a line, 3 a parabola through those."""
-
 MODELS: Final = 8 * CONTEXTS, 8 * SETS
 """Of the first pose and the predictors, and of what these leave of each component."""
 

@@ -45,9 +45,8 @@ _BYTES_PER_BRICK = 128 * BRICK**3  # that decoding takes at its height
 _FRACTION = 8  # bits below a step in the DCT
 _COSINE_BITS = 18
 
+# what a decoded whole number is, in parts of a step, by stage
 PARTS: Final = {"dpcm": 1, "adpcm": GRAIN, "dct": 1 << _FRACTION, "wavelet": 1, "runs": 1}
-"""What a decoded whole number is, in parts of a step, by stage."""
-
 ORDER: Final = np.argsort(np.indices((BRICK,) * 3).sum(axis=0).reshape(-1), kind="stable")
 """The places of a brick's coefficients, low frequencies first: by the sum of the three indices."""
 

@@ -125,7 +125,8 @@ class TouchEncoder:
 
     def _sealed(self, lattice: Lattice | None, records: list[FrameRecord], found: Sequence[Compared]) -> CodedSegment:
         worst = None if self._spec.mode == "nmse" else self._worst(found)
-        return CodedSegment(write_body(lattice, records, worst), _stats(records, [f.decoded for f in found]))
+        stats = (FrameStats(r.kind, f.decoded, f.decoded, r.cost.bits) for r, f in zip(records, found, strict=True))
+        return CodedSegment(write_body(lattice, records, worst), tuple(stats))
 
     def _more(self, original: ForceField, known: bytes, found: Compared) -> bytes:
         before = Exceptions.from_bytes(known, self._grid)
@@ -141,9 +142,3 @@ class TouchEncoder:
         local = np.unravel_index(one.worst_place, (BRICK,) * 3)
         x, y, z = (BRICK * int(b) + int(n) for b, n in zip(brick, local, strict=True))
         return Worst(min(one.worst, 1.0), frame, (x, y, z))
-
-
-def _stats(records: Sequence[FrameRecord], counts: Sequence[int]) -> tuple[FrameStats, ...]:
-    return tuple(
-        FrameStats(record.kind, count, count, record.cost.bits) for record, count in zip(records, counts, strict=True)
-    )

@@ -43,13 +43,11 @@ _CELL: Final = 1.17
 an encoder goes to another point there; from 1.25 on too many voxels are sent apart.
 """
 
+# the same along the force in mode "mask-direction", whose span of lengths alone would take 2; measured
 _SPAN: Final = 1.8
-"""The same along the force in mode "mask-direction", whose span of lengths alone would take 2; measured."""
-
 _SPAN_FLOOR: Final = 1.25  # the same where F_0 rules there, a ball again for short forces
+# edge of a square cell over the radius of the disc that holds it, with room for rounding
 _DISC: Final = 0.97 * math.sqrt(2)
-"""Edge of a square cell over the radius of the disc that holds it, with room for rounding."""
-
 _THRIFT: Final = 0.1  # what a bit may cost in mode "nmse", squared steps; measured
 
 

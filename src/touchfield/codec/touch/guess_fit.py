@@ -209,9 +209,8 @@ def _coefficients(seen: _Frame, shifts: tuple[int, int, int], nodes: Nodes) -> A
     return c
 
 
+# the share of voxels at which a guess worth a trial keeps the rule; in mode "nmse" any is worth one
 _LEAST: Final = 0.5
-"""The share of voxels at which a guess worth a trial keeps the rule; in mode "nmse" any is worth one."""
-
 _ENOUGH: Final = 0.75  # the share from which on no other kind is looked for
 _FINENESS: Final = 0.35
 """Error of a guess in mode "nmse", steps: errors of a guess are many alike, and finer ones are told cheaply."""

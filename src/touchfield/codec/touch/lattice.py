@@ -54,9 +54,8 @@ uniform, and 2^20 / rate (1 + ln(4 rate / floor)) where it is not.
 FLOOR_LIMIT: Final = 1 << 16
 RATE_LIMIT: Final = 1 << 17
 
+# the least normal float32: products with it are exact on machines that flush smaller numbers, too
 SMALLEST_UNIT_N: Final = 2.0**-126
-"""The least normal float32: products with it are exact on machines that flush smaller numbers, too."""
-
 MOST_NEWTONS: Final = 2.0**120  # no longer force is coded: three times as much is still a float32
 
 

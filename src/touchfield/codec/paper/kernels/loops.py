@@ -81,9 +81,8 @@ def decode(data, limits, ranks, order, level_count, sent, levels):
     return used, level
 
 
+# steps in sixteenths of the finest: a factor 2^(1/4) each
 STEPS = np.array([16, 19, 23, 27, 32, 38, 45, 54, 64], np.int64)
-"""Steps in sixteenths of the finest: a factor 2^(1/4) each."""
-
 _ONE = 1 << 16  # of the weights
 _NUDGE = 48
 _FAR = 1 << 40

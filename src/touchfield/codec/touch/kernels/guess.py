@@ -81,9 +81,8 @@ X, Y, Z, A, U, NUMBERS = 0, 1, 2, 3, 4, 11
 """Of a surface: four numbers that are told, the direction (along a, b and outward), and the four residuals' sizes."""
 _SIZES = 7
 
+# what an encoder chooses of a column: how many surfaces, the mode of prediction, and the residuals of two
 WISHES: Final = 10
-"""What an encoder chooses of a column: how many surfaces, the mode of prediction, and the residuals of two."""
-
 MODES: Final = 4
 _TORN = 768  # neighbours whose starts differ by three samples may not speak for one surface
 _FAR = 1 << 24

@@ -27,16 +27,14 @@ from touchfield.codec.touch.kernels.workspace import (
 )
 from touchfield.lean import inlined, lean
 
+# Places in ``Work.of``: 2^32 over the step; the cell that is followed; the class of weights (-1: none)
 INVERSE, FOLLOWED, _CORRECTED = 13, 14, 15
-"""Places in ``Work.of``: 2^32 over the step; the cell that is followed; the class of weights (-1: none)."""
-
 NOTHING, REFERENCE = -1, -2  # in place of a cell that is followed
 _FROM = np.array(
     [DEEP, UP, LEFT, DEEP - UP, DEEP - LEFT, UP - LEFT, DEEP, UP, LEFT, LEFT, UP], np.int64
 )  # fmt: skip
+# distances of the cells whose difference is a feature; 0: the base
 _TO = np.array(6 * [0] + [2 * DEEP, DEEP + UP, DEEP + LEFT, UP + LEFT, UP + LEFT], np.int64)
-"""Distances of the cells whose difference is a feature; 0: the base."""
-
 _PACE = 8  # how fast the weights learn, 1/64; measured: 4 to 12 are within 1 %
 _FEATURE_LIMIT = 4095
 _ERROR_LIMIT = 1023

@@ -20,9 +20,8 @@ from touchfield.lean import inlined, lean
 Int64s = NDArray[np.int64]
 
 FEATURES = 13  # differences of neighbours that the blend is made of
+# sets of weights of the blend: which neighbours across a face hold a force, and whether the reference does
 CLASSES = 16
-"""Sets of weights of the blend: which neighbours across a face hold a force, and whether the reference does."""
-
 ALTERNATIVES = 4  # other predictions, of which the contexts of a residual know how far they lie from its centre
 _CELLS = 12**3
 
