@@ -150,7 +150,7 @@ def enter(scan, work, n):
     return scan.around[n, 13] >= 0
 
 
-@lean
+@inlined
 def settle(law, work, here, still):
     """Keep the vector of a voxel, which is as expected or as its residual says, and learn from it."""
     rows = work.rows
