@@ -64,8 +64,8 @@ class Promise:
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         ratio, frame, voxel = self.worst or (None, None, None)
-        told = {name: getattr(self, name) for name in ("mode", *NUMBERS["mask-direction"])}
-        return {**told, "worst_ratio": ratio, "worst_frame": frame, "worst_voxel": voxel and list(voxel)}
+        numbers = {name: getattr(self, name) for name in ("mode", *NUMBERS["mask-direction"])}
+        return {**numbers, "worst_ratio": ratio, "worst_frame": frame, "worst_voxel": voxel and list(voxel)}
 
 
 @dataclass(frozen=True)
@@ -223,8 +223,8 @@ class Exceptions:
         parts, before = [], 0
         vectors = np.ascontiguousarray(self.forces_n, "<f4")
         for key, place, vector in zip(self.keys.tolist(), self.places.tolist(), vectors, strict=True):
-            told = vector.tobytes() if any(vector.tobytes()) else b""
-            parts += [write_varint(key - before), write_varint(2 * place + (not told)), told]
+            data = vector.tobytes() if any(vector.tobytes()) else b""
+            parts += [write_varint(key - before), write_varint(2 * place + (not data)), data]
             before = key
         return b"".join(parts)
 

@@ -45,22 +45,22 @@ def compared(original: ForceField, decoded: ForceField, spec: TouchSpec, within_
         keys = np.union1d(mine[0], theirs[0])
         bits, other = (f.forces_at(keys).reshape(-1, 512, 3).view(np.int32) for f in (original, decoded))
         brick, place = np.nonzero((bits != other).any(axis=2))
-        held, sent = (int(np.count_nonzero(forces.any(axis=2))) for _, forces in (mine, theirs))
-        return Compared(keys[brick], place, math.inf if len(brick) else 0.0, -1, 0, held, held, sent)
+        supported, sent = (int(np.count_nonzero(forces.any(axis=2))) for _, forces in (mine, theirs))
+        return Compared(keys[brick], place, math.inf if len(brick) else 0.0, -1, 0, supported, supported, sent)
     angle, exact = math.radians(spec.direction_jnd_deg), spec.support == "exact" and not within_step
     rule, k, f0_n = (kernels.MASK, 0.0, spec.step_n / 2) if within_step else (_RULES[spec.mode], spec.k, spec.f0_n)
     room = 64
     while True:
-        found = np.empty((2, room), np.int64)
+        beyond = np.empty((2, room), np.int64)
         limits = k, f0_n, math.sin(angle), angle
-        count, worst, *rest = kernels.compare(*mine, *theirs, rule, exact, limits, found)
+        count, worst, *rest = kernels.compare(*mine, *theirs, rule, exact, limits, beyond)
         if count <= room:
-            return Compared(found[0, :count], found[1, :count], math.sqrt(worst), *rest)
+            return Compared(beyond[0, :count], beyond[1, :count], math.sqrt(worst), *rest)
         room = count
 
 
 def agreement(original: ForceField, guess: FixedField, unit_n: float, spec: TouchSpec) -> float:
     """The share of voxels with a force in either at which `guess` keeps the rule, or half a step; 1 without any."""
-    found = compared(original, guess.field(original.grid, unit_n), spec, within_step=spec.mode == "nmse")
-    spurious = len(found.keys) - (found.supported - found.within)
-    return found.within / (found.supported + spurious) if found.supported + spurious else 1.0
+    result = compared(original, guess.field(original.grid, unit_n), spec, within_step=spec.mode == "nmse")
+    spurious = len(result.keys) - (result.supported - result.within)
+    return result.within / (result.supported + spurious) if result.supported + spurious else 1.0
