@@ -39,7 +39,7 @@ class Course:
 
     grid: Grid
     axis: int  # of the grid, the slowest of the scan; the others follow in ascending order
-    down: tuple[bool, bool, bool]  # (bool, bool, bool); whether the axes of the scan run against those of the grid
+    down: tuple[bool, bool, bool]  # whether the axes of the scan run against those of the grid
 
     @property
     def axes(self) -> Int64s:
@@ -109,12 +109,6 @@ class Memory:
         models = self.models._replace(chances=self.models.chances.copy(), weights=self.models.weights.copy())
         return Memory(models, self.weights.copy())
 
-    def become(self, other: Memory) -> None:
-        """Take what another one has learnt."""
-        self.models.chances[:] = other.models.chances
-        self.models.weights[:] = other.models.weights
-        self.weights[:] = other.weights
-
 
 @dataclass(frozen=True)
 class Known:
@@ -123,7 +117,7 @@ class Known:
     grid: Grid
     lattice: Lattice
     reference: FixedField | None  # a field to predict from: a guess that was sent, or the frame decoded before
-    memory: Memory  # changed by whoever codes the frame
+    memory: Memory  # changed by who decodes the frame
 
 
 def fresh_memory() -> Memory:

@@ -87,12 +87,12 @@ _STEEP: Final = 0.19  # share of a force along an axis, from which on it tells o
 
 @dataclass(frozen=True)
 class CodedFrame:
-    """A frame's bytes, and what the decoder will make of them."""
+    """A frame's bytes, and what the decoder will make of them and learn."""
 
     payload: bytes
     decoded: FixedField
-    # of support, amplitude and direction; their sum is the payload's
-    bits: tuple[float, float, float]
+    bits: tuple[float, float, float]  # of support, amplitude and direction; their sum is the payload's
+    memory: Memory
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def _slope_of(forces: NDArray[np.float64], grid: Grid, axes: NDArray[np.int64]) 
 
 
 def encode_frame(sketch: Sketch, known: Known, limits: Limits) -> CodedFrame:
-    """Code a frame; ``known.memory`` becomes what it has taught."""
+    """Code a frame; `known` stays as it is."""
     head = bytes([sketch.course.code]) + b"".join(write_varint(s) for s in sketch.slope.tolist())
     before = None if known.reference is None else known.reference.bricks
     room = (1 << 16) + 400 * len(sketch.bricks)
@@ -165,10 +165,9 @@ def encode_frame(sketch: Sketch, known: Known, limits: Limits) -> CodedFrame:
             break
         room *= 4
     payload = head + padded(end_of(bits), len(sketch.bricks))
-    known.memory.become(memory)
     decoded = FixedField(sketch.bricks, sketch.course.turned_back(scan.cells, sketch.order))
     support, amplitude, direction = prices.tolist()
-    return CodedFrame(payload, decoded, (support + listed, amplitude, direction))
+    return CodedFrame(payload, decoded, (support + listed, amplitude, direction), memory)
 
 
 class Way(NamedTuple):
@@ -222,15 +221,13 @@ class Chooser:
         sketch = sketch_of(frame, self.lattice.unit_n, self._limits)
         limits = self._limits._replace(thorough=False)
         tried = [(self._coded(sketch, way, limits), way) for way in self._ways(frame, sketch)]
-        worths = [self._worth(sketch, coded, way) for (coded, _), way in tried]
-        (best, memory), way = tried[worths.index(min(worths))]
+        worths = [self._worth(sketch, coded, way) for coded, way in tried]
+        best, way = tried[worths.index(min(worths))]
         if tried[0][1].guess is not None and len(tried) > 1:  # the guess stands first
             self._looks = worths[0] < (1 - self._effort.earns) * min(worths[1:])
         if self._limits.thorough:
-            again, learnt = self._coded(sketch, way, self._limits)
-            if self._worth(sketch, again, way) < self._worth(sketch, best, way):
-                best, memory = again, learnt
-        self._previous, self._memory = best.decoded, memory
+            best = min(best, self._coded(sketch, way, self._limits), key=lambda one: self._worth(sketch, one, way))
+        self._previous, self._memory = best.decoded, best.memory
         return best, way.inter, way.guess[0] if way.guess else b""
 
     def _ways(self, frame: ForceField, sketch: Sketch) -> list[Way]:
@@ -254,12 +251,11 @@ class Chooser:
         guessed = [Way(inters[-1], guess)]
         return guessed if kept >= effort.trusted and not self._limits.free else guessed + ways
 
-    def _coded(self, sketch: Sketch, way: Way, limits: Limits) -> tuple[CodedFrame, Memory]:
-        memory = self._memory.copy() if way.inter else fresh_memory()
-        reference = self._previous if way.inter else None
+    def _coded(self, sketch: Sketch, way: Way, limits: Limits) -> CodedFrame:
+        reference, memory = (self._previous, self._memory) if way.inter else (None, fresh_memory())
         if way.guess is not None:
             reference = way.guess[1]
-        return encode_frame(sketch, Known(self.grid, self.lattice, reference, memory), limits), memory
+        return encode_frame(sketch, Known(self.grid, self.lattice, reference, memory), limits)
 
     def _worth(self, sketch: Sketch, coded: CodedFrame, way: Way) -> float:
         """Bytes; where every error has its price, what they and the errors come to."""
