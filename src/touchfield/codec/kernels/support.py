@@ -28,13 +28,11 @@ class Level(NamedTuple):
 
     keys: NDArray[np.int64]  # [n]; their places, ascending
     parents: NDArray[np.int64]  # [n]; their parents' places in the level above
-    # left, found: [parents]; children not told yet, and those that hold bricks
-    left: NDArray[np.int64]
+    left: NDArray[np.int64]  # left, found: [parents]; children not told yet, and those that hold bricks
     found: NDArray[np.int64]
     before: NDArray[np.uint8]  # [n + 1]; 1 where the list known before has bricks; the last is 0
     state: NDArray[np.uint8]  # [n + 1]; `UNKNOWN`, and when told 1 or 0; the last, of all that is not listed, is 0
-    # steps, places: [12]; from a key to its neighbours', and where in `keys` they are
-    steps: NDArray[np.int64]
+    steps: NDArray[np.int64]  # steps, places: [12]; from a key to its neighbours', and where in `keys` they are
     places: NDArray[np.int64]
 
 

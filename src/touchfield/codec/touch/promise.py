@@ -28,8 +28,7 @@ class Compared(NamedTuple):
     keys: NDArray[np.int64]
     places: NDArray[np.int64]
     worst: float  # the largest error as a share of what is allowed; infinite where nothing is
-    # worst_key, worst_place: where it is
-    worst_key: int
+    worst_key: int  # worst_key, worst_place: where it is
     worst_place: int
     # supported, within, decoded: voxels of the original with a force, how many of them keep the rule, and decoded
     # voxels with a force

@@ -41,11 +41,10 @@ class Scan(NamedTuple):
     near: Int64s  # [n, 13]; slots of the bricks around that come before, -1 for none
     # [n, 27]; slots of the reference's bricks here and around, -1 for none; [0, 27] without a reference
     around: Int64s
-    # low, high: [n, 3]; samples within the grid, from low to below high
-    low: Int64s
+    low: Int64s  # low, high: [n, 3]; samples within the grid, from low to below high
     high: Int64s
     reference: NDArray[np.int32]  # [m, 512, 3]; vectors of the reference, units
-    cells: NDArray[np.int32]  # [n, 512, 8]; takes what is decoded; see `window`
+    cells: NDArray[np.int32]  # [n, 512, 8]; takes what is decoded, as said above
 
 
 class Law(NamedTuple):
@@ -53,8 +52,7 @@ class Law(NamedTuple):
 
     # [3]; units that the length loses in a step along each axis of the scan where the force points along it
     slope: Int64s
-    # floor, rate, cross_floor, cross_rate: see `touchfield.codec.touch.lattice.Lattice`
-    floor: int
+    floor: int  # floor, rate, cross_floor, cross_rate: see `touchfield.codec.touch.lattice.Lattice`
     rate: int
     cross_floor: int
     cross_rate: int
