@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.brick_list import BRICKS_FREE, BRICKS_PER_BYTE, CONTEXTS, SETS, code_bricks, padded
 from touchfield.codec.kernels.bits import code, end_of, fresh, reader, writer
+from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
+from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE, code_bricks, padded
 from touchfield.errors import CorruptFile
 
 AT, SETS_AT = 5, 3  # the list's chances are not the first of a frame
@@ -19,7 +20,7 @@ AT, SETS_AT = 5, 3  # the list's chances are not the first of a frame
 
 def written(shape: tuple[int, int, int], bricks: np.ndarray, before: np.ndarray | None = None) -> bytes:
     """The payload of a list with a bit behind it, of a 0."""
-    bits = writer(320 * len(bricks) + 64, fresh(AT + CONTEXTS, SETS_AT + SETS))
+    bits = writer(320 * len(bricks) + 64, fresh(AT + LIST_CONTEXTS, SETS_AT + LIST_SETS))
     assert np.array_equal(code_bricks(bits, AT, SETS_AT, shape, bricks, before), bricks)
     code(bits, 0, 1)
     return padded(end_of(bits), len(bricks))
@@ -27,7 +28,7 @@ def written(shape: tuple[int, int, int], bricks: np.ndarray, before: np.ndarray 
 
 def read(data: bytes, shape: tuple[int, int, int], before: np.ndarray | None = None) -> tuple[np.ndarray, int]:
     """The list, and the bit."""
-    bits = reader(data, fresh(AT + CONTEXTS, SETS_AT + SETS))
+    bits = reader(data, fresh(AT + LIST_CONTEXTS, SETS_AT + LIST_SETS))
     return code_bricks(bits, AT, SETS_AT, shape, None, before), int(code(bits, 0, 0))
 
 

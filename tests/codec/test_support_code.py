@@ -11,9 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.brick_list import BRICKS_FREE, BRICKS_PER_BYTE, padded
 from touchfield.codec.kernels.bits import end_of, fresh, writer
-from touchfield.codec.support import CONTEXTS, SETS, code_support, decode_support, encode_support
+from touchfield.codec.support import (
+    BRICKS_FREE,
+    BRICKS_PER_BYTE,
+    CONTEXTS,
+    SETS,
+    code_support,
+    decode_support,
+    encode_support,
+    padded,
+)
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 from touchfield.medium import ForceField, Grid
 

@@ -2,37 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.codec.brick_list import check_end
 from touchfield.codec.kernels.bits import end_of, fresh, reader, writer
-from touchfield.codec.kernels.whole_numbers import CONTEXTS, SETS, code_numbers
+from touchfield.codec.kernels.whole_numbers import CONTEXTS, ROOM, SETS, code_numbers
+from touchfield.codec.support import check_end
 from touchfield.errors import CorruptFile, InvalidArgument
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Int64s = NDArray[np.int64]
 
-    Int64s = NDArray[np.int64]
-
-__all__ = ["CONTEXTS", "LARGEST", "ROOM", "SETS", "code_numbers", "decode_numbers", "encode_numbers"]
-
-LARGEST: Final = (1 << 30) - 1
-"""No number is farther from zero."""
-
-ROOM: Final = 128
-"""Bytes that a writer has for each number: a bit costs 14 bits at most, and there are 65 that learn at most."""
+LARGEST: Final = (1 << 30) - 1  # no number is farther from zero
 
 
 def encode_numbers(numbers: NDArray[np.integer]) -> bytes:
-    """The code of whole numbers [n].
-
-    Raises
-    ------
-    InvalidArgument
-        If one is beyond `LARGEST`.
-    """
+    """The code of whole numbers [n]. InvalidArgument if one is beyond `LARGEST`."""
     told = np.array(numbers, np.int64)
     if told.ndim != 1 or (len(told) and np.abs(told).max() > LARGEST):
         raise InvalidArgument("numbers", f"shape {told.shape}, or one beyond 2^30 - 1", "one axis of smaller ones")
@@ -42,13 +28,7 @@ def encode_numbers(numbers: NDArray[np.integer]) -> bytes:
 
 
 def decode_numbers(data: bytes, count: int) -> Int64s:
-    """The inverse of `encode_numbers`: int64 [count]. The caller sees to it that the count is sound.
-
-    Raises
-    ------
-    TruncatedFile, CorruptFile
-        If the bytes are not those of so many numbers.
-    """
+    """The inverse of `encode_numbers`: int64 [count], a sound one; TruncatedFile or CorruptFile for other bytes."""
     bits, numbers = reader(data, fresh(CONTEXTS, SETS)), np.zeros(count, np.int64)
     code_numbers(bits, 0, 0, numbers)
     check_end(bits, 0, "whole numbers")

@@ -9,38 +9,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-__all__ = ["RAW_BITS_PER_VECTOR", "BitAccount", "compression_ratio"]
-
-RAW_BITS_PER_VECTOR = 96
-"""Three float32 components (paper table 1, "raw storage per sample")."""
+RAW_BITS_PER_VECTOR = 96  # three float32 components (paper table 1, "raw storage per sample")
 
 
 @dataclass(frozen=True)
 class BitAccount:
-    """Bits by what they tell.
+    """Bits by what they tell."""
 
-    Attributes
-    ----------
-    support : int
-        Where the force is not zero.
-    amplitude : int
-        C_a: amplitudes, with what says which samples are held.
-    direction : int
-        C_d.
-    poses : int
-        Poses of objects (`touchfield.codec.objects`).
-    models : int
-        What a frame is predicted from: a surface, moved blocks (`touchfield.codec.touch`).
-    side : int
-        Code tables, lengths, headers, checksums, index, provenance.
-    """
-
-    support: int = 0
-    amplitude: int = 0
-    direction: int = 0
-    side: int = 0
-    poses: int = 0
-    models: int = 0
+    support: int = 0  # where the force is not zero
+    amplitude: int = 0  # C_a: amplitudes, with what says which samples are held
+    direction: int = 0  # C_d
+    side: int = 0  # code tables, lengths, headers, checksums, index, provenance
+    poses: int = 0  # poses of objects (`touchfield.codec.objects`)
+    models: int = 0  # what a frame is predicted from: a surface, moved blocks (`touchfield.codec.touch`)
 
     @property
     def total(self) -> int:

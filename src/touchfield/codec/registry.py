@@ -31,9 +31,9 @@ __all__ = [
 ]
 
 ENTRIES: Final = {
-    "touch": "touchfield.codec.touch.entry",
-    "paper": "touchfield.codec.paper.entry",
-    "objects": "touchfield.codec.objects.entry",
+    "touch": "touchfield.codec.touch.spec",
+    "paper": "touchfield.codec.paper.spec",
+    "objects": "touchfield.codec.objects.layout",
 }
 """The first is the default."""
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final
+from typing import Final, NamedTuple
 
 from touchfield.codec.rate import BitAccount
 
-__all__ = ["CodedSegment", "FrameCost", "FrameKind", "FrameStats", "longest_segment", "segment_length"]
+__all__ = ["CodedSegment", "FrameCost", "FrameKind", "FrameStats", "Worst", "longest_segment", "segment_length"]
 
 SEGMENT_S: Final = 0.5
 """Seconds of the medium that a receiver which joins in the middle, or seeks, decodes before its first frame."""
@@ -74,3 +74,11 @@ class CodedSegment:
 
     body: bytes
     frames: tuple[FrameStats, ...]
+
+
+class Worst(NamedTuple):
+    """The voxel of a segment whose error is the largest share of what is allowed, 0 to 1: share, frame and index."""
+
+    ratio: float
+    frame: int
+    voxel: tuple[int, int, int]

@@ -8,20 +8,11 @@ from __future__ import annotations
 
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 
-__all__ = ["VARINT_LIMIT", "Parts", "chunk", "read_varint", "write_varint"]
-
-VARINT_LIMIT = 1 << 56
-"""Values lie below this: eight bytes at most."""
+VARINT_LIMIT = 1 << 56  # values lie below this: eight bytes at most
 
 
 def write_varint(value: int) -> bytes:
-    """`value`, 0 <= value < `VARINT_LIMIT`, as bytes: one below 128, two below 16384, and so on.
-
-    Raises
-    ------
-    InvalidArgument
-        If the value is out of range.
-    """
+    """`value`, 0 to below `VARINT_LIMIT` (else InvalidArgument), as bytes: one below 128, two below 16384, ..."""
     if not 0 <= value < VARINT_LIMIT:
         raise InvalidArgument("varint", repr(value), f"0 to {VARINT_LIMIT - 1}")
     out = bytearray()
@@ -33,23 +24,9 @@ def write_varint(value: int) -> bytes:
 
 
 def read_varint(data: bytes, offset: int, where: str = "varint", limit: int = VARINT_LIMIT) -> tuple[int, int]:
-    """The value at `offset` of `data`, and the offset behind it.
+    """The value at `offset` of `data`, and the offset behind it; TruncatedFile or CorruptFile, which name `where`.
 
-    Parameters
-    ----------
-    data : bytes
-    offset : int
-    where : str, optional
-        What the value is; for the message.
-    limit : int, optional
-        The value must lie below this.
-
-    Raises
-    ------
-    TruncatedFile
-        If the bytes end within the value.
-    CorruptFile
-        If the value is `limit` or more, or not in its shortest form.
+    It must lie below `limit`, and be in its shortest form.
     """
     value = 0
     for place in range(8):
@@ -72,10 +49,7 @@ def chunk(data: bytes) -> bytes:
 
 
 class Parts:
-    """The body of a segment, read from the front to the end and not beyond.
-
-    Its methods take what a part is, for the message, and raise `TruncatedFile` or `CorruptFile`.
-    """
+    """The body of a segment, read from front to end; TruncatedFile or CorruptFile say what a part is."""
 
     def __init__(self, body: bytes) -> None:
         self._body, self.at = body, 0

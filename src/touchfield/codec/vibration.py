@@ -9,57 +9,38 @@ bytes.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.codec import numbers as whole_numbers
 from touchfield.codec import support
-from touchfield.codec.brick_list import BRICKS_PER_BYTE, check_end, padded
+from touchfield.codec.kernels import whole_numbers
 from touchfield.codec.kernels.bits import Bits, end_of, fresh, reader, writer
+from touchfield.codec.support import BRICKS_PER_BYTE, check_end, padded
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import brick_keys
-from touchfield.medium.grid import BRICK
+from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.kernels import raster_slots
 from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationFrame
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from touchfield.medium.grid import Grid
-
-    Int32s = NDArray[np.int32]
-    Int64s = NDArray[np.int64]
-    Bricks = tuple[NDArray[np.int32], NDArray[np.bool_]]
-
-__all__ = [
-    "AMPLITUDE_STEPS", "MOST_RELATIVE_ERROR", "VibrationSymbols", "decode_symbols", "decode_vibration",
-    "encode_symbols", "encode_vibration", "frame_of", "symbols_of",
-]  # fmt: skip
+Int32s = NDArray[np.int32]
+Int64s = NDArray[np.int64]
+Bricks = tuple[NDArray[np.int32], NDArray[np.bool_]]
 
 _IN_OCTAVE: Final = 4
 _LEAST_EXPONENT: Final = -22
-AMPLITUDE_STEPS: Final = 160
-"""Step s is (4 + s mod 4) 2^(s // 4 - 22) newtons: 1 micronewton to 0.9 meganewton."""
-
-MOST_RELATIVE_ERROR: Final = 1 / 9
-"""Of an amplitude: in the middle between steps 4 and 5 of an octave."""
-
+AMPLITUDE_STEPS: Final = 160  # step s is (4 + s mod 4) 2^(s // 4 - 22) newtons: 1 micronewton to 0.9 meganewton
+MOST_RELATIVE_ERROR: Final = 1 / 9  # of an amplitude: in the middle between steps 4 and 5 of an octave
 _MOST_HZ: Final = int(MAX_FREQUENCY_HZ)
-_BYTES_PER_SAMPLE: Final = 128
-"""What decoding takes for each sample at its height."""
-
-_FRAME: Final = BRICKS_PER_BYTE
-"""Bricks that a frame counts for, so that a byte tells of a frame at most."""
-
+_BYTES_PER_SAMPLE: Final = 128  # what decoding takes for each sample at its height
+_FRAME: Final = BRICKS_PER_BYTE  # bricks that a frame counts for, so that a byte tells of a frame at most
 _CONTEXTS: Final = support.CONTEXTS + 2 * whole_numbers.CONTEXTS
 _SETS: Final = support.SETS + 2 * whole_numbers.SETS
+# places [L] and values [2, L] of a frame without samples
 _NOTHING: Final = np.zeros(0, np.int64), np.zeros((2, 0), np.int64)
-"""Places [L] and values [2, L] of a frame without samples."""
-
 _WHERE: Final = "VIBR.body"
 _CHANGED: Final = "The file was changed or cut."
 
@@ -76,13 +57,7 @@ class VibrationSymbols(NamedTuple):
 
 
 def symbols_of(frame: VibrationFrame) -> VibrationSymbols:
-    """The nearest steps; a sample too weak for the lowest (1 micronewton) does not vibrate.
-
-    Raises
-    ------
-    InvalidArgument
-        If an amplitude is beyond the highest step.
-    """
+    """The nearest steps; none below the lowest, 1 micronewton, and InvalidArgument beyond the highest."""
     shares, exponents = np.frexp(frame.amplitudes_n.astype(np.float64))
     # 2 * _IN_OCTAVE shares lie from 4 to 8, and 8 is the first of the next octave
     octaves = exponents.astype(np.int64) - 3 - _LEAST_EXPONENT
@@ -144,14 +119,9 @@ def encode_symbols(grid: Grid, frames: Sequence[VibrationSymbols]) -> bytes:
 def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationSymbols]:
     """The inverse of `encode_symbols`.
 
-    Whatever the bytes, each asks for no more than 8192 samples, and the first for 32768.
-
-    Raises
-    ------
-    TruncatedFile, CorruptFile
-        If the bytes are not what `encode_symbols` writes.
-    InvalidArgument
-        If the samples would take more memory than `memory_budget_bytes`.
+    Whatever the bytes, each asks for no more than 8192 samples, and the first for 32768. TruncatedFile or CorruptFile
+    if the bytes are not what `encode_symbols` writes. InvalidArgument if the samples would take more memory than
+    `memory_budget_bytes`.
     """
     bits = reader(body, fresh(_CONTEXTS, _SETS))
     given: Bricks | None = None

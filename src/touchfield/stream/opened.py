@@ -14,7 +14,7 @@ import numpy as np
 
 from touchfield.codec.rate import BitAccount, compression_ratio
 from touchfield.codec.registry import coder
-from touchfield.codec.touch.body import TouchCost
+from touchfield.codec.touch.body import Promise, TouchCost
 from touchfield.container import TouchReader
 from touchfield.container.remote import is_live
 from touchfield.errors import InvalidArgument
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from touchfield.codec.registry import FieldDecoder
     from touchfield.codec.segment import FrameCost
-    from touchfield.codec.touch.promise import Promise
     from touchfield.devices import Device
     from touchfield.filters.device_filter import Placement
 

@@ -72,7 +72,8 @@ def test_scenes_of_the_encoder(second: Any, tmp_path: Path, deforming: bool, sur
 
 
 def test_the_worst_voxel_is_read(second: Any) -> None:
-    from touchfield.codec.objects.layout import SegmentParts, Worst
+    from touchfield.codec.objects.layout import SegmentParts
+    from touchfield.codec.segment import Worst
 
     told = Worst(13 / 65535, 2, (3, 700, 5))
     assert second.worst_of(second.Cursor(SegmentParts(told, []).to_bytes()), 3) == tuple(told)

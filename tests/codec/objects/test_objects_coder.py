@@ -16,11 +16,12 @@ from hypothesis import strategies as st
 from object_makers import F0_N, ball, head_of, moving_scene, tumbling
 from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.encoder import ObjectsEncoder, check_pose_count
-from touchfield.codec.objects.layout import MAX_OBJECTS, MAX_POSES, ObjectPart, Parameters, SegmentParts, Worst
+from touchfield.codec.objects.layout import MAX_OBJECTS, MAX_POSES, ObjectPart, Parameters, SegmentParts
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import coder, field_decoder
+from touchfield.codec.segment import Worst
 from touchfield.codec.varint import write_varint
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, UnsupportedVersion

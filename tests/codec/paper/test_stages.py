@@ -15,7 +15,7 @@ from touchfield.codec.numbers import encode_numbers
 from touchfield.codec.paper.body_writer import chunk
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
-from touchfield.codec.paper.kernels.adpcm import STEPS, adpcm
+from touchfield.codec.paper.kernels.loops import STEPS, adpcm
 from touchfield.codec.paper.spec import STAGES, PaperSpec
 from touchfield.codec.paper.stage_encoder import _filled, _to_wavelet
 from touchfield.codec.paper.stages import from_bricks

@@ -11,8 +11,10 @@ from lattice_makers import lattice_of, limits_of
 from test_columns import solid, turned
 from test_spline import ball
 
-from touchfield.codec.touch import columns, columns_fit, spline, spline_fit
-from touchfield.codec.touch.fixed_field import FixedField
+from touchfield.codec.touch import columns, columns_fit
+from touchfield.codec.touch.guess import spline_of
+from touchfield.codec.touch.guess_fit import fit_spline
+from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.varint import write_varint
 from touchfield.errors import TouchfieldError
 from touchfield.medium import Grid
@@ -36,9 +38,9 @@ def same(made: FixedField, other: Units) -> bool:
 @pytest.mark.parametrize("stiffness", [300.0, 900.0])
 def test_a_spline(stiffness):
     frame = ball(stiffness)
-    found = spline_fit.fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
+    found = fit_spline(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
-    assert same(spline.synthesise(found[0], frame.grid), second.spline(found[0], frame.grid.shape))
+    assert same(spline_of(found[0], frame.grid), second.spline(found[0], frame.grid.shape))
 
 
 @pytest.mark.parametrize("inverted", [False, True])

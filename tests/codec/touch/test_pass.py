@@ -12,11 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from touchfield.codec.touch import frame_encoder
-from touchfield.codec.touch.fixed_field import FixedField
-from touchfield.codec.touch.frame import Known, Memory, decode_frame, fresh_memory
-from touchfield.codec.touch.frame_encoder import CodedFrame, encode_frame, sketch_of
-from touchfield.codec.touch.rule import lattice_for, limits_for
-from touchfield.codec.touch.scan import Course
+from touchfield.codec.touch.frame import Course, Known, Memory, decode_frame, fresh_memory
+from touchfield.codec.touch.frame_encoder import CodedFrame, encode_frame, lattice_for, limits_for, sketch_of
+from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField
@@ -43,14 +41,18 @@ def learnt_alike(a: Memory, b: Memory) -> bool:
 def coded(
     frame: ForceField, spec: TouchSpec, reference: FixedField | None, memory: Memory | None = None
 ) -> tuple[CodedFrame, Known]:
-    """A frame, and what its encoder knew, with what it has learnt since."""
+    """A frame, and what is known behind it."""
     lattice = lattice_for(spec, 4.0 if np.abs(frame.forces_n).max(initial=0) < 2 else 1e32)
     known = Known(frame.grid, lattice, reference, memory or fresh_memory())
     limits = limits_for(spec, lattice)
-    return encode_frame(sketch_of(frame, lattice.unit_n, limits), known, limits), known
+    made = encode_frame(sketch_of(frame, lattice.unit_n, limits), known, limits)
+    return made, replace(known, memory=made.memory)
 
 
-def check(frame: ForceField, spec: TouchSpec, reference: FixedField | None, memory: Memory) -> FixedField:
+def check(
+    frame: ForceField, spec: TouchSpec, reference: FixedField | None, memory: Memory
+) -> tuple[FixedField, Memory]:
+    """What is decoded, and learnt; the memory stays as it is."""
     before = memory.copy()
     made, known = coded(frame, spec, reference, memory)
     ours = Known(known.grid, known.lattice, reference, before)
@@ -62,16 +64,15 @@ def check(frame: ForceField, spec: TouchSpec, reference: FixedField | None, memo
     assert np.abs(decoded.vectors).max(initial=0) < 1 << 17
     field = decoded.field(frame.grid, 1.0)
     assert ForceField.from_dense(frame.grid, field.to_dense()) == field
-    return decoded
+    return decoded, made.memory
 
 
 @settings(max_examples=40)
 @given(st.sampled_from(KINDS), st.sampled_from(KINDS), st.integers(0, 999), st.sampled_from(SPECS))
 def test_the_decoder_makes_what_the_encoder_says(first: str, second: str, seed: int, spec: TouchSpec) -> None:
     """Alone; given the field before, with what it has taught; given a field of another kind."""
-    memory = fresh_memory()
-    before = check(field_of(first, seed), spec, None, memory)
-    check(field_of(second, seed), spec, before, memory)
+    before, memory = check(field_of(first, seed), spec, None, fresh_memory())
+    _, memory = check(field_of(second, seed), spec, before, memory)
     check(field_of(second, seed + 1), spec, None, memory)
 
 
@@ -82,8 +83,7 @@ def test_every_course(axis: int, down: tuple[bool, bool, bool], monkeypatch: pyt
     """On partial bricks at the edges of a grid: whatever the course, the bytes make what the encoder says."""
     course = Course(GRID, axis, down)
     monkeypatch.setattr(frame_encoder, "_course_of", lambda *_: course)
-    memory = fresh_memory()
-    before = check(field_of("dense", 1), SPECS[0], None, memory)
+    before, memory = check(field_of("dense", 1), SPECS[0], None, fresh_memory())
     check(field_of("sparse", 2), SPECS[0], before, memory)
 
 
@@ -101,7 +101,7 @@ def test_each_half_pays(monkeypatch: pytest.MonkeyPatch) -> None:
     first, known = coded(frames[0], SPECS[0], None)
     alone, taught, given_it = (
         len(coded(frames[1], SPECS[0], reference, memory)[0].payload)
-        for reference, memory in ((None, None), (None, known.memory.copy()), (first.decoded, known.memory.copy()))
+        for reference, memory in ((None, None), (None, known.memory), (first.decoded, known.memory))
     )
     assert given_it < taught < alone
 

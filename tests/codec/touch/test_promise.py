@@ -11,8 +11,10 @@ from field_makers import GRID, KINDS, field_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.touch.fixed_field import FixedField
-from touchfield.codec.touch.promise import Promise, Worst, agreement, compared
+from touchfield.codec.segment import Worst
+from touchfield.codec.touch.body import Promise
+from touchfield.codec.touch.lattice import FixedField
+from touchfield.codec.touch.promise import agreement, compared
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField
 from touchfield.perception.mask import violations

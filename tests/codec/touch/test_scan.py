@@ -10,8 +10,8 @@ from field_makers import GRID, field_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.touch.fixed_field import FixedField
-from touchfield.codec.touch.scan import Course
+from touchfield.codec.touch.frame import Course
+from touchfield.codec.touch.lattice import FixedField
 from touchfield.medium import ForceField, Grid
 
 COURSES = [(axis, down) for axis in range(3) for down in itertools.product([False, True], repeat=3)]

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lattice_makers import FLAT, lattice_of, limits_of
 
-from touchfield.codec.brick_list import code_bricks
 from touchfield.codec.kernels.bits import end_of, fresh, writer
-from touchfield.codec.touch import spline
-from touchfield.codec.touch.spline_fit import fit
+from touchfield.codec.support import code_bricks
+from touchfield.codec.touch import guess as spline
+from touchfield.codec.touch.guess_fit import fit_spline
 from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile
 from touchfield.medium import ForceField, Grid
 
@@ -37,7 +37,7 @@ def ball(stiffness: float = 500.0, top_n: float = 2.0) -> ForceField:
 def coded() -> tuple[ForceField, float, bytes, np.ndarray]:
     frame = ball()
     lattice = lattice_of(frame)
-    found = fit(frame, lattice, limits_of(lattice))
+    found = fit_spline(frame, lattice, limits_of(lattice))
     assert found is not None
     return frame, lattice.unit_n, found[0], found[1].field(GRID, lattice.unit_n).to_dense()
 
@@ -64,7 +64,7 @@ def test_the_guess_is_smoother_than_the_mask(coded):
 
 def test_the_bytes_give_what_the_fit_said(coded):
     _, unit_n, data, guess = coded
-    assert np.array_equal(spline.synthesise(data, GRID).field(GRID, unit_n).to_dense(), guess)
+    assert np.array_equal(spline.spline_of(data, GRID).field(GRID, unit_n).to_dense(), guess)
 
 
 @pytest.mark.parametrize("shifts", [(3, 2, 4), (5, 5, 5), (2, 4, 3)])
@@ -116,21 +116,21 @@ def test_what_is_not_smooth_has_no_guess(kind):
     elif kind == "a wall of one voxel":
         forces[:, :, 17, 2] = 1
     frame = ForceField.from_dense(GRID, forces)
-    assert fit(frame, FLAT, limits_of(FLAT)) is None
+    assert fit_spline(frame, FLAT, limits_of(FLAT)) is None
 
 
 @pytest.mark.parametrize("f0_n", [0.0, 1e-9, 10.0])
 def test_any_mask_is_taken(f0_n):
     frame = ball()
-    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame), f0_n=f0_n))
-    assert found is None or np.array_equal(spline.synthesise(found[0], GRID).vectors, found[1].vectors)
+    found = fit_spline(frame, lattice_of(frame), limits_of(lattice_of(frame), f0_n=f0_n))
+    assert found is None or np.array_equal(spline.spline_of(found[0], GRID).vectors, found[1].vectors)
 
 
 def test_cut_bytes_are_refused(coded):
     data = coded[2]
     for size in (*range(12), len(data) // 4):
         with pytest.raises((TruncatedFile, CorruptFile)):
-            spline.synthesise(data[:size], GRID)
+            spline.spline_of(data[:size], GRID)
 
 
 @settings(deadline=None, max_examples=60)
@@ -140,7 +140,7 @@ def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
     for _ in range(data.draw(st.integers(1, 4))):
         changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
     try:
-        made = spline.synthesise(bytes(changed), GRID)
+        made = spline.spline_of(bytes(changed), GRID)
     except TouchfieldError:
         return
     assert np.abs(made.vectors).max() <= (1 << 17)
@@ -151,10 +151,10 @@ def test_bricks_far_apart_take_little_memory():
     """The box around two bricks at the far corners of a large grid is nobody's business."""
     grid = Grid((4096, 4096, 4096), (0.001,) * 3, (0.0,) * 3)
     far = np.array([[0, 0, 0], [511, 511, 511]], np.int32)
-    told = writer(1024, fresh(spline.CONTEXTS, spline.SETS))
+    told = writer(1024, fresh(spline.SPLINE_CONTEXTS, spline.LIST_SETS))
     code_bricks(told, 0, 0, grid.brick_shape, far, None)
     tracemalloc.start()
-    made = spline.synthesise(spline.Head((3, 3, 3), 1, (1, 1, 1)).to_bytes() + end_of(told) + bytes(1024), grid)
+    made = spline.spline_of(spline.Head((3, 3, 3), 1, (1, 1, 1)).to_bytes() + end_of(told) + bytes(1024), grid)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert np.array_equal(made.bricks, far)
@@ -166,4 +166,4 @@ def test_bricks_far_apart_take_little_memory():
 )
 def test_a_head_beyond_its_limits_is_refused(coded, head):
     with pytest.raises(CorruptFile, match="head"):
-        spline.synthesise(bytes(head) + coded[2][9:], GRID)
+        spline.spline_of(bytes(head) + coded[2][9:], GRID)

@@ -9,29 +9,17 @@ gives the bit, or anything when reading, and takes what is returned.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.lean import entry, inlined, lean
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = [
-    "INPUTS", "PLACE", "PRICING", "READING", "TASK", "WRITING", "Bits", "Models", "code", "end_of", "even", "fresh",
-    "gamma", "mix", "mixed_chance", "price", "reader", "writer",
-]  # fmt: skip
-
-X, RANGE, PLACE, TASK = range(4)
-"""Places in the state, int64 [4]."""
-
+X, RANGE, PLACE, TASK = range(4)  # places in the state, int64 [4]
+# tasks. An encoder that prices adds up in ``Bits.cost`` what bits would take, and changes nothing else
 WRITING, READING, PRICING = range(3)
-"""Tasks. An encoder that prices adds up in ``Bits.cost`` what bits would take, and changes nothing else."""
-
-INPUTS: Final = 12
-"""Chances mixed at once, at most."""
-
+INPUTS: Final = 12  # chances mixed at once, at most
 _ONE: Final = 1 << 48
 _LEAST: Final = 1 << 32
 _FLOOR: Final = 4  # the least chance, of 65536
@@ -60,44 +48,22 @@ SQUASH, STRETCH, RATES = _logistic_tables()
 
 
 class Bits(NamedTuple):
-    """A range coder with its models.
+    """A range coder with its models."""
 
-    Attributes
-    ----------
-    state : int64 [4]
-    buffer : uint8 [n]
-        Takes the code, or holds it.
-    chances : uint32 [contexts]
-    weights : int32 [sets, INPUTS]
-        Of the inputs that are mixed, 1/65536.
-    inputs : int64 [INPUTS]
-        Contexts of the next mixed bit.
-    drawn : int64 [INPUTS]
-        Room for their logits.
-    cost : float64 [1]
-        Bits priced.
-    """
-
-    state: NDArray[np.int64]
-    buffer: NDArray[np.uint8]
-    chances: NDArray[np.uint32]
-    weights: NDArray[np.int32]
-    inputs: NDArray[np.int64]
-    drawn: NDArray[np.int64]
-    cost: NDArray[np.float64]
+    state: NDArray[np.int64]  # [4]
+    buffer: NDArray[np.uint8]  # [n]; takes the code, or holds it
+    chances: NDArray[np.uint32]  # [contexts]
+    weights: NDArray[np.int32]  # [sets, INPUTS]; of the inputs that are mixed, 1/65536
+    inputs: NDArray[np.int64]  # [INPUTS]; contexts of the next mixed bit
+    drawn: NDArray[np.int64]  # [INPUTS]; room for their logits
+    cost: NDArray[np.float64]  # [1]; bits priced
 
 
 class Models(NamedTuple):
-    """Chances and weights as a frame left them, for the next frame of the segment.
+    """Chances and weights as a frame left them, for the next frame of the segment."""
 
-    Attributes
-    ----------
-    chances : uint32 [contexts]
-    weights : int32 [sets, INPUTS]
-    """
-
-    chances: NDArray[np.uint32]
-    weights: NDArray[np.int32]
+    chances: NDArray[np.uint32]  # [contexts]
+    weights: NDArray[np.int32]  # [sets, INPUTS]
 
 
 def fresh(contexts: int, sets: int) -> Models:

@@ -1,22 +1,78 @@
-"""Compiled loop of the support: a bit for each sample of the bricks that there are."""
+"""Compiled loops of the support: a bit for each box of a level of the octree of bricks, and for each sample."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, mix
 from touchfield.lean import entry
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+# the six faces, those told first before the others, and the six edges told before
+NEIGHBOURS: Final = (
+    (-1, 0, 0), (0, -1, 0), (0, 0, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1),
+    (-1, -1, 0), (-1, 1, 0), (-1, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1),
+)  # fmt: skip
+UNKNOWN: Final = 2  # state of a box that may hold bricks, for its parent does
+_EDGES: Final = 1 + 729
+_CHANGED: Final = _EDGES + 512
+_FOUND: Final = _CHANGED + 16
+LIST_CONTEXTS: Final = _FOUND + 4
+LIST_SETS: Final = 2
 
-__all__ = ["CONTEXTS", "SETS", "Samples", "code_samples"]
+
+class Level(NamedTuple):
+    """Boxes of one size whose parents hold bricks."""
+
+    keys: NDArray[np.int64]  # [n]; their places, ascending
+    parents: NDArray[np.int64]  # [n]; their parents' places in the level above
+    left: NDArray[np.int64]  # left, found: [parents]; children not told yet, and those that hold bricks
+    found: NDArray[np.int64]
+    before: NDArray[np.uint8]  # [n + 1]; 1 where the list known before has bricks; the last is 0
+    state: NDArray[np.uint8]  # [n + 1]; `UNKNOWN`, and when told 1 or 0; the last, of all that is not listed, is 0
+    steps: NDArray[np.int64]  # steps, places: [12]; from a key to its neighbours', and where in `keys` they are
+    places: NDArray[np.int64]
+
+
+@entry
+def code_level(bits, level, contexts_at, sets_at, wanted):
+    """Tell which boxes hold bricks, when writing those `wanted`, uint8 [n]; an only child does untold."""
+    count = level.keys.shape[0]
+    for n in range(count):
+        faces, edges, changed = np.int64(0), np.int64(0), np.int64(0)
+        for k in range(12):
+            key, place = level.keys[n] + level.steps[k], level.places[k]
+            while place < count and level.keys[place] < key:
+                place += 1
+            level.places[k] = place
+            if place == count or level.keys[place] != key:
+                place = count
+            state = np.int64(level.state[place])
+            if k >= 6:
+                edges = edges << 1 | state
+            else:
+                faces = faces * 3 + state
+            if k < 3:
+                edges = edges << 1 | state
+                changed = changed << 1 | (state ^ np.int64(level.before[place]))
+        old, parent, bit = np.int64(level.before[n]), level.parents[n], np.int64(1)
+        level.left[parent] -= 1
+        found = np.int64(level.found[parent] > 0)
+        if found or level.left[parent]:
+            bits.inputs[0] = contexts_at + 1 + (0 if old else faces)
+            bits.inputs[1] = contexts_at + _EDGES + edges
+            bits.inputs[2] = contexts_at + _CHANGED + 8 * old + changed
+            bits.inputs[3] = contexts_at + _FOUND + 2 * old + found
+            bit = mix(bits, 4, sets_at + old, np.int64(wanted[n]))
+        level.state[n] = bit
+        level.found[parent] += bit
+
 
 _OLD: Final = 4096
-CONTEXTS: Final = _OLD + 1024
-SETS: Final = 8
+SAMPLE_CONTEXTS: Final = _OLD + 1024
+SAMPLE_SETS: Final = 8
 
 _NEAR: Final = (-144, -12, -1, -143, -13, -11, -156, -288, -24, -132, -131, -2)
 _LATE: Final = (0, -1, 1, -12, 12, -144, 144)
@@ -24,27 +80,17 @@ _LATE: Final = (0, -1, 1, -12, 12, -144, 144)
 
 
 class Samples(NamedTuple):
-    """The samples of n bricks, beside m that both sides know.
+    """The samples of n bricks, beside m that both sides know."""
 
-    Attributes
-    ----------
-    held : uint8 [n + 1, 512]
-        1 where a sample is set, as far as it is told; the last brick, of all that are not listed, is 0.
-    before : uint8 [m + 1, 512]
-        The same of the support before.
-    around, around_before : int64 [n, 27]
-        Places in both of each brick and of those around it, x slowest; -1 of those not listed.
-    inside : int64 [n, 3]
-        Samples of a brick within the grid.
-    window, old : uint8 [1728]
-        Room for a brick of both, whose first sample is at (2, 2, 2), and what is around it.
-    """
-
+    # [n + 1, 512]; 1 where a sample is set, as far as it is told; the last brick, of all that are not listed, is 0
     held: NDArray[np.uint8]
-    before: NDArray[np.uint8]
+    before: NDArray[np.uint8]  # [m + 1, 512]; the same of the support before
+    # around, around_before: [n, 27]; places in both of each brick and of those around it, x slowest; -1 of those not
+    # listed
     around: NDArray[np.int64]
     around_before: NDArray[np.int64]
-    inside: NDArray[np.int64]
+    inside: NDArray[np.int64]  # [n, 3]; samples of a brick within the grid
+    # window, old: [1728]; room for a brick of both, whose first sample is at (2, 2, 2), and what is around it
     window: NDArray[np.uint8]
     old: NDArray[np.uint8]
 

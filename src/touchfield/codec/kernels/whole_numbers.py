@@ -9,16 +9,13 @@ import numpy as np
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, even, mix
 from touchfield.lean import entry, lean
 
-__all__ = ["CONTEXTS", "SETS", "code_numbers"]
-
-_LONGEST: Final = 62
-"""Binary digits of the largest."""
-
+_LONGEST: Final = 62  # binary digits of the largest
 _SIGN, _MORE, _SECOND = 1, 1, 16  # bit 0 is "not zero", 2 to 15 are "more digits", 18 to 31 the second digit
 SETS: Final = 32
 _NEAR: Final = SETS
 _SIZES: Final = _NEAR + 125 * SETS
 CONTEXTS: Final = _SIZES + 21 * 7 * SETS
+ROOM: Final = 128  # bytes that a writer has for a number: a bit costs 14 bits at most, and 65 that learn at most
 
 
 @lean

@@ -3,36 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from touchfield.codec.objects.layout import NAME, CodedObject, Parameters, SegmentParts
 from touchfield.codec.objects.poses import PoseSteps, decode_poses
 from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import FieldDecoder, field_decoder
 from touchfield.errors import CorruptFile, InvalidArgument
-
-if TYPE_CHECKING:
-    from touchfield.medium import ForceField, PoseTrack
-
-__all__ = ["ObjectsDecoder"]
+from touchfield.medium import ForceField, PoseTrack
 
 
 class ObjectsDecoder:
     """Decodes segments of one stream of objects; needs nothing but the stream.
 
-    Parameters
-    ----------
-    parameters : bytes
-        `HEAD.coder_parameters`, whose damping and tolerance in place become attributes.
-    objects : sequence of CodedObject
-        What the OBJT records hold, in their order.
-
-    Raises
-    ------
-    CorruptFile
-        If there are more or fewer objects than the parameters say, or one of them contradicts itself.
-    UnsupportedVersion
-        If the coder of a field is unknown.
+    `parameters`: `HEAD.coder_parameters`, whose damping and tolerance in place become attributes. `objects`: what the
+    OBJT records hold, in their order. CorruptFile if there are more or fewer objects than the parameters say, or one
+    of them contradicts itself. UnsupportedVersion if the coder of a field is unknown.
     """
 
     name = NAME
@@ -62,13 +48,7 @@ class ObjectsDecoder:
         return latest[1]
 
     def tracks(self, body: bytes, frame_count: int) -> tuple[PoseTrack, ...]:
-        """The poses of each object in the frames of a segment.
-
-        Raises
-        ------
-        CorruptFile, TruncatedFile
-            If the bytes are not what the encoder writes.
-        """
+        """The poses of each object in a segment; CorruptFile or TruncatedFile for other bytes than the encoder's."""
         worst, parts = self.parts(body)
         if worst is not None and worst.frame >= frame_count:
             raise CorruptFile("SEGM.body worst frame", str(worst.frame), f"below {frame_count}")

@@ -14,40 +14,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.codec.objects.layout import (
-    MAX_OBJECTS,
-    MAX_POSES,
-    NAME,
-    CodedObject,
-    ObjectPart,
-    Parameters,
-    SegmentParts,
-    Worst,
-)  # fmt: skip
+from touchfield.codec.objects import layout
+from touchfield.codec.objects.layout import MAX_OBJECTS, MAX_POSES, CodedObject
 from touchfield.codec.objects.pose_encoder import Damping, encode_poses, place_steps, rounded
+from touchfield.codec.objects.poses import PoseSteps
 from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, reach_m
-from touchfield.codec.registry import coder_of_spec, field_decoder, field_encoder
-from touchfield.codec.segment import segment_length
+from touchfield.codec.registry import FieldDecoder, coder_of_spec, field_decoder, field_encoder
+from touchfield.codec.segment import CodedSegment, Worst, segment_length
 from touchfield.errors import InvalidArgument
+from touchfield.medium import HapticObject, HapticScene
 
-if TYPE_CHECKING:
-    from touchfield.codec.objects.poses import PoseSteps
-    from touchfield.codec.registry import FieldDecoder
-    from touchfield.codec.segment import CodedSegment
-    from touchfield.medium import HapticObject, HapticScene
-
-__all__ = ["PLACE_TOLERANCE_M", "ObjectsEncoder", "check_pose_count"]
-
+# A fifth of what a Phantom Omni can tell of a place (0.055 mm), and 5 mN on a wall of 500 N/m
 PLACE_TOLERANCE_M: Final = 1e-5
-"""A fifth of what a Phantom Omni can tell of a place (0.055 mm), and 5 mN on a wall of 500 N/m."""
-
+# where no object deforms: poses alone are small, and each segment begins its predictions anew
 _RIGID_SEGMENT_FRAMES: Final = 2048
-"""Where no object deforms: poses alone are small, and each segment begins its predictions anew."""
-
 _SHARE_STEP: Final = 0.93
 _LEAST_SHARE: Final = 1 / 64
 _LEAST_K: Final = 0.001
@@ -75,24 +59,14 @@ class _Fields(NamedTuple):
 class ObjectsEncoder:
     """Codes a haptic scene; all of it, when it is first asked for any.
 
-    Parameters
-    ----------
-    scene : HapticScene
-    spec : the spec of a coder of fields
-        How the fields are coded, and by which coder. In mode "mask" of coder `touch` the composed field keeps
-        max(F_0, k |F|), and in mode "lossless" the decoded fields are the source's; else, and where F_0 is 0,
-        nothing is promised of it.
-    f0_n : float
-        F_0, newtons: the surface damping of the decoded poses is off by a quarter of it at most.
-
-    Raises
-    ------
-    InvalidArgument
-        If the scene has more objects or poses than a file may hold. When asked: if no steps of poses keep to the
-        tolerance, or no accuracy of the fields keeps the promise.
+    `spec`: how the fields are coded, and by which coder. In mode "mask" of coder `touch` the composed field keeps
+    max(F_0, k |F|), and in mode "lossless" the decoded fields are the source's; else, and where F_0 is 0, nothing is
+    promised of it. `f0_n`: F_0, newtons: the surface damping of the decoded poses is off by a quarter of it at most.
+    InvalidArgument if the scene has more objects or poses than a file may hold. When asked: if no steps of poses keep
+    to the tolerance, or no accuracy of the fields keeps the promise.
     """
 
-    name = NAME
+    name = layout.NAME
 
     def __init__(self, scene: HapticScene, spec: Any, f0_n: float) -> None:
         check_pose_count(len(scene.objects), scene.frame_count)
@@ -105,7 +79,7 @@ class ObjectsEncoder:
     def parameters(self) -> bytes:
         """`HEAD.coder_parameters`."""
         scene = self._scene
-        return Parameters(len(scene.objects), scene.surface_damping_n_s_per_m, PLACE_TOLERANCE_M).to_bytes()
+        return layout.Parameters(len(scene.objects), scene.surface_damping_n_s_per_m, PLACE_TOLERANCE_M).to_bytes()
 
     @property
     def supported(self) -> int:
@@ -130,13 +104,13 @@ class ObjectsEncoder:
         coded, worst = self._coded
         for i, frames in enumerate(self._ranges):
             parts = [
-                ObjectPart(
+                layout.ObjectPart(
                     encode_poses(one.track.between(frames.start, frames.stop), steps),
                     None if one.is_rigid else fields.segments[i].body,
                 )
                 for one, steps, fields in zip(self._scene.objects, self._steps, coded, strict=True)
             ]
-            yield frames.start, len(frames), SegmentParts(worst[i], parts).to_bytes()
+            yield frames.start, len(frames), layout.SegmentParts(worst[i], parts).to_bytes()
 
     @cached_property
     def _steps(self) -> list[PoseSteps]:

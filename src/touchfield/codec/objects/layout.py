@@ -1,4 +1,4 @@
-"""How the coder `objects` lays a haptic scene out in bytes, written and read by the same functions."""
+"""How the coder `objects` lays a haptic scene out in bytes, written and read by the same functions; its entry."""
 
 from __future__ import annotations
 
@@ -6,24 +6,19 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
+from touchfield.codec.registry import Coder
+from touchfield.codec.segment import Worst
 from touchfield.codec.varint import Parts, chunk, write_varint
 from touchfield.errors import CorruptFile
-
-if TYPE_CHECKING:
-    from touchfield.medium import Grid
-
-__all__ = ["MAX_OBJECTS", "MAX_POSES", "NAME", "CodedObject", "ObjectPart", "Parameters", "SegmentParts", "Worst"]
+from touchfield.medium import Grid
 
 NAME: Final = "objects"
 
-MAX_OBJECTS: Final = 4096
-"""Objects of a scene."""
-
+MAX_OBJECTS: Final = 4096  # objects of a scene
+# frames times objects of a scene: a body that keeps still costs next to no bytes, but a pose in memory a frame
 MAX_POSES: Final = 1 << 24
-"""Frames times objects of a scene: a body that keeps still costs next to no bytes, but a pose in memory a frame."""
-
 _PARAMETERS: Final = struct.Struct("<Idd")
 _WHERE: Final = "HEAD.coder_parameters"
 _RATIOS: Final = 65535
@@ -32,10 +27,7 @@ _MOST_SAMPLES: Final = 1 << 20
 
 @dataclass(frozen=True)
 class CodedObject:
-    """One object as a file holds it; the container's OBJT record has the same fields.
-
-    One that deforms has a field in every frame, and no `field` here. The grid is the object's own, hand metres.
-    """
+    """One object as a file and its OBJT hold it; `field` is empty where it deforms; its own grid, hand metres."""
 
     name: str
     grid: Grid
@@ -71,14 +63,6 @@ class Parameters(NamedTuple):
         return cls(count, damping, tolerance)
 
 
-class Worst(NamedTuple):
-    """The voxel of the composed field whose error is the largest share of what is allowed: share, frame and index."""
-
-    ratio: float
-    frame: int
-    voxel: tuple[int, int, int]
-
-
 class ObjectPart(NamedTuple):
     """Share of one object in a segment, not decoded yet; `fields` is None for a rigid one."""
 
@@ -103,10 +87,7 @@ class SegmentParts(NamedTuple):
     def from_bytes(cls, body: bytes, is_deforming: Sequence[bool]) -> SegmentParts:
         """The inverse of `to_bytes`; nothing is decoded.
 
-        Raises
-        ------
-        TruncatedFile, CorruptFile
-            If the bytes end too early, or some are left over.
+        TruncatedFile or CorruptFile if the bytes end too early, or some are left over.
         """
         read, worst = Parts(body), None
         if ratio := read.varint("worst ratio", _RATIOS + 2):
@@ -119,3 +100,8 @@ class SegmentParts(NamedTuple):
             parts.append(ObjectPart(poses, read.chunk(f"fields of object {i}") if deforms else None))
         read.check_end("object")
         return cls(worst, parts)
+
+
+_PLACE = "touchfield.codec.objects"
+
+CODER = Coder("objects", f"{_PLACE}.encoder:ObjectsEncoder", f"{_PLACE}.decoder:ObjectsDecoder")

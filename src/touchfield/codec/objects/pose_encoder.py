@@ -8,33 +8,20 @@ the body is farther from its place than the tolerance, measured on the decoded t
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import end_of, fresh, price, writer
-from touchfield.codec.numbers import ROOM, code_numbers
-from touchfield.codec.objects.poses import (
-    MODELS,
-    MOST_ORDER,
-    MOST_POSES,
-    MOST_STEPS,
-    POSITION_POWERS,
-    QUATERNION_POWERS,
-    PoseSteps,
-    code_residuals,
-)  # fmt: skip
+from touchfield.codec.kernels.whole_numbers import ROOM, code_numbers
+from touchfield.codec.objects import poses
+from touchfield.codec.objects.poses import MODELS, MOST_STEPS, PoseSteps, code_residuals
 from touchfield.codec.objects.promise import displacement_m
 from touchfield.errors import InvalidArgument
+from touchfield.medium import PoseTrack
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import PoseTrack
-
-    Int64s = NDArray[np.int64]
-
-__all__ = ["Damping", "encode_poses", "place_steps", "rounded"]
+Int64s = NDArray[np.int64]
 
 _POSITION_COST, _QUATERNION_COST = 3, 4  # numbers that a power of two makes a bit longer
 
@@ -57,10 +44,7 @@ class Damping(NamedTuple):
 
 
 def rounded(track: PoseTrack, steps: PoseSteps) -> Int64s:
-    """The nearest multiples of the steps, int64 [n, 7]: a pose that does not change has the same ones always.
-
-    InvalidArgument if a position is beyond 2^50 steps.
-    """
+    """The nearest multiples of the steps, int64 [n, 7]; InvalidArgument if a position is beyond 2^50 of them."""
     farthest = float(np.abs(track.positions_m).max())
     if farthest > MOST_STEPS * steps.position_m:
         expected = f"{MOST_STEPS * steps.position_m:g} m at most with a step of {steps.position_m:g} m"
@@ -76,10 +60,10 @@ def place_steps(track: PoseTrack, reach_m: float, tolerance_m: float, damping: D
     are any.
     """
     first = [
-        min(math.ceil(math.log2(4 * tolerance_m)), POSITION_POWERS[1]),
-        min(math.ceil(math.log2(2 * tolerance_m / max(reach_m, tolerance_m))), QUATERNION_POWERS[1]),
+        min(math.ceil(math.log2(4 * tolerance_m)), poses.POSITION_POWERS[1]),
+        min(math.ceil(math.log2(2 * tolerance_m / max(reach_m, tolerance_m))), poses.QUATERNION_POWERS[1]),
     ]
-    spans = [max(first[0] - POSITION_POWERS[0] + 1, 0), max(first[1] - QUATERNION_POWERS[0] + 1, 0)]
+    spans = [max(first[0] - poses.POSITION_POWERS[0] + 1, 0), max(first[1] - poses.QUATERNION_POWERS[0] + 1, 0)]
     finer = sorted(np.ndindex(*spans), key=lambda d: _POSITION_COST * d[0] + _QUATERNION_COST * d[1])
     for less_position, less_turn in finer:
         steps = PoseSteps(2.0 ** (first[0] - less_position), 2.0 ** (first[1] - less_turn))
@@ -97,12 +81,9 @@ def place_steps(track: PoseTrack, reach_m: float, tolerance_m: float, damping: D
 
 
 def encode_poses(track: PoseTrack, steps: PoseSteps) -> bytes:
-    """The code of a track, of which `decode_poses` makes the multiples that `rounded` gives.
-
-    InvalidArgument if there are too many poses, or a position is beyond 2^50 steps.
-    """
-    if len(track) > MOST_POSES:
-        raise InvalidArgument("pose track", f"{len(track)} poses", f"{MOST_POSES} at most", "Split it.")
+    """The code of a track, by the multiples of `rounded`; InvalidArgument if there are too many poses."""
+    if len(track) > poses.MOST_POSES:
+        raise InvalidArgument("pose track", f"{len(track)} poses", f"{poses.MOST_POSES} at most", "Split it.")
     numbers = rounded(track, steps)
     moved = (numbers - numbers[0]).T
     orders = [_best_order(one) for one in moved]
@@ -122,7 +103,7 @@ def _best_order(moved: Int64s) -> int:
         code_residuals(bits, 0, _residuals(moved, order))
         return float(price(bits))
 
-    return min(range(1, MOST_ORDER + 1), key=size) if moved.any() else 0
+    return min(range(1, poses.MOST_ORDER + 1), key=size) if moved.any() else 0
 
 
 def _residuals(moved: Int64s, order: int) -> Int64s:

@@ -10,32 +10,21 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.codec.brick_list import check_end
 from touchfield.codec.kernels.bits import Bits, fresh, reader
-from touchfield.codec.numbers import CONTEXTS, SETS, code_numbers
+from touchfield.codec.kernels.whole_numbers import CONTEXTS, SETS, code_numbers
+from touchfield.codec.support import check_end
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.pose_track import PoseTrack
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Int64s = NDArray[np.int64]
 
-    Int64s = NDArray[np.int64]
-
-__all__ = [
-    "MODELS", "MOST_ORDER", "MOST_POSES", "MOST_STEPS", "POSITION_POWERS", "QUATERNION_POWERS", "PoseSteps",
-    "code_residuals", "decode_poses",
-]  # fmt: skip
-
-MOST_POSES: Final = (1 << 16) - 1
-"""Poses in one piece of code; a segment of a file has no more frames."""
-
-MOST_STEPS: Final = 1 << 50
-"""Of a position; seven of them, as the quadratic predictor adds, stay exact."""
-
+MOST_POSES: Final = (1 << 16) - 1  # poses in one piece of code; a segment of a file has no more frames
+MOST_STEPS: Final = 1 << 50  # of a position; seven of them, as the quadratic predictor adds, stay exact
 POSITION_POWERS: Final = (-40, 0)
 QUATERNION_POWERS: Final = (-30, -2)
 _CHANGED = "The file was changed or cut."
@@ -93,9 +82,8 @@ class PoseSteps:
         return PoseTrack(unit, numbers[:, :3].astype(np.float64) * self.position_m)
 
 
+# of a predictor: 0 for a number that never changes, 1 the number before, 2 a line, 3 a parabola through those
 MOST_ORDER: Final = 3
-"""Of a predictor: 0 for a number that never changes, 1 the number before, 2 a line, 3 a parabola through those."""
-
 MODELS: Final = 8 * CONTEXTS, 8 * SETS
 """Of the first pose and the predictors, and of what these leave of each component."""
 
@@ -108,19 +96,8 @@ def code_residuals(bits: Bits, component: int, residuals: Int64s) -> None:
 def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "poses") -> PoseTrack:
     """The track that `encode_poses` has coded.
 
-    Parameters
-    ----------
-    data : bytes
-    frame_count : int
-        Poses that were coded, 1 to `MOST_POSES`; some 120 bytes are taken for each.
-    steps : PoseSteps
-    where : str
-        What to call the bytes in an error.
-
-    Raises
-    ------
-    TruncatedFile, CorruptFile
-        If the bytes are not the code of so many poses.
+    `frame_count`: poses that were coded, 1 to `MOST_POSES`; some 120 bytes are taken for each. `where`: what to call
+    the bytes in an error. TruncatedFile or CorruptFile if the bytes are not the code of so many poses.
     """
     if not 1 <= frame_count <= MOST_POSES:
         raise InvalidArgument("frame_count", repr(frame_count), f"1 to {MOST_POSES}")

@@ -11,44 +11,28 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
 from touchfield.parallel import for_chunks
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Float64s = NDArray[np.float64]
 
-    from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["ComposedRule", "Found", "Moves", "Pair", "compare_scenes", "displacement_m", "reach_m"]
-
-_FLOOR_SHARE: Final = 1e-9
-"""Of F_max: a body's own force below it is the rounding of a place, as the receiver has it."""
+_FLOOR_SHARE: Final = 1e-9  # of F_max: a body's own force below it is the rounding of a place, as the receiver has it
 _FRAMES_AT_ONCE: Final = 32
 
 
 @dataclass(frozen=True)
 class Found:
-    """Result of a check.
+    """Result of a check."""
 
-    Attributes
-    ----------
-    ratios : float64 [bodies]
-        The largest |error| / mask at the voxels that each body has a part in.
-    places : int64 [bodies, 4]
-        Frame and voxel of it; -1 for none.
-    beyond : int
-        Voxels of all frames whose error is beyond the mask.
-    """
-
-    ratios: Float64s
-    places: NDArray[np.int64]
-    beyond: int
+    ratios: Float64s  # [bodies]; the largest |error| / mask at the voxels that each body has a part in
+    places: NDArray[np.int64]  # [bodies, 4]; frame and voxel of it; -1 for none
+    beyond: int  # voxels of all frames whose error is beyond the mask
 
     @classmethod
     def none(cls, body_count: int) -> Found:
@@ -143,13 +127,7 @@ class ComposedRule:
 def compare_scenes(source: HapticScene, decoded: HapticScene, k: float, f0_n: float) -> tuple[Found, float]:
     """How a decoded scene keeps the rule in all its frames, and how far a point of a body is from its place, metres.
 
-    Parameters
-    ----------
-    source, decoded : HapticScene
-        Of the same objects on the same lattices.
-    k : float
-    f0_n : float
-        Newtons, above 0.
+    `source` and `decoded`: of the same objects on the same lattices. `f0_n`: newtons, above 0.
     """
     rule, moves = ComposedRule(source, k, f0_n), Moves.of(source, [one.track for one in decoded.objects])
     bodies = list(zip(source.objects, decoded.objects, strict=True))
@@ -172,10 +150,7 @@ def displacement_m(source: PoseTrack, decoded: PoseTrack, reach_m: float) -> Flo
 
 
 def reach_m(one: HapticObject) -> float:
-    """How far the fields of an object reach from its origin, one cell beyond their support, metres.
-
-    0 for one that never turns, of which every point is as far from its place.
-    """
+    """How far the fields of an object reach from its origin, with one cell, metres; 0 for one that never turns."""
     if (one.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all():
         return 0.0
     far_m = 0.0

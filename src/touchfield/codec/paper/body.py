@@ -1,14 +1,24 @@
-"""The body of a segment of coder `paper`, as it is read; docs/format/paper.md tells every byte."""
+"""The body of a segment of coder `paper` as it is read, and the forces that its symbols stand for (figure 4).
+
+docs/format/paper.md tells every byte. A frame is coded in one of three ways:
+
+* ``INTRA``: alone. Samples in raster order; a sample within the deadband of the last sent one is held (eq. 8).
+* ``INTER``: closed loop. The reference is the decoded previous frame at the same voxel; a voxel within the
+  deadband of it is held, otherwise the quantised difference is sent.
+* ``DIFFERENCE``: the paper's open loop. The field of differences between two originals is coded like a frame of
+  its own and added to the decoded previous frame; errors add up.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.codec.paper.frames import FrameSymbols, rebuilt
+from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
 from touchfield.codec.paper.quantisers import AmplitudeLevels
 from touchfield.codec.rate import BitAccount
@@ -16,20 +26,62 @@ from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.codec.support import decode_support
 from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import brick_keys
+from touchfield.medium.kernels import raster_slots
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Int32s = NDArray[np.int32]
+Float32s = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
-    from touchfield.codec.paper.directions import Codebook
-    from touchfield.medium import ForceField, Grid
 
-__all__ = ["INTER_SET", "INTRA_SET", "MOST_NEWTONS", "BodyReader", "TableSet", "set_of"]
+@dataclass(frozen=True)
+class FrameSymbols:
+    """Symbols of a frame that go into the stream."""
+
+    kind: FrameKind
+    bricks: Int32s  # [n, 3]
+    mask: Mask  # [n, 8, 8, 8]; the support (of the differences, in a DIFFERENCE frame)
+    sent: NDArray[np.bool_]  # [L]; per supported sample in raster order: sent, or held
+    # levels, directions: [sent.sum()]; amplitude level and direction index of the sent samples
+    levels: NDArray[np.uint16]
+    directions: NDArray[np.uint16]
+
+
+def field_of(grid: Grid, bricks: Int32s, forces_n: Float32s) -> ForceField:
+    """Forces [n, 8, 8, 8, 3] as a field; bricks whose forces are all zero are left out."""
+    held = forces_n.any(axis=(1, 2, 3, 4))
+    return ForceField(grid, bricks[held], forces_n[held])
+
+
+def rebuilt(
+    grid: Grid, symbols: FrameSymbols, levels_n: Float32s, codebook: Codebook, previous: ForceField | None
+) -> ForceField:
+    """One frame from its symbols, its amplitude levels and the decoded frame before; all arithmetic is of float32."""
+    slots = raster_slots(symbols.bricks, symbols.mask)
+    values = levels_n[symbols.levels][:, None] * codebook.vertices_float32[symbols.directions]
+    forces = zero_forces(len(symbols.bricks))
+    flat = forces.reshape(-1, 3)
+    if symbols.kind == FrameKind.INTER:
+        assert previous is not None
+        before = previous.forces_at(brick_keys(grid, symbols.bricks)).reshape(-1, 3)
+        flat[slots] = before[slots]
+        flat[slots[symbols.sent]] += values
+        return field_of(grid, symbols.bricks, forces)
+    latest = np.cumsum(symbols.sent)  # the last sent value is held; zero before the first
+    flat[slots] = np.concatenate([np.zeros((1, 3), np.float32), values])[latest]
+    alone = field_of(grid, symbols.bricks, forces)
+    if symbols.kind == FrameKind.INTRA:
+        return alone
+    assert previous is not None
+    return previous + alone
+
 
 INTRA_SET: Final = 1
 INTER_SET: Final = 2
 
-MOST_NEWTONS: Final = 1e6
-"""No level lies above it, so that sums over any number of frames stay finite."""
+MOST_NEWTONS: Final = 1e6  # no level lies above it, so that sums over any number of frames stay finite
 
 
 def set_of(kind: FrameKind) -> int:
@@ -57,13 +109,7 @@ class _Frame:
 
 
 class BodyReader:
-    """A segment without a stage: levels, directions and runs.
-
-    Raises
-    ------
-    CorruptFile, TruncatedFile
-        If the bytes contradict themselves or end too early.
-    """
+    """A segment without a stage; CorruptFile or TruncatedFile for other bytes than the writer's."""
 
     def __init__(self, body: bytes, grid: Grid, codebook: Codebook) -> None:
         self._parts, self._grid, self._codebook = Parts(body), grid, codebook

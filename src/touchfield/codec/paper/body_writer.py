@@ -1,25 +1,92 @@
-"""The body of a segment of coder `paper`, as it is written; the inverse is in `body`."""
+"""The body of a segment of coder `paper` as it is written, with Huffman codes made for its symbols."""
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.codec.paper.body import INTER_SET, INTRA_SET, TableSet, set_of
-from touchfield.codec.paper.huffman import RUN_SYMBOLS
-from touchfield.codec.paper.huffman_encoder import code_bytes, encode_symbols, fitted_code, pack_runs
+from touchfield.codec.numbers import encode_numbers
+from touchfield.codec.paper.body import INTER_SET, INTRA_SET, FrameSymbols, TableSet, set_of
+from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode
+from touchfield.codec.paper.kernels.loops import LONGEST, pack_bits
+from touchfield.codec.paper.quantisers import AmplitudeLevels
 from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import CodedSegment, FrameStats
 from touchfield.codec.varint import chunk, write_varint
 
-if TYPE_CHECKING:
-    from touchfield.codec.paper.frames import FrameSymbols
-    from touchfield.codec.paper.quantisers import AmplitudeLevels
+Int64s = NDArray[np.int64]
 
-__all__ = ["CodedFrame", "write_body"]
+_LONGEST_RUN = (1 << RUN_SYMBOLS) - 1
+
+
+def fitted_code(counts: Int64s) -> HuffmanCode:
+    """Huffman's code for symbols that occur `counts` times, int64 [n]; more alike where it had more than 24 bits."""
+    lengths = np.zeros(len(counts), np.uint8)
+    present = np.flatnonzero(counts)
+    weights = np.asarray(counts)[present]
+    while len(present):
+        depths = _depths(weights.tolist())
+        if max(depths) <= LONGEST:
+            lengths[present] = depths
+            break
+        weights = (weights + 1) // 2
+    return HuffmanCode(lengths)
+
+
+def _depths(weights: list[int]) -> list[int]:
+    """Bits of the code of each symbol."""
+    heap = [(weight, i) for i, weight in enumerate(weights)]
+    heapq.heapify(heap)
+    above: dict[int, int] = {}
+    for parent in range(len(weights), 2 * len(weights) - 1):
+        (one, i), (other, j) = heapq.heappop(heap), heapq.heappop(heap)
+        above[i] = above[j] = parent
+        heapq.heappush(heap, (one + other, parent))
+    depth = {heap[0][1]: 0}
+    for node in range(2 * len(weights) - 3, -1, -1):
+        depth[node] = depth[above[node]] + 1
+    return [max(1, depth[i]) for i in range(len(weights))]
+
+
+def code_bytes(code: HuffmanCode) -> bytes:
+    """A code as its lengths (`codec.numbers`)."""
+    return encode_numbers(code.lengths)
+
+
+def pack_runs(
+    sent: NDArray[np.bool_], levels: NDArray[np.uint16], level_count: int, *, single: bool
+) -> tuple[Int64s, Int64s, Int64s]:
+    """The symbols of the samples bool [L], with the raw bits behind each: symbols, values, and numbers of bits.
+
+    `levels` are those of the sent samples; with `single` each held sample is a symbol of its own.
+    """
+    index = np.arange(len(sent))
+    since = index - np.maximum.accumulate(np.where(sent, index, -1)) - 1  # held samples before this one
+    at = np.flatnonzero(sent | (since % (1 if single else _LONGEST_RUN) == 0))
+    runs = np.diff(at, append=len(sent))
+    bits = np.frexp(runs)[1].astype(np.int64) - 1
+    symbols, values = level_count + bits, runs - (1 << bits)
+    symbols[sent[at]] = levels
+    return symbols, values, bits
+
+
+def encode_symbols(
+    code: HuffmanCode, symbols: NDArray[Any], values: Int64s | int = 0, extra: Int64s | int = 0
+) -> BitStream:
+    """The codes of symbols [m], each followed by ``extra[i]`` raw bits of ``values[i]``."""
+    _, ranks, order = code.tables
+    codes = np.zeros(len(code.lengths), np.int64)
+    codes[order] = np.arange(len(order)) - ranks[code.lengths[order]]
+    written, lengths = (codes[symbols] << extra) | values, code.lengths[symbols].astype(np.int64) + extra
+    bit_length = int(lengths.sum())
+    out = np.zeros(-(-bit_length // 8), np.uint8)
+    pack_bits(written, lengths, out)
+    return BitStream(out.tobytes(), bit_length)
 
 
 @dataclass(frozen=True)

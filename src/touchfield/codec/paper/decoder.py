@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.paper.body import BodyReader
 from touchfield.codec.paper.directions import Codebook, codebook_names
@@ -13,30 +14,13 @@ from touchfield.codec.paper.quantisers import amplitudes_n
 from touchfield.codec.paper.stages import PARTS, StageReader
 from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.errors import CorruptFile
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import ForceField, Grid
-
-__all__ = ["PaperDecoder"]
+from touchfield.medium import ForceField, Grid
 
 
 class PaperDecoder:
     """Decodes segments of one stream; needs nothing but the stream.
 
-    Parameters
-    ----------
-    grid : Grid
-    parameters : bytes
-        `HEAD.coder_parameters`: the name of a direction codebook or of a stage, ASCII.
-    where : str, optional
-        What `parameters` are; for the message.
-
-    Raises
-    ------
-    CorruptFile
-        If there is neither such a codebook nor such a stage.
+    `parameters` (`where` in a message) name a direction codebook or a stage, in ASCII, else CorruptFile.
     """
 
     name = "paper"
@@ -47,13 +31,7 @@ class PaperDecoder:
             raise CorruptFile(where, repr(parameters[:40]), "a direction codebook, or a stage")
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
-        """The frames of a segment, one after another.
-
-        Raises
-        ------
-        CorruptFile, TruncatedFile
-            If the bytes are not what the encoder writes.
-        """
+        """The frames of a segment in turn; CorruptFile or TruncatedFile for other bytes than the encoder's."""
         for field, _ in self._reader(body).fields(frame_count):
             yield field
 

@@ -30,21 +30,17 @@ import math
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import combinations
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from touchfield.errors import InvalidArgument
 from touchfield.parallel import for_chunks
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Float32s = NDArray[np.float32]
-    Float64s = NDArray[np.float64]
-    Int32s = NDArray[np.int32]
-
-__all__ = ["DEFAULT", "Codebook", "codebook_names"]
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+Int32s = NDArray[np.int32]
 
 DEFAULT: Final = "ico5"
 
@@ -54,20 +50,11 @@ _GRAIN = 2.0**-40
 
 @dataclass(frozen=True, eq=False)
 class Codebook:
-    """Directions to choose from. Made by `Codebook.get`; two of the same name are the same object.
-
-    Attributes
-    ----------
-    name : str
-    vertices : float64 [n, 3]
-        Unit vectors, ascending in x, y, z.
-    faces : int32 [f, 3]
-        Triangles between the vertices, as the subdivision made them.
-    """
+    """Directions to choose from. Made by `Codebook.get`; two of the same name are the same object."""
 
     name: str
-    vertices: Float64s
-    faces: Int32s
+    vertices: Float64s  # [n, 3]; unit vectors, ascending in x, y, z
+    faces: Int32s  # [f, 3]; triangles between the vertices, as the subdivision made them
 
     @staticmethod
     @cache
@@ -107,7 +94,7 @@ class Codebook:
         Of those equally near the first; 0 for the zero vector. `vectors` are float32 [m, 3] of any length;
         InvalidArgument if the shape is another, or a vector is not finite.
         """
-        from touchfield.codec.paper.kernels.directions import nearest
+        from touchfield.codec.paper.kernels.loops import nearest
 
         x = np.ascontiguousarray(vectors, np.float32)
         if x.ndim != 2 or x.shape[1] != 3 or not np.isfinite(x).all():

@@ -10,39 +10,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.codec.paper.body import INTER_SET, INTRA_SET, set_of
-from touchfield.codec.paper.body_writer import CodedFrame, write_body
+from touchfield.codec.paper import quantisers
+from touchfield.codec.paper.body import INTER_SET, INTRA_SET, FrameSymbols, rebuilt, set_of
+from touchfield.codec.paper.body_writer import CodedFrame, pack_runs, write_body
 from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.paper.frames import FrameSymbols, rebuilt
-from touchfield.codec.paper.huffman_encoder import pack_runs
-from touchfield.codec.paper.quantisers import (
-    AmplitudeLevels,
-    amplitudes_n,
-    lloyd_max_levels,
-    uniform_levels,
-    weber_ladder,
-    weber_levels,
-)  # fmt: skip
+from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
+from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.paper.stage_encoder import encode_staged
 from touchfield.codec.segment import CodedSegment, FrameKind
 from touchfield.codec.support import encode_support
 from touchfield.measure.estimators import entropy_bits
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys
 from touchfield.perception.weber import gate, gate_in_time
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.codec.paper.spec import PaperSpec
-    from touchfield.medium import ForceField, Grid
-
-    Float32s = NDArray[np.float32]
-
-__all__ = ["PaperEncoder"]
+Float32s = NDArray[np.float32]
 
 _LEAST_FORCE_N: Final = 1e-6
 _TRAINING_SAMPLES: Final = 1 << 18
@@ -149,13 +136,13 @@ def _fitted(spec: PaperSpec, amplitudes_n: Float32s) -> AmplitudeLevels:
     """The amplitude quantiser that was asked for, trained on what will be sent."""
     top_n = float(amplitudes_n.max(initial=0.0))
     if spec.amplitude == "lloyd-max":
-        return lloyd_max_levels(amplitudes_n, spec.nq)
+        return quantisers.lloyd_max_levels(amplitudes_n, spec.nq)
     if spec.amplitude == "uniform":
-        return uniform_levels(max(top_n, _LEAST_FORCE_N) / (2**spec.nq - 1), top_n)
+        return quantisers.uniform_levels(max(top_n, _LEAST_FORCE_N) / (2**spec.nq - 1), top_n)
     if spec.weber_steps is not None:
         # which samples are sent is foreseen from the originals; one that was not may be larger by k
         top_n = max(top_n, _LEAST_FORCE_N) * (1 + spec.k)
-    return weber_levels(weber_ladder(spec.k, top_n, spec.weber_steps))
+    return quantisers.weber_levels(quantisers.weber_ladder(spec.k, top_n, spec.weber_steps))
 
 
 def _sent_alone_n(spec: PaperSpec, frame: ForceField) -> Float32s:

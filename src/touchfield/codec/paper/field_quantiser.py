@@ -20,40 +20,27 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.codec.paper import quantisers
 from touchfield.codec.paper.directions import DEFAULT as DEFAULT_DIRECTIONS
 from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.paper.quantisers import (
-    AmplitudeLevels,
-    amplitudes_n,
-    lloyd_max_levels,
-    uniform_levels,
-    weber_ladder,
-    weber_levels,
-)  # fmt: skip
+from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.medium import ForceField
 from touchfield.medium.grid import BRICK
 from touchfield.perception.weber import WeberLadder
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import ForceField
-
-    Float32s = NDArray[np.float32]
-    Int32s = NDArray[np.int32]
-
-__all__ = ["DEFAULT_QUANTISER", "Components", "FieldQuantiser", "FieldQuantiserSpec", "Pairs", "VectorQuantiser"]
+Float32s = NDArray[np.float32]
+Int32s = NDArray[np.int32]
 
 DEFAULT_QUANTISER: Final = "weber:0.1"
 FORMS: Final = ("weber", "uniform", "lloyd-max", "components", "weber-components", "distinct")
-MOST_LEVELS: Final = 511
-"""Of one component to each side, so that a triple stays within 2^30 symbols."""
-
+MOST_LEVELS: Final = 511  # of one component to each side, so that a triple stays within 2^30 symbols
 MOST_DISTINCT: Final = 1 << 22
 
 _MOST_TRAINED: Final = 1 << 22  # amplitudes a Lloyd-Max quantiser is trained on; of more, evenly spaced ones
@@ -93,11 +80,9 @@ class Pairs:
 
     @property
     def alphabet(self) -> int:
-        """See `VectorQuantiser`."""
         return 1 + (len(self.levels) - self._zeros) * self.directions
 
     def symbols_of(self, vectors_n: Float32s) -> Int32s:
-        """See `VectorQuantiser`."""
         amplitudes = amplitudes_n(vectors_n)
         levels = self.levels.encode(amplitudes).astype(np.int64) - self._zeros
         direction: Any = 0 if self.codebook is None else self.codebook.nearest(vectors_n)
@@ -105,7 +90,6 @@ class Pairs:
         return np.where((levels < 0) | (amplitudes == 0), 0, symbols).astype(np.int32)
 
     def vectors_of(self, symbols: Int32s) -> Float32s:
-        """See `VectorQuantiser`; `InvalidArgument` without a codebook."""
         if self.codebook is None:
             raise InvalidArgument("quantiser", "no direction", "one with directions")
         level, direction = np.divmod(np.maximum(symbols, 1) - 1, self.directions)
@@ -121,11 +105,9 @@ class Components:
 
     @property
     def alphabet(self) -> int:
-        """See `VectorQuantiser`."""
         return (2 * len(self.levels) - 1) ** 3
 
     def symbols_of(self, vectors_n: Float32s) -> Int32s:
-        """See `VectorQuantiser`."""
         level = self.levels.encode(np.abs(vectors_n).reshape(-1)).astype(np.int64).reshape(-1, 3)
         x, y, z = np.where(vectors_n < 0, -level, level).T
         side = 2 * len(self.levels) - 1
@@ -133,7 +115,6 @@ class Components:
         return symbols
 
     def vectors_of(self, symbols: Int32s) -> Float32s:
-        """See `VectorQuantiser`."""
         side, most = 2 * len(self.levels) - 1, len(self.levels) - 1
         places = (symbols.astype(np.int64) + (self.alphabet - 1) // 2) % self.alphabet
         signed = np.stack(np.unravel_index(places, (side,) * 3), axis=-1) - most
@@ -255,19 +236,19 @@ class FieldQuantiserSpec:
                 raise InvalidArgument("weber-components", f"{self.levels} levels", f"1 to {MOST_LEVELS}")
             ratio = WeberLadder(self.number, 1.0, 1).ratio
             return Components(
-                weber_levels(WeberLadder(self.number, (top_n or 1.0) / ratio**self.levels, self.levels))
+                quantisers.weber_levels(WeberLadder(self.number, (top_n or 1.0) / ratio**self.levels, self.levels))
             )
         if self.form in ("components", "uniform"):
-            levels = uniform_levels(self.number, top_n)
+            levels = quantisers.uniform_levels(self.number, top_n)
             if self.form == "components" and len(levels) - 1 > MOST_LEVELS:
                 found = f"{len(levels) - 1} steps of {self.number:g} N to {top_n:.3g} N"
                 raise InvalidArgument("quantiser components", found, f"up to {MOST_LEVELS}", "Take a larger step.")
             if self.form == "components":
                 return Components(levels)
         elif self.form == "weber":
-            levels = weber_levels(weber_ladder(self.number, top_n))
+            levels = quantisers.weber_levels(quantisers.weber_ladder(self.number, top_n))
         else:
-            levels = lloyd_max_levels(amplitudes, self.number)
+            levels = quantisers.lloyd_max_levels(amplitudes, self.number)
         return Pairs(levels, None if self.directions == "none" else Codebook.get(self.directions))
 
 

@@ -13,23 +13,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.numbers import decode_numbers
+from touchfield.codec.paper.kernels import loops as kernels
+from touchfield.codec.paper.kernels.loops import LONGEST
 from touchfield.errors import CorruptFile, InvalidArgument
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["RUN_SYMBOLS", "BitStream", "HuffmanCode", "decode_symbols"]
-
-RUN_SYMBOLS: Final = 21
-"""Runs of up to 2^21 - 1 held samples in one symbol."""
-
-LONGEST: Final = 24
-"""Bits of a code, at most."""
+RUN_SYMBOLS: Final = 21  # runs of up to 2^21 - 1 held samples in one symbol
 
 
 class BitStream(NamedTuple):
@@ -43,15 +37,8 @@ class BitStream(NamedTuple):
 class HuffmanCode:
     """A prefix code over the symbols 0 to n-1.
 
-    Parameters
-    ----------
-    lengths : uint8 [n]
-        Bits of each symbol's code; 0 for symbols that do not occur. One symbol alone has length 1.
-
-    Raises
-    ------
-    InvalidArgument
-        If the lengths do not make a complete prefix code of at most 24 bits.
+    `lengths`, uint8 [n]: bits of each symbol's code; 0 for symbols that do not occur. One symbol alone has length 1.
+    InvalidArgument if the lengths do not make a complete prefix code of at most 24 bits.
     """
 
     lengths: NDArray[np.uint8]
@@ -78,14 +65,9 @@ class HuffmanCode:
     def tables(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint16]]:
         """Tables that tell canonical codes.
 
-        Returns
-        -------
-        limits : int64 [25]
-            By length: the least code of 24 bits that begins with none of that length or less.
-        ranks : int64 [25]
-            By length: what is added to a code to have its place in `order`.
-        order : uint16 [any]
-            The symbols that occur, in the order of their codes: shorter first, by symbol within a length.
+        `limits`, int64 [25], by length: the least code of 24 bits that begins with none of that length or less;
+        `ranks`, int64 [25], by length: what is added to a code to have its place in `order`; and `order`, uint16
+        [any]: the symbols that occur, in the order of their codes, shorter first, by symbol within a length.
         """
         limits, ranks = np.zeros((2, LONGEST + 1), np.int64)
         code = place = 0
@@ -105,14 +87,8 @@ def decode_symbols(
     """The samples of a stream: which are sent, bool [sample_count], and the levels of these, uint16 [any].
 
     The symbols of `code` from `level_count` on are runs; a stream without runs has as many levels as symbols.
-
-    Raises
-    ------
-    CorruptFile
-        If the bits are no codes, or do not stand for exactly so many samples.
+    CorruptFile if the bits are no codes, or do not stand for exactly so many samples.
     """
-    from touchfield.codec.paper.kernels import bits as kernels
-
     where, mend = "Huffman stream", "The file was changed or cut."
     if len(bits.data) != -(-bits.bit_length // 8):
         raise CorruptFile(where, f"{len(bits.data)} bytes", f"{bits.bit_length} bits", mend)

@@ -8,20 +8,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
 from touchfield.perception.weber import WeberLadder
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float32s = NDArray[np.float32]
-    Float64s = NDArray[np.float64]
-
-__all__ = ["AmplitudeLevels", "amplitudes_n", "lloyd_max_levels", "uniform_levels", "weber_ladder", "weber_levels"]
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
 
 WEBER_FORCE_MIN_N: Final = 0.03
 _SMALLEST_FORCE_N = 1e-30
@@ -38,23 +34,11 @@ def amplitudes_n(vectors_n: Float32s) -> Float32s:
 
 @dataclass(frozen=True, eq=False)
 class AmplitudeLevels:
-    """A quantiser of amplitudes.
+    """A quantiser of amplitudes. InvalidArgument if the levels are no such levels."""
 
-    Attributes
-    ----------
-    levels_n : float32 [n]
-        Newtons, finite, not negative, strictly ascending, 1 to 65536 of them.
-    thresholds_n : float32 [n - 1]
-        Borders of the cells; an amplitude on a border takes the level above it, and one beyond the ends the
-        nearest. By default the midpoints.
-
-    Raises
-    ------
-    InvalidArgument
-        If the levels are no such levels.
-    """
-
-    levels_n: Float32s
+    levels_n: Float32s  # [n]; newtons, finite, not negative, strictly ascending, 1 to 65536 of them
+    # [n - 1]; borders of the cells; an amplitude on a border takes the level above it, and one beyond the ends the
+    # nearest. By default the midpoints
     thresholds_n: Float32s | None = None
 
     def __post_init__(self) -> None:
@@ -141,15 +125,10 @@ _TOLERANCE = 1e-6
 def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
     """At most 2^nq levels of least mean squared error for samples [m] ("by the Lloyd max algorithm", section 5.2).
 
-    A local optimum: from a start with as many levels in an interval as the cube root of its density asks for
-    (Panter and Dite), by Lloyd's iteration; each level is the mean of its cell and each threshold midway. Samples of
-    no more different values than levels get exactly these. Weber's law is not known here: how often the result
-    leaves the mask is to be reported beside it.
-
-    Raises
-    ------
-    InvalidArgument
-        If `nq` is not 1 to 12, or a sample is no amplitude.
+    A local optimum: from a start with as many levels in an interval as the cube root of its density asks for (Panter
+    and Dite), by Lloyd's iteration; each level is the mean of its cell and each threshold midway. Samples of no more
+    different values than levels get exactly these. Weber's law is not known here: how often the result leaves the
+    mask is to be reported beside it. InvalidArgument if `nq` is not 1 to 12, or a sample is no amplitude.
     """
     if nq != int(nq) or not 1 <= nq <= 12:
         raise InvalidArgument("nq", repr(nq), "1 to 12 bits of amplitude")

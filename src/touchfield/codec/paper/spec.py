@@ -1,4 +1,4 @@
-"""Options of the paper's coder (paper figure 4 and section 5.2), each part literal or corrected."""
+"""Options of the paper's coder (paper figure 4 and section 5.2), each part literal or corrected; its entry."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 from touchfield.codec.paper.quantisers import weber_ladder
+from touchfield.codec.registry import Coder, CoderOption
 from touchfield.errors import InvalidArgument
 
-__all__ = ["STAGES", "PaperSpec"]
+__all__ = ["CODER", "STAGES", "PaperSpec"]
 
 STAGES: Final = ("none", "dpcm", "adpcm", "dct", "wavelet", "runs")
 """In the order of their numbers."""
@@ -122,3 +123,26 @@ class PaperSpec:
             directions="octa3", deadband="previous", interframe="open", choose_by_size=False, hold_runs=False
         )
         return replace(printed, **asked)
+
+
+CODER = Coder(
+    name="paper",
+    encoder="touchfield.codec.paper.encoder:PaperEncoder",
+    decoder="touchfield.codec.paper.decoder:PaperDecoder",
+    spec=PaperSpec,
+    makers={"paper": lambda asked: PaperSpec(**asked), "paper-literal": lambda asked: PaperSpec.literal(**asked)},
+    options=(
+        CoderOption("k", float, "Weber fraction of the deadband. [default: 0.1]"),
+        CoderOption("segment_frames", int, "frames in an independent segment. [default: 8]"),
+        CoderOption("interframe", str, "closed, open or none. [default: closed]"),
+        CoderOption("nq", int, "bits of amplitude. [default: 6]"),
+        CoderOption("directions", str, "codebook: ico5 (252), octa3 (258), ico3 (92), ico1 to ico20."),
+        CoderOption("amplitude", str, "amplitude quantiser: lloyd-max (default), weber or uniform."),
+        CoderOption("deadband", str, "closed, last-sent, previous, zero or none. [default: closed]"),
+        CoderOption("stage", str, "dpcm, adpcm, dct, wavelet or runs in place of all these. [default: none]"),
+        CoderOption("step_n", float, "with --stage: its step, newtons. [default: 0.05]"),
+    ),
+    resolve=PaperSpec.for_device,
+    summary=lambda spec: {"stage": spec.stage} if spec.stage != "none" else {},
+    has_codewords=True,
+)

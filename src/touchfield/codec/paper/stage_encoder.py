@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.numbers import LARGEST, encode_numbers
 from touchfield.codec.paper.stages import GRAIN, LEVELS, ORDER, is_by_brick, lifted
@@ -15,30 +15,18 @@ from touchfield.codec.segment import CodedSegment, FrameKind, FrameStats
 from touchfield.codec.support import encode_support
 from touchfield.codec.varint import chunk, write_varint
 from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField
 from touchfield.medium.grid import BRICK
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import ForceField
-
-    Int64s = NDArray[np.int64]
-    Float64s = NDArray[np.float64]
-
-__all__ = ["encode_staged"]
+Int64s = NDArray[np.int64]
+Float64s = NDArray[np.float64]
 
 _PASSES = 4
 _ROUNDING = 1 / 3  # of the DCT: a coefficient below two thirds of a step is none
 
 
 def encode_staged(frames: Sequence[ForceField], stage: str, step_n: float) -> CodedSegment:
-    """The frames as a segment of a stage, each alone.
-
-    Raises
-    ------
-    InvalidArgument
-        If the step is too fine for the forces.
-    """
+    """The frames as a segment of a stage, each alone. InvalidArgument if the step is too fine for the forces."""
     parts, stats = [struct.pack("<d", step_n)], []
     for frame in frames:
         support = encode_support(frame.grid, frame.bricks, frame.mask)
@@ -76,7 +64,7 @@ def _points(steps: Float64s) -> Int64s:
 
 
 def _adpcm(grains: Int64s) -> Int64s:
-    from touchfield.codec.paper.kernels.adpcm import adpcm
+    from touchfield.codec.paper.kernels.loops import adpcm
 
     residuals = np.zeros((3, len(grains)), np.int64)
     for values, out in zip(np.ascontiguousarray(grains.T), residuals, strict=True):

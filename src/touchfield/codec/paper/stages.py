@@ -18,58 +18,41 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.numbers import decode_numbers
-from touchfield.codec.paper.body import MOST_NEWTONS
-from touchfield.codec.paper.frames import field_of
+from touchfield.codec.paper.body import MOST_NEWTONS, field_of
 from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
 from touchfield.codec.support import decode_support
 from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
 from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels import raster_slots
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Int64s = NDArray[np.int64]
+Int32s = NDArray[np.int32]
 
-    from touchfield.medium import ForceField, Grid
-
-    Int64s = NDArray[np.int64]
-    Int32s = NDArray[np.int32]
-
-__all__ = ["GRAIN", "LEVELS", "ORDER", "PARTS", "StageReader", "cosines", "from_bricks", "is_by_brick", "lifted"]
-
-LEVELS: Final = 3
-"""Of the wavelet: 8 samples, 4, 2."""
-
-GRAIN: Final = 16
-"""Parts of the finest step that ADPCM counts in."""
-
+LEVELS: Final = 3  # of the wavelet: 8 samples, 4, 2
+GRAIN: Final = 16  # parts of the finest step that ADPCM counts in
 _FARTHEST = float(1 << 20)  # steps of a component that are told apart
 _BYTES_PER_BRICK = 128 * BRICK**3  # that decoding takes at its height
 _FRACTION = 8  # bits below a step in the DCT
 _COSINE_BITS = 18
 
+# what a decoded whole number is, in parts of a step, by stage
 PARTS: Final = {"dpcm": 1, "adpcm": GRAIN, "dct": 1 << _FRACTION, "wavelet": 1, "runs": 1}
-"""What a decoded whole number is, in parts of a step, by stage."""
-
 ORDER: Final = np.argsort(np.indices((BRICK,) * 3).sum(axis=0).reshape(-1), kind="stable")
 """The places of a brick's coefficients, low frequencies first: by the sum of the three indices."""
 
 
 class StageReader:
-    """A segment of a stage; the interface is that of `body.BodyReader`.
-
-    Raises
-    ------
-    CorruptFile, TruncatedFile
-        If the bytes contradict themselves or end too early.
-    """
+    """A segment of a stage, as `body.BodyReader`; CorruptFile or TruncatedFile for other bytes than the writer's."""
 
     def __init__(self, body: bytes, grid: Grid, stage: str) -> None:
         self._parts, self._grid, self._stage = Parts(body), grid, stage
@@ -120,10 +103,7 @@ class StageReader:
 
 
 def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
-    """Whole numbers of the supported samples, in the order of `slots`, int64 [L, 3].
-
-    `known` are the number of bricks, `slots` int64 [L], and the number of runs.
-    """
+    """Supported samples in the order of `slots`, int64 [L, 3]; `known`: number of bricks, slots, number of runs."""
     brick_count, slots, runs = known
     if stage == "runs":
         numbers = decode_numbers(data, 4 * runs)
@@ -142,7 +122,7 @@ def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
     residuals = decode_numbers(data, 3 * len(slots)).reshape(3, -1)
     if stage == "dpcm":
         return np.cumsum(residuals, axis=1).T
-    from touchfield.codec.paper.kernels.adpcm import adpcm
+    from touchfield.codec.paper.kernels.loops import adpcm
 
     grains = np.zeros_like(residuals)
     for values, read in zip(grains, residuals, strict=True):

@@ -1,71 +1,89 @@
-"""How the coder `touch` lays a segment out in bytes, written and read by the same tables."""
+"""How the coder `touch` lays a segment out in bytes, and `HEAD.coder_parameters`.
+
+Voxels that a frame model left beyond the promise are sent apart: float32, exactly as they were. Departure from the
+paper, which has no escape: single voxels in 10^5 would break the mask by accumulated rounding.
+"""
 
 from __future__ import annotations
 
 import math
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.rate import BitAccount
-from touchfield.codec.segment import FrameCost, FrameKind
-from touchfield.codec.touch.lattice import (
-    FLOOR_LIMIT,
-    LEAST_RATE,
-    LEAST_UNIFORM,
-    MOST_NEWTONS,
-    RATE_LIMIT,
-    SMALLEST_UNIT_N,
-    Lattice,
-)  # fmt: skip
-from touchfield.codec.touch.promise import Worst
-from touchfield.codec.varint import Parts, write_varint
-from touchfield.errors import CorruptFile
-
-if TYPE_CHECKING:
-    from touchfield.medium import Grid
-
-__all__ = ["BodyReader", "FrameRecord", "TouchCost", "shares_of", "write_body"]
+from touchfield.codec.segment import FrameCost, FrameKind, Worst
+from touchfield.codec.touch.lattice import Lattice
+from touchfield.codec.touch.spec import EFFORTS, MODES, SUPPORTS, TouchSpec
+from touchfield.codec.varint import Parts, chunk, read_varint, write_varint
+from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile, UnsupportedVersion
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import brick_keys
 
 _WHERE: Final = "SEGM.body"
+_APART: Final = "SEGM.body exceptions"
+_VERSION: Final = 1  # of the parameters
+_SAMPLES: Final = 512
+_VECTOR: Final = 12
 _WORST_FLAG: Final = 1
 _RATIOS: Final = 65535
 _INTER, _GUESS, _EXCEPTIONS = 1, 2, 4
+_MASK: Final = ("k", "f0_n")
+NUMBERS: Final = {"mask": _MASK, "mask-direction": (*_MASK, "direction_jnd_deg"), "nmse": ("step_n",), "lossless": ()}
+"""Of a spec, what a mode goes by."""
+
+
+@dataclass(frozen=True)
+class Promise:
+    """Promise of a segment, and its worst voxel, found by the encoder on the decoder's own output."""
+
+    mode: str  # see `TouchSpec`
+    k: float | None  # None in a mode without it, as the following
+    f0_n: float | None
+    direction_jnd_deg: float | None
+    worst: Worst | None  # None in mode "nmse", which promises nothing. In mode "lossless" its ratio is 0
+
+    @classmethod
+    def of(cls, spec: TouchSpec, worst: Worst | None) -> Promise:
+        """The promise of a mode."""
+        mine = {
+            name: getattr(spec, name) if name in NUMBERS[spec.mode] else None for name in NUMBERS["mask-direction"]
+        }
+        return cls(spec.mode, **mine, worst=worst)
+
+    @property
+    def worst_ratio(self) -> float | None:
+        """The largest |error| / allowed."""
+        return None if self.worst is None else self.worst.ratio
+
+    def describe(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        ratio, frame, voxel = self.worst or (None, None, None)
+        numbers = {name: getattr(self, name) for name in ("mode", *NUMBERS["mask-direction"])}
+        return {**numbers, "worst_ratio": ratio, "worst_frame": frame, "worst_voxel": voxel and list(voxel)}
 
 
 @dataclass(frozen=True)
 class TouchCost(FrameCost):
-    """Cost of a frame, and how it was coded.
+    """Cost of a frame, and how it was coded."""
 
-    Attributes
-    ----------
-    guess_bits, exception_bits : int
-        The bits of what makes the guess, `BitAccount.models`; and of the side bits those of voxels sent apart.
-    """
-
-    guess_bits: int
-    exception_bits: int
+    guess_bits: int  # `BitAccount.models`
+    exception_bits: int  # of the side bits those of voxels sent apart
 
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """A frame as a body holds it.
+    """A frame as a body holds it."""
 
-    Attributes
-    ----------
-    inter : bool
-        Whether the frame before is known: what it taught, and, unless there is a guess, its forces.
-    guess, payload, exceptions : bytes
-        The guess and the exceptions are empty where there are none.
-    shares : (int, int)
-        Support and amplitude of the payload, 1/255.
-    """
-
-    inter: bool
-    guess: bytes
+    inter: bool  # whether the frame before is known: what it taught, and, unless there is a guess, its forces
+    guess: bytes  # empty where there is none, as the exceptions
     payload: bytes
-    shares: tuple[int, int]
+    shares: tuple[int, int]  # support and amplitude of the payload, 1/255
     exceptions: bytes = b""
 
     @property
@@ -76,10 +94,8 @@ class FrameRecord:
     def to_bytes(self) -> bytes:
         """The frame in a body (docs/format/touch.md, "Body")."""
         how = _INTER * self.inter | _GUESS * bool(self.guess) | _EXCEPTIONS * bool(self.exceptions)
-        chunks = (self.guess, self.payload, self.exceptions)
-        kept = (bool(self.guess), True, bool(self.exceptions))
-        parts = [write_varint(len(chunk)) + chunk for chunk, there in zip(chunks, kept, strict=True) if there]
-        return bytes([how, *self.shares]) + b"".join(parts)
+        chunks = [self.guess] * bool(self.guess) + [self.payload] + [self.exceptions] * bool(self.exceptions)
+        return bytes([how, *self.shares]) + b"".join(map(chunk, chunks))
 
     @property
     def cost(self) -> TouchCost:
@@ -101,44 +117,26 @@ def shares_of(bits: tuple[float, float, float]) -> tuple[int, int]:
     return support, min(round(255 * bits[1] / total), 255 - support)
 
 
-# -- writing ----------------------------------------------------------------------------------------------
-
-
 def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], worst: Worst | None) -> bytes:
     """The body of a segment; `lattice` is None in mode "lossless"."""
     parts = [bytes([_WORST_FLAG if worst else 0])]
     if lattice is not None:
-        steps = (lattice.floor, lattice.rate, lattice.cross_floor, lattice.cross_rate)
-        parts += [struct.pack("<f", lattice.unit_n), *map(write_varint, steps)]
+        parts.append(lattice.to_bytes())
     if worst is not None:
         ratio = min(_RATIOS, math.ceil(worst.ratio * _RATIOS))
         parts += [struct.pack("<H", ratio), *map(write_varint, (worst.frame, *worst.voxel))]
     return b"".join([*parts, *(record.to_bytes() for record in records)])
 
 
-# -- reading ----------------------------------------------------------------------------------------------
-
-
 class BodyReader:
-    """Reads a segment's body from front to back.
-
-    Attributes
-    ----------
-    lattice : Lattice or None
-    worst : Worst or None
-
-    Raises
-    ------
-    CorruptFile, TruncatedFile
-        If the bytes contradict themselves or end too early.
-    """
+    """Reads a segment's body from front to back; CorruptFile or TruncatedFile for other bytes than the encoder's."""
 
     def __init__(self, body: bytes, grid: Grid, *, exact: bool) -> None:
         self._parts, self._exact = Parts(body), exact
         (flags,) = self._parts.take(1, "flags")
         if flags & ~_WORST_FLAG:
             raise CorruptFile(f"{_WHERE} flags", f"{flags:#x}", "bit 0 only")
-        self.lattice = None if exact else self._lattice()
+        self.lattice = None if exact else Lattice.read(self._parts)
         self.worst = self._worst(grid) if flags & _WORST_FLAG else None
 
     def records(self, frame_count: int) -> Iterator[FrameRecord]:
@@ -160,33 +158,121 @@ class BodyReader:
         guess = self._parts.chunk("guess") if how & _GUESS else b""
         payload = self._parts.chunk("payload")
         exceptions = self._parts.chunk("exceptions") if how & _EXCEPTIONS else b""
-        for what, bit, chunk in (("guess", _GUESS, guess), ("exceptions", _EXCEPTIONS, exceptions)):
-            if how & bit and not chunk:
+        for what, bit, part in (("guess", _GUESS, guess), ("exceptions", _EXCEPTIONS, exceptions)):
+            if how & bit and not part:
                 raise CorruptFile(f"{_WHERE} {what}", "an empty chunk", "a byte at least, or none named")
         return FrameRecord(bool(how & _INTER), guess, payload, (support, amplitude), exceptions)
-
-    def _lattice(self) -> Lattice:
-        (unit_n,) = struct.unpack("<f", self._parts.take(4, "unit"))
-        if not SMALLEST_UNIT_N <= unit_n <= MOST_NEWTONS / 65536:
-            raise CorruptFile(f"{_WHERE} unit", f"{unit_n} N", "2^-126 to 2^104 N")
-        steps = []
-        for what, least, limit in (
-            ("floor", 1, FLOOR_LIMIT),
-            ("rate", 0, RATE_LIMIT),
-            ("cross floor", 1, FLOOR_LIMIT),
-            ("cross rate", 0, RATE_LIMIT),
-        ):
-            value = self._parts.varint(what, limit)
-            if value < least:
-                raise CorruptFile(f"{_WHERE} {what}", str(value), f"{least} or more")
-            steps.append(value)
-        if steps[0] < LEAST_UNIFORM and steps[1] < LEAST_RATE:
-            found = f"a floor of {steps[0]} with a rate of {steps[1]}"
-            raise CorruptFile(f"{_WHERE} lattice", found, f"{LEAST_UNIFORM} or {LEAST_RATE} at least")
-        return Lattice(unit_n, *steps)
 
     def _worst(self, grid: Grid) -> Worst:
         (ratio,) = struct.unpack("<H", self._parts.take(2, "worst ratio"))
         frame = self._parts.varint("worst frame", 1 << 16)
         x, y, z = (self._parts.varint("worst voxel", n) for n in grid.shape)
         return Worst(ratio / _RATIOS, frame, (x, y, z))
+
+
+def write_parameters(spec: TouchSpec) -> bytes:
+    """The parameters of what was asked for."""
+    asked = MODES.index(spec.mode) | SUPPORTS.index(spec.support) << 2 | EFFORTS.index(spec.effort) << 3
+    numbers = [getattr(spec, name) for name in NUMBERS[spec.mode]]
+    return struct.pack(f"<BB{len(numbers)}d", _VERSION, asked, *numbers)
+
+
+def read_parameters(data: bytes, where: str) -> TouchSpec:
+    """Spec that was asked for, as far as a file tells; UnsupportedVersion or CorruptFile for other bytes."""
+    if len(data) < 2:
+        raise CorruptFile(where, f"{len(data)} bytes", "2 or more")
+    if data[0] != _VERSION:
+        raise UnsupportedVersion(where, f"version {data[0]}", f"version {_VERSION}", "A newer touchfield reads it.")
+    mode, support, effort = data[1] & 3, data[1] >> 2 & 1, data[1] >> 3
+    if effort >= len(EFFORTS):
+        raise CorruptFile(where, f"{data[1]:#x} for mode, support and effort", "an effort of 0 to 2")
+    names = NUMBERS[MODES[mode]]
+    if len(data) != 2 + 8 * len(names):
+        raise CorruptFile(where, f"{len(data)} bytes", f"{2 + 8 * len(names)} bytes of mode {MODES[mode]}")
+    numbers = dict(zip(names, struct.unpack_from(f"<{len(names)}d", data, 2), strict=True))
+    if not all(map(math.isfinite, numbers.values())):
+        raise CorruptFile(where, repr(numbers), "finite numbers")
+    spec = TouchSpec(mode=MODES[mode], support=SUPPORTS[support], effort=EFFORTS[effort])
+    try:
+        return replace(spec, **numbers)
+    except InvalidArgument as error:
+        raise CorruptFile(where, f"{error.where} = {error.found}", error.expected) from None
+
+
+@dataclass(frozen=True)
+class Exceptions:
+    """Forces that replace decoded ones."""
+
+    keys: NDArray[np.int64]  # [m]; of the bricks
+    places: NDArray[np.int64]  # [m]; samples in them, 0 to 511; (key, place) ascends
+    forces_n: NDArray[np.float32]  # [m, 3]; newtons, to the bit
+
+    @classmethod
+    def of(cls, original: ForceField, keys: NDArray[np.int64], places: NDArray[np.int64]) -> Exceptions:
+        """The forces of a field at some voxels, in any order and perhaps named twice."""
+        pairs = np.unique(np.stack([keys, places], axis=1), axis=0)
+        bricks, slot = np.unique(pairs[:, 0], return_inverse=True)
+        forces = original.forces_at(bricks).reshape(-1, _SAMPLES, 3)[slot.reshape(-1), pairs[:, 1]]
+        return cls(pairs[:, 0], pairs[:, 1], forces)
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def to_bytes(self) -> bytes:
+        """The chunk (docs/format/touch.md, "Exceptions")."""
+        parts, before = [], 0
+        vectors = np.ascontiguousarray(self.forces_n, "<f4")
+        for key, place, vector in zip(self.keys.tolist(), self.places.tolist(), vectors, strict=True):
+            data = vector.tobytes() if any(vector.tobytes()) else b""
+            parts += [write_varint(key - before), write_varint(2 * place + (not data)), data]
+            before = key
+        return b"".join(parts)
+
+    @classmethod
+    def from_bytes(cls, data: bytes, grid: Grid) -> Exceptions:
+        """The inverse of `to_bytes`; CorruptFile or TruncatedFile where the bytes are not what it writes."""
+        keys: list[int] = []
+        places: list[int] = []
+        forces: list[bytes] = []
+        at, key, place = 0, 0, -1
+        limit = math.prod(grid.brick_shape)
+        while at < len(data):
+            gap, at = read_varint(data, at, f"{_APART}, brick", limit - key)
+            coded, at = read_varint(data, at, f"{_APART}, sample", 2 * _SAMPLES)
+            if keys and gap == 0 and coded >> 1 <= place:
+                raise CorruptFile(_APART, f"sample {coded >> 1} after sample {place}", "ascending samples")
+            key, place = key + gap, coded >> 1
+            vector = bytes(_VECTOR)
+            if not coded & 1:
+                vector = data[at : at + _VECTOR]
+                if len(vector) < _VECTOR:
+                    raise TruncatedFile(_APART, f"{len(vector)} bytes", f"{_VECTOR} bytes of a force")
+                at += _VECTOR
+            keys.append(key)
+            places.append(place)
+            forces.append(vector)
+        vectors = np.frombuffer(b"".join(forces), "<f4").astype(np.float32).reshape(-1, 3)
+        if not np.isfinite(vectors).all():
+            raise CorruptFile(_APART, "a force that is not finite", "finite newtons")
+        made = cls(np.array(keys, np.int64), np.array(places, np.int64), vectors)
+        made._check_inside(grid)
+        return made
+
+    def _check_inside(self, grid: Grid) -> None:
+        bricks = np.stack(np.unravel_index(self.keys, grid.brick_shape), axis=-1)
+        local = np.stack(np.unravel_index(self.places, (8, 8, 8)), axis=-1)
+        if len(self) and ((8 * bricks + local) >= np.asarray(grid.shape)).any():
+            raise CorruptFile(_APART, "a sample beyond the grid", f"samples below {grid.shape}")
+
+    def applied(self, field: ForceField) -> ForceField:
+        """A field with these forces in place of its own; bricks without any force are left out."""
+        if not len(self):
+            return field
+        keys = np.union1d(brick_keys(field.grid, field.bricks), self.keys)
+        bricks = np.stack(np.unravel_index(keys, field.grid.brick_shape), axis=-1).astype(np.int32)
+        own = np.searchsorted(keys, brick_keys(field.grid, field.bricks))
+        forces = zero_forces(len(keys))
+        forces[own] = field.forces_n
+        forces.reshape(-1, _SAMPLES, 3)[np.searchsorted(keys, self.keys), self.places] = self.forces_n
+        held = forces.any(axis=(1, 2, 3, 4))
+        return ForceField(field.grid, bricks[held], forces[held])

@@ -9,53 +9,36 @@ forces add. All is predicted from the columns beside.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.codec.brick_list import BRICKS_FREE, BRICKS_PER_BYTE
 from touchfield.codec.kernels.bits import PLACE, fresh, reader
-from touchfield.codec.touch.fixed_field import FixedField
-from touchfield.codec.touch.kernels import columns as kernels
+from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE
+from touchfield.codec.touch.kernels import guess as kernels
+from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.varint import read_varint
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.parallel import for_chunks
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["DEEPEST", "TILES_FREE", "View", "columns_of", "forces_of", "least_size", "synthesise"]
-
-DEEPEST: Final = 1 << 14
-"""Samples of a column, at most."""
-
-TILES_FREE: Final = 64
-"""Tiles of the box that need no byte."""
-
+DEEPEST: Final = 1 << 14  # samples of a column, at most
+TILES_FREE: Final = 64  # tiles of the box that need no byte
 _WHERE: Final = "columns"
 _CHANGED: Final = "The file was changed or cut."
 
 
 @dataclass(frozen=True)
 class View:
-    """Columns of a box, from outside to inside.
-
-    Attributes
-    ----------
-    grid : Grid
-    axis : int
-        They run along it.
-    inverted : bool
-        Whether outside is where its samples end.
-    box : (int, int, int, int)
-        The first tile of 8 x 8 columns along the other axes, a before b, and how many there are along each.
-    """
+    """Columns of a box, from outside to inside."""
 
     grid: Grid
-    axis: int
-    inverted: bool
+    axis: int  # they run along it
+    inverted: bool  # whether outside is where its samples end
+    # the first tile of 8 x 8 columns along the other axes, a before b, and how many there are
+    # along each
     box: tuple[int, int, int, int]
 
     @property
@@ -115,14 +98,9 @@ def forces_of(view: View, columns: kernels.Columns, size: int | None = None) -> 
 
 
 def synthesise(data: bytes, grid: Grid) -> FixedField:
-    """The guess from its bytes; whole numbers throughout.
+    """The guess from its bytes, each of which takes some 130 KiB at most, beside 2 MiB; whole numbers throughout.
 
-    Some 130 KiB are taken for each byte at most, beside 2 MiB.
-
-    Raises
-    ------
-    TruncatedFile, CorruptFile
-        If the bytes are not what the encoder writes.
+    TruncatedFile or CorruptFile if they are not what the encoder writes.
     """
     axis, at = read_varint(data, 0, f"{_WHERE}, axis", 6)
     across = [n for c, n in enumerate(grid.brick_shape) if c != axis >> 1]
@@ -137,7 +115,7 @@ def synthesise(data: bytes, grid: Grid) -> FixedField:
         raise CorruptFile(_WHERE, found, "a box within the grid", _CHANGED)
     if size < least_size(view, 0):
         raise TruncatedFile(_WHERE, f"{size} bytes for {tiles_a * tiles_b} tiles", "a byte each", _CHANGED)
-    bits = reader(data[at:], fresh(kernels.CONTEXTS, kernels.SETS))
+    bits = reader(data[at:], fresh(kernels.COLUMN_CONTEXTS, kernels.COLUMN_SETS))
     columns = columns_of(view, np.array(head[4:], np.int64))
     rows, count = view.told
     for row in range(rows):

@@ -5,27 +5,20 @@ Fields without a main axis, and walls that end before the inner border of the gr
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import columns as guess
-from touchfield.codec.touch.kernels import columns as kernels
-from touchfield.codec.touch.kernels.columns_choice import choose_row
-from touchfield.codec.touch.kernels.columns_fit import Fits
+from touchfield.codec.touch.kernels import guess as kernels
+from touchfield.codec.touch.kernels.columns_fit import Fits, choose_row
+from touchfield.codec.touch.kernels.encode_pass import Limits
+from touchfield.codec.touch.lattice import FixedField, Lattice
 from touchfield.codec.varint import write_varint
+from touchfield.medium import ForceField
 from touchfield.medium.grid import BRICK
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.codec.touch.fixed_field import FixedField
-    from touchfield.codec.touch.kernels.choice import Limits
-    from touchfield.codec.touch.lattice import Lattice
-    from touchfield.medium import ForceField
-
-__all__ = ["fit"]
 
 _LEAST_SHARE: Final = 0.4  # of the forces along one axis, else there is none to look along
 _LEAST_REACHING: Final = 0.2  # of the tiles that reach the inner border
@@ -36,20 +29,9 @@ _XY_SHARE, _Z_SHARE, _A_SHARE = 0.35, 1.4, 0.9  # steps, of the mask
 
 
 def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, FixedField] | None:
-    """The bytes of columns for a frame, and the guess that `synthesise` makes of them.
+    """The bytes of columns for a frame, and the guess that `synthesise` makes of them, in the mask of `limits`.
 
-    Parameters
-    ----------
-    frame : ForceField
-    lattice : Lattice
-        Gives the unit.
-    limits : Limits
-        The mask that the guess should keep where it can.
-
-    Returns
-    -------
-    (bytes, FixedField) or None
-        None where there are no columns to be told: no main axis of the force, or no solid behind a surface.
+    None where there are no columns to be told: no main axis of the force, or no solid behind a surface.
     """
     view = _view_of(frame)
     if view is None:
@@ -60,7 +42,7 @@ def fit(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, Fix
         return None
     columns = guess.columns_of(view, heads)
     # of nine numbers of some 70 bits each: an adaptive bit costs 14 bits at most, but few of them do
-    bits = writer(len(columns.surfaces) * 200 + 64, fresh(kernels.CONTEXTS, kernels.SETS))
+    bits = writer(len(columns.surfaces) * 200 + 64, fresh(kernels.COLUMN_CONTEXTS, kernels.COLUMN_SETS))
     ramp = np.array([heads[kernels.TOP], heads[kernels.RAMP] / 65536])
     room = np.zeros(view.depth), np.zeros(3), np.zeros(3), np.zeros((view.depth, 3))
     rows, count = view.told

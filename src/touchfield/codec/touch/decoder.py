@@ -6,43 +6,25 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.segment import FrameStats
-from touchfield.codec.touch.body import BodyReader, FrameRecord
-from touchfield.codec.touch.fixed_field import TOP
-from touchfield.codec.touch.parameters import read_parameters
-from touchfield.codec.touch.promise import Promise
+from touchfield.codec.touch.body import NUMBERS, BodyReader, FrameRecord, Promise, TouchCost, read_parameters
+from touchfield.codec.touch.lattice import TOP, FixedField
+from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.codec.touch.body import TouchCost
     from touchfield.codec.touch.exact import Told
-    from touchfield.codec.touch.fixed_field import FixedField
-    from touchfield.medium import ForceField, Grid
-
-__all__ = ["TouchDecoder"]
 
 NAME: Final = "touch"
-_TOP_UNKNOWN_N: Final = 100.0
-"""Of a field kept exactly: the ladder that it is measured by reaches that far."""
+_TOP_UNKNOWN_N: Final = 100.0  # of a field kept exactly: the ladder that it is measured by reaches that far
 
 
 class TouchDecoder:
     """Decodes segments of one stream; any number of threads may use it at once.
 
-    Parameters
-    ----------
-    grid : Grid
-    parameters : bytes
-        `HEAD.coder_parameters`.
-    where : str, optional
-        What `parameters` are; for the message.
-
-    Raises
-    ------
-    CorruptFile, UnsupportedVersion
-        If `parameters` are not those of this coder.
+    `parameters` are `HEAD.coder_parameters`, or what `where` calls them; CorruptFile or UnsupportedVersion for
+    others.
     """
 
     name = NAME
@@ -51,13 +33,7 @@ class TouchDecoder:
         self._grid, self.spec = grid, read_parameters(parameters, where)
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
-        """The frames of a segment, one after another.
-
-        Raises
-        ------
-        CorruptFile, TruncatedFile
-            If the bytes are not what the encoder writes.
-        """
+        """The frames of a segment in turn; CorruptFile or TruncatedFile for other bytes than the encoder's."""
         for _, field in self._decoded(body, frame_count):
             yield field
 
@@ -79,15 +55,7 @@ class TouchDecoder:
 
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        spec = self.spec
-        told: dict[str, Any] = {"mode": spec.mode, "effort": spec.effort, "support": spec.support}
-        if spec.mode in ("mask", "mask-direction"):
-            told |= {"k": spec.k, "f0_n": spec.f0_n}
-        if spec.mode == "mask-direction":
-            told["direction_jnd_deg"] = spec.direction_jnd_deg
-        if spec.mode == "nmse":
-            told["step_n"] = spec.step_n
-        return told
+        return {name: getattr(self.spec, name) for name in ("mode", "effort", "support", *NUMBERS[self.spec.mode])}
 
     def quantiser(self, body: bytes) -> Callable[[ForceField], NDArray[np.int64]]:
         """Q of the measures: this coder has no symbols of its own, so the default Weber ladder and directions.
@@ -112,8 +80,8 @@ class TouchDecoder:
         return BodyReader(body, self._grid, exact=self.spec.mode == "lossless")
 
     def _decoded(self, body: bytes, frame_count: int) -> Iterator[tuple[FrameRecord, ForceField]]:
+        from touchfield.codec.touch.body import Exceptions
         from touchfield.codec.touch.exact import decode_exact
-        from touchfield.codec.touch.exceptions import Exceptions
         from touchfield.codec.touch.frame import Known, decode_frame, fresh_memory
         from touchfield.codec.touch.guess import synthesise
 

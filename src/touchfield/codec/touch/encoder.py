@@ -1,8 +1,8 @@
 """Encoder of the coder `touch`: frames to the body of a segment, which is written only when it keeps its promise.
 
-Each frame is coded in closed loop by the ways that its effort tries (`ways`); then the finished body is decoded as
-any receiver would, every voxel of every frame is compared with the original, and what is beyond the promise is sent
-apart.
+Each frame is coded in closed loop by the ways that its effort tries (`frame_encoder`); then the finished body is
+decoded as any receiver would, every voxel of every frame is compared with the original, and what is beyond the
+promise is sent apart.
 """
 
 from __future__ import annotations
@@ -10,43 +10,28 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.codec.segment import CodedSegment, FrameStats
-from touchfield.codec.touch.body import FrameRecord, shares_of, write_body
+from touchfield.codec.segment import CodedSegment, FrameStats, Worst
+from touchfield.codec.touch.body import Exceptions, FrameRecord, shares_of, write_body, write_parameters
 from touchfield.codec.touch.decoder import NAME, TouchDecoder
 from touchfield.codec.touch.exact_encoder import encode_exact
-from touchfield.codec.touch.exceptions import Exceptions
-from touchfield.codec.touch.lattice import MOST_NEWTONS
-from touchfield.codec.touch.parameters import write_parameters
-from touchfield.codec.touch.promise import Worst, compared
-from touchfield.codec.touch.rule import lattice_for
-from touchfield.codec.touch.ways import Chooser
+from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
+from touchfield.codec.touch.kernels.compare import largest
+from touchfield.codec.touch.lattice import MOST_NEWTONS, Lattice
+from touchfield.codec.touch.promise import Compared, compared
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import FormatError, InvalidArgument
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.grid import BRICK
-
-if TYPE_CHECKING:
-    from touchfield.codec.touch.kernels.compare import Compared
-    from touchfield.codec.touch.lattice import Lattice
-    from touchfield.codec.touch.spec import TouchSpec
-    from touchfield.medium import ForceField, Grid
-
-__all__ = ["TouchEncoder"]
 
 _ROUNDS = 4
 _STANDING = 0.02  # share of the mask by which a standing world may differ from its anchor
 
 
 class TouchEncoder:
-    """Codes segments of one stream; any number of threads may use it at once.
-
-    Parameters
-    ----------
-    grid : Grid
-    spec : TouchSpec
-    """
+    """Codes segments of one stream; any number of threads may use it at once."""
 
     name = NAME
 
@@ -63,20 +48,10 @@ class TouchEncoder:
     ) -> CodedSegment:
         """Code frames, at least one, as an independent segment.
 
-        Parameters
-        ----------
-        frames : iterable of ForceField
-            Where `longest_n` is given they are coded as they come.
-        anchor : ForceField, optional
-            A field near the first frame, to be coded in its place: segments of a world that stands, which share one,
-            begin with the same bytes, and so with the same forces. The promise is about the frames all the same.
-        longest_n : float, optional
-            No force of any frame is longer; those of the frames themselves otherwise.
-
-        Raises
-        ------
-        InvalidArgument
-            If a force is NaN, infinite or beyond 2^120 N, or a frame has another grid.
+        Where `longest_n` is given, which no force of any frame is longer than, frames are coded as they come.
+        `anchor` is a field near the first frame, to be coded in its place: segments of a world that stands, which
+        share one, begin with the same bytes, and so with the same forces. The promise is about the frames all the
+        same. InvalidArgument if a force is NaN, infinite or beyond 2^120 N, or a frame has another grid.
         """
         came: list[ForceField] = []
         if longest_n is None or self._spec.mode == "lossless":
@@ -104,10 +79,7 @@ class TouchEncoder:
         return self._verified(came, lattice, records)
 
     def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
-        """The field to begin a segment with whose first frame this is: the anchor before, where the world stands.
-
-        It stands where no force differs by more than a small share of the mask; then both begin with the same bytes.
-        """
+        """The anchor before, where no force differs by more than a small share of the mask, or else this frame."""
         if before is None or self._spec.mode not in ("mask", "mask-direction") or frame.grid != before.grid:
             return frame
         k, f0_n = max(_STANDING * self._spec.k, 0.001), _STANDING * self._spec.f0_n
@@ -115,13 +87,11 @@ class TouchEncoder:
         return frame if len(found.keys) else before
 
     def _longest_n(self, index: int, frame: ForceField) -> float:
-        from touchfield.codec.touch.kernels.compare import largest
-
         if frame.grid != self._grid:
             raise InvalidArgument(
                 f"frame {index}", f"a grid of {frame.grid.shape}", f"that of the stream, {self._grid.shape}"
             )
-        longest_n = largest(frame.forces_n)
+        longest_n = float(largest(frame.forces_n.reshape(-1, 3)))
         if math.isinf(longest_n):
             raise InvalidArgument(f"frame {index}", "a force that is NaN or infinite", "finite newtons")
         if longest_n > MOST_NEWTONS:
@@ -155,7 +125,8 @@ class TouchEncoder:
 
     def _sealed(self, lattice: Lattice | None, records: list[FrameRecord], found: Sequence[Compared]) -> CodedSegment:
         worst = None if self._spec.mode == "nmse" else self._worst(found)
-        return CodedSegment(write_body(lattice, records, worst), _stats(records, [f.decoded for f in found]))
+        stats = (FrameStats(r.kind, f.decoded, f.decoded, r.cost.bits) for r, f in zip(records, found, strict=True))
+        return CodedSegment(write_body(lattice, records, worst), tuple(stats))
 
     def _more(self, original: ForceField, known: bytes, found: Compared) -> bytes:
         before = Exceptions.from_bytes(known, self._grid)
@@ -171,9 +142,3 @@ class TouchEncoder:
         local = np.unravel_index(one.worst_place, (BRICK,) * 3)
         x, y, z = (BRICK * int(b) + int(n) for b, n in zip(brick, local, strict=True))
         return Worst(min(one.worst, 1.0), frame, (x, y, z))
-
-
-def _stats(records: Sequence[FrameRecord], counts: Sequence[int]) -> tuple[FrameStats, ...]:
-    return tuple(
-        FrameStats(record.kind, count, count, record.cost.bits) for record, count in zip(records, counts, strict=True)
-    )

@@ -6,42 +6,30 @@ the coder `paper` makes them; or its components as they are. A frame after anoth
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.codec.brick_list import check_end, code_bricks, padded
 from touchfield.codec.kernels.bits import Models, fresh, reader
 from touchfield.codec.paper.directions import Codebook, codebook_names
+from touchfield.codec.support import check_end, code_bricks, padded
 from touchfield.codec.touch.kernels import exact as kernels
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import slots_around
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Int64s = NDArray[np.int64]
-    Floats = NDArray[np.float32]
-
-__all__ = ["AS_THEY_ARE", "BRICK_COUNTS", "Palette", "Told", "components", "decode_exact", "frame_of", "models_after"]
+Int64s = NDArray[np.int64]
+Floats = NDArray[np.float32]
 
 _WHERE: Final = "exact frame"
 
 
 class Palette(NamedTuple):
-    """How symbols become forces.
+    """How symbols become forces."""
 
-    Attributes
-    ----------
-    book : int
-        1 + the place of a codebook in `codebook_names`; 0: symbols are components.
-    levels : float32 [k]
-        Ascending, where there is a codebook.
-    """
-
-    book: int
-    levels: Floats
+    book: int  # 1 + the place of a codebook in `codebook_names`; 0: symbols are components
+    levels: Floats  # [k]; ascending, where there is a codebook
 
     @property
     def codebook(self) -> Codebook:
@@ -75,31 +63,19 @@ class Palette(NamedTuple):
         return cls(data[0], levels), data[end:]
 
 
-AS_THEY_ARE: Final = Palette(0, np.zeros(0, np.float32))
-"""The palette that has every force."""
+AS_THEY_ARE: Final = Palette(0, np.zeros(0, np.float32))  # the palette that has every force
 
 
 class Told(NamedTuple):
-    """A frame, and what the next one may know.
+    """A frame, and what the next one may know."""
 
-    Attributes
-    ----------
-    field : ForceField
-        Every brick holds a sample of which a bit is set.
-    palette : Palette
-    symbols : int64 [512 * bricks, planes]
-        -1 where there is no force.
-    models : Models
-    """
-
-    field: ForceField
+    field: ForceField  # every brick holds a sample of which a bit is set
     palette: Palette
-    symbols: Int64s
+    symbols: Int64s  # [512 * bricks, planes]; -1 where there is no force
     models: Models
 
 
-BRICK_COUNTS: Final = 4
-"""Bricks of a payload that one of this mode counts for: it takes more memory than others."""
+BRICK_COUNTS: Final = 4  # bricks of a payload that one of this mode counts for: it takes more memory than others
 
 
 def _turned(numbers: Int64s) -> Int64s:
@@ -123,18 +99,9 @@ def models_after(before: Told | None) -> Models:
 def decode_exact(data: bytes, grid: Grid, before: Told | None) -> Told:
     """Decode a frame that `exact_encoder.encode_exact` wrote.
 
-    Parameters
-    ----------
-    data : bytes
-    grid : Grid
-    before : Told or None
-        The frame before, unless the frame stands alone.
-
-    Raises
-    ------
-    TruncatedFile, CorruptFile
-        If the bytes are not what it writes. Memory is taken for a quarter of the bricks that `brick_list` allows,
-        some 32 KiB each, and 2 MiB.
+    `before` is the frame before, unless the frame stands alone. TruncatedFile or CorruptFile if the bytes are not
+    what that writes. Memory is taken for a quarter of the bricks that `codec.support` allows, some 32 KiB each, and 2
+    MiB.
     """
     palette, data = Palette.read(data, before and before.palette)
     models = models_after(before)

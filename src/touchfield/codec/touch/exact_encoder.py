@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.codec.brick_list import code_bricks, padded
 from touchfield.codec.kernels.bits import end_of, writer
 from touchfield.codec.paper.directions import Codebook, codebook_names
+from touchfield.codec.support import code_bricks, padded
 from touchfield.codec.touch.exact import AS_THEY_ARE, BRICK_COUNTS, Palette, Told, components, frame_of, models_after
 from touchfield.codec.touch.kernels import exact as kernels
 from touchfield.medium import ForceField
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Shares = tuple[float, float, float]
-    Bounds = NDArray[np.float64]
-
-__all__ = ["encode_exact"]
+Shares = tuple[float, float, float]
+Bounds = NDArray[np.float64]
 
 _TRIED: Final = ("ico5", "octa3", "ico3", "ico1", "ico2", "ico4", "octa1", "octa2", "ico8", "ico10")
 _MOST_LEVELS: Final = (1 << 16) - 1
@@ -29,17 +25,9 @@ _MOST_LEVELS: Final = (1 << 16) - 1
 def encode_exact(frames: Sequence[ForceField]) -> Iterator[tuple[bytes, Shares]]:
     """Code frames to the bit, each after the one before.
 
-    Parameters
-    ----------
-    frames : sequence of ForceField
-        At least one; all on one grid, and finite. A sample whose three components are all 0.0 holds no force; one of
-        -0.0 does.
-
-    Yields
-    ------
-    payload : bytes
-    bits : (float, float, float)
-        Of support, amplitude and direction; of components that are told as they are, the first is the amplitude.
+    `frames`: at least one; all on one grid, and finite. A sample whose three components are all 0.0 holds no force;
+    one of -0.0 does. Yields payloads, and the bits of support, amplitude and direction
+    (of components that are told as they are, the first is the amplitude).
     """
     palette = _products(frames)
     later = palette or AS_THEY_ARE

@@ -1,74 +1,110 @@
-"""Encoding of a frame: its course, the slope of its law, and the pass that codes it in closed loop."""
+"""Encoding of a frame: the rule that it keeps, its course and law, the pass, and the ways that an effort tries.
+
+A frame is coded after the one before or alone, with a guess or without; the fewest bytes win, or, where every error
+has its price, the best bargain. A cell of the lattice with three equal edges s has the half diagonal s sqrt(3) / 2:
+it lies within the ball of the mask where s <= 2 / sqrt(3) max(F_0, k |F|) (docs/theory.md 31). Along and across
+differ in mode "mask-direction", whose ball is a disc of directions times a span of lengths.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.codec.brick_list import code_bricks, padded
-from touchfield.codec.touch.fixed_field import TOP, FixedField
-from touchfield.codec.touch.frame import SLOPE_LIMIT, Known, law_of, list_at
-from touchfield.codec.touch.scan import Course
+from touchfield.codec.kernels.bits import end_of, writer
+from touchfield.codec.support import code_bricks, padded
+from touchfield.codec.touch.frame import SLOPE_LIMIT, Course, Known, Memory, fresh_memory, law_of
+from touchfield.codec.touch.guess_fit import fit
+from touchfield.codec.touch.kernels.decode_pass import CONTEXTS, SETS
+from touchfield.codec.touch.kernels.encode_pass import Limits, encode_bricks
+from touchfield.codec.touch.kernels.workspace import fresh_work
+from touchfield.codec.touch.lattice import (
+    FLOOR_LIMIT,
+    LEAST_UNIFORM,
+    RATE_LIMIT,
+    SMALLEST_UNIT_N,
+    TOP,
+    FixedField,
+    Lattice,
+)
+from touchfield.codec.touch.promise import agreement
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.varint import write_varint
+from touchfield.medium import ForceField, Grid
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+_CELL: Final = 1.17
+"""Edge of a cell over max(F_0, k |F|).
 
-    from touchfield.codec.touch.kernels.choice import Limits
-    from touchfield.medium import ForceField, Grid
+2 / sqrt(3) = 1.1547 fits without any rounding. Of a somewhat larger cell only the corners are beyond the ball, and
+an encoder goes to another point there; from 1.25 on too many voxels are sent apart.
+"""
 
-__all__ = ["CodedFrame", "Sketch", "encode_frame", "sketch_of"]
+# the same along the force in mode "mask-direction", whose span of lengths alone would take 2; measured
+_SPAN: Final = 1.8
+_SPAN_FLOOR: Final = 1.25  # the same where F_0 rules there, a ball again for short forces
+# edge of a square cell over the radius of the disc that holds it, with room for rounding
+_DISC: Final = 0.97 * math.sqrt(2)
+_THRIFT: Final = 0.1  # what a bit may cost in mode "nmse", squared steps; measured
 
-_LOOKED_AT: Final = 64
-"""Bricks that the law is taken from, about."""
 
-_STEEP: Final = 0.19
-"""Share of a force along an axis, from which on it tells of the law."""
+def lattice_for(spec: TouchSpec, longest_n: float) -> Lattice:
+    """The lattice of a segment whose longest force is `longest_n`; a uniform step is 1/3120 of it at least."""
+    unit_n = float(np.float32(max(longest_n / TOP, SMALLEST_UNIT_N)))
+    if spec.mode == "nmse":
+        step = max(_floor(spec.step_n / unit_n), LEAST_UNIFORM)
+        return Lattice(unit_n, step, 0, step, 0)
+    floor, rate = _floor(_CELL * spec.f0_n / unit_n), _rate(_CELL * spec.k)
+    if spec.mode == "mask":
+        return Lattice(unit_n, floor, rate, floor, rate)
+    cross_rate = _rate(_DISC * math.sin(math.radians(spec.direction_jnd_deg)))
+    return Lattice(unit_n, _floor(_SPAN_FLOOR * spec.f0_n / unit_n), _rate(_SPAN * spec.k), floor, cross_rate)
+
+
+def limits_for(spec: TouchSpec, lattice: Lattice) -> Limits:
+    """The error that the passes may make, in units of the lattice."""
+    free = spec.mode == "nmse"
+    sine = math.sin(math.radians(spec.direction_jnd_deg)) if spec.mode == "mask-direction" else 0.0
+    f0 = lattice.floor * 0.5 if free else spec.f0_n / lattice.unit_n
+    exact, thorough = spec.support == "exact", spec.effort == "max"
+    return Limits(0.0 if free else spec.k, f0, sine, _THRIFT, free, exact, thorough)
+
+
+def _floor(units: float) -> int:
+    return int(min(max(units, 1), FLOOR_LIMIT - 1))
+
+
+def _rate(share: float) -> int:
+    return min(int(share * 65536), RATE_LIMIT - 1)
+
+
+_LOOKED_AT: Final = 64  # bricks that the law is taken from, about
+_STEEP: Final = 0.19  # share of a force along an axis, from which on it tells of the law
 
 
 @dataclass(frozen=True)
 class CodedFrame:
-    """A frame's bytes, and what the decoder will make of them.
-
-    Attributes
-    ----------
-    payload : bytes
-    decoded : FixedField
-    bits : (float, float, float)
-        Of support, amplitude and direction; their sum is the payload's.
-    """
+    """A frame's bytes, and what the decoder will make of them and learn."""
 
     payload: bytes
     decoded: FixedField
-    bits: tuple[float, float, float]
+    bits: tuple[float, float, float]  # of support, amplitude and direction; their sum is the payload's
+    memory: Memory
 
 
 @dataclass(frozen=True)
 class Sketch:
-    """A frame as its pass takes it, whatever it is predicted from.
-
-    Attributes
-    ----------
-    course : Course
-    bricks : int32 [n, 3]
-        Of the grid, ascending, without those that hold no force worth coding.
-    places : int64 [n, 3]
-        In scan order.
-    order : int64 [n]
-        Which of the bricks each of these is.
-    forces : float64 [n, 512, 3]
-        In scan order, units.
-    slope : int64 [3]
-    """
+    """A frame as its pass takes it, whatever it is predicted from."""
 
     course: Course
-    bricks: NDArray[np.int32]
-    places: NDArray[np.int64]
-    order: NDArray[np.int64]
-    forces: NDArray[np.float64]
-    slope: NDArray[np.int64]
+    bricks: NDArray[np.int32]  # [n, 3]; of the grid, ascending, without those that hold no force worth coding
+    places: NDArray[np.int64]  # [n, 3]; in scan order
+    order: NDArray[np.int64]  # [n]; which of the bricks each of these is
+    forces: NDArray[np.float64]  # [n, 512, 3]; in scan order, units
+    slope: NDArray[np.int64]  # [3]
 
 
 def sketch_of(frame: ForceField, unit_n: float, limits: Limits) -> Sketch:
@@ -114,25 +150,14 @@ def _slope_of(forces: NDArray[np.float64], grid: Grid, axes: NDArray[np.int64]) 
 
 
 def encode_frame(sketch: Sketch, known: Known, limits: Limits) -> CodedFrame:
-    """Code a frame; ``known.memory`` becomes what it has taught.
-
-    Parameters
-    ----------
-    sketch : Sketch
-    known : Known
-    limits : Limits
-    """
-    from touchfield.codec.kernels.bits import end_of, writer
-    from touchfield.codec.touch.kernels.encode_pass import encode_bricks
-    from touchfield.codec.touch.kernels.workspace import fresh_work
-
+    """Code a frame; `known` stays as it is."""
     head = bytes([sketch.course.code]) + b"".join(write_varint(s) for s in sketch.slope.tolist())
     before = None if known.reference is None else known.reference.bricks
     room = (1 << 16) + 400 * len(sketch.bricks)
     while True:
         memory = known.memory.copy()
         bits = writer(room, memory.models)
-        code_bricks(bits, *list_at(), known.grid.brick_shape, sketch.bricks, before)
+        code_bricks(bits, CONTEXTS, SETS, known.grid.brick_shape, sketch.bricks, before)
         listed = 8.0 * len(head) + 8.0 * float(bits.state[2])
         scan = sketch.course.scan(sketch.places, known.reference)
         law, prices = law_of(known.lattice, sketch.slope), np.zeros(3)
@@ -140,7 +165,103 @@ def encode_frame(sketch: Sketch, known: Known, limits: Limits) -> CodedFrame:
             break
         room *= 4
     payload = head + padded(end_of(bits), len(sketch.bricks))
-    known.memory.become(memory)
     decoded = FixedField(sketch.bricks, sketch.course.turned_back(scan.cells, sketch.order))
     support, amplitude, direction = prices.tolist()
-    return CodedFrame(payload, decoded, (support + listed, amplitude, direction))
+    return CodedFrame(payload, decoded, (support + listed, amplitude, direction), memory)
+
+
+class Way(NamedTuple):
+    """How a frame is coded: whether the frame before is known, and a guess."""
+
+    inter: bool
+    guess: tuple[bytes, FixedField] | None
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """Trials of an effort.
+
+    `alike` and `unlike` are shares of voxels at which the frame before keeps the rule: from the first on a frame is
+    coded after it, below the second alone, and between them both ways are tried; `still` that share from which on no
+    guess is looked for, and `trusted` the share at which a guess must keep the rule for nothing else to be tried. A
+    guess that earns less than the share `earns` of a frame's bytes is not looked for in later frames of the segment.
+    """
+
+    alike: float
+    unlike: float
+    still: float
+    trusted: float
+    earns: float
+
+
+_EFFORTS: Final = {
+    "fast": _Effort(0.1, 0.1, 0.8, 0.85, 0.1),
+    "default": _Effort(0.1, 0.02, 0.8, 0.85, 0.03),
+    "max": _Effort(1.1, -1.0, 1.1, 1.1, -1.0),
+}
+
+
+@dataclass
+class Chooser:
+    """State of an encoder within a segment."""
+
+    grid: Grid
+    spec: TouchSpec
+    lattice: Lattice
+
+    def __post_init__(self) -> None:
+        self._effort = _EFFORTS[self.spec.effort]
+        self._limits: Limits = limits_for(self.spec, self.lattice)
+        self._previous: FixedField | None = None
+        self._memory: Memory = fresh_memory()
+        self._looks = self.spec.guess == "auto"
+
+    def add(self, frame: ForceField) -> tuple[CodedFrame, bool, bytes]:
+        """Code the next frame; whether it knows the one before, and the bytes of its guess."""
+        sketch = sketch_of(frame, self.lattice.unit_n, self._limits)
+        limits = self._limits._replace(thorough=False)
+        tried = [(self._coded(sketch, way, limits), way) for way in self._ways(frame, sketch)]
+        worths = [self._worth(sketch, coded, way) for coded, way in tried]
+        best, way = tried[worths.index(min(worths))]
+        if tried[0][1].guess is not None and len(tried) > 1:  # the guess stands first
+            self._looks = worths[0] < (1 - self._effort.earns) * min(worths[1:])
+        if self._limits.thorough:
+            best = min(best, self._coded(sketch, way, self._limits), key=lambda one: self._worth(sketch, one, way))
+        self._previous, self._memory = best.decoded, best.memory
+        return best, way.inter, way.guess[0] if way.guess else b""
+
+    def _ways(self, frame: ForceField, sketch: Sketch) -> list[Way]:
+        effort, previous = self._effort, self._previous
+        alike = 0.0
+        if previous is not None and self.spec.interframe == "auto":
+            alike = agreement(frame, previous, self.lattice.unit_n, self.spec)
+        inters = [False, True]
+        if previous is None or self.spec.interframe == "off":
+            inters = [False]
+        elif self.spec.interframe == "on" or alike >= effort.alike:
+            inters = [True]
+        elif alike < effort.unlike:
+            inters = [False]
+        guess, kept = None, 0.0
+        if self._looks and alike < effort.still and len(sketch.bricks):
+            guess, kept = fit(frame, self.lattice, self._limits, self.spec)
+        ways = [Way(inter, None) for inter in inters]
+        if guess is None or kept <= alike:
+            return ways
+        guessed = [Way(inters[-1], guess)]
+        return guessed if kept >= effort.trusted and not self._limits.free else guessed + ways
+
+    def _coded(self, sketch: Sketch, way: Way, limits: Limits) -> CodedFrame:
+        reference, memory = (self._previous, self._memory) if way.inter else (None, fresh_memory())
+        if way.guess is not None:
+            reference = way.guess[1]
+        return encode_frame(sketch, Known(self.grid, self.lattice, reference, memory), limits)
+
+    def _worth(self, sketch: Sketch, coded: CodedFrame, way: Way) -> float:
+        """Bytes; where every error has its price, what they and the errors come to."""
+        size = len(coded.payload) + (len(way.guess[0]) if way.guess else 0)
+        if not self._limits.free:
+            return float(size)
+        made = sketch.course.turned(coded.decoded.vectors, sketch.order)
+        error = float(((made - sketch.forces) ** 2).sum()) / self.lattice.floor**2
+        return error / (8 * self._limits.thrift) + size

@@ -1,37 +1,178 @@
-"""A field that is guessed of a frame before its voxels are told: by a spline, or column by column."""
+"""A field that is guessed of a frame before its voxels are told: by a spline, or column by column (`columns`).
+
+The spline is a smooth field from one potential (docs/format/touch-guess.md). Paper figure 4 lets "source models"
+compete with plain samples. Of a penalty field F = min(K d, F_max) n the depth d grows against the normal n: all of it
+follows from the potential f = K d, which is smooth through the surface and below zero outside. So f is told by the
+coefficients of a cubic B-spline on a coarse lattice of nodes, and
+
+    F = -min(f, 65536) grad f / max(|grad f|, K / 2),   where f > 0.
+
+The spline is taken at the corners half-way between samples: f at a sample is the mean of the eight corners around it,
+its gradient is their differences. What is guessed is smooth by construction; bricks that are not told hold none.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final, NamedTuple
 
-from touchfield.codec.touch import columns, spline
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.codec.kernels.bits import PLACE, fresh, reader
+from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
+from touchfield.codec.support import code_bricks
+from touchfield.codec.touch import columns
+from touchfield.codec.touch.kernels.guess import NODE_CONTEXTS, code_nodes
+from touchfield.codec.touch.lattice import TOP, FixedField
+from touchfield.codec.varint import read_varint, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
+from touchfield.medium import Grid
+from touchfield.medium.grid import BRICK
+from touchfield.parallel import for_chunks
 
-if TYPE_CHECKING:
-    from touchfield.codec.touch.fixed_field import FixedField
-    from touchfield.medium import Grid
+Int64s = NDArray[np.int64]
 
-__all__ = ["COLUMNS", "SPLINE", "synthesise"]
+SPLINE_CONTEXTS: Final = LIST_CONTEXTS + NODE_CONTEXTS
+
+_WHERE: Final = "spline"
+_CHUNK: Final = 64
+_STEEPEST: Final = 1 << 20
+_HALF_SLOPE: Final = 1 << 14
+
+
+class Head(NamedTuple):
+    """Numbers that all nodes share."""
+
+    shifts: tuple[int, int, int]  # nodes lie 2^shift samples apart along x, y, z; 2 to 5
+    step: int  # units between the values that a coefficient may differ by from what is expected; 1 or more
+    # what a derivative is multiplied by, so that the stiffness K is 32768: 2^35 over 864 times the
+    # growth of f, in units, from sample to sample of a normal along x, y, z; 1 or more
+    scales: tuple[int, int, int]
+
+    def to_bytes(self) -> bytes:
+        """Seven varints."""
+        return b"".join(write_varint(n) for n in (*self.shifts, self.step, *self.scales))
+
+    @classmethod
+    def read(cls, data: bytes) -> tuple[Head, int]:
+        """The head at the begin of `data`, and the offset behind it."""
+        told, at = [], 0
+        for n in range(7):
+            least, limit = (2, 6) if n < 3 else (1, 1 << 20)
+            value, at = read_varint(data, at, f"{_WHERE}, head {n}", limit)
+            if value < least:
+                raise CorruptFile(f"{_WHERE}, head {n}", f"{value}", f"{least} or more")
+            told.append(value)
+        x, y, z, step, a, b, c = told
+        return cls((x, y, z), step, (a, b, c)), at
+
+
+class Nodes:
+    """The nodes that bricks int32 [n, 3] need, in raster order (x slowest).
+
+    Those of each brick are `around`, int64 [n, x, y, z]; those before each node `before`, int64 [nodes, 6]
+    (`code_nodes`).
+    """
+
+    def __init__(self, bricks: NDArray[np.int32], shifts: tuple[int, int, int]) -> None:
+        first = bricks.astype(np.int64) * BRICK >> np.array(shifts)
+        first -= first.min(axis=0) - 1  # none lies before the first layer
+        counts = [max(BRICK >> shift, 1) + 3 for shift in shifts]
+        _, ny, nz = (first.max(axis=0) + counts).tolist()
+        x, y, z = ny * nz, nz, 1
+        offsets = np.indices(counts).reshape(3, -1).T @ (x, y, z)
+        keys, around = np.unique((first @ (x, y, z))[:, None] + offsets, return_inverse=True)
+        self.around: Int64s = around.reshape(-1, *counts)
+        steps = np.array((x, y, z, x + y, y + z, z + x))
+        wanted = keys[:, None] - steps
+        self.before: Int64s = np.searchsorted(keys, wanted)
+        self.before[keys[self.before] != wanted] = -1
+
+
+def weights(shift: int) -> Int64s:
+    """Weights at a brick's corners by its place in a cell, int64 [h / 8, nodes, 9], of sum 6 h^3; h = 2^shift."""
+    h, cells = 1 << shift, max(BRICK >> shift, 1)
+    out = np.zeros((max(h // BRICK, 1), cells + 3, BRICK + 1), np.int64)
+    for brick, corner in np.ndindex(len(out), BRICK + 1):
+        cell = min(corner >> shift, cells - 1)
+        p = BRICK * brick + corner - cell * h
+        q = h - p
+        row = (q**3, 4 * h**3 - 6 * h * p**2 + 3 * p**3, 4 * h**3 - 6 * h * q**2 + 3 * q**3, p**3)
+        out[brick, cell : cell + 4, corner] = row
+    return out
+
+
+def forces_of(head: Head, grid: Grid, bricks: NDArray[np.int32], values: Int64s) -> FixedField:
+    """The forces in bricks, int32 [n, 3], by the values of the nodes that they need, int64 [n, x, y, z]."""
+    vectors = np.zeros((len(bricks), BRICK, BRICK, BRICK, 3), np.int32)
+    tables = [weights(shift) for shift in head.shifts]
+
+    def fill(begin: int, end: int) -> None:
+        for at in range(begin, end, _CHUNK):
+            some = slice(at, min(at + _CHUNK, end))
+            f = values[some]
+            for axis, (shift, table) in enumerate(zip(head.shifts, tables, strict=True)):
+                table = table[bricks[some, axis] % len(table)]
+                f = np.moveaxis(f.reshape(len(f), table.shape[1], -1), 1, 2) @ table
+                f = (f + (1 << 3 * shift >> 1)) >> 3 * shift
+            _fill(f.reshape(-1, BRICK + 1, BRICK + 1, BRICK + 1), head, vectors[some])
+
+    for_chunks(fill, len(bricks), chunk=_CHUNK)
+    for axis, size in enumerate(grid.shape):
+        beyond = bricks[:, axis, None] * BRICK + np.arange(BRICK) >= size
+        np.moveaxis(vectors, axis + 1, 1)[beyond] = 0
+    return FixedField(bricks, vectors)
+
+
+def _fill(corners: Int64s, head: Head, out: NDArray[np.int32]) -> None:
+    """Forces [n, 8, 8, 8, 3] of a potential at the corners around them, int64 [n, 9, 9, 9]."""
+    size, *slopes = (_mixed(corners, axis) for axis in (-1, 0, 1, 2))
+    size = np.clip((size + 864) // 1728, 0, TOP)
+    slopes = [
+        np.clip(slope * scale >> 20, -_STEEPEST, _STEEPEST) for slope, scale in zip(slopes, head.scales, strict=True)
+    ]
+    square = slopes[0] ** 2 + slopes[1] ** 2 + slopes[2] ** 2
+    steep = np.maximum(np.sqrt(square).astype(np.int64), _HALF_SLOPE)  # exact: below 2^52
+    for c, slope in enumerate(slopes):
+        out[..., c] = (steep - 2 * size * slope) // (2 * steep)
+
+
+def _mixed(v: Int64s, along: int) -> Int64s:
+    """Differences of neighbours along one axis, if any, and their sums along the others."""
+    for axis in range(3):
+        low, high = v[:, :-1], v[:, 1:]
+        v = np.moveaxis(high - low if axis == along else high + low, 1, 3)
+    return v
+
+
+def spline_of(data: bytes, grid: Grid) -> FixedField:
+    """The spline's field from its bytes; see `synthesise`."""
+    head, at = Head.read(data)
+    bits = reader(data[at:], fresh(SPLINE_CONTEXTS, LIST_SETS))
+    bricks = code_bricks(bits, 0, 0, grid.brick_shape, None, None)
+    if not len(bricks):
+        raise CorruptFile(_WHERE, "no brick", "one at least")
+    nodes = Nodes(bricks, head.shifts)
+    values = np.zeros((2, len(nodes.before)), np.int64)
+    code_nodes(bits, LIST_CONTEXTS, nodes.before, head.step, *values)
+    if bits.state[PLACE] > len(bits.buffer) + 6:  # what is held in the interval, and left away where it is zero
+        raise TruncatedFile(_WHERE, f"the end of the code after {len(bits.buffer)} bytes", "more of it")
+    return forces_of(head, grid, bricks, values[0][nodes.around])
+
 
 SPLINE: Final = 0
-COLUMNS: Final = 1
-"""The first byte of a guess."""
+COLUMNS: Final = 1  # the first byte of a guess
 
 
 def synthesise(data: bytes, grid: Grid) -> FixedField:
-    """The guess from its bytes; whole numbers throughout.
+    """The guess from its bytes, each of which takes some 400 KiB at most, beside 6 MiB; whole numbers throughout.
 
-    Some 400 KiB are taken for each byte at most, beside 6 MiB.
-
-    Raises
-    ------
-    TruncatedFile, CorruptFile
-        If the bytes are not what the encoder writes.
+    TruncatedFile or CorruptFile if they are not what the encoder writes.
     """
     if not data:
         raise TruncatedFile("guess", "no bytes", "its kind")
     if data[0] == SPLINE:
-        return spline.synthesise(data[1:], grid)
+        return spline_of(data[1:], grid)
     if data[0] == COLUMNS:
         return columns.synthesise(data[1:], grid)
     raise CorruptFile("guess", f"kind {data[0]}", f"{SPLINE} or {COLUMNS}")

@@ -1,28 +1,217 @@
-"""The guess that is sent before a frame: a spline where it is smooth, columns where it is a solid with steps."""
+"""The guess that is sent before a frame: a spline where it is smooth, columns for a solid with steps (floats).
+
+The spline's coefficients are those whose field is within the mask at most samples. A first fit is linear: f should be
+|F| where that is below the top, and its gradient -K n. Then some steps of Gauss and Newton on the force itself, whose
+weights fall where the mask is left (an L1 norm beyond it), so that an edge that no spline can follow does not bend
+what lies around it. About eight samples of each cell of the lattice of nodes are looked at. The coarsest lattice that
+will do is taken.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final, NamedTuple
 
-from touchfield.codec.touch import columns_fit, spline_fit
-from touchfield.codec.touch.guess import COLUMNS, SPLINE
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.codec.kernels.bits import end_of, fresh, writer
+from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
+from touchfield.codec.support import code_bricks, padded
+from touchfield.codec.touch import columns_fit
+from touchfield.codec.touch.guess import COLUMNS, SPLINE, SPLINE_CONTEXTS, Head, Nodes, forces_of, weights
+from touchfield.codec.touch.kernels.encode_pass import Limits
+from touchfield.codec.touch.kernels.guess import REACH, code_nodes
+from touchfield.codec.touch.lattice import TOP, FixedField, Lattice
 from touchfield.codec.touch.promise import agreement
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.grid import BRICK
 
-if TYPE_CHECKING:
-    from touchfield.codec.touch.fixed_field import FixedField
-    from touchfield.codec.touch.kernels.choice import Limits
-    from touchfield.codec.touch.lattice import Lattice
-    from touchfield.codec.touch.spec import TouchSpec
-    from touchfield.medium import ForceField
+_LOOKED_AT: Final = 64  # bricks that tell whether a field is smooth, and its stiffness
+_LEAST_SMOOTH: Final = 0.78  # of the samples there where the force grows
+_MOST_OFF: Final = 0.25  # of the growth from the stiffness along the normal, where it is smooth
+_RAMP: Final = (0.15 * TOP, 0.8 * TOP)
+_HOPELESS: Final = 0.05  # below it a finer lattice is not tried either
+_LEVELS: Final = (4, 3)  # shifts along the axis of the smallest spacing
+_MOST_CELLS: Final = 5 << 10  # of a finer lattice
+_MISS_BITS: Final = 3.0  # that a sample takes which the guess misses, about
+_STEP: Final = 2.0  # of a coefficient, in tolerances of a small force
+_SATURATED: Final = 0.97
+_EMPTY: Final = 0.3  # weight of samples without a force
+_ALONG: Final = 0.3  # of the gradient's length beside its direction
+_ROUGHNESS: Final = 1e-3
+_TURNS, _ROUNDS = 60, 4
+_SETTLED: Final = 0.03  # of what is asked
+_EYE: Final = np.eye(3, dtype=np.float32)
 
-__all__ = ["fit"]
 
+class _Frame(NamedTuple):
+    """A frame in units, and what is asked of its guess."""
+
+    grid: Grid
+    bricks: NDArray[np.int32]
+    forces: NDArray[np.float32]  # [n, 8, 8, 8, 3]
+    k: float
+    f0: float
+    stiffness: float  # units a metre
+
+
+def fit_spline(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, FixedField] | None:
+    """The bytes of a spline for a frame, and its field, good or bad; None if it is not smooth. `limits`: its mask."""
+    seen = _looked_at(frame, lattice, limits)
+    if seen is None:
+        return None
+    best: tuple[float, bytes, FixedField] | None = None
+    lengths = np.sqrt(np.einsum("...i,...i", seen.forces, seen.forces))
+    spacing = np.array(frame.grid.spacing_m)
+    for level in _LEVELS:
+        x, y, z = np.clip(np.rint(level - np.log2(spacing / spacing.min())), 2, 5).astype(int).tolist()
+        if best is not None and len(frame.bricks) << 9 >> x + y + z > _MOST_CELLS:
+            break
+        data, guess = _coded(seen, (x, y, z))
+        error = guess.vectors - seen.forces
+        within = np.einsum("...i,...i", error, error) <= np.maximum(seen.f0, seen.k * lengths) ** 2
+        held = np.count_nonzero(lengths)
+        bad = held - np.count_nonzero(within & (lengths > 0))
+        told, missed = 8.0 * len(data), _MISS_BITS * bad
+        if best is not None and told + missed >= best[0]:
+            break
+        best = told + missed, data, guess
+        if missed < told or bad > (1 - _HOPELESS) * held:  # a finer lattice takes some times the bytes
+            break
+    return None if best is None else best[1:]
+
+
+def _looked_at(frame: ForceField, lattice: Lattice, limits: Limits) -> _Frame | None:
+    """The frame in units, if some of its bricks are smooth, with the stiffness that they speak for."""
+    count = len(frame.bricks)
+    k, f0 = limits.k, max(limits.f0, 1.0)
+    if not count or f0 >= TOP:
+        return None
+    some = frame.forces_n[:: -(-count // _LOOKED_AT)] / np.float32(lattice.unit_n)
+    lengths = np.linalg.norm(some, axis=-1)
+    growth = np.stack(np.gradient(lengths, *frame.grid.spacing_m, axis=(1, 2, 3)), axis=-1)
+    inner = (slice(None), slice(1, -1), slice(1, -1), slice(1, -1))
+    some, lengths, growth = some[inner], lengths[inner], growth[inner]
+    ramp = (lengths > _RAMP[0]) & (lengths < _RAMP[1])
+    stiffness = float(np.median(np.linalg.norm(growth[ramp], axis=1))) if ramp.any() else 0.0
+    if stiffness * min(frame.grid.spacing_m) < 1:
+        return None
+    off = growth[ramp] / stiffness + some[ramp] / lengths[ramp][:, None]
+    if np.mean(np.linalg.norm(off, axis=1) < _MOST_OFF) < _LEAST_SMOOTH:
+        return None
+    forces = frame.forces_n / np.float32(lattice.unit_n)
+    return _Frame(frame.grid, frame.bricks, forces, k, f0, stiffness)
+
+
+def _coded(seen: _Frame, shifts: tuple[int, int, int]) -> tuple[bytes, FixedField]:
+    grid, bricks = seen.grid, seen.bricks
+    x, y, z = np.clip(2**35 / 864 / seen.stiffness / np.array(grid.spacing_m), 1, (1 << 20) - 1).astype(int).tolist()
+    step = int(np.clip(_STEP * max(seen.f0, _RAMP[0] * seen.k), 1, (1 << 20) - 1))
+    head = Head(shifts, step, (x, y, z))
+    nodes = Nodes(bricks, shifts)
+    values = np.rint(np.clip(_coefficients(seen, shifts, nodes), -REACH, REACH)).astype(np.int64)
+    told = writer(320 * len(bricks) + 64 * len(values) + 64, fresh(SPLINE_CONTEXTS, LIST_SETS))
+    code_bricks(told, 0, 0, grid.brick_shape, bricks, None)
+    code_nodes(told, LIST_CONTEXTS, nodes.before, step, values, np.zeros_like(values))
+    guess = forces_of(head, grid, bricks, values[nodes.around])
+    return head.to_bytes() + padded(end_of(told), len(bricks)), guess
+
+
+class _Samples:
+    """The samples of each brick that are looked at: their forces, the brick's nodes, and f and its gradient by those.
+
+    `around`, int64 [bricks, nodes]; `basis`, float32 [bricks, samples, 4, nodes]; `forces`, float32 [.., .., 3].
+    """
+
+    def __init__(self, seen: _Frame, shifts: tuple[int, int, int], nodes: Nodes) -> None:
+        from scipy.sparse import csr_array, eye_array
+
+        x, y, z = (np.arange((1 << shift) // 4, BRICK, (1 << shift) // 2) for shift in shifts)
+        basis = []
+        for shift, pick, place, spacing in zip(shifts, (x, y, z), seen.bricks.T, seen.grid.spacing_m, strict=True):
+            table = weights(shift)
+            corners = table[place % len(table)] / (6 << 3 * shift)
+            low, high = corners[:, :, pick], corners[:, :, pick + 1]
+            basis.append(np.stack([low + high, 2 * (high - low) / spacing]).astype(np.float32) / 2)
+        kinds = [
+            np.einsum("nia,njb,nkc->nabcijk", *(b[int(a == n)] for a, b in enumerate(basis))) for n in range(-1, 3)
+        ]
+        self.around = nodes.around.reshape(len(seen.bricks), -1)
+        bricks, count = self.around.shape
+        self.basis = np.stack(kinds, axis=4).reshape(bricks, -1, 4, count)
+        self.forces = seen.forces[:, x[:, None, None], y[:, None], z].reshape(bricks, -1, 3)
+        one, here = nodes.before[:, :3], np.arange(len(nodes.before))[:, None] + np.zeros(3, int)
+        two = np.take_along_axis(one, one, axis=0)
+        three = np.stack([here, one, two], axis=-1)[(one >= 0) & (two >= 0)]
+        entries = np.tile([1.0, -2.0, 1.0], len(three)), three.ravel(), 3 * np.arange(len(three) + 1)
+        second = csr_array(entries, shape=(len(three), len(here)))
+        self.bending = second.T @ second + 1e-6 * eye_array(len(here))
+
+    def seen_of(self, c: Any) -> Any:
+        """The potential and its gradient at the samples, float32 [bricks, samples, 4]."""
+        bricks, count, _, nodes = self.basis.shape
+        at = c.astype(np.float32)[self.around]
+        return (self.basis.reshape(bricks, -1, nodes) @ at[..., None]).reshape(bricks, count, 4)
+
+    def solved(self, rows: Any, wanted: Any, c: Any) -> Any:
+        """Coefficients c + x with ``rows``, [bricks, samples, r, 4], of the potential of x about `wanted`, [.., r].
+
+        Nodes at the rim of the field weigh little: without the diagonal as preconditioner they would never settle.
+        """
+        from scipy.sparse.linalg import LinearOperator, cg
+
+        a = (rows @ self.basis).reshape(len(rows), -1, self.around.shape[1])
+        rough = _ROUGHNESS * float((rows[..., 0] ** 2).sum(axis=-1).mean())
+
+        def summed(shares: Any) -> Any:
+            return np.bincount(self.around.ravel(), weights=shares.ravel(), minlength=len(c))
+
+        def normal(x: Any) -> Any:
+            at = x.astype(np.float32)[self.around]
+            return summed((a @ at[..., None]).swapaxes(1, 2) @ a) + rough * (self.bending @ x)
+
+        count = (len(c), len(c))
+        diagonal = summed(np.einsum("brn,brn->bn", a, a)) + rough * self.bending.diagonal()
+        diagonal[diagonal <= 0] = 1  # of a node that nothing asks for
+        goal = summed(wanted.reshape(len(rows), 1, -1) @ a) - rough * (self.bending @ c)
+        matrix = LinearOperator(count, matvec=normal, dtype=np.float64)
+        scaled = LinearOperator(count, matvec=lambda x: x / diagonal, dtype=np.float64)
+        return c + cg(matrix, goal, rtol=_SETTLED, maxiter=_TURNS, M=scaled)[0]
+
+
+def _coefficients(seen: _Frame, shifts: tuple[int, int, int], nodes: Nodes) -> Any:
+    """The coefficients in units, float64 [nodes]."""
+    samples = _Samples(seen, shifts, nodes)
+    forces, stiffness = samples.forces, np.float32(seen.stiffness)
+    length = np.linalg.norm(forces, axis=-1)
+    tolerance = np.maximum(np.float32(seen.f0), np.float32(seen.k) * length)
+    normal = forces / np.maximum(length, 1)[..., None]
+    rows = np.zeros((*length.shape, 4, 4), np.float32)
+    rows[..., 0, 0] = ((length > 0) & (length < _SATURATED * TOP)) / tolerance
+    turn = (length / (stiffness * tolerance))[..., None, None]
+    rows[..., 1:, 1:] = turn * (_EYE - np.float32(1 - _ALONG) * normal[..., :, None] * normal[..., None, :])
+    goal = np.concatenate([length[..., None], -stiffness * normal], axis=-1)
+    c = samples.solved(rows, np.einsum("...ij,...j->...i", rows, goal), np.zeros(len(nodes.before)))
+    weight = np.where(length > 0, 1 / tolerance, np.float32(_EMPTY**0.5 / seen.f0))
+    for _ in range(_ROUNDS):
+        f = samples.seen_of(c)
+        steep = np.linalg.norm(f[..., 1:], axis=-1)
+        slow, size = np.maximum(steep, stiffness / 2), np.clip(f[..., 0], 0, np.float32(TOP))
+        direction = -f[..., 1:] / slow[..., None]
+        missing = forces - size[..., None] * direction
+        share = np.linalg.norm(missing, axis=-1) / tolerance
+        w = (weight / np.sqrt(np.maximum(1, share)))[..., None]
+        along = (steep > stiffness / 2)[..., None, None] * direction[..., :, None] * direction[..., None, :]
+        grows = ((f[..., 0] > 0) & (f[..., 0] < TOP))[..., None]
+        ways = [(grows * direction)[..., None], (size / slow)[..., None, None] * (along - _EYE)]
+        c = samples.solved(w[..., None] * np.concatenate(ways, axis=-1), w * missing, c)
+    return c
+
+
+# the share of voxels at which a guess worth a trial keeps the rule; in mode "nmse" any is worth one
 _LEAST: Final = 0.5
-"""The share of voxels at which a guess worth a trial keeps the rule; in mode "nmse" any is worth one."""
-
-_ENOUGH: Final = 0.75
-"""The share from which on no other kind is looked for."""
-
+_ENOUGH: Final = 0.75  # the share from which on no other kind is looked for
 _FINENESS: Final = 0.35
 """Error of a guess in mode "nmse", steps: errors of a guess are many alike, and finer ones are told cheaply."""
 
@@ -30,21 +219,11 @@ _FINENESS: Final = 0.35
 def fit(
     frame: ForceField, lattice: Lattice, limits: Limits, spec: TouchSpec
 ) -> tuple[tuple[bytes, FixedField] | None, float]:
-    """The bytes of a guess and what `guess.synthesise` makes of them, or None; and how often it keeps the rule.
-
-    Parameters
-    ----------
-    frame : ForceField
-    lattice : Lattice
-        Gives the unit.
-    limits : Limits
-        The mask that the guess should keep where it can.
-    spec : TouchSpec
-    """
+    """The bytes of a guess within the mask of `limits` and its field, or None; and how often it keeps the rule."""
     best, most = None, 0.0 if limits.free else _LEAST
     if limits.free:
         limits = limits._replace(free=False, k=0.0, f0=_FINENESS * lattice.floor)
-    for kind, provider in ((SPLINE, spline_fit.fit), (COLUMNS, columns_fit.fit)):
+    for kind, provider in ((SPLINE, fit_spline), (COLUMNS, columns_fit.fit)):
         found = provider(frame, lattice, limits) if most < _ENOUGH else None
         if found is not None:
             share = agreement(frame, found[1], lattice.unit_n, spec)

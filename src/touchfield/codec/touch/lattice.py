@@ -1,28 +1,48 @@
-"""Lattice of the coder `touch`: steps that grow with the force, so that a cell fits the mask's ball.
+"""Units and lattice of the coder `touch`: whole numbers, which encoder and decoder both hold, bit for bit the same.
 
-Paper section 4.2 (a Weber law of what is felt) and docs/theory.md 31: a cell of half diagonal max(F_0, k |F|).
-Everything here is in whole units (`fixed_field`), and travels in the segment.
+Forces are multiples of a unit; all that predicts one force from others works on them, and newtons appear only at the
+very end (`FixedField.field`). The lattice has steps that grow with the force, so that a cell fits the mask's ball
+(paper section 4.2, a Weber law of what is felt; docs/theory.md 31): half diagonal max(F_0, k |F|).
 """
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from touchfield.codec.varint import Parts, write_varint
+from touchfield.errors import CorruptFile
+from touchfield.medium import ForceField, Grid
 
-__all__ = [
-    "BUCKET", "FLOOR_LIMIT", "LEAST_RATE", "LEAST_UNIFORM", "MOST_NEWTONS", "RATE_LIMIT", "SMALLEST_UNIT_N",
-    "Lattice", "warp_of",
-]  # fmt: skip
+TOP: Final = 1 << 16  # an encoder takes the unit so that the longest original of a segment has this length
 
-BUCKET: Final = 5
-"""Binary digits of the units in which `warp_of` looks for an amplitude together."""
 
+@dataclass(frozen=True)
+class FixedField:
+    """Vectors in units, sparse in bricks of 8x8x8 samples."""
+
+    # [n, 3]; in ascending order (x slowest, z fastest), as in `ForceField`; a brick may hold no force at all
+    bricks: NDArray[np.int32]
+    # [n, 8, 8, 8, 3]; axes (brick, x, y, z, component), units; each component within 2^17 - 1
+    vectors: NDArray[np.int32]
+
+    def field(self, grid: Grid, unit_n: float) -> ForceField:
+        """The forces in newtons: one float32 product each, the only floating-point step of decoding."""
+        from touchfield.codec.touch.kernels.lattice import newtons
+
+        forces, held = np.empty(self.vectors.shape, np.float32), np.empty(len(self.vectors), np.bool_)
+        newtons(self.vectors.reshape(-1), np.float32(unit_n), forces.reshape(-1), held)
+        if held.all():
+            return ForceField(grid, self.bricks, forces)
+        return ForceField(grid, self.bricks[held], forces[held])
+
+
+BUCKET: Final = 5  # binary digits of the units in which `warp_of` looks for an amplitude together
 LEAST_UNIFORM: Final = 21
 LEAST_RATE: Final = 64
 """A lattice has a floor of at least `LEAST_UNIFORM` units or a rate of at least `LEAST_RATE`.
@@ -34,35 +54,47 @@ uniform, and 2^20 / rate (1 + ln(4 rate / floor)) where it is not.
 FLOOR_LIMIT: Final = 1 << 16
 RATE_LIMIT: Final = 1 << 17
 
+# the least normal float32: products with it are exact on machines that flush smaller numbers, too
 SMALLEST_UNIT_N: Final = 2.0**-126
-"""The least normal float32: products with it are exact on machines that flush smaller numbers, too."""
-
-MOST_NEWTONS: Final = 2.0**120
-"""No longer force is coded: three times as much is still a float32."""
+MOST_NEWTONS: Final = 2.0**120  # no longer force is coded: three times as much is still a float32
 
 
 @dataclass(frozen=True)
 class Lattice:
     """Steps of the residual along and across the prediction.
 
-    At a force of `a` units the step along it is max(`floor`, `rate` * a / 65536), and across it
-    max(`cross_floor`, `cross_rate` * a / 65536); at least 1. Rates of 0 make it uniform.
-
-    Attributes
-    ----------
-    unit_n : float
-        Newtons of one unit; a float32.
-    floor, cross_floor : int
-        Units, 1 to 65535.
-    rate, cross_rate : int
-        0 to 131071: steps of up to twice the force.
+    At a force of `a` units the step along it is max(`floor`, `rate` * a / 65536), and across it max(`cross_floor`,
+    `cross_rate` * a / 65536); at least 1. Rates of 0 make it uniform.
     """
 
-    unit_n: float
-    floor: int
-    rate: int
+    unit_n: float  # newtons of one unit; a float32
+    floor: int  # units, 1 to 65535
+    rate: int  # 0 to 131071: steps of up to twice the force
     cross_floor: int
     cross_rate: int
+
+    def to_bytes(self) -> bytes:
+        """The lattice in the body of a segment."""
+        steps = self.floor, self.rate, self.cross_floor, self.cross_rate
+        return struct.pack("<f", self.unit_n) + b"".join(map(write_varint, steps))
+
+    @classmethod
+    def read(cls, parts: Parts) -> Lattice:
+        """The inverse of `to_bytes`, at the place where the body is read."""
+        (unit_n,) = struct.unpack("<f", parts.take(4, "unit"))
+        if not SMALLEST_UNIT_N <= unit_n <= MOST_NEWTONS / 65536:
+            raise CorruptFile("SEGM.body unit", f"{unit_n} N", "2^-126 to 2^104 N")
+        steps: list[int] = []
+        for what, limit in zip(("floor", "rate", "cross floor", "cross rate"), (FLOOR_LIMIT, RATE_LIMIT) * 2):
+            least = int(limit == FLOOR_LIMIT)
+            value = parts.varint(what, limit)
+            if value < least:
+                raise CorruptFile(f"SEGM.body {what}", str(value), f"{least} or more")
+            steps.append(value)
+        if steps[0] < LEAST_UNIFORM and steps[1] < LEAST_RATE:
+            found = f"a floor of {steps[0]} with a rate of {steps[1]}"
+            raise CorruptFile("SEGM.body lattice", found, f"{LEAST_UNIFORM} or {LEAST_RATE} at least")
+        return cls(unit_n, *steps)
 
 
 @lru_cache(maxsize=8)
@@ -70,14 +102,8 @@ def warp_of(floor: int, rate: int) -> tuple[NDArray[np.int64], NDArray[np.int64]
     """The amplitude at each sixteenth of a step, and where to look for an amplitude in it; nobody writes into them.
 
     ``border[0] = 0``; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border,
-    which is in 1/256 units, until it is past 2^18 units.
-
-    Returns
-    -------
-    border : int64 [n]
-        Ascending, 1/256 units.
-    first : int64 [8193]
-        For each bucket of 32 units the last border not above its begin.
+    which is in 1/256 units, until it is past 2^18 units. Returns `border`, int64 [n], ascending,
+    and `first`, int64 [8193]: for each bucket of 32 units the last border not above its begin.
     """
     told = [0]
     while told[-1] <= 1 << 26:

@@ -7,115 +7,59 @@ against the decoder's own output in float64, as `touchfield.perception.mask` doe
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Final, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.codec.touch.kernels import compare as kernels
+from touchfield.codec.touch.lattice import FixedField
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.medium import ForceField
 from touchfield.medium.field import brick_keys
 
-if TYPE_CHECKING:
-    from touchfield.codec.touch.fixed_field import FixedField
-    from touchfield.codec.touch.kernels.compare import Compared
-    from touchfield.codec.touch.spec import TouchSpec
-    from touchfield.medium import ForceField
-
-__all__ = ["Promise", "Worst", "agreement", "compared"]
+_RULES: Final = {"mask": kernels.MASK, "mask-direction": kernels.DIRECTION, "nmse": kernels.FREE}
 
 
-@dataclass(frozen=True)
-class Worst:
-    """The voxel of a segment whose error is the largest share of what is allowed.
+class Compared(NamedTuple):
+    """Result of a comparison."""
 
-    Attributes
-    ----------
-    ratio : float
-        That share, 0 to 1, rounded up to a multiple of 1/65535.
-    frame : int
-        In the segment.
-    voxel : (int, int, int)
-        Index into the grid.
-    """
-
-    ratio: float
-    frame: int
-    voxel: tuple[int, int, int]
-
-
-@dataclass(frozen=True)
-class Promise:
-    """Promise of a segment, and its worst voxel, found by the encoder on the decoder's own output.
-
-    Attributes
-    ----------
-    mode : str
-        See `TouchSpec`.
-    k, f0_n : float or None
-        Weber fraction, and F_0 in newtons; None in a mode without them.
-    direction_jnd_deg : float or None
-    worst : Worst or None
-        None in mode "nmse", which promises nothing. In mode "lossless" its ratio is 0.
-    """
-
-    mode: str
-    k: float | None
-    f0_n: float | None
-    direction_jnd_deg: float | None
-    worst: Worst | None
-
-    @classmethod
-    def of(cls, spec: TouchSpec, worst: Worst | None) -> Promise:
-        """The promise of a mode."""
-        masked = spec.mode in ("mask", "mask-direction")
-        return cls(
-            spec.mode,
-            spec.k if masked else None,
-            spec.f0_n if masked else None,
-            spec.direction_jnd_deg if spec.mode == "mask-direction" else None,
-            worst,
-        )
-
-    @property
-    def worst_ratio(self) -> float | None:
-        """The largest |error| / allowed."""
-        return None if self.worst is None else self.worst.ratio
-
-    def describe(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        worst = self.worst
-        return {
-            "mode": self.mode,
-            "k": self.k,
-            "f0_n": self.f0_n,
-            "direction_jnd_deg": self.direction_jnd_deg,
-            "worst_ratio": self.worst_ratio,
-            "worst_frame": None if worst is None else worst.frame,
-            "worst_voxel": None if worst is None else list(worst.voxel),
-        }
+    # keys, places: [m]; brick and sample (0 to 511) of each voxel that breaks the rule, ascending
+    keys: NDArray[np.int64]
+    places: NDArray[np.int64]
+    worst: float  # the largest error as a share of what is allowed; infinite where nothing is
+    worst_key: int  # worst_key, worst_place: where it is
+    worst_place: int
+    # supported, within, decoded: voxels of the original with a force, how many of them keep the rule, and decoded
+    # voxels with a force
+    supported: int
+    within: int
+    decoded: int
 
 
 def compared(original: ForceField, decoded: ForceField, spec: TouchSpec, within_step: bool = False) -> Compared:
-    """How a decoded frame keeps what was asked for, or in mode "nmse" half a step."""
-    from touchfield.codec.touch.kernels import compare as kernels
-
-    rules = {
-        "mask": kernels.MASK,
-        "mask-direction": kernels.DIRECTION,
-        "nmse": kernels.FREE,
-        "lossless": kernels.EXACTLY,
-    }
-    angle = math.radians(spec.direction_jnd_deg)
-    rule, k, f0_n = rules[spec.mode], spec.k, spec.f0_n
-    if within_step:
-        rule, k, f0_n = kernels.MASK, 0.0, spec.step_n / 2
-    exact = spec.support == "exact" and not within_step
-    mine, theirs = ((brick_keys(f.grid, f.bricks), f.forces_n) for f in (original, decoded))
-    return kernels.compare(mine, theirs, rule, exact, (k, f0_n, math.sin(angle), angle))
+    """How a decoded frame keeps what was asked for, or in mode "nmse" half a step; "lossless" is every bit."""
+    mine, theirs = ((brick_keys(f.grid, f.bricks), f.forces_n.reshape(-1, 512, 3)) for f in (original, decoded))
+    if spec.mode == "lossless":
+        keys = np.union1d(mine[0], theirs[0])
+        bits, other = (f.forces_at(keys).reshape(-1, 512, 3).view(np.int32) for f in (original, decoded))
+        brick, place = np.nonzero((bits != other).any(axis=2))
+        supported, sent = (int(np.count_nonzero(forces.any(axis=2))) for _, forces in (mine, theirs))
+        return Compared(keys[brick], place, math.inf if len(brick) else 0.0, -1, 0, supported, supported, sent)
+    angle, exact = math.radians(spec.direction_jnd_deg), spec.support == "exact" and not within_step
+    rule, k, f0_n = (kernels.MASK, 0.0, spec.step_n / 2) if within_step else (_RULES[spec.mode], spec.k, spec.f0_n)
+    room = 64
+    while True:
+        beyond = np.empty((2, room), np.int64)
+        limits = k, f0_n, math.sin(angle), angle
+        count, worst, *rest = kernels.compare(*mine, *theirs, rule, exact, limits, beyond)
+        if count <= room:
+            return Compared(beyond[0, :count], beyond[1, :count], math.sqrt(worst), *rest)
+        room = count
 
 
 def agreement(original: ForceField, guess: FixedField, unit_n: float, spec: TouchSpec) -> float:
-    """The share of voxels with a force, here or in `guess`, at which `guess` keeps the rule; 1 where there is none.
-
-    In mode "nmse" the rule is an error of at most half a step.
-    """
-    found = compared(original, guess.field(original.grid, unit_n), spec, within_step=spec.mode == "nmse")
-    spurious = len(found.keys) - (found.supported - found.within)
-    return found.within / (found.supported + spurious) if found.supported + spurious else 1.0
+    """The share of voxels with a force in either at which `guess` keeps the rule, or half a step; 1 without any."""
+    result = compared(original, guess.field(original.grid, unit_n), spec, within_step=spec.mode == "nmse")
+    spurious = len(result.keys) - (result.supported - result.within)
+    return result.within / (result.supported + spurious) if result.supported + spurious else 1.0

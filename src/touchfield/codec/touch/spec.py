@@ -1,19 +1,23 @@
-"""Options of the coder `touch`."""
+"""Options of the coder `touch`, and its entry in the registry."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
+from touchfield.codec.registry import Coder, CoderOption
 from touchfield.errors import InvalidArgument
 
-__all__ = ["EFFORTS", "MODES", "SUPPORTS", "TouchSpec"]
+__all__ = ["CODER", "EFFORTS", "MODES", "SUPPORTS", "TouchSpec"]
 
 MODES: Final = ("mask", "mask-direction", "nmse", "lossless")
 EFFORTS: Final = ("fast", "default", "max")
 SUPPORTS: Final = ("movable", "exact")
-_CHOICES: Final = ("auto", "off", "on")
+_CHOICES: Final = {
+    "mode": MODES, "effort": EFFORTS, "support": SUPPORTS, "guess": ("auto", "off"),
+    "interframe": ("auto", "off", "on"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -71,12 +75,58 @@ class TouchSpec:
             raise InvalidArgument("step_n", repr(self.step_n), "newtons above 0")
         if self.segment_frames is not None and not 1 <= self.segment_frames <= 4096:
             raise InvalidArgument("segment_frames", repr(self.segment_frames), "1 to 4096 frames")
-        for name, choices in (
-            ("mode", MODES),
-            ("effort", EFFORTS),
-            ("support", SUPPORTS),
-            ("guess", _CHOICES[:2]),
-            ("interframe", _CHOICES),
-        ):
+        for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
+
+
+def _spec(asked: dict[str, Any]) -> TouchSpec:
+    """Spec of what is asked, with the mode that other options imply, and none that does nothing in it."""
+    chosen = dict(asked)
+    if chosen.pop("lossless_quantised", False):
+        for key in ("mode", "k", "f0_n", "support"):
+            if key in chosen:
+                found = "it together with --lossless-quantised, which keeps every force as it is"
+                raise InvalidArgument(_option(key), found, "one of both")
+        chosen["mode"] = "lossless"
+    if chosen.pop("target_nmse_db", None) is not None:
+        chosen = {"mode": "nmse", **chosen}
+    mode = chosen.get("mode", TouchSpec.mode)
+    for key, only in (("direction_jnd_deg", "mask-direction"), ("step_n", "nmse")):
+        if key in chosen and mode != only:
+            raise InvalidArgument(
+                _option(key), f"it in mode {mode}", f"it in mode {only} only", f"Add --mode {only}."
+            )
+    return TouchSpec(**chosen)
+
+
+def _option(key: str) -> str:
+    return "--" + key.replace("_", "-")
+
+
+def _summary(spec: TouchSpec) -> dict[str, Any]:
+    return {"mode": spec.mode, "effort": spec.effort, **({"step_n": spec.step_n} if spec.mode == "nmse" else {})}
+
+
+CODER = Coder(
+    name="touch",
+    encoder="touchfield.codec.touch.encoder:TouchEncoder",
+    decoder="touchfield.codec.touch.decoder:TouchDecoder",
+    spec=TouchSpec,
+    makers={"touch": _spec},
+    options=(
+        CoderOption("k", float, "Weber fraction of the promise. [default: 0.1]"),
+        CoderOption("segment_frames", int, "frames a segment. [default: half a second, 8 to 64]"),
+        CoderOption("f0_n", float, "F_0 of the promise, newtons. [default: 0.05]"),
+        CoderOption("mode", str, "mask (|error| <= max(F_0, k |F|); default), mask-direction, or nmse."),
+        CoderOption("direction_jnd_deg", float, "mask-direction: greatest angle, degrees. [default: 18.4]"),
+        CoderOption("step_n", float, "mode nmse: step of the lattice, newtons. [default: 0.05]"),
+        CoderOption("support", str, "movable (where |F| is at most F_0), or exact. [default: movable]"),
+        CoderOption("effort", str, "fast, default or max: bytes against time. [default: default]"),
+        CoderOption("lossless_quantised", bool, "keep a field that is quantised already exactly."),
+        CoderOption("interframe", str, "auto, off or on. [default: auto]"),
+    ),
+    hints=("target_nmse_db",),
+    summary=_summary,
+    has_promise=True,
+)

@@ -10,8 +10,6 @@ import numpy as np
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField, Grid
 
-__all__ = ["GROUPS", "solid"]
-
 
 def solid() -> ForceField:
     """A solid with a wavy top that fills three bricks along each axis of its grid."""
@@ -31,8 +29,8 @@ def _passes() -> None:
 def _columns() -> None:
     from touchfield.codec.touch.columns import synthesise
     from touchfield.codec.touch.columns_fit import fit
+    from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
     from touchfield.codec.touch.promise import agreement
-    from touchfield.codec.touch.rule import lattice_for, limits_for
 
     field, spec = solid(), TouchSpec()
     lattice = lattice_for(spec, 2.0)

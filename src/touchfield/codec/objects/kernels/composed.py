@@ -7,22 +7,18 @@ the worst voxel found so far, and a voxel that several reach always.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from touchfield.lean import LEAN
 from touchfield.medium.kernels.cell import CELLS
 from touchfield.medium.kernels.placed import C, H, R, T, force_of, in_scene, is_held, own, place, shortened, slot_at
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-    Float32s = NDArray[np.float32]
-
-__all__ = ["Bodies", "Rule", "bound_cells", "compare_frames"]
+Float64s = NDArray[np.float64]
+Float32s = NDArray[np.float32]
 
 _COLUMNS = 33
 _SLACK = 1 + 1e-6
@@ -54,10 +50,7 @@ class Rule(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """The worst of each body so far; and room for what a voxel, a brick and a frame need.
-
-    `near` and `here` begin with how many there are, or with the body that is walked; boxes of samples are [2, 3].
-    """
+    """The worst of each body so far; and room: `near` and `here` begin with a count or a body, boxes are [2, 3]."""
 
     worst: Float64s
     places: NDArray[np.int64]
@@ -263,15 +256,9 @@ def compare_frames(begin, end, bodies, moves, stays, world, rule):
     """The largest |error| / mask of frames begin to end - 1 at the voxels that each body has a part in.
 
     `moves` are poses and motions (`promise.Moves`), `stays` bool [frames, bodies] where a body is as it was in the
-    frame before, and `world` float64 [3, 3] origin, spacing and shape of the lattice.
-
-    Returns
-    -------
-    worst : float64 [bodies]
-    places : int64 [bodies, 4]
-        Frame and voxel of it, the first in the order of frames; -1 for none.
-    beyond : int
-        Voxels, of all frames, at which the error is beyond the mask.
+    frame before, and `world` float64 [3, 3] origin, spacing and shape of the lattice. Returns that ratio,
+    float64 [bodies]; frame and voxel of it, int64 [bodies, 4], the first in the order of frames, -1 for none; and at
+    how many voxels, of all frames, the error is beyond the mask.
     """
     count = bodies.boxes.shape[0]
     rows = np.empty((2, count, _COLUMNS))

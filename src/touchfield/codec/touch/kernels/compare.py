@@ -7,45 +7,14 @@ float32 sizes, so that nothing overflows or vanishes. Imported only when first n
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from touchfield.lean import entry, inlined
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["DIRECTION", "EXACTLY", "FREE", "MASK", "Compared", "compare", "largest"]
-
-MASK, DIRECTION, FREE, EXACTLY = 0, 1, 2, 3
+MASK, DIRECTION, FREE = 0, 1, 2  # the last: anything goes
 
 _NONE = np.iinfo(np.int64).max
-
-
-class Compared(NamedTuple):
-    """Result of `compare`.
-
-    Attributes
-    ----------
-    keys, places : int64 [m]
-        Brick and sample (0 to 511) of each voxel that breaks the rule, ascending.
-    worst : float
-        The largest error as a share of what is allowed; infinite where nothing is.
-    worst_key, worst_place : int
-        Where it is.
-    supported, within, decoded : int
-        Voxels of the original with a force, how many of them keep the rule, and decoded voxels with a force.
-    """
-
-    keys: NDArray[np.int64]
-    places: NDArray[np.int64]
-    worst: float
-    worst_key: int
-    worst_place: int
-    supported: int
-    within: int
-    decoded: int
 
 
 @inlined
@@ -70,7 +39,7 @@ def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle):
 
 
 @entry
-def _compare(keys, forces, other_keys, other, rule, exact, limits, found):
+def compare(keys, forces, other_keys, other, rule, exact, limits, found):
     """Compare voxel by voxel; `found`, int64 [2, n], takes the first n that are beyond, of which all are counted."""
     k, f0, sine, angle = limits
     worst, worst_key, worst_place = 0.0, -1, 0
@@ -108,30 +77,8 @@ def _compare(keys, forces, other_keys, other, rule, exact, limits, found):
 
 
 @entry
-def _differing(keys, bits, other_keys, other, found):
-    """Where two fields differ in any bit; as `_compare`."""
-    count, i, j = 0, 0, 0
-    while i < keys.shape[0] or j < other_keys.shape[0]:
-        mine = keys[i] if i < keys.shape[0] else _NONE
-        theirs = other_keys[j] if j < other_keys.shape[0] else _NONE
-        key = min(mine, theirs)
-        for place in range(512):
-            differs = False
-            for c in range(3):
-                a = bits[i, place, c] if mine == key else np.int32(0)
-                b = other[j, place, c] if theirs == key else np.int32(0)
-                differs = differs or a != b
-            if differs:
-                if count < found.shape[1]:
-                    found[0, count], found[1, count] = key, place
-                count += 1
-        i += mine == key
-        j += theirs == key
-    return count
-
-
-@entry
-def _largest(forces):
+def largest(forces):
+    """The longest |F| of float32 [n, 3]; infinite where one is not a finite number."""
     most = 0.0
     for i in range(forces.shape[0]):
         x, y, z = np.float64(forces[i, 0]), np.float64(forces[i, 1]), np.float64(forces[i, 2])
@@ -140,43 +87,3 @@ def _largest(forces):
             return np.inf
         most = max(most, size2)
     return math.sqrt(most)
-
-
-def compare(
-    original: tuple[NDArray[np.int64], NDArray[np.float32]],
-    decoded: tuple[NDArray[np.int64], NDArray[np.float32]],
-    rule: int,
-    exact: bool,
-    limits: tuple[float, float, float, float],
-) -> Compared:
-    """Compare two fields.
-
-    Parameters
-    ----------
-    original, decoded : (int64 [n], float32 [n, 8, 8, 8, 3])
-        Keys of the bricks, ascending, and forces, newtons.
-    rule : int
-        `MASK`, `DIRECTION`, `FREE` (anything goes) or `EXACTLY` (every bit is kept, the sign of a zero, too).
-    exact : bool
-        Whether the support must be kept as well.
-    limits : (float, float, float, float)
-        k; F_0, newtons; the sine of the direction JND, and the JND itself, radians.
-    """
-    mine, theirs = original[1].reshape(-1, 512, 3), decoded[1].reshape(-1, 512, 3)
-    room = 64
-    while True:
-        found = np.empty((2, room), np.int64)
-        if rule == EXACTLY:
-            count = _differing(original[0], mine.view(np.int32), decoded[0], theirs.view(np.int32), found)
-            held, sent = (int(np.count_nonzero(f.any(axis=2))) for f in (mine, theirs))
-            worst, rest = math.inf if count else 0.0, [-1, 0, held, held, sent]
-        else:
-            count, worst, *rest = _compare(original[0], mine, decoded[0], theirs, rule, exact, limits, found)
-        if count <= room:
-            return Compared(found[0, :count], found[1, :count], math.sqrt(worst), *rest)
-        room = count
-
-
-def largest(forces: NDArray[np.float32]) -> float:
-    """The longest |F| of float32 [..., 3]; infinite where one is not a finite number."""
-    return float(_largest(forces.reshape(-1, 3)))

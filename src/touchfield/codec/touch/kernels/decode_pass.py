@@ -1,36 +1,167 @@
-"""Decoding of a frame: one pass over its bricks in scan order, and over the voxels of each."""
+"""Decoding of a frame: one pass over its bricks in scan order, the support of each, and its voxels."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.kernels.bits import PLACE
-from touchfield.codec.touch.kernels.predict import expect, learn
+from touchfield.codec.kernels.bits import PLACE, code, mix
+from touchfield.codec.touch.kernels.predict import ahead, before, expect, held, learn
+from touchfield.codec.touch.kernels.residual import CONTEXTS as RESIDUAL_CONTEXTS
+from touchfield.codec.touch.kernels.residual import SETS as RESIDUAL_SETS
 from touchfield.codec.touch.kernels.residual import aim, code_step, code_still, look, place, sizes_of
-from touchfield.codec.touch.kernels.support import (
-    code_blocks,
-    code_brick,
-    code_held,
-    look_at_support,
-    near_of,
-    then_of,
-)  # fmt: skip
-from touchfield.codec.touch.kernels.window import (
+from touchfield.codec.touch.kernels.workspace import (
+    DEEP,
+    EXPECTED,
+    LEFT,
     LOW,
     SIDE,
+    STEPS,
+    UP,
+    VECTOR,
     copy_reference,
     keep,
     length_of,
     load,
     load_reference,
     store,
-)  # fmt: skip
-from touchfield.codec.touch.kernels.workspace import EXPECTED, STEPS, VECTOR
-from touchfield.lean import entry, inlined
+)
+from touchfield.lean import entry, inlined, lean
 
-__all__ = ["decode_bricks"]
-
+_BRICK = RESIDUAL_CONTEXTS
+_BLOCK = _BRICK + 16
+_BIT = _BLOCK + 32 + np.array([0, 1 << 14, 2 << 14], np.int64)
+CONTEXTS = int(_BIT[2]) + 4096
+SETS = RESIDUAL_SETS + 32
 _SPARE = 16  # bytes that a code may seem to go on behind its end
+
+
+@lean
+def code_brick(bits, last, state):
+    """State of a brick that the reference knows: 0 coded, 1 coded with the reference followed, 2 as the reference."""
+    if code(bits, _BRICK + last, np.int64(state == 2)):
+        return np.int64(2)
+    return code(bits, _BRICK + 4 + last, state)
+
+
+@lean
+def _face(window, first, axis):
+    """True where the 4 x 4 cells before a sub-block along an axis, in another brick, hold a force."""
+    back, one = first - before(first, axis), UP if axis == 0 else DEEP
+    two = UP if axis == 2 else LEFT
+    for i in range(4):
+        for j in range(4):
+            if held(window, first - back + i * one + j * two):
+                return np.int64(1)
+    return np.int64(0)
+
+
+@inlined
+def _there(old, first):
+    """True where the reference holds a force in a sub-block."""
+    for n in range(64):
+        if old[(first + (n >> 4) * DEEP + (n >> 2 & 3) * UP + (n & 3)) * 4 + 3] > 0:
+            return np.int64(1)
+    return np.int64(0)
+
+
+@lean
+def code_blocks(bits, work, known, blocks):
+    """Code the sub-blocks, of eight of 4 x 4 x 4 voxels, that hold a force: bit n of `blocks`."""
+    window, out = work.window, np.int64(0)
+    for n in range(8):
+        first = (LOW + (n & 4)) * DEEP + (LOW + 2 * (n & 2)) * UP + LOW + 4 * (n & 1)
+        sides = np.int64(0)
+        for axis in range(3):
+            bit = 4 >> axis
+            side = out >> (n - bit) & 1 if n & bit else _face(window, first, axis)
+            sides = sides << 1 | side
+        then = 1 + _there(work.old, first) if known else np.int64(0)
+        out |= code(bits, _BLOCK + (then << 3 | sides), blocks >> n & 1) << n
+    return out
+
+
+@lean
+def near_of(window, here):
+    """Neighbours before a cell, across a face, that hold a force: bits 0 to 2, of axes 0 to 2."""
+    return held(window, here - DEEP) | held(window, here - UP) << 1 | held(window, here - LEFT) << 2
+
+
+@lean
+def then_of(old, here, known):
+    """Opinion of the reference on a voxel: 0 nothing, 1 to 3 no force, 4 to 6 a force, with few or many around."""
+    if not known:
+        return np.int64(0)
+    about = np.int64(0)
+    for axis in range(3):
+        step = here - before(here, axis)
+        about += np.int64(old[(here - step) * 4 + 3] > 0) + np.int64(old[(here + step) * 4 + 3] > 0)
+    if old[here * 4 + 3] > 0:
+        return 4 + np.int64(about >= 5) + np.int64(about == 6)
+    return 1 + np.int64(about >= 1) + np.int64(about >= 3)
+
+
+@lean
+def _bin(length):
+    """Class of a length that is likely, of which 3 is none: a 28th of the top each."""
+    return min(max(((length * 28) >> 16) + 3, np.int64(0)), np.int64(31))
+
+
+@inlined
+def _around(old, here):
+    """Where the reference holds forces: here, and before and behind along each axis; 7 bits."""
+    out = np.int64(old[here * 4 + 3] > 0)
+    for axis in range(3):
+        step = here - before(here, axis)
+        out = out << 2 | np.int64(old[(here - step) * 4 + 3] > 0) << 1 | np.int64(old[(here + step) * 4 + 3] > 0)
+    return out
+
+
+@lean
+def look_at_support(bits, work, here, near, then):
+    """Gather the three contexts of a voxel's bit of support; returns their set of weights."""
+    window = work.window
+    deep, up, left = here - DEEP, here - UP, here - LEFT
+    mask = near | held(window, deep + UP) << 3 | held(window, deep + LEFT) << 4 | held(window, up + LEFT) << 5
+    wide = held(window, deep - UP) | held(window, deep - LEFT) << 1 | held(window, up - LEFT) << 2
+    wide |= held(window, deep - DEEP) << 3 | held(window, left - LEFT) << 4
+    count = (near & 1) + (near >> 1 & 1) + (near >> 2)
+    likely = wide
+    if count:
+        total = np.int64(0)
+        for axis in range(3):
+            if near >> axis & 1:
+                total += ahead(window, before(here, axis), axis)
+        likely = _bin(total // count)
+    around = _around(work.old, here) if then else np.int64(0)
+    b = bits.inputs
+    b[0] = _BIT[0] + ((likely << 6 | mask) << 3 | then)
+    b[1] = _BIT[1] + ((wide << 6 | mask) << 3 | then)
+    b[2] = _BIT[2] + ((around << 3 | near) << 2 | likely >> 3)
+    return RESIDUAL_SETS + (count << 3 | then)
+
+
+@lean
+def enter(scan, work, n):
+    """Lay out what is around brick n, and its reference; True if the reference knows the brick."""
+    load(work.window, scan.cells, scan.near, n)
+    if scan.around.shape[0] == 0:
+        return False
+    load_reference(work.old, scan.reference, scan.around, n)
+    return scan.around[n, 13] >= 0
+
+
+@inlined
+def settle(law, work, here, still):
+    """Keep the vector of a voxel, which is as expected or as its residual says, and learn from it."""
+    rows = work.rows
+    if still:
+        for k in range(3):
+            rows[VECTOR, k] = rows[EXPECTED, k]
+    else:
+        place(law, work, rows[STEPS, 0], rows[STEPS, 1], rows[STEPS, 2])
+    v0, v1, v2 = rows[VECTOR, 0], rows[VECTOR, 1], rows[VECTOR, 2]
+    store(work.window, here, v0, v1, v2, length_of(v0, v1, v2), sizes_of(work, still), law.slope)
+    learn(work)
 
 
 @entry
@@ -40,11 +171,7 @@ def decode_bricks(bits, scan, law, work):
     for n in range(scan.near.shape[0]):
         if bits.state[PLACE] > bits.buffer.shape[0] + _SPARE:
             return False
-        load(work.window, scan.cells, scan.near, n)
-        known, state = False, np.int64(0)
-        if scan.around.shape[0] > 0:
-            load_reference(work.old, scan.reference, scan.around, n)
-            known = scan.around[n, 13] >= 0
+        known, state = enter(scan, work, n), np.int64(0)
         if known:
             last = state = code_brick(bits, last, np.int64(0))
         if state == 2:
@@ -66,19 +193,13 @@ def decode_bricks(bits, scan, law, work):
 def _decode_voxel(bits, law, work, here, known, state):
     near = near_of(work.window, here)
     then = then_of(work.old, here, known)
-    if not code_held(bits, look_at_support(bits, work, here, near, then), np.int64(0)):
+    if not mix(bits, 3, look_at_support(bits, work, here, near, then), np.int64(0)):
         return
     expect(law, work, here, near, state == 1)
     look(law, work, here, near)
     still = code_still(bits, law, work, here, then, np.int64(0))
-    if still:
-        for k in range(3):
-            work.rows[VECTOR, k] = work.rows[EXPECTED, k]
-    else:
+    if not still:
         aim(law, work, here)
         for c in range(3):
             code_step(bits, law, work, c)
-        place(law, work, work.rows[STEPS, 0], work.rows[STEPS, 1], work.rows[STEPS, 2])
-    v0, v1, v2 = work.rows[VECTOR, 0], work.rows[VECTOR, 1], work.rows[VECTOR, 2]
-    store(work.window, here, v0, v1, v2, length_of(v0, v1, v2), sizes_of(work, still), law.slope)
-    learn(work)
+    settle(law, work, here, still)

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, mix, price
-from touchfield.codec.kernels.brick_list import CONTEXTS as _TABLE
-from touchfield.codec.kernels.brick_list import SETS as _SETS
+from touchfield.codec.kernels.support import LIST_CONTEXTS as _TABLE
+from touchfield.codec.kernels.support import LIST_SETS as _SETS
 from touchfield.lean import entry, inlined, lean
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Int64s = NDArray[np.int64]
-
-__all__ = ["CONTEXTS", "ROWS", "SETS", "Frame", "code_samples"]
+Int64s = NDArray[np.int64]
 
 _SIZE: Final = 1 << 18
 _BESIDE: Final = (
@@ -30,31 +26,17 @@ CONTEXTS, SETS = _TABLE + _SIZE, _SETS + 96 + ROWS
 
 
 class Frame(NamedTuple):
-    """The samples of a frame, in b bricks of 512.
+    """The samples of a frame, in b bricks of 512."""
 
-    Attributes
-    ----------
-    near : int64 [b, 27]
-        Places in the list of a brick and of those around it, x slowest; -1 of those not listed, or told later.
-    inside : int64 [b, 3]
-        Samples of a brick within the grid.
-    symbols, before : int64 [b * 512, planes]
-        Of each sample, and of the same one in the frame before; -1 without a force.
-    sizes : int64 [planes]
-        How many symbols there are.
-    rows : int64 [ROWS, planes]
-        Symbols of a sample itself, of the frame before, of those beside; and none.
-    spent : float64 [3]
-        Bits of support, of copies and the first plane, and of the other planes.
-    """
-
+    # [b, 27]; places in the list of a brick and of those around it, x slowest; -1 of those not listed, or told later
     near: Int64s
-    inside: Int64s
+    inside: Int64s  # [b, 3]; samples of a brick within the grid
+    # symbols, before: [b * 512, planes]; of each sample, and of the same one in the frame before; -1 without a force
     symbols: Int64s
     before: Int64s
-    sizes: Int64s
-    rows: Int64s
-    spent: NDArray[np.float64]
+    sizes: Int64s  # [planes]; how many symbols there are
+    rows: Int64s  # [ROWS, planes]; symbols of a sample itself, of the frame before, of those beside; and none
+    spent: NDArray[np.float64]  # [3]; bits of support, of copies and the first plane, and of the other planes
 
 
 @lean

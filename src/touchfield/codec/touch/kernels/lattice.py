@@ -8,25 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.touch.kernels.workspace import AXES, VECTOR
+from touchfield.codec.touch.kernels.workspace import AXES, VECTOR, root
 from touchfield.codec.touch.lattice import BUCKET
-from touchfield.lean import lean
+from touchfield.lean import entry, lean
 
-__all__ = ["LIMIT", "amplitude_of", "axes_along", "level_of", "rebuild", "root", "step_at"]
-
-LIMIT = (1 << 17) - 1
-"""No component of a decoded vector is beyond it, units."""
-
-
-@lean
-def root(n):
-    """floor(sqrt(n)) of 0 <= n < 2^52, whatever the machine's square root."""
-    s = np.int64(np.sqrt(np.float64(n)))
-    while s * s > n:
-        s -= 1
-    while (s + 1) * (s + 1) <= n:
-        s += 1
-    return s
+LIMIT = (1 << 17) - 1  # no component of a decoded vector is beyond it, units
 
 
 @lean
@@ -87,3 +73,52 @@ def rebuild(along, s1, s2, rows):
     for c in range(3):
         x = (along * rows[AXES, c] + s1 * rows[AXES + 1, c] + s2 * rows[AXES + 2, c] + 8192) >> 14
         rows[VECTOR, c] = min(max(x, -LIMIT), LIMIT)
+
+
+@lean
+def _place_of(x, y, z, axes, down):
+    """Sample of the grid that sample (x, y, z) of a scan is."""
+    place = 0
+    for i in range(3):
+        c = x if i == 0 else (y if i == 1 else z)
+        if down[i]:
+            c = 7 - c
+        place += c * (64 >> (3 * axes[i]))
+    return place
+
+
+@entry
+def turned(vectors, slots, axes, down, scale, out):
+    """``out[n, sample, component]`` in a scan of ``vectors[slots[n]]`` in the grid, times `scale`."""
+    for n in range(slots.shape[0]):
+        for at in range(512):
+            place = _place_of(at >> 6, at >> 3 & 7, at & 7, axes, down)
+            for i in range(3):
+                v = vectors[slots[n], place, axes[i]] * scale
+                out[n, at, i] = -v if down[i] else v
+
+
+@entry
+def turned_back(cells, slots, axes, down, out):
+    """Vectors ``out[slots[n]]`` in the grid, of cells of a scan; zeros where a cell holds no force."""
+    for n in range(slots.shape[0]):
+        for at in range(512):
+            place = _place_of(at >> 6, at >> 3 & 7, at & 7, axes, down)
+            for i in range(3):
+                v = cells[n, at, i] if cells[n, at, 3] > 0 else 0
+                out[slots[n], place, axes[i]] = -v if down[i] else v
+
+
+_BRICK = 512 * 3
+
+
+@entry
+def newtons(vectors, unit_n, forces, held):
+    """`forces`, float32, of `vectors`, int32, both flat: a float32 product each; which bricks hold any, bool [n]."""
+    for n in range(held.shape[0]):
+        any_set = np.int32(0)
+        for at in range(n * _BRICK, (n + 1) * _BRICK):
+            v = vectors[at]
+            any_set |= v
+            forces[at] = np.float32(v) * unit_n
+        held[n] = any_set != 0

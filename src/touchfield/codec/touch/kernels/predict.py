@@ -10,24 +10,31 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.touch.kernels.lattice import LIMIT, step_at
-from touchfield.codec.touch.kernels.window import AHEAD, DEEP, LEFT, LENGTH, UP, WIDTH
-from touchfield.codec.touch.kernels.workspace import BASE, BLEND, EXPECTED, FEATURE, FEATURES, LAST, VECTOR
+from touchfield.codec.touch.kernels.workspace import (
+    AHEAD,
+    BASE,
+    BLEND,
+    DEEP,
+    EXPECTED,
+    FEATURE,
+    FEATURES,
+    LAST,
+    LEFT,
+    LENGTH,
+    UP,
+    VECTOR,
+    WIDTH,
+)
 from touchfield.lean import inlined, lean
 
-__all__ = ["FOLLOWED", "NOTHING", "REFERENCE", "ahead", "before", "chain", "expect", "held", "learn"]
-
+# Places in ``Work.of``: 2^32 over the step; the cell that is followed; the class of weights (-1: none)
 INVERSE, FOLLOWED, _CORRECTED = 13, 14, 15
-"""Places in ``Work.of``: 2^32 over the step; the cell that is followed; the class of weights (-1: none)."""
-
-NOTHING, REFERENCE = -1, -2
-"""In place of a cell that is followed."""
-
+NOTHING, REFERENCE = -1, -2  # in place of a cell that is followed
 _FROM = np.array(
     [DEEP, UP, LEFT, DEEP - UP, DEEP - LEFT, UP - LEFT, DEEP, UP, LEFT, LEFT, UP], np.int64
 )  # fmt: skip
+# distances of the cells whose difference is a feature; 0: the base
 _TO = np.array(6 * [0] + [2 * DEEP, DEEP + UP, DEEP + LEFT, UP + LEFT, UP + LEFT], np.int64)
-"""Distances of the cells whose difference is a feature; 0: the base."""
-
 _PACE = 8  # how fast the weights learn, 1/64; measured: 4 to 12 are within 1 %
 _FEATURE_LIMIT = 4095
 _ERROR_LIMIT = 1023

@@ -12,7 +12,6 @@ import numpy as np
 from touchfield.codec.kernels.bits import gamma, mix
 from touchfield.codec.touch.kernels.lattice import amplitude_of, axes_along, level_of, rebuild, step_at
 from touchfield.codec.touch.kernels.predict import FOLLOWED, NOTHING, REFERENCE, before, chain, held
-from touchfield.codec.touch.kernels.window import DEEP, LEFT, SIZES, UP, WIDTH, length_of
 from touchfield.codec.touch.kernels.workspace import (
     ALTERNATIVES,
     APART,
@@ -20,14 +19,18 @@ from touchfield.codec.touch.kernels.workspace import (
     BASE,
     BLEND,
     CENTRE,
+    DEEP,
     EXPECTED,
+    LEFT,
     OTHER,
     SIDES,
+    SIZES,
     STEPS,
+    UP,
+    WIDTH,
+    length_of,
 )  # fmt: skip
 from touchfield.lean import inlined, lean
-
-__all__ = ["BASED", "CONTEXTS", "LEVEL", "SETS", "aim", "code_step", "code_still", "look", "place", "sizes_of"]
 
 # Contexts of a bit of each kind. Of zero, sign and size there are three, one for each component: two pairs of other
 # predictions, 256 contexts each (of zero once more where residuals around are large), and what is nearest, 64; of a
@@ -40,9 +43,7 @@ _SIZE = _SIGN + 3 * _TABLE
 CONTEXTS = _SIZE + 3 * 1152
 
 _SET_ZERO, _SET_SIGN, _SET_SIZE = 16, 40, 43
-SETS = _SET_SIZE + 48
-"""Sets of weights: of still from 0 on."""
-
+SETS = _SET_SIZE + 48  # sets of weights: of still from 0 on
 _UNARY = 14  # steps told one by one; the rest in Elias' gamma code
 
 _LOUD, _NEAR, _CLASS_0, _CLASS_1, _QUIET, _APART, _LENGTH, LEVEL, BASED = range(9)
@@ -183,26 +184,6 @@ def _pairs(bits, work, c, table):
 
 
 @inlined
-def _code_zero(bits, work, c, toward, moving):
-    """Code that a component of the residual is not zero."""
-    of = work.of
-    group = of[_CLASS_0] if c == 0 else of[_CLASS_1]
-    table = _ZERO + c * _TABLE
-    _pairs(bits, work, c, table + (group >> 2 << 9))
-    bits.inputs[2] = table + 1024 + (toward << 3 | of[_APART])
-    return mix(bits, 3, _SET_ZERO + c * 8 + group, moving)
-
-
-@inlined
-def _code_sign(bits, work, c, lies, negative):
-    """Code that a component of the residual is below zero; `lies`: how far off the other opinion is, and where."""
-    table = _SIGN + c * _TABLE
-    _pairs(bits, work, c, table)
-    bits.inputs[2] = table + 1024 + (lies << 2 | work.of[_NEAR])
-    return mix(bits, 3, _SET_SIGN + c, negative)
-
-
-@inlined
 def _code_size(bits, work, c, toward, size):
     """The size of a component that is not zero."""
     of = work.of
@@ -224,14 +205,18 @@ def code_step(bits, law, work, c):
     for k in range(3):
         d += work.rows[APART, k] * work.rows[AXES + c, k]
     d >>= 14
-    toward, side = _digits((abs(d) << 3) // step), np.int64(d < 0)
-    moving = np.int64(1)
+    toward, side = _digits((abs(d) << 3) // step), np.int64(d < 0)  # how far off the other opinion is, and where
     if of[BASED] or c < 2 or rows[STEPS, 0] != 0 or rows[STEPS, 1] != 0:  # else it did not stand for this one
-        moving = _code_zero(bits, work, c, toward, np.int64(rows[STEPS, c] != 0))
-    if not moving:
-        rows[STEPS, c] = 0
-        return
-    negative = _code_sign(bits, work, c, toward << 1 | side, np.int64(rows[STEPS, c] < 0))
+        group, table = of[_CLASS_0] if c == 0 else of[_CLASS_1], _ZERO + c * _TABLE
+        _pairs(bits, work, c, table + (group >> 2 << 9))
+        bits.inputs[2] = table + 1024 + (toward << 3 | of[_APART])
+        if not mix(bits, 3, _SET_ZERO + c * 8 + group, np.int64(rows[STEPS, c] != 0)):
+            rows[STEPS, c] = 0
+            return
+    table = _SIGN + c * _TABLE
+    _pairs(bits, work, c, table)
+    bits.inputs[2] = table + 1024 + ((toward << 1 | side) << 2 | of[_NEAR])
+    negative = mix(bits, 3, _SET_SIGN + c, np.int64(rows[STEPS, c] < 0))
     size = _code_size(bits, work, c, toward, abs(rows[STEPS, c]))
     rows[STEPS, c] = -size if negative else size
 

@@ -1,30 +1,28 @@
-"""Workspaces of a pass: what a frame is walked by, the law it follows, and the room that its kernels work in."""
+"""Room of a pass: what a frame is walked by, the law it follows, and the window over it in scan order.
+
+A frame is kept in the coordinates of its scan: axis 0 is the slowest, and the scan runs along each axis the way the
+force points, so from deep to shallow; components are turned alike. A cell has eight numbers: the vector, its length
+(0: no force), the length that the force law makes likely one step on along each axis, and the sizes of its residual.
+A cell of the reference has four: the vector and its length. The window holds 12 cells an axis, the brick's own from
+`LOW` on, so that all that predicts a voxel is found at fixed distances, also across the brick's faces; what is not
+known yet has length 0.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from touchfield.lean import inlined, lean
 
-    Int64s = NDArray[np.int64]
+Int64s = NDArray[np.int64]
 
-__all__ = [
-    "ALTERNATIVES", "APART", "AXES", "BASE", "BLEND", "CENTRE", "CLASSES", "EXPECTED", "FEATURE", "FEATURES", "LAST",
-    "OTHER", "SIDES", "STEPS", "VECTOR", "Law", "Scan", "Work", "fresh_work",
-]  # fmt: skip
-
-FEATURES = 13
-"""Differences of neighbours that the blend is made of."""
-
+FEATURES = 13  # differences of neighbours that the blend is made of
+# sets of weights of the blend: which neighbours across a face hold a force, and whether the reference does
 CLASSES = 16
-"""Sets of weights of the blend: which neighbours across a face hold a force, and whether the reference does."""
-
-ALTERNATIVES = 4
-"""Other predictions, of which the contexts of a residual know how far they lie from its centre."""
-
+ALTERNATIVES = 4  # other predictions, of which the contexts of a residual know how far they lie from its centre
 _CELLS = 12**3
 
 EXPECTED, BLEND, BASE, LAST, OTHER, APART, CENTRE, AXES, STEPS, VECTOR, SIDES, FEATURE = (
@@ -38,76 +36,164 @@ centre along the axes; and the features of the blend, 1/256 steps."""
 
 
 class Scan(NamedTuple):
-    """Bricks of a frame in the order and the coordinates of its scan.
+    """Bricks of a frame in the order and the coordinates of its scan."""
 
-    Attributes
-    ----------
-    near : int64 [n, 13]
-        Slots of the bricks around that come before, -1 for none.
-    around : int64 [n, 27]
-        Slots of the reference's bricks here and around, -1 for none; [0, 27] without a reference.
-    low, high : int64 [n, 3]
-        Samples within the grid, from low to below high.
-    reference : int32 [m, 512, 3]
-        Vectors of the reference, units.
-    cells : int32 [n, 512, 8]
-        Takes what is decoded; see `window`.
-    """
-
-    near: Int64s
+    near: Int64s  # [n, 13]; slots of the bricks around that come before, -1 for none
+    # [n, 27]; slots of the reference's bricks here and around, -1 for none; [0, 27] without a reference
     around: Int64s
-    low: Int64s
+    low: Int64s  # low, high: [n, 3]; samples within the grid, from low to below high
     high: Int64s
-    reference: NDArray[np.int32]
-    cells: NDArray[np.int32]
+    reference: NDArray[np.int32]  # [m, 512, 3]; vectors of the reference, units
+    cells: NDArray[np.int32]  # [n, 512, 8]; takes what is decoded, as said above
 
 
 class Law(NamedTuple):
-    """The force law of a frame, and its lattice.
+    """The force law of a frame, and its lattice."""
 
-    Attributes
-    ----------
-    slope : int64 [3]
-        Units that the length loses in a step along each axis of the scan where the force points along it.
-    floor, rate, cross_floor, cross_rate : int
-        See `touchfield.codec.touch.lattice.Lattice`.
-    border, first : int64
-        The table of warped lengths, and where to look in it; see `touchfield.codec.touch.lattice.warp_of`.
-    """
-
+    # [3]; units that the length loses in a step along each axis of the scan where the force points along it
     slope: Int64s
-    floor: int
+    floor: int  # floor, rate, cross_floor, cross_rate: see `touchfield.codec.touch.lattice.Lattice`
     rate: int
     cross_floor: int
     cross_rate: int
+    # border, first: the table of warped lengths, and where to look in it; see
+    # `touchfield.codec.touch.lattice.warp_of`
     border: Int64s
     first: Int64s
 
 
 class Work(NamedTuple):
-    """Room to work in, and the weights of the blend.
+    """Room to work in, and the weights of the blend."""
 
-    Attributes
-    ----------
-    window : int32 [12 * 12 * 12 * 8]
-    old : int32 [12 * 12 * 12 * 4]
-        The window's cells of the reference.
-    weights : int64 [CLASSES, FEATURES]
-        Of the blend, 1/65536; kept from frame to frame of a segment.
-    rows : int64 [ROWS, 3]
-        Vectors, by the names above.
-    of : int64 [16]
-        Numbers, by the names in `residual` and `predict`.
-    """
-
-    window: NDArray[np.int32]
-    old: NDArray[np.int32]
-    weights: Int64s
-    rows: Int64s
-    of: Int64s
+    window: NDArray[np.int32]  # [12 * 12 * 12 * 8]
+    old: NDArray[np.int32]  # [12 * 12 * 12 * 4]; the window's cells of the reference
+    weights: Int64s  # [CLASSES, FEATURES]; of the blend, 1/65536; kept from frame to frame of a segment
+    rows: Int64s  # [ROWS, 3]; vectors, by the names above
+    of: Int64s  # [16]; numbers, by the names in `residual` and `predict`
 
 
 def fresh_work(weights: Int64s) -> Work:
     """Room for a pass that goes on from these weights, and changes them."""
     cells = np.zeros(_CELLS * 8, np.int32), np.zeros(_CELLS * 4, np.int32)
     return Work(*cells, weights, np.zeros((ROWS, 3), np.int64), np.zeros(16, np.int64))
+
+
+SIDE, LOW = 12, 2
+DEEP, UP, LEFT = SIDE * SIDE, SIDE, 1  # distances of the voxels before, along the three axes of the scan
+WIDTH = 8
+LENGTH, AHEAD, SIZES = 3, 4, 7  # places in a cell: the length, the three lengths ahead, the sizes of the residual
+
+
+@lean
+def root(n):
+    """floor(sqrt(n)) of 0 <= n < 2^52, whatever the machine's square root."""
+    s = np.int64(np.sqrt(np.float64(n)))
+    while s * s > n:
+        s -= 1
+    while (s + 1) * (s + 1) <= n:
+        s += 1
+    return s
+
+
+@lean
+def length_of(v0, v1, v2):
+    """|v| in whole units, at least 1."""
+    return max(root(v0 * v0 + v1 * v1 + v2 * v2), np.int64(1))
+
+
+@lean
+def store(window, at, v0, v1, v2, a, sizes, slope):
+    """Fill a cell: moving along the force by a sample a penalty field loses `slope` of its length."""
+    c = at * WIDTH
+    window[c] = v0
+    window[c + 1] = v1
+    window[c + 2] = v2
+    window[c + 3] = a
+    inverse = (np.int64(1) << 28) // a
+    window[c + 4] = a - ((((v0 * inverse) >> 14) * slope[0]) >> 14)
+    window[c + 5] = a - ((((v1 * inverse) >> 14) * slope[1]) >> 14)
+    window[c + 6] = a - ((((v2 * inverse) >> 14) * slope[2]) >> 14)
+    window[c + 7] = sizes
+
+
+@inlined
+def _copy(window, cells, slot, x0, x1, y0, y1, z0, z1, dx, dy, dz):
+    """Cells of a brick at `slot` (none if below 0) into the window; dx .. dz: where that brick lies."""
+    for x in range(x0, x1):
+        for y in range(y0, y1):
+            to = (((x + 8 * dx + LOW) * SIDE + y + 8 * dy + LOW) * SIDE + z0 + 8 * dz + LOW) * WIDTH
+            if slot < 0:
+                for z in range(z1 - z0):
+                    window[to + z * WIDTH + LENGTH] = 0
+            else:
+                at = (x * 8 + y) * 8 + z0
+                for z in range(z1 - z0):
+                    for q in range(WIDTH):
+                        window[to + z * WIDTH + q] = cells[slot, at + z, q]
+
+
+@lean
+def load(window, cells, near, n):
+    """The halo of brick n: two cells deep before it, one behind, of the bricks that are decoded; `near` [n, 13]."""
+    for s in range(13):
+        dx, dy, dz = s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1
+        _copy(
+            window, cells, near[n, s], 6 if dx < 0 else 0, 8, 6 if dy < 0 else 0, 1 if dy > 0 else 8,
+            6 if dz < 0 else 0, 1 if dz > 0 else 8, dx, dy, dz,
+        )  # fmt: skip
+    # what comes later: of this brick, and beside it
+    for x in range(LOW, LOW + 8):
+        for y in range(LOW, LOW + 9):
+            row = (x * SIDE + y) * SIDE
+            first = LOW if y < LOW + 8 else 0
+            for z in range(first, LOW + 9):
+                window[(row + z) * WIDTH + LENGTH] = 0
+
+
+@lean
+def keep(window, cells, n):
+    """The brick's own cells out of the window."""
+    for x in range(8):
+        for y in range(8):
+            at = ((x + LOW) * SIDE + y + LOW) * SIDE + LOW
+            for z in range(8):
+                for q in range(WIDTH):
+                    cells[n, (x * 8 + y) * 8 + z, q] = window[(at + z) * WIDTH + q]
+
+
+@lean
+def copy_reference(window, old, slope):
+    """The brick as the reference has it."""
+    for x in range(LOW, LOW + 8):
+        for y in range(LOW, LOW + 8):
+            for z in range(LOW, LOW + 8):
+                at = (x * SIDE + y) * SIDE + z
+                a = np.int64(old[at * 4 + 3])
+                if a > 0:
+                    v0, v1, v2 = np.int64(old[at * 4]), np.int64(old[at * 4 + 1]), np.int64(old[at * 4 + 2])
+                    store(window, at, v0, v1, v2, a, np.int64(0), slope)
+
+
+@lean
+def load_reference(old, vectors, around, n):
+    """Brick n of the reference and one cell around it; `around` [n, 27] holds its slots, below 0 for none."""
+    for s in range(27):
+        dx, dy, dz = s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1
+        slot = around[n, s]
+        for x in range(7 if dx < 0 else 0, 1 if dx > 0 else 8):
+            for y in range(7 if dy < 0 else 0, 1 if dy > 0 else 8):
+                for z in range(7 if dz < 0 else 0, 1 if dz > 0 else 8):
+                    to = (((x + 8 * dx + LOW) * SIDE + y + 8 * dy + LOW) * SIDE + z + 8 * dz + LOW) * 4
+                    if slot < 0:
+                        old[to + 3] = 0
+                        continue
+                    at = (x * 8 + y) * 8 + z
+                    v0, v1 = np.int64(vectors[slot, at, 0]), np.int64(vectors[slot, at, 1])
+                    v2 = np.int64(vectors[slot, at, 2])
+                    old[to] = v0
+                    old[to + 1] = v1
+                    old[to + 2] = v2
+                    a = np.int64(0)
+                    if v0 != 0 or v1 != 0 or v2 != 0:
+                        a = length_of(v0, v1, v2)
+                    old[to + 3] = a

@@ -1,42 +1,88 @@
-"""Compiled code of the column guess: surfaces predicted from those beside, the same in both directions; the forces.
+"""Compiled code of the guesses, the same in both directions: nodes of a spline; columns and their forces.
 
-Positions are in 1/256 samples from outside to inside, directions in 1/16384, shares in 1/65536. No product reaches
-2^62.
+Of columns positions are in 1/256 samples from outside to inside, directions in 1/16384, shares in 1/65536. No product
+reaches 2^62.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.codec.kernels.bits import gamma, mix
+from touchfield.codec.kernels.bits import READING, TASK, code, even, gamma, mix
 from touchfield.lean import entry, inlined, lean
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+REACH: Final = 1 << 23  # no coefficient is beyond it, units
+_CLASSES: Final = 10
+_LENGTHS: Final = 24
+NODE_CONTEXTS: Final = _CLASSES * _LENGTHS
 
-__all__ = [
-    "A_STEP", "CONTEXTS", "HEADS", "LIMIT", "MODES", "NUMBERS", "RAMP", "RATIO_A", "RATIO_B", "SETS", "TOP",
-    "WISHES", "XY_STEP", "Z_STEP", "A", "Columns", "U", "X", "Y", "Z", "code_row", "expect", "fill_bricks", "is_torn",
-    "set_surface", "share_at", "step_of", "turn",
-]  # fmt: skip
 
-LIMIT: Final = (1 << 17) - 1
-"""No component of a force is beyond it, units."""
+@inlined
+def _expected_node(before, values, n):
+    """The mean of the flat faces through the nodes told before, or else of those beside it."""
+    total, count, beside, known = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+    for axis in range(3):
+        one, other, both = before[n, axis], before[n, (axis + 1) % 3], before[n, 3 + axis]
+        if one >= 0:
+            beside += values[one]
+            known += 1
+            if other >= 0 and both >= 0:
+                total += values[one] + values[other] - values[both]
+                count += 1
+    if count == 0:
+        total, count = beside, max(np.int64(1), known)
+    return (2 * total + count) // (2 * count)
 
-TOP, RAMP, RATIO_A, RATIO_B, XY_STEP, Z_STEP, A_STEP = range(7)
-"""Whole numbers that all columns share."""
-HEADS: Final = (1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16)
-"""What they are below."""
 
+@inlined
+def _node_residual(bits, at, r):
+    """A residual: the length of its size, and its sign and the digits behind the first one as they are."""
+    size, length = abs(r), np.int64(0)
+    while length < _LENGTHS and code(bits, at + length, np.int64(size >> length > 0)):
+        length += 1
+    if length == 0:
+        return np.int64(0)
+    first = np.int64(1) << (length - 1)
+    told = even(bits, (size & (first - 1)) | (first * np.int64(r < 0)), length)
+    size = first | (told & (first - 1))
+    return -size if told & first else size
+
+
+@entry
+def code_nodes(bits, at, before, step, values, sizes):
+    """Tell nodes one after the other, each in multiples of `step` from what is expected; contexts begin `at`.
+
+    `before`, int64 [n, 6], are the nodes before each one along x, y, z, xy, yz, zx, -1 where none is told; `values`,
+    int64 [n], coefficients: a writer's are replaced by what a reader will have; `sizes`, int64 [n], room.
+    """
+    for n in range(values.shape[0]):
+        near, near_class = np.int64(0), np.int64(0)
+        for axis in range(3):
+            if before[n, axis] >= 0:
+                near += sizes[before[n, axis]]
+        while near >> near_class and near_class < _CLASSES - 1:
+            near_class += 1
+        expected = _expected_node(before, values, n)
+        r = np.int64(0)
+        if bits.state[TASK] != READING:
+            r = (2 * (values[n] - expected) + step) // (2 * step)
+        r = _node_residual(bits, at + _LENGTHS * near_class, r)
+        sizes[n] = abs(r)
+        values[n] = min(max(expected + r * step, np.int64(-REACH)), np.int64(REACH))
+
+
+LIMIT: Final = (1 << 17) - 1  # no component of a force is beyond it, units
+TOP, RAMP, RATIO_A, RATIO_B, XY_STEP, Z_STEP, A_STEP = range(7)  # whole numbers that all columns share
+HEADS: Final = (1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16)  # what they are below
 X, Y, Z, A, U, NUMBERS = 0, 1, 2, 3, 4, 11
 """Of a surface: four numbers that are told, the direction (along a, b and outward), and the four residuals' sizes."""
 _SIZES = 7
 
+# what an encoder chooses of a column: how many surfaces, the mode of prediction, and the residuals of two
 WISHES: Final = 10
-"""What an encoder chooses of a column: how many surfaces, the mode of prediction, and the residuals of two."""
-
 MODES: Final = 4
 _TORN = 768  # neighbours whose starts differ by three samples may not speak for one surface
 _FAR = 1 << 24
@@ -48,33 +94,20 @@ _FIRST, _SECOND = 36, 16
 # of a NumPy type: numba compiles a function anew for each int that is written out
 _COUNT, _MODE, _NUMBER = np.arange(3)
 _ZERO, _ONE = np.arange(2)
-SETS: Final = 14 * _NODES
-CONTEXTS: Final = SETS * (_FIRST + _SECOND)
+COLUMN_SETS: Final = 14 * _NODES
+COLUMN_CONTEXTS: Final = COLUMN_SETS * (_FIRST + _SECOND)
 
 
 class Columns(NamedTuple):
-    """Columns of a box, row by row, a blank one before and behind each row, and a blank row before all.
+    """Columns of a box, row by row, a blank one before and behind each row, and a blank row before all."""
 
-    Attributes
-    ----------
-    surfaces : int64 [2 columns, NUMBERS]
-        Two of each column; A is 0 where there is none.
-    row : int
-        Surfaces from a row to the next.
-    heads : int64 [7]
-    told : int64 [4]
-        Of the column at hand: how many surfaces, the mode of prediction, and the surfaces to the west and north.
-    residuals : int64 [2, 4]
-        Of X, Y, Z, A of these, in steps.
-    expected : int64 [4]
-    """
-
-    surfaces: NDArray[np.int64]
-    row: int
-    heads: NDArray[np.int64]
+    surfaces: NDArray[np.int64]  # [2 columns, NUMBERS]; two of each column; A is 0 where there is none
+    row: int  # surfaces from a row to the next
+    heads: NDArray[np.int64]  # [7]
+    # [4]; of the column at hand: how many surfaces, the mode of prediction, and the surfaces to the west and north
     told: NDArray[np.int64]
-    residuals: NDArray[np.int64]
-    expected: NDArray[np.int64]
+    residuals: NDArray[np.int64]  # [2, 4]; of X, Y, Z, A of these, in steps
+    expected: NDArray[np.int64]  # [4]
 
 
 @lean
