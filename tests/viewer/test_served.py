@@ -14,12 +14,14 @@ import pytest
 from browser import drive, needs_browser
 
 import touchfield as tf
+from touchfield.cli.main import _exit_code
 from touchfield.job import EncodeSpec
 from touchfield.job.live import LiveSpec, broadcast, opened_sender
 from touchfield.viewer.browser import empty_page, served_page
 
 pytest.importorskip("aiohttp", reason="servers need the extra broadcast")
 from touchfield.stream.access import Access, Pages, run
+from touchfield.stream.bridge import Bridge
 from touchfield.stream.live_server import LiveServer
 from touchfield.stream.server import application
 
@@ -105,3 +107,40 @@ def test_what_is_live_is_followed(tmp_path: Path) -> None:
     numbers = [int(name.removeprefix("live, frame ")) for name in names]
     assert told.errors == [] and 0 <= numbers[0] < numbers[1] < numbers[2]
     assert all(told.answers[n]["state"] == "ready" and told.answers[n]["playing"] for n in (3, 5))
+
+
+@needs_browser
+def test_a_hand_on_a_device_is_shown_where_it_is(tmp_path: Path) -> None:
+    """A hand that stands high, then low: the page shows its place, and feels there what Python says."""
+    tf.encode(rising(), tmp_path / "rise.touch")
+
+    class Hand:
+        media_s, position_m = 0.0, (0.01, 0.02, 0.0)
+
+    place = {"do": "run", "code": f"[...{INNER}.state().point, ...{INNER}.state().force, {INNER}.state().time]"}
+    with Bridge(tmp_path / "rise.touch", Access(port=0), PAGES) as bridge:
+        bridge.follow(Hand())
+        low = threading.Timer(
+            6.0, lambda: (setattr(Hand, "position_m", (0.0, -0.03, 0.01)), setattr(Hand, "media_s", 0.5))
+        )
+        low.start()
+        told = drive(tmp_path, {"do": "goto", "url": bridge.page}, {"do": "wait", "ms": 1500}, place,
+                     {"do": "wait", "ms": 6000}, place, offline=False)  # fmt: skip
+        low.join()
+    first, last = told.answers[2], told.answers[4]
+    assert told.errors == [] and {url.split("/")[2] for url in told.requests if url.startswith("http")} == {
+        bridge.address
+    }
+    assert first[:3] == pytest.approx([0.01, 0.02, 0.0]) and first[3:6] == [0, 0, 0] and first[-1] == 0
+    assert last[:3] == pytest.approx([0.0, -0.03, 0.01]) and last[-1] == pytest.approx(0.5)
+    with tf.open_stream(tmp_path / "rise.touch") as stream:
+        expected = stream.medium.sample_n(np.array([[0.0, -0.03, 0.01]]), 0.5)[0]
+    np.testing.assert_allclose(last[3:6], expected, atol=1e-5)
+
+
+def test_play_has_its_hand_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tf.encode(rising(), tmp_path / "rise.touch")
+    assert _exit_code(["play", str(tmp_path / "rise.touch"), "--bridge", "--seconds", "0.5"]) in (0, 1)
+    assert "/view/rise.touch#hand in a browser" in capsys.readouterr().err
+    assert _exit_code(["play", "http://127.0.0.1:9/rise.touch", "--bridge"]) == 2
+    assert "a .touch file on this machine" in capsys.readouterr().err

@@ -359,6 +359,13 @@ const feelAt = async (point: Triple): Promise<void> => {
 };
 const feel = latest(feelAt);
 
+/** Where a hand is that another program follows, and when. */
+const hand = latest(async (at: Triple, time: number) => {
+  if (!state) return;
+  if (Math.abs(time - state.time) > 0.5 / state.opened.head.rate) await showNow(Math.min(time, seconds()));
+  await feelAt(at);
+});
+
 const point = latest(async (x: number, y: number, pressure: number) => {
   const ray = view.ray(x, y);
   const met = await decoder.ask<Met>({ do: "contact", time: null, rays: [ray], depth: depth() * pressure, away: view.away() });
@@ -648,6 +655,7 @@ Object.assign(window, {
   touchfield: {
     open: (data: ArrayLike<number>, name: string) => openBytes(Uint8Array.from(data), name),
     follow: (data: ArrayLike<number>, name: string) => followBytes(Uint8Array.from(data), name),
+    hand: (at: Triple, time: number) => hand(at, time),
     feel: (points: number[]) => decoder.ask<Float64Array>({ do: "feel", points }).then((all) => [...all]),
     seek: (time: number) => showNow(time).catch(tellFault),
     state: () => ({

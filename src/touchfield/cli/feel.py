@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -79,6 +81,9 @@ def play(
     check: Annotated[
         bool, typer.Option("--check", help="Play nothing; tell whether this machine can decode it in time.")
     ] = False,
+    bridge: Annotated[
+        bool, typer.Option("--bridge", help="Show the hand in a browser while it plays (extra broadcast).")
+    ] = False,
     *,
     asked: dict[str, Any],
 ) -> None:
@@ -95,8 +100,8 @@ def play(
         device, profile, trajectory, seconds, start_s, speed, loop, panel, offline,
         is_logged=not (log is plot is wav is None), is_drawn=plot is not None, render=render_spec(asked), trace=trace,
     )  # fmt: skip
-    with progress("play", "s") as report:
-        played = run(stream, spec, report, _say)
+    with _bridge(stream, bridge) as watch, progress("play", "s") as report:
+        played = run(stream, spec, report, _say, watch)
     notes = played.notes
     if log is not None:
         played.write_log(log)
@@ -116,6 +121,23 @@ def play(
     played.checked()
     if played.is_starved:
         raise typer.Exit(1)
+
+
+@contextmanager
+def _bridge(stream: str, is_shown: bool) -> Iterator[Callable[[Any], None]]:
+    """A call that has a player shown in a browser, where that is wanted."""
+    if not is_shown:
+        yield lambda player: None
+        return
+    from touchfield.stream.access import Access, Pages
+    from touchfield.stream.bridge import Bridge
+    from touchfield.viewer.browser import empty_page, served_page
+
+    if not Path(stream).is_file():
+        raise InvalidArgument("--bridge", stream, "a .touch file on this machine")
+    with Bridge(Path(stream), Access(port=0), Pages(served_page(), empty_page())) as server:
+        _say(f"open {server.page} in a browser")
+        yield server.follow
 
 
 def _check(stream: str, speed: float, as_json: bool) -> None:

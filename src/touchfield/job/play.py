@@ -175,11 +175,16 @@ class Played:
 
 
 def play(
-    path: str | Path, spec: PlaySpec | None = None, report: Report = silent, tell: Tell = lambda note: None
+    path: str | Path,
+    spec: PlaySpec | None = None,
+    report: Report = silent,
+    tell: Tell = lambda note: None,
+    watch: Callable[[Player], None] = lambda player: None,
 ) -> Played:
     """Play a ``.touch`` file on a device until it is over, `seconds` are, or an interrupt comes.
 
-    An error half way is in `Played.error`, beside what was felt until then; `tell` gets notes while it plays.
+    An error half way is in `Played.error`, beside what was felt until then; `tell` gets notes while it plays, `watch`
+    the player of a point device once it is there.
 
     Raises
     ------
@@ -194,7 +199,7 @@ def play(
         if spec.device.strip().partition(":")[0].lower() not in {kind.name for kind in point_kinds()}:
             forms = ", ".join([kind.form for kind in point_kinds()] + [kind.form for kind in array_kinds()])
             raise InvalidArgument("--device", repr(spec.device[:80]), f"one of {forms}")
-        return _play_point(stream, Path(path).name, spec, report, tell)
+        return _play_point(stream, Path(path).name, spec, report, tell, watch)
 
 
 def stream_device(stream: OpenStream) -> Device:
@@ -206,7 +211,9 @@ def stream_device(stream: OpenStream) -> Device:
     return known if known.is_array == told.is_array else told
 
 
-def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report, tell: Tell) -> Played:
+def _play_point(
+    stream: OpenStream, name: str, spec: PlaySpec, report: Report, tell: Tell, watch: Callable[[Player], None]
+) -> Played:
     field_of: HapticMedium | HapticScene = stream.scene or stream.medium
     if stream.reader.head.device_type == 2:
         mend = "Play it on an array (bhaptics, osc, pins), or encode the scene for a point (--device phantom-omni)."
@@ -235,6 +242,7 @@ def _play_point(stream: OpenStream, name: str, spec: PlaySpec, report: Report, t
     else:
         log_rows = _MOST_ROWS if spec.is_logged else _FEW_ROWS
         player = Player(field_of, profile, choice.opener, spec.render, log_rows=log_rows, **times)
+        watch(player)
         keep_up = partial(stream.keep_up, player) if isinstance(stream, LiveStream) else None
         error = _wait_playing(player, seconds, report, tell, keep_up)
         statistics, rows, notes = player.statistics(), _since_play(player.log()), player.notes

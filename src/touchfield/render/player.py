@@ -185,6 +185,15 @@ class Player:
             return float(self._block.memory.f8[W.MEDIA_S]) if self._block is not None else 0.0
 
     @property
+    def position_m(self) -> tuple[float, float, float]:
+        """Where the hand is in the field, metres; zeros before the first tick."""
+        with self._lock:
+            if self._block is None:
+                return 0.0, 0.0, 0.0
+            x, y, z = self._block.memory.f8[W.POSITION : W.POSITION + 3].tolist()
+            return x, y, z
+
+    @property
     def is_ended(self) -> bool:
         """True if the medium, or the servo, has come to its end and the force to zero."""
         with self._lock:

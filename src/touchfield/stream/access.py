@@ -5,10 +5,13 @@ from __future__ import annotations
 import asyncio
 import hmac
 import ipaddress
+from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from threading import Event as Flag
+from threading import Thread
+from typing import Final, NamedTuple, Self
 from urllib.parse import urlsplit
 from weakref import WeakSet
 
@@ -19,7 +22,7 @@ try:
 except ImportError:
     raise MissingExtra("a server of streams", "aiohttp", "broadcast") from None
 
-__all__ = ["Access", "Pages", "add_pages", "guarded", "run", "web"]
+__all__ = ["Access", "Background", "Pages", "add_pages", "guarded", "run", "web"]
 
 _OWN: Final = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache", "X-Frame-Options": "SAMEORIGIN"}
 _PATIENCE_S: Final = 10.0
@@ -197,6 +200,51 @@ async def run(
         if listening is not None:
             listening.close()
         await runner.cleanup()
+
+
+class Background(ABC):
+    """A web application that runs in a thread of its own while a block lasts.
+
+    Attributes
+    ----------
+    address : str
+        Host and port, once it is entered.
+    """
+
+    def __init__(self, access: Access, pages: Pages | None = None) -> None:
+        self._access, self._pages, self.address = access, pages, ""
+        self._loop, self._is_over, self._ready = asyncio.new_event_loop(), asyncio.Event(), Flag()
+        self._error: Exception | None = None
+        self._thread = Thread(target=self._run, name="touchfield-server", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._ready.wait()
+        if self._error is not None:
+            raise self._error
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._is_over.set)
+        self._thread.join(10)
+
+    @abstractmethod
+    def _application(self) -> web.Application:
+        """The web application."""
+
+    def _run(self) -> None:
+        try:
+            self._loop.run_until_complete(run(self._application(), self._access, self._at, self._is_over))
+        except Exception as error:
+            self._error = error
+        finally:
+            self._loop.close()
+            self._ready.set()
+
+    def _at(self, address: str) -> None:
+        self.address = address
+        self._ready.set()
 
 
 class _Refusal(asyncio.Protocol):

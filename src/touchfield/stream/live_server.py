@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from threading import Thread
 from typing import Final
 
-from touchfield.stream.access import Access, Pages, add_pages, guarded, run, web
+from touchfield.stream.access import Access, Background, Pages, add_pages, guarded, web
 from touchfield.stream.live import LiveSegment, LiveSender, file_of
 from touchfield.stream.server import MEDIA_TYPE
 
@@ -21,7 +20,7 @@ _PATIENCE_S: Final = 10.0
 """How long a receiver may take for a message."""
 
 
-class LiveServer:
+class LiveServer(Background):
     """Serves a live stream from a thread of its own; a context manager.
 
     Parameters
@@ -33,8 +32,6 @@ class LiveServer:
 
     Attributes
     ----------
-    address : str
-        Host and port, once it is entered.
     receivers : int
         That are there now.
     most_receivers : int
@@ -46,28 +43,9 @@ class LiveServer:
     """
 
     def __init__(self, sender: LiveSender, access: Access, pages: Pages | None = None) -> None:
-        self._sender, self._access, self._pages = sender, access, pages
-        self.address, self.receivers, self.most_receivers, self.skipped, self.left = "", 0, 0, 0, 0
-        self._loop = asyncio.new_event_loop()
-        self._is_over, self._news = asyncio.Event(), asyncio.Event()
-        self._began: asyncio.Future[None] | None = None
-        self._error: Exception | None = None
-        self._thread = Thread(target=self._run, name="touchfield-live", daemon=True)
-
-    def __enter__(self) -> LiveServer:
-        from threading import Event
-
-        self._ready = Event()
-        self._thread.start()
-        self._ready.wait()
-        if self._error is not None:
-            raise self._error
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._is_over.set)
-        self._thread.join(10)
+        super().__init__(access, pages)
+        self._sender, self._news = sender, asyncio.Event()
+        self.receivers = self.most_receivers = self.skipped = self.left = 0
 
     def add(self, segment: LiveSegment) -> bytes:
         """Have a segment sent; its message."""
@@ -87,19 +65,6 @@ class LiveServer:
     def _wake(self) -> None:
         self._news, old = asyncio.Event(), self._news
         old.set()
-
-    def _run(self) -> None:
-        try:
-            self._loop.run_until_complete(run(self._application(), self._access, self._at, self._is_over))
-        except Exception as error:
-            self._error = error
-        finally:
-            self._loop.close()
-            self._ready.set()
-
-    def _at(self, address: str) -> None:
-        self.address = address
-        self._ready.set()
 
     def _application(self) -> web.Application:
         served = guarded(self._access)

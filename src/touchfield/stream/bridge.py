@@ -1,0 +1,85 @@
+"""A hand on a device, shown by a page: the file that it feels, and where it is, sixty times a second."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Final, Protocol
+from urllib.parse import quote
+
+from touchfield.stream.access import Access, Background, Pages, add_pages, guarded, web
+from touchfield.stream.server import MEDIA_TYPE
+
+__all__ = ["Bridge"]
+
+_PERIOD_S: Final = 1 / 60
+_PATIENCE_S: Final = 5.0
+
+
+class _Hand(Protocol):
+    """As much of a player as is shown."""
+
+    @property
+    def media_s(self) -> float: ...
+
+    @property
+    def position_m(self) -> tuple[float, float, float]: ...
+
+
+class Bridge(Background):
+    """A server for the page of one file and the hand that feels it.
+
+    Parameters
+    ----------
+    stream : Path
+        The ``.touch`` file.
+    access : Access
+    pages : Pages
+    """
+
+    def __init__(self, stream: Path, access: Access, pages: Pages) -> None:
+        super().__init__(access, pages)
+        self._stream, self._hand = stream, None
+
+    _hand: _Hand | None
+
+    @property
+    def page(self) -> str:
+        """The address of the page."""
+        return f"http://{self.address}/view/{quote(self._stream.name)}#hand"
+
+    def follow(self, hand: _Hand) -> None:
+        """Show this hand from now on."""
+        self._hand = hand
+
+    def _application(self) -> web.Application:
+        served = guarded(self._access)
+        served.router.add_get("/hand", self._tell)
+        served.router.add_get(f"/{quote(self._stream.name)}", self._file)
+        add_pages(served, "/{name:.*}", self._pages)
+        return served
+
+    async def _file(self, request: web.Request) -> web.StreamResponse:
+        headers = {"Content-Type": MEDIA_TYPE, "X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache"}
+        return web.FileResponse(self._stream, headers=headers)
+
+    async def _tell(self, request: web.Request) -> web.StreamResponse:
+        """The hand's place in the field, metres, and the medium's time, seconds, where they change."""
+        if self._access.is_stranger(request):
+            raise web.HTTPForbidden(text="a page elsewhere, which may not read")
+        socket = web.WebSocketResponse(max_msg_size=1 << 10, compress=False)
+        await socket.prepare(request)
+        before: tuple[float, ...] = ()
+        try:
+            while not socket.closed:
+                hand = self._hand
+                now = () if hand is None else (*hand.position_m, hand.media_s)
+                if now and now != before:
+                    async with asyncio.timeout(_PATIENCE_S):
+                        await socket.send_json(now)
+                    before = now
+                await asyncio.sleep(_PERIOD_S)
+        except (TimeoutError, ConnectionError):
+            if request.transport is not None:
+                request.transport.abort()
+        return socket
