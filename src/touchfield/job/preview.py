@@ -13,9 +13,8 @@ from touchfield.viewer.page import titled_figure, write_png
 from touchfield.viewer.preview import PreviewSpec, draw_shadows, shadows
 
 if TYPE_CHECKING:
-    from touchfield.job.plan import Plan
+    from touchfield.job.plan import Plan, Trial
     from touchfield.job.prepare import Prepared
-    from touchfield.job.settings import Trial
     from touchfield.medium import HapticMedium
 
 __all__ = ["draw_medium", "draw_plan", "draw_preview"]
