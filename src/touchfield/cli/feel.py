@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final
 import typer
 
 from touchfield.cli.app import Json, Stream, Trajectory, command
-from touchfield.cli.options import Row, asks
+from touchfield.cli.options import Row, asks, numbers_of
 from touchfield.cli.show import check_picture, progress, show
 from touchfield.errors import InvalidArgument
 from touchfield.render.spec import RenderSpec
@@ -41,6 +41,7 @@ RENDER: Final[tuple[Row, ...]] = (
     ("up", str, "auto", "Up for the hand: x to -z; auto: as the stream says; lattice: y or -y, as it was laid."),
 )
 
+_TRIPLE: Final = "three numbers, X,Y,Z"
 _FORMS: Final = "point, sphere:RADIUS_M or MESH.obj, with ,points=N behind the last two"
 
 
@@ -138,18 +139,10 @@ def render_spec(asked: dict[str, Any]) -> RenderSpec:
     given = {f.name: asked[f.name] for f in fields(RenderSpec) if asked.get(f.name) is not None}
     given["tool"] = tool_of(asked["tool"])
     if asked["clutch_mm"] is not None:
-        given["clutch_m"] = tuple(v / 1000 for v in _triple("--clutch-mm", asked["clutch_mm"]))
+        given["clutch_m"] = tuple(v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], 3, _TRIPLE))
     if asked["gravity_n"] is not None:
-        given["gravity_n"] = _triple("--gravity-n", asked["gravity_n"])
+        given["gravity_n"] = numbers_of("--gravity-n", asked["gravity_n"], 3, _TRIPLE)
     return RenderSpec(**given, blend=not asked["no_blend"])
-
-
-def _triple(option: str, text: str) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(word) for word in text.split(","))
-    except ValueError:
-        raise InvalidArgument(option, repr(text), "three numbers, X,Y,Z") from None
-    return x, y, z
 
 
 def tool_of(words: str) -> Tool | None:
@@ -158,12 +151,7 @@ def tool_of(words: str) -> Tool | None:
     A mesh is in metres of the field, its origin is the device's point and its axes are the field's where the grip is
     not turned.
 
-    Raises
-    ------
-    InvalidArgument
-        If the words name none, or a number is out of range.
-    SourceError
-        If the mesh cannot be read.
+    InvalidArgument if the words name none or a number is out of range, SourceError if the mesh cannot be read.
     """
     name, comma, option = words.rpartition(",") if ",points=" in words else (words, "", "")
     points = SPHERE_POINTS

@@ -20,7 +20,19 @@ from touchfield.filters.registry import field_filters
 from touchfield.job import EncodeSpec, Target
 from touchfield.sources.options import SourceOptions
 
-__all__ = ["ALLOW_OUTSIDE", "BESIDE", "CODER", "SCENE", "TARGET", "asks", "encode_spec", "filter_rows", "target_of"]
+__all__ = [
+    "ALLOW_OUTSIDE",
+    "BESIDE",
+    "CODER",
+    "SCENE",
+    "TARGET",
+    "asks",
+    "encode_spec",
+    "filter_rows",
+    "frames_of",
+    "numbers_of",
+    "target_of",
+]
 
 Row = tuple[str, Any, Any, str]
 """Name, type, default, help."""
@@ -178,7 +190,8 @@ def _identifier(name: str) -> str:
     return "as_" if name == "as" else name.replace("-", "_")
 
 
-def _frames(option: str, text: str | None) -> tuple[int, int | None] | None:
+def frames_of(option: str, text: str | None) -> tuple[int, int | None] | None:
+    """The frames of START:STOP, or of the number of one."""
     if text is None:
         return None
     start, colon, stop = text.partition(":")
@@ -190,6 +203,17 @@ def _frames(option: str, text: str | None) -> tuple[int, int | None] | None:
     if first < 0 or (last is not None and last <= first):
         raise InvalidArgument(option, repr(text), "START below STOP, neither negative")
     return first, last
+
+
+def numbers_of(option: str, text: str, count: int, expected: str) -> Any:
+    """So many numbers between commas, as a tuple."""
+    try:
+        numbers = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise InvalidArgument(option, repr(text), expected)
+    return numbers
 
 
 def _of(spec: type[Any], asked: dict[str, Any]) -> dict[str, Any]:
@@ -241,8 +265,8 @@ def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
     chain = tuple((name, _once(name, asked[key])) for key in asked if (name := _filter_name(key)) and asked[key])
     as_given |= {
         "nw": None if asked["nominal"] else asked["nw"],
-        "frames": _frames("--frames", asked["frames"]),
-        "fit_frames": _frames("--fit-frames", asked["fit_frames"]),
+        "frames": frames_of("--frames", asked["frames"]),
+        "fit_frames": frames_of("--fit-frames", asked["fit_frames"]),
         "filters": chain,
     }
     return EncodeSpec(**as_given, source=source, **(_coder(asked) if "coder" in asked else {}))

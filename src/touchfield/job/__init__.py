@@ -15,8 +15,8 @@ scene, budget -> lattice and settings that spend it best                plan
 from touchfield.job.compare import Comparison, compare, hand_motion
 from touchfield.job.encode import Encoded, encode
 from touchfield.job.filtering import FilterReport, draw_filtered, filter_report
+from touchfield.job.mapping import partition_workspace
 from touchfield.job.measure import Measurement, MeasureSpec, measure_medium
-from touchfield.job.partition_workspace import partition_workspace
 from touchfield.job.plan import Budget, Plan, PlanGrid, Trial, parse_budget, plan
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.preview import draw_preview
