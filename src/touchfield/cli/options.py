@@ -131,8 +131,11 @@ def filter_rows() -> tuple[Row, ...]:
     return tuple((name, list[str] | None, None, kind.summary) for name, kind in field_filters().items())
 
 
-def asks(*groups: tuple[Row, ...], panel: str | None = None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Give a command the options of `groups`, in the help under `panel` or each under its own; it gets `asked`."""
+def asks(
+    *groups: tuple[Row, ...], panel: Callable[[str], str | None] | None = None
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Give a command the options of `groups`; it gets `asked`. `panel` of a name is its group in the help."""
+    group = panel or _panel
 
     def give(command: Callable[..., Any]) -> Callable[..., Any]:
         own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "asked"]
@@ -142,7 +145,7 @@ def asks(*groups: tuple[Row, ...], panel: str | None = None) -> Callable[[Callab
                 _identifier(name),
                 inspect.Parameter.KEYWORD_ONLY,
                 default=default,
-                annotation=Annotated[kind, _option(name, text, panel)],
+                annotation=Annotated[kind, _option(name, text, group(name))],
             )
             for name, kind, default, text in rows
         ]
@@ -165,7 +168,7 @@ def asks(*groups: tuple[Row, ...], panel: str | None = None) -> Callable[[Callab
 
 def _option(name: str, text: str, panel: str | None) -> Any:
     text = text.replace("[", r"\[")  # what stands in brackets is no markup
-    return typer.Option(f"--{name}", help=text, rich_help_panel=panel or _panel(name))
+    return typer.Option(f"--{name}", help=text, rich_help_panel=panel)
 
 
 def _panel(name: str) -> str:

@@ -245,16 +245,8 @@ class HandMeter:
 
     Slides are measured in up to four frames, evenly spread, as they were decoded; holds over all, as a receiver plays
     them, blended where a segment starts. Voxels are felt as their fields are interpolated, objects by the receiver's
-    own query of both scenes.
-
-    Parameters
-    ----------
-    opened : OpenStream
-    scene : HapticScene or None
-        The source's objects.
-    exact : callable or None
-        The field that the source samples, as `Prepared.exact`.
-    spec : SlideSpec, optional
+    own query of both scenes. `scene` are the source's objects, `exact` the field that it samples, as
+    `Prepared.exact`.
     """
 
     def __init__(
@@ -300,20 +292,7 @@ class HandMeter:
 def hand_motion(
     prepared: Prepared, stream: str | Path, spec: SlideSpec | None = None, report: Report = silent
 ) -> HandMotion:
-    """A stream beside its source, as a hand feels it.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        What was encoded, as `prepare` or `Encoded.prepared` has it.
-    stream : path
-    spec : SlideSpec, optional
-
-    Raises
-    ------
-    TouchfieldError
-        If the stream or the source is at fault.
-    """
+    """A stream beside its source, as a hand feels it; `prepared` is what was encoded."""
     with open_stream(stream) as opened:
         meter, decoded = HandMeter(opened, prepared.scene, prepared.exact, spec), opened.medium
         for i in range(len(decoded)):

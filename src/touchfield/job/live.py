@@ -40,21 +40,10 @@ _MOST_UNDER_WAY: Final = 2
 
 @dataclass(frozen=True)
 class LiveSpec:
-    """How a source goes on the air.
+    """How a source goes on the air; InvalidArgument if a value is out of range.
 
-    Parameters
-    ----------
-    segment_s : float
-        Seconds of a segment: what the delay is, and what a receiver that joins waits for at most.
-    loop : bool
-        Whether the source begins again at its end.
-    seconds : float or None
-        How long; None: to the end of the source.
-
-    Raises
-    ------
-    InvalidArgument
-        If a value is out of range.
+    `segment_s`, the length of a segment, is what the delay is, and what a receiver that joins waits for at most;
+    `loop` begins again at the end of the source; `seconds` None is to the end of the source.
     """
 
     segment_s: float = 0.25
@@ -70,16 +59,7 @@ class LiveSpec:
 
 @dataclass
 class Sent:
-    """What went on the air.
-
-    Attributes
-    ----------
-    frames, segments, sent_bytes : int
-    left_out : int
-        Frames that came too late to be made or coded.
-    slowest_encode_s : float
-        Of a segment.
-    """
+    """What went on the air; `left_out` are frames that came too late to be made or coded."""
 
     frames: int = 0
     segments: int = 0
@@ -99,13 +79,7 @@ class Sent:
 
 
 def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSender]:
-    """A source that is prepared as voxels, and a sender that has its opening.
-
-    Raises
-    ------
-    TouchfieldError
-        If the source or an option is at fault.
-    """
+    """A source that is prepared as voxels, and a sender that has its opening."""
     if spec.coder == "touch":  # what is live has no time for a search
         spec = replace(spec, touch=replace(spec.touch, effort="fast"))
     spec = replace(spec, representation="voxel")
@@ -128,15 +102,7 @@ def broadcast(
 ) -> Sent:
     """Make, code and send frames in time, until the source or the time is over.
 
-    Parameters
-    ----------
-    prepared : Prepared
-    send : callable
-        ``send(segment) -> message``; must not wait for anyone.
-    spec : LiveSpec
-    tell : callable
-        ``tell(note)``: what could not keep up.
-    clock_s, pause : callable
+    ``send(segment) -> message`` must not wait for anyone; ``tell(note)`` gets what could not keep up.
     """
     sent = Sent()
     anchor: ForceField | None = None

@@ -66,28 +66,14 @@ _SPARE: Final = 1.2
 class PlaySpec:
     """Everything asked of a play; InvalidArgument if a number is out of range.
 
-    Parameters
-    ----------
-    device : str
-        "sim", "haply", "bhaptics", ...; see `touchfield.adapters`.
-    profile : str or None
-        Device profile whose limits, axes or actuators hold; None: that of the device, for "sim" that of the stream.
-    trajectory : Path or None
-        Of the simulated hand; None: it comes, presses, slides and leaves.
-    trace : Path or None
-        Likewise in the metres and axes of the scene, as a recording has it: it is laid where the scene lies.
-    seconds : float or None
-        How long, from the first frame on; None: the trajectory, or else the medium (a single frame, or a loop: until
-        interrupted).
-    start_s, speed, loop
-        Where the medium begins, how fast it goes, if it begins again.
-    panel : str
-        Of an array with two panels: "front" or "back".
-    offline : bool
-        A simulated hand without a clock: as fast as it goes.
-    is_logged, is_drawn : bool
-        All rows of the log are wanted, else the latest minute; a frame is wanted behind a picture.
-    render : RenderSpec
+    `device` is "sim", "haply", "bhaptics", ... (`touchfield.adapters`); `profile` the device profile whose limits,
+    axes or actuators hold, by default that of the device, for "sim" that of the stream. `trajectory` is that of the
+    simulated hand, which else comes, presses, slides and leaves; `trace` likewise in the metres and axes of the
+    scene, as a recording has it: it is laid where the scene lies. `seconds` count from the first frame on; None: the
+    trajectory, or else the medium (a single frame, or a loop: until interrupted). `start_s`, `speed` and `loop` tell
+    where the medium begins, how fast it goes, and if it begins again; `panel` is "front" or "back" of an array that
+    has both. `offline` is a simulated hand without a clock, as fast as it goes. `is_logged`: all rows of the log are
+    wanted, else the latest minute; `is_drawn`: a frame is wanted behind a picture.
     """
 
     device: str = "sim"
@@ -119,16 +105,8 @@ class PlaySpec:
 class Played:
     """The traces of a play.
 
-    Attributes
-    ----------
-    statistics : dict
-        Stable keys for people and programs.
-    rows : structured array or None
-        `touchfield.render.block.record.COLUMNS`, a row a tick; None for an array.
-    view : InteractionView or None
-    notes : tuple of str
-    error : Exception or None
-        What ended it half way; what was felt until then is here.
+    `statistics` have stable keys; `rows` are of `touchfield.render.block.record.COLUMNS`, a row a tick, None for an
+    array; `error` is what ended it half way: what was felt until then is here.
     """
 
     statistics: dict[str, Any]
@@ -143,13 +121,7 @@ class Played:
         return bool(self.statistics.get("stalled_share", 0.0) > MOST_NOTHING)
 
     def checked(self) -> Played:
-        """Itself.
-
-        Raises
-        ------
-        Exception
-            What ended it half way.
-        """
+        """Itself, or the exception that ended it half way, raised."""
         if self.error is not None:
             raise self.error
         return self

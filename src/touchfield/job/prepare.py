@@ -38,25 +38,11 @@ _MOST_NAMES: Final = 8
 class Prepared:
     """A source after the device filter and the haptic filters.
 
-    Attributes
-    ----------
-    medium : HapticMedium
-        The voxel representation, on the device's lattice.
-    device : Device
-    placement : Placement
-    spec : EncodeSpec
-    notes : tuple of str
-        For the user.
-    scene : HapticScene or None
-        The object representation, where that is to be coded; `medium` is then made of it.
-    exact : callable or None
-        ``exact(points_m [n, 3]) -> newtons [n, 3]``, the field that the lattice of `medium` samples, where it has a
-        formula and no haptic filter changes it.
-    source : Scene or None
-        What the frames are made of: it tells how far it is, and what was learnt once they are made.
-    reference : str
-        What a promise of the coder is held against: `touchfield.job.spec.OWN_FORCES` where nothing changed these,
-        else `FILTERED`.
+    `medium` is the voxel representation on the device's lattice; `scene` the objects, where these are to be coded and
+    `medium` is made of them. ``exact(points_m [n, 3]) -> newtons [n, 3]`` is the field that the lattice samples,
+    where it has a formula and no haptic filter changes it; `source` what the frames are made of: it tells how far it
+    is, and what was learnt once they are made; `reference` what a promise of the coder is held against, `OWN_FORCES`
+    of `touchfield.job.spec` where nothing changed these, else `FILTERED`.
     """
 
     medium: HapticMedium

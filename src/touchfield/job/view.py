@@ -37,15 +37,7 @@ _COMPARED: Final = (
 
 @dataclass(frozen=True)
 class Page:
-    """A page that shows a file; a notebook shows it where it is the last value of a cell.
-
-    Attributes
-    ----------
-    html : str
-        The whole page.
-    figures : mapping of str to object
-        What it tells beyond the file.
-    """
+    """A page that shows a file, and figures that it tells beyond it; a notebook shows it as a cell's last value."""
 
     html: str
     figures: Mapping[str, Any]
@@ -73,18 +65,8 @@ class Page:
 def view(medium: str | Path | HapticMedium, against: Source | None = None, report: Report = silent) -> Page:
     """The page of a ``.touch`` file, of a movie with touch, or of the first frames of a medium.
 
-    Parameters
-    ----------
-    medium : path or HapticMedium
-    against : path, Scene, HapticMedium or ForceField, optional
-        What was encoded: the page then tells NMSE, entropy and the vibration of the coding, too.
-    report : callable
-        ``report(done, total)`` in frames.
-
-    Raises
-    ------
-    TouchfieldError
-        If the file cannot be read, or is of a coder that the page does not know.
+    `against` is what was encoded, a path, Scene, medium or field: the page then tells NMSE, entropy and the vibration
+    of the coding, too. TouchfieldError if the file cannot be read, or is of a coder that the page does not know.
     """
     if isinstance(medium, HapticMedium):
         return page_of_medium(medium)
