@@ -26,6 +26,7 @@ __all__ = [
     "CODER",
     "SCENE",
     "TARGET",
+    "address_rows",
     "asks",
     "encode_spec",
     "filter_rows",
@@ -46,6 +47,7 @@ PANELS: Final = {
     "Device and lattice": (
         "nominal", "representation", "fit-frames", "oversample", "pool", "cutoff",
     ),
+    "Address": ("host", "port", "token", "open", "cors"),
     "Force": (
         "law", "band-m", "surface-damping-n-s-per-m", "vibration", "friction", "damping-n-s-per-m",
     ),
@@ -124,6 +126,17 @@ TARGET: tuple[Row, ...] = (
     ("target-nmse-db", float | None, None, "touch: the NMSE to reach, dB, such as -25; mode nmse unless asked."),
     ("target-bytes", int | None, None, "touch: the size to reach: k (mode nmse: the step) is raised until it fits."),
 )
+
+
+def address_rows(port: int, verb: str) -> tuple[Row, ...]:
+    """The options of a server: where it listens, and who may receive."""
+    return (
+        ("host", str, "127.0.0.1", "Address to listen at; beyond this machine only with a token."),
+        ("port", int, port, "Port; 0: a free one."),
+        ("token", str | None, None, "Word that a receiver must bring: ...?token=WORD."),
+        ("open", bool, False, f"Let anyone {verb} who reaches the address."),
+        ("cors", list[str] | None, None, "Origin of web pages that may read, such as https://example.org; or *."),
+    )
 
 
 def filter_rows() -> tuple[Row, ...]:

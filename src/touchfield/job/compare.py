@@ -12,6 +12,7 @@ import numpy as np
 from touchfield.codec.objects.promise import Found, compare_scenes
 from touchfield.codec.rate import BitAccount
 from touchfield.errors import InvalidArgument
+from touchfield.job.joining import spread
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.job.stream_scene import Source
@@ -261,7 +262,7 @@ class HandMeter:
         felt = opened.medium if scene is None or opened.scene is None else opened.scene
         self._played, self._blends = with_blends(felt)
         count = head.frame_count
-        self._slid = set(np.linspace(0, count - 1, min(count, _SLIDE_FRAMES)).round().astype(int).tolist())
+        self._slid = set(spread(count, _SLIDE_FRAMES))
         self._starts = {segment.first_frame for segment in opened.reader.segments}
         self._slides = SlideMeter(spec)
         floor_n = head.force_threshold_n or NO_FLOOR_N

@@ -14,8 +14,6 @@ from functools import reduce
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.edit import (
@@ -34,7 +32,7 @@ from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpa
 from touchfield.filters.registry import field_filters, filter_of, length_m
 from touchfield.filters.resample import RigidMotion
 from touchfield.job.encode import encode_prepared, provenance_of
-from touchfield.job.joining import joined, lattice_of, read_medium, resampled, retimed, with_history
+from touchfield.job.joining import joined, lattice_of, read_medium, resampled, retimed, spread, with_history
 from touchfield.job.prepare import Prepared
 from touchfield.job.spec import FILTERED, EncodeSpec, Report, silent
 from touchfield.job.stream_scene import is_stream
@@ -220,7 +218,7 @@ def resample_file(
     on_grid = resampled(given.medium, grid, kernel)
     medium = retimed(on_grid, rate_hz or given.medium.rate_hz)
     meter = _meter(given.spec)
-    for n in _spread(len(given.medium)):
+    for n in spread(len(given.medium), _LOOKED_AT):
         back = on_grid[n] if grid == given.medium.grid else rebuilt(on_grid[n], given.medium.grid)
         meter.add(given.medium[n], back)
     path, notes = _write(given, [source], medium, out, report)
@@ -237,11 +235,6 @@ def resample_file(
 
 def _meter(spec: EncodeSpec) -> FidelityMeter:
     return FidelityMeter(spec.k, spec.f0_n or EncodeSpec().f0_n)
-
-
-def _spread(count: int) -> list[int]:
-    places: list[int] = np.unique(np.linspace(0, count - 1, min(_LOOKED_AT, count)).round().astype(int)).tolist()
-    return places
 
 
 class Detail(NamedTuple):
@@ -279,7 +272,7 @@ def levels_of_detail(
             one = _level(medium, level)
             path, _ = _write(given, [source], one, folder / f"level-{level}.touch", silent)
             meter = _meter(given.spec)
-            for n in _spread(len(medium)):
+            for n in spread(len(medium), _LOOKED_AT):
                 meter.add(medium[n], rebuilt(one[n], medium.grid) if level else one[n])
             rows.append(
                 {

@@ -16,7 +16,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Final
 
-from touchfield.codec.registry import coder, field_encoder
+from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.errors import InvalidArgument
@@ -85,7 +85,7 @@ def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSende
     spec = replace(spec, representation="voxel")
     given = as_source(source, spec.device)
     prepared = prepare(given, spec)
-    encoder = field_encoder(prepared.medium.grid, _coding(prepared))
+    encoder = field_encoder(prepared.medium.grid, prepared.coding)
     sender = LiveSender()
     name = given if isinstance(given, str | Path) else "scene"
     sender.open(head_of(prepared, encoder), provenance_of(name, prepared))
@@ -106,7 +106,7 @@ def broadcast(
     """
     sent = Sent()
     anchor: ForceField | None = None
-    encoder = field_encoder(prepared.medium.grid, _coding(prepared))
+    encoder = field_encoder(prepared.medium.grid, prepared.coding)
 
     def coded(first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> LiveSegment:
         nonlocal anchor
@@ -201,7 +201,3 @@ def _groups(
         band: list[VibrationFrame] = []
         yield first, frames(first, band), band
         first += length
-
-
-def _coding(prepared: Prepared) -> Any:
-    return coder(prepared.spec.coder).resolve(prepared.spec.coding, prepared.device.is_array)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.registry import coder, field_decoder, field_encoder
+from touchfield.codec.registry import field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import interpolated
@@ -426,8 +426,7 @@ def _numbers(count: int) -> list[int]:
 def _in_memory(lattice: Lattice, spec: EncodeSpec, is_decoded: bool = True) -> tuple[int, int, list[ForceField]]:
     """The bytes of a segment in a long stream, or of the file of a still medium; and the decoded pairs."""
     medium, fields = lattice.prepared.medium, iter(lattice.fields)
-    coding = coder(spec.coder).resolve(spec.coding, lattice.prepared.device.is_array)
-    encoder = field_encoder(lattice.fields[0].grid, coding)
+    encoder = field_encoder(lattice.fields[0].grid, replace(lattice.prepared, spec=spec).coding)
     decoder = field_decoder(spec.coder, lattice.fields[0].grid, encoder.parameters)
     coded: list[CodedSegment] = []
     decoded: list[ForceField] = []

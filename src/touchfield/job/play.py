@@ -326,18 +326,8 @@ def _for_points(option: str) -> InvalidArgument:
 def check_play(path: str | Path, speed: float = 1.0, clock_s: Callable[[], float] = perf_counter) -> dict[str, Any]:
     """Decode up to 8 segments, evenly spread, for at most 20 s, and compare with the time that they last.
 
-    Returns
-    -------
-    dict
-        ``frames_decoded``, ``decode_s``, ``decoded_rate_hz``, ``needed_rate_hz``, ``greatest_speed`` that can be
-        played in time, and ``can_play`` at the speed asked for.
-
-    Raises
-    ------
-    InvalidArgument
-        If the speed is not positive.
-    TouchfieldError
-        If the file cannot be read.
+    ``greatest_speed`` is the one that can be played in time, and ``can_play`` is of the speed asked for.
+    InvalidArgument if that is not positive, TouchfieldError if the file cannot be read.
     """
     if not 0 < speed <= _FASTEST:
         raise InvalidArgument("--speed", repr(speed), "above 0, up to 100")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from touchfield.codec.registry import coder
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
@@ -57,6 +58,11 @@ class Prepared:
 
     def __repr__(self) -> str:
         return f"<Prepared: {self.medium!r} for {self.device.name}>"
+
+    @property
+    def coding(self) -> Any:
+        """The coder's spec, of which nothing is left open."""
+        return coder(self.spec.coder).resolve(self.spec.coding, self.device.is_array)
 
     @property
     def learnt(self) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from typing import Any, Final
 
 from touchfield.errors import InvalidArgument
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
+from touchfield.job.joining import taken
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.measure.fidelity import FidelityMeter
@@ -318,12 +319,7 @@ def _part(prepared: Prepared) -> Prepared | None:
         for i in range(_SUBSET_SEGMENTS)
         for j in range(length)
     ]
-    frames, band = [medium[i] for i in numbers], medium.vibration
-    if band is not None:
-        band = replace(band, frame_count=len(numbers), make_frame=[band[i] for i in numbers].__getitem__)
-    return replace(
-        prepared, medium=replace(medium, frame_count=len(frames), make_frame=frames.__getitem__, vibration=band)
-    )
+    return replace(prepared, medium=taken(medium, numbers))
 
 
 def _kept(prepared: Prepared) -> Prepared:
