@@ -19,10 +19,10 @@ from touchfield.job.mapping import partition_workspace
 from touchfield.job.measure import Measurement, MeasureSpec, measure_medium
 from touchfield.job.plan import Budget, Plan, PlanGrid, Trial, parse_budget, plan
 from touchfield.job.prepare import Prepared, prepare
-from touchfield.job.preview import draw_preview
 from touchfield.job.rate_control import Target, encode_to_target
 from touchfield.job.setup import warm_up
 from touchfield.job.spec import EncodeSpec
+from touchfield.job.view import draw_preview
 from touchfield.stream.opened import OpenStream, open_stream, write_field
 
 __all__ = [

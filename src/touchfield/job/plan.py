@@ -286,7 +286,7 @@ class Plan:
 
     def draw(self, path: str | Path) -> None:
         """Write the picture, PNG: NMSE over the cost, the frontier, the budget and the choice."""
-        from touchfield.job.preview import draw_plan
+        from touchfield.job.view import draw_plan
 
         draw_plan(Path(path), self)
 
