@@ -129,16 +129,9 @@ def compare(
 ) -> Comparison:
     """Measure a stream against its source, filtered again as the stream's provenance says.
 
-    Parameters
-    ----------
-    source : path, Scene, HapticMedium or ForceField
-        What was encoded; or its field, as `field` writes it.
-    k, f0_n : float, optional
-        The mask max(F_0, k |F|); by default the stream's.
-    frame : int, optional
-        The frame that `Comparison.draw` shows; by default the middle one.
-    allow_outside : bool
-        Whether the source may name files outside its own folder.
+    `source` is what was encoded, a path, scene, medium or field; or its field, as the command `field` writes it. The
+    mask max(F_0, k |F|) is by default the stream's; `frame`, which `Comparison.draw` shows, is the middle one.
+    `allow_outside` lets the source name files outside its own folder.
     """
     with open_stream(stream) as opened:
         head = opened.reader.head

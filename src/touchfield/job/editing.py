@@ -99,10 +99,7 @@ def edit(
     `region` and `operators` are in the words of `region_of` and `operator_of`; `feather_m` is the width of the
     transition outside the region, metres, `frames` the (start, stop) of those to be edited, `spec` the coder's.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     if not operators:
         raise InvalidArgument("--operator", "none", "at least one")
@@ -146,10 +143,7 @@ def splice(
     Each source is FILE, or FILE@START:STOP for some of its frames; `fade_s` are the seconds in which one fades into
     the next, `kernel` is the resampler's, and `spec` the coder's, whose friction and damping are those of all.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     if not sources:
         raise InvalidArgument("media to splice", "none", "at least one")
@@ -206,10 +200,7 @@ def resample_file(
 ) -> Written:
     """A medium on another lattice over its box (`lattice_of`), or at another rate, and what a receiver then lacks.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     given = read_medium(source, spec)
     grid = lattice_of(given.medium.grid, *lattice)

@@ -103,10 +103,7 @@ def encode(
     newtons [nx, ny, nz, 3] or, at 30 frames a second, [frame, nx, ny, nz, 3] is one on `grid`. `report` gets
     ``(done, total)`` in frames.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     began = time.perf_counter()
     spec = spec or EncodeSpec()
@@ -121,10 +118,7 @@ def encode_prepared(
 ) -> Encoded:
     """Write what `prepare` made as a ``.touch`` file, coded as its spec says; the bytes are the same on any machine.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     began = time.perf_counter()
     if prepared.source is not None:

@@ -100,10 +100,7 @@ def export(
     array, "front" or "back"; `full_scale_n`, of a force as ``.hjif``, are the newtons that are told as 1; 1 tells
     newtons.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     path = Path(out)
     kind = path.suffix.lower()
@@ -140,10 +137,7 @@ def import_effect(
     frames a second, and `force_max_n` the force that a full drive stands for: None takes what the file tells, or else
     3.3 N.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     asked = spec or EncodeSpec()
     if force_max_n is not None and not 0 < force_max_n <= 1e6:

@@ -94,10 +94,7 @@ def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int
 def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path) -> None:
     """Write the picture of the middle frame before and after the chain of ``spec.filters``, PNG.
 
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    MissingExtra if matplotlib is not installed.
     """
     from touchfield.viewer.picture import PictureSpec, draw_comparison
 

@@ -33,10 +33,7 @@ KERNELS: Final = (*LOW_PASSES, "trilinear")
 def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
     """A .touch file, or a stored field on its own lattice.
 
-    Raises
-    ------
-    InvalidArgument
-        If the source is no medium yet.
+    InvalidArgument if the source is no medium yet.
     """
     if is_stream(path):
         return prepare(path, spec)

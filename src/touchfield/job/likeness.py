@@ -82,10 +82,7 @@ def similar(
     words, fitted to both at once, and coarse so that a small error of a coder is none; `over` ("voxel" or "object")
     is mu of NMI and VI, and `frames` how many of those that both have are compared, evenly spaced.
 
-    Raises
-    ------
-    InvalidArgument
-        If one of them has no force, or an option is unknown.
+    InvalidArgument if one of them has no force, or an option is unknown.
     """
     if frames < 1:
         raise InvalidArgument("frames", f"{frames}", "1 or more")
@@ -144,10 +141,8 @@ def correlate(
     `frames` are the times that are looked at, evenly spaced over what both have, `reading` is "first" or "peak"
     (`touchfield.measure.correlation`), and `intrinsics` are fx, fy, cx, cy, pixels of the video.
 
-    Raises
-    ------
-    InvalidArgument, SourceError
-        If a file cannot be read, nothing is felt within the picture, or the camera does not fit the medium.
+    InvalidArgument or SourceError if a file cannot be read, nothing is felt within the picture, or the camera does
+    not fit the medium.
     """
     if frames < 1:
         raise InvalidArgument("frames", f"{frames}", "1 or more")

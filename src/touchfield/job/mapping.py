@@ -187,10 +187,8 @@ def partition_workspace(
     (`touchfield.measure.partition`). `penalty_bits` is lambda, bits a frame that another box must save; what a box is
     told of a cell is Q of its mean force.
 
-    Raises
-    ------
-    InvalidArgument
-        If the lattice does not fit, lambda is negative or the quantiser knows no forces but those of the medium.
+    InvalidArgument if the lattice does not fit, lambda is negative or the quantiser knows no forces but those of the
+    medium.
     """
     asked = FieldQuantiserSpec.parse(quantiser) if isinstance(quantiser, str) else quantiser
     if asked.form == "distinct":

@@ -303,11 +303,8 @@ def plan(
     A number as `budget` is bits a second; `spec` is of coder `touch`: its k and F_0 are the mask that is reported,
     its effort that of every trial. `report` gets ``(done, total)`` in settings.
 
-    Raises
-    ------
-    TouchfieldError
-        If a setting is not possible, the frames hold no force, or nothing is within the budget; the message then
-        names what takes least. The cheapest settings are tried first, so that this is told soon.
+    TouchfieldError if a setting is not possible, the frames hold no force, or nothing is within the budget; the
+    message then names what takes least. The cheapest settings are tried first, so that this is told soon.
     """
     spec, search = spec or EncodeSpec(), search or PlanGrid()
     budget = budget if isinstance(budget, Budget) else Budget(bits_per_s=budget)

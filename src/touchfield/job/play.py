@@ -152,11 +152,8 @@ def play(
 
     An error half way is in `Played.error`, beside what was felt until then; `tell` gets notes while it plays.
 
-    Raises
-    ------
-    InvalidArgument, DeviceError, FormatError
-        If the device is unknown or not there, the trajectory is unusable, or the file or its first frame cannot
-        be read.
+    InvalidArgument or DeviceError or FormatError if the device is unknown or not there, the trajectory is unusable,
+    or the file or its first frame cannot be read.
     """
     spec = spec or PlaySpec()
     with open_stream(path, tell) as stream:

@@ -147,10 +147,7 @@ _SIZE_INCH: Final = (9.5, 5.6)
 def draw_preview(prepared: Prepared, path: str | Path) -> None:
     """Write a PNG of the forces in the workspace, seen from the viewer, from the side and from above.
 
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    MissingExtra if matplotlib is not installed.
     """
     medium, placement = prepared.medium, prepared.placement
     frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
@@ -172,10 +169,7 @@ def draw_preview(prepared: Prepared, path: str | Path) -> None:
 def draw_plan(path: Path, plan: Plan) -> None:
     """Write the picture of a plan as PNG: NMSE over the cost, a colour for each coder and mode, a shape a lattice.
 
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    MissingExtra if matplotlib is not installed.
     """
     from touchfield.job.plan import amount
 
@@ -219,10 +213,7 @@ def _db(trial: Trial) -> float:
 def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
     """The forces of a medium as a matplotlib figure, as `draw_preview` shows them; a PNG, too, where `path` is given.
 
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    MissingExtra if matplotlib is not installed.
     """
     frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
     title = f"frame{'s' * (len(frames) > 1)} {', '.join(map(str, frames))} of {len(medium)}, on the medium's lattice"
