@@ -1,4 +1,4 @@
-"""Level of detail: the pyramid, its way back, and the coarsest level that loses little enough."""
+"""Level of detail: the pyramid, and its way back."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters import RigidMotion, halved, interpolated, most_levels, pyramid, rebuilt
-from touchfield.job import coarsest
-from touchfield.measure.estimators import entropy_bits
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import ForceField, Grid
 
 GRID = Grid((32, 32, 32), (0.001,) * 3, (-0.0155,) * 3)
 
@@ -134,83 +131,3 @@ def test_what_is_asked_in_vain() -> None:
         interpolated(smooth(0.01), GRID, border="wrap")
     with pytest.raises(InvalidArgument, match="bricks reached"):
         interpolated(smooth(0.01), Grid((1 << 14,) * 3, (2e-6,) * 3, (-0.0155,) * 3))
-
-
-# -- the choice -----------------------------------------------------------------------------------------------------
-
-
-def moving(frames: int = 2) -> HapticMedium:
-    return HapticMedium.from_frames([smooth(0.008 + 0.004 * i) for i in range(frames)], 25.0)
-
-
-def test_the_bits_lost_are_those_of_the_entropies() -> None:
-    medium = moving()
-    chosen = coarsest(medium, "hil", 0.9, levels=3, quantiser="uniform:0.1/ico1")
-    quantise = FieldQuantiserSpec.parse("uniform:0.1/ico1").fit(medium)
-    bits = []
-    for level in range(4):
-        symbols = [quantise(pyramid(f, level)[-1]).to_dense() for f in medium]
-        bits.append(symbols[0].size * entropy_bits(np.bincount(np.concatenate(symbols, axis=None))))
-    assert chosen.losses == pytest.approx([max(0.0, bits[0] - b) / bits[0] for b in bits], abs=1e-12)
-    assert chosen.losses[0] == 0.0
-    assert chosen.quantiser == quantise.words and [g.shape[0] for g in chosen.grids] == [32, 16, 8, 4]
-
-
-@pytest.mark.parametrize(("criterion", "f0_n"), [("hil", 0.01), ("jnd", 0.2)])
-def test_the_level_is_the_coarsest_that_is_allowed(criterion: str, f0_n: float) -> None:
-    medium = moving()
-    every = coarsest(medium, criterion, 1.0, levels=4, f0_n=f0_n)
-    assert every.losses[0] == 0.0 < every.losses[1] < every.losses[2] < 1
-    for epsilon in (0.0, *every.losses, 0.5):
-        if epsilon <= 1:
-            chosen = coarsest(medium, criterion, epsilon, levels=4, f0_n=f0_n)
-            assert chosen.losses == every.losses
-            assert chosen.level == max(n for n, loss in enumerate(every.losses) if loss <= epsilon)
-    summary = coarsest(medium, criterion, every.losses[1], levels=2, f0_n=f0_n)
-    assert summary.field(medium[0]) == pyramid(medium[0], 1)[1]
-    assert summary.is_monotone  # here; it need not be
-    assert summary.summary()["grid_shape"] == [16, 16, 16]
-
-
-def test_the_voxels_that_differ_are_counted_over_the_support() -> None:
-    medium, k, f0_n = moving(), 0.2, 0.05
-    chosen = coarsest(medium, "jnd", 0.0, levels=2, k=k, f0_n=f0_n)
-    for level in (1, 2):
-        violations = support = 0
-        for frame in medium:
-            x = frame.to_dense().astype(float)
-            error = np.linalg.norm(rebuilt(pyramid(frame, level)[-1], GRID).to_dense() - x, axis=-1)
-            amplitude = np.linalg.norm(x, axis=-1)
-            violations += int((error > np.maximum(f0_n, k * amplitude)).sum())
-            support += int((amplitude > 0).sum())
-        assert chosen.losses[level] == pytest.approx(violations / support, rel=1e-3)
-
-
-def test_a_loss_can_fall_again_but_what_was_lost_stays_counted() -> None:
-    """A single force: first felt all around, then spread too thin to be felt at all; itself it is missed always."""
-    point = HapticMedium.from_frames([ForceField.from_support(GRID, [[15, 16, 15]], [[0, 0, 10.0]])], 25.0)
-    chosen = coarsest(point, "jnd", 1.0, levels=4)
-    assert chosen.losses[1] > 1 and chosen.losses[4] == 1.0
-    assert not chosen.is_monotone and chosen.level == 4
-    assert coarsest(point, "jnd", 0.9, levels=4).level == 0
-
-
-def test_nothing_is_felt_of_a_level_that_a_hand_cannot_tell() -> None:
-    weak = HapticMedium.from_frames([smooth(0.008).scaled(0.01)], 25.0)  # below F_0 everywhere
-    assert coarsest(weak, "jnd", 0.0).level == 2  # down to one brick
-    assert coarsest(weak, "jnd", 0.0, f0_n=1e-5).level == 0
-
-
-def test_what_cannot_be_chosen() -> None:
-    medium = moving(1)
-    with pytest.raises(InvalidArgument, match="criterion"):
-        coarsest(medium, "psnr", 0.1)
-    for epsilon in (-0.1, 1.1, float("nan")):
-        with pytest.raises(InvalidArgument, match="epsilon"):
-            coarsest(medium, "jnd", epsilon)
-    with pytest.raises(InvalidArgument, match="levels"):
-        coarsest(medium, "jnd", 0.1, levels=6)
-    with pytest.raises(InvalidArgument, match="distinct"):
-        coarsest(medium, "hil", 0.1, quantiser="distinct")
-    with pytest.raises(InvalidArgument, match="tells nothing"):
-        coarsest(HapticMedium.from_frames([ForceField.empty(GRID)], 25.0), "hil", 0.1)

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from touchfield import job
+from touchfield.cli.look import show_measurement
 from touchfield.cli.main import _exit_code
-from touchfield.cli.measured import show_measurement
 from touchfield.cli.show import show, show_rows
 from touchfield.job import EncodeSpec, Measurement, MeasureSpec
 from touchfield.medium import ForceField, Grid

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from functools import cache
 from pathlib import Path
@@ -12,7 +13,9 @@ from hypothesis import strategies as st
 
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
-from touchfield.job import Budget, EncodeSpec, Plan, PlanGrid, Trial, parse_budget, plan, prepare
+from touchfield.filters import rebuilt
+from touchfield.job import Budget, EncodeSpec, Plan, PlanGrid, Trial, encode, open_stream, parse_budget, plan, prepare
+from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import HapticMedium
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.shapes import Sphere
@@ -68,8 +71,6 @@ def test_every_setting_is_tried_and_the_best_within_the_budget_taken() -> None:
 
 
 def test_the_rate_is_that_of_the_file(tmp_path: Path) -> None:
-    from touchfield.job import encode
-
     scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),))
     chosen = found().chosen
     size = encode(scene, tmp_path / "s.touch", chosen.spec).file_bytes
@@ -106,6 +107,89 @@ def test_lambda_makes_the_choice_where_it_lies_on_the_hull(rows: list[tuple[int,
         costs = [t.bits_per_s + multiplier * t.nmse for t in made.front()]
         on_edge = [t for t, c in zip(made.front(), costs, strict=True) if c <= min(costs) + 1e-6]
         assert on_edge[0].bits_per_s <= chosen.bits_per_s <= on_edge[-1].bits_per_s
+
+
+@given(st.lists(st.tuples(st.integers(1, 50), st.integers(0, 9)), min_size=1, max_size=30))
+def test_a_front_is_a_front(rows: list[tuple[int, int]]) -> None:
+    tried = Plan(tuple(Trial(SPEC, size, 2, nmse / 9, 0.0) for size, nmse in rows), 0.1, 0.01, 1e9, "x", 2)
+    front = tried.front()
+    for a, b in zip(front, front[1:], strict=False):
+        assert a.file_bytes < b.file_bytes and a.nmse > b.nmse
+    for trial in tried.trials:
+        assert [f for f in front if f.file_bytes <= trial.file_bytes and f.nmse <= trial.nmse]
+        better = [
+            t
+            for t in tried.trials
+            if (t.file_bytes < trial.file_bytes and t.nmse <= trial.nmse)
+            or (t.file_bytes <= trial.file_bytes and t.nmse < trial.nmse)
+        ]
+        assert not (trial in front and better)
+
+
+PAPER = PlanGrid((4, 5), (), (), ("ico1", "ico5"), (0.02, 0.25), (3, 6))
+
+
+@cache
+def of_the_paper() -> Plan:
+    return plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), Budget(bytes=1e9), SPEC, PAPER)
+
+
+def test_the_settings_of_the_paper_are_tried_in_order_and_told() -> None:
+    asked = [(s["nw"], s["k"], s["nq"], s["directions"]) for s in of_the_paper().summary()["trials"]]
+    expected = [(w, k, q, d) for w in (4, 5) for k in (0.02, 0.25) for q in (3, 6) for d in ("ico1", "ico5")]
+    assert asked == expected
+    assert of_the_paper().trials == plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), 1e9, SPEC, PAPER).trials
+
+
+def test_a_trial_is_what_encode_and_a_meter_make(tmp_path: Path) -> None:
+    ball = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),))
+    tried = of_the_paper()
+    reference = prepare(ball, tried.trials[-1].spec).medium[0]
+    for trial in (tried.trials[1], tried.trials[-1]):
+        made = encode(ball, tmp_path / "one.touch", trial.spec)
+        assert trial.frames == 1 and abs(made.file_bytes - trial.file_bytes) < 450
+        meter = FidelityMeter(tried.k, tried.f0_n)
+        with open_stream(tmp_path / "one.touch") as opened:
+            decoded = opened.medium[0]
+        if trial.spec.nw == 4:
+            decoded = rebuilt(decoded, reference.grid)
+        meter.add(reference, decoded)
+        assert meter.nmse_db is not None
+        assert trial.nmse == pytest.approx(10 ** (meter.nmse_db / 10))
+        assert trial.beyond_mask == meter.mask_violations / reference.support_count
+
+
+def test_what_the_settings_do() -> None:
+    by_setting = {(s["nw"], s["k"], s["nq"], s["directions"]): s for s in of_the_paper().summary()["trials"]}
+    for (nw, k, nq, directions), one in by_setting.items():
+        if nw == 4:  # a coarse lattice is small and loses what lies between its samples
+            fine = by_setting[5, k, nq, directions]
+            assert one["file_bytes"] < fine["file_bytes"] and one["nmse"] > fine["nmse"]
+        if directions == "ico1":
+            assert one["nmse"] > by_setting[nw, k, nq, "ico5"]["nmse"]
+    smallest, best = of_the_paper().front()[0], of_the_paper().front()[-1]
+    assert best.spec.nw == 5 and best.spec.paper.directions == "ico5" and best.spec.paper.k == 0.02
+    assert smallest.spec.nw == 4 and smallest.spec.paper.nq == 3 and smallest.spec.paper.directions == "ico1"
+    assert len(of_the_paper().front()) > 3
+
+
+def test_an_array_keeps_its_lattice() -> None:
+    ball = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),))
+    stored = StoredScene(prepare(ball, EncodeSpec(nw=4, thickness_m=math.inf)).medium)
+    search = PlanGrid((4, 5), (), (), ("octa1",), (0.05, 0.25), (4,))
+    tried = plan(stored, Budget(bytes=1e9), EncodeSpec(device="tshirt-32x32"), search)
+    assert len(tried.trials) == 2
+    assert tried.front()[-1].nmse < 0.01
+
+
+def test_what_cannot_be_planned() -> None:
+    with pytest.raises(InvalidArgument, match="no setting to try"):
+        PlanGrid(nw=())
+    with pytest.raises(InvalidArgument, match="nw"):
+        plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), 1e9, SPEC, PlanGrid(nw=(2,)))
+    far = EncodeSpec(mapping="1e-6", oversample=1, thickness_m=1e-6)
+    with pytest.raises(InvalidArgument, match="without a force"):
+        plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 1e-9),)), 1e9, far, PlanGrid(nw=(3,)))
 
 
 def drifting(frames: int = 6) -> StoredScene:

@@ -1,7 +1,7 @@
 """Helpers of a first run: processes that compile what a job needs later while it compiles what it needs first.
 
 They fill numba's cache, where the job finds the kernels when it comes to them. Run as a program, this file is one of
-them: ``python -m touchfield.cli.ahead GROUP...``, of `touchfield.codec.touch.warm`.
+them: ``python -m touchfield.cli.ahead GROUP...``.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from typing import Any, Final
 
 from touchfield.parallel import worker_count
@@ -27,11 +28,8 @@ _NICE: Final = 5
 def helpers(groups: Sequence[str]) -> Iterator[Callable[[], None]]:
     """Yields what starts them, one for each core but one; they end with the block, and with this process.
 
-    Parameters
-    ----------
-    groups : sequence of str
-        Of `touchfield.codec.touch.warm.GROUPS`, what takes longest first. ``TOUCHFIELD_HELPERS`` gives the most
-        helpers, 3 where it is not set; 0: none.
+    `groups` are of `touchfield.job.setup.GROUPS`, what takes longest first. ``TOUCHFIELD_HELPERS`` gives the most
+    helpers, 3 where it is not set; 0: none.
     """
     started: list[subprocess.Popen[bytes]] = []
 
@@ -72,8 +70,9 @@ def _main(groups: list[str]) -> None:
     files: Any = IndexDataCacheFile
     numbered = files._data_name
     files._data_name = lambda *which: numbered(*which).replace(".nbc", f".{os.getpid()}.nbc")
+    every = GROUPS if set(groups) <= GROUPS.keys() else import_module("touchfield.job.setup").GROUPS
     for group in groups:
-        GROUPS[group]()
+        every[group]()
 
 
 if __name__ == "__main__":

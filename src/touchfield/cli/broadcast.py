@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from touchfield.cli.app import Json, Stream, command
-from touchfield.cli.options import SCENE, asks, encode_spec
+from touchfield.cli.options import SCENE, address_rows, asks, encode_spec
 from touchfield.cli.show import progress, show
 
 if TYPE_CHECKING:
+    from touchfield.stream.access import Access
     from touchfield.stream.live import LiveSender
 
 __all__: list[str] = []
@@ -26,42 +27,32 @@ _LIVE: Final = (
 
 
 @command("Broadcast", "serve streams", "serve streams --host 0.0.0.0 --token a-long-word")
+@asks(address_rows(8075, "read"))
 def serve(
     folder: Annotated[Path, typer.Argument(help="Folder of .touch files, and of pages and videos beside them.")],
-    host: Annotated[
-        str, typer.Option(help="Address to listen at; beyond this machine only with a token.")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port; 0: a free one.")] = 8075,
-    token: Annotated[str | None, typer.Option(help="Word that a receiver must bring: ...?token=WORD.")] = None,
-    is_open: Annotated[bool, typer.Option("--open", help="Let anyone read who reaches the address.")] = False,
-    cors: Annotated[
-        list[str] | None, typer.Option(help="Origin of web pages that may read, such as https://example.org; or *.")
-    ] = None,
+    *,
+    asked: dict[str, Any],
 ) -> None:
     """Serve a folder of streams: anyone plays them by their address, and fetches only what is felt."""
-    from touchfield.stream.access import Access, Pages
+    from touchfield.stream.access import Pages
     from touchfield.stream.server import serve as run
     from touchfield.viewer.browser import empty_page, served_page
 
-    access, pages = Access(host, port, token, is_open, tuple(cors or ())), Pages(served_page(), empty_page())
-    run(folder, access, typer.echo, pages)
+    run(folder, _access(asked), typer.echo, Pages(served_page(), empty_page()))
+
+
+def _access(asked: dict[str, Any]) -> Access:
+    from touchfield.stream.access import Access
+
+    return Access(asked["host"], asked["port"], asked["token"], asked["open"], tuple(asked["cors"] or ()))
 
 
 @command("Broadcast", "live sample:falling-4 --loop", "live watch:pictures --world causal --depth-scale 1000")
-@asks(SCENE)
+@asks(address_rows(8076, "receive"), SCENE)
 def live(
     source: Annotated[str, typer.Argument(help=_LIVE)],
     out: Annotated[
         str | None, typer.Argument(help="-: to standard output, for `touchfield play -` behind a pipe; no server.")
-    ] = None,
-    host: Annotated[
-        str, typer.Option(help="Address to listen at; beyond this machine only with a token.")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port; 0: a free one.")] = 8076,
-    token: Annotated[str | None, typer.Option(help="Word that a receiver must bring: ...?token=WORD.")] = None,
-    is_open: Annotated[bool, typer.Option("--open", help="Let anyone receive who reaches the address.")] = False,
-    cors: Annotated[
-        list[str] | None, typer.Option(help="Origin of web pages that may read, such as https://example.org; or *.")
     ] = None,
     segment_s: Annotated[float, typer.Option("--segment-s", help="Seconds of a segment, which is the delay.")] = 0.25,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
@@ -74,7 +65,7 @@ def live(
     """Send SOURCE live: coded as its frames come, for any number of receivers (touchfield play ws://...)."""
     from touchfield.errors import InvalidArgument
     from touchfield.job.live import LiveSpec, broadcast, opened_sender
-    from touchfield.stream.access import Access, Pages
+    from touchfield.stream.access import Pages
     from touchfield.stream.live import END
     from touchfield.stream.live_server import LiveServer
     from touchfield.stream.pipe import write_message
@@ -85,7 +76,7 @@ def live(
 
     if out not in (None, "-"):
         raise InvalidArgument("OUT", repr(out), "- or nothing", "Receivers come by ws://, http:// or --udp.")
-    access, spec = Access(host, port, token, is_open, tuple(cors or ())), LiveSpec(segment_s, loop, on_air_s)
+    spec = LiveSpec(segment_s, loop, on_air_s)
     prepared, sender = opened_sender(source, encode_spec(asked))
     if out == "-":
         pipe = sys.stdout.buffer
@@ -94,8 +85,8 @@ def live(
         write_message(pipe, END)
         say(", ".join(f"{value:,} {name}" for name, value in sent.summary().items()))
         return
-    with LiveServer(sender, access, Pages(served_page(), empty_page())) as server:
-        word = "?token=..." if token else ""
+    with LiveServer(sender, _access(asked), Pages(served_page(), empty_page())) as server:
+        word = "?token=..." if asked["token"] else ""
         typer.echo(f"ws://{server.address}/live{word}  http://{server.address}/live.json{word}", err=True)
         typer.echo(f"in a browser: http://{server.address}/view{word}", err=True)
         with _by_datagrams(sender, udp) as also:

@@ -120,17 +120,8 @@ def _one(stem: Path, source: str, spec: EncodeSpec, draws: bool) -> dict[str, An
 def _press_a_plate(stem: Path, draws: bool) -> dict[str, Any]:
     """Code a plate of 60 x 40 x 2 mm, press a simulated hand on it twice, and draw both where that can be.
 
-    Parameters
-    ----------
-    stem : Path
-        Of STEM.touch, STEM.csv (where the hand wants to be) and STEM.png.
-    draws : bool
-
-    Returns
-    -------
-    dict
-        ``proxy`` and ``field``: where the hand comes to rest, millimetres above the middle of the plate, and the
-        force that holds it there, newtons.
+    Of ``proxy`` and ``field``: where the hand comes to rest, millimetres above the middle of the plate, and the force
+    that holds it there, newtons. STEM.csv is where the hand wants to be.
     """
     stream, path = stem.with_suffix(".touch"), stem.with_suffix(".csv")
     encode(AnalyticScene((Box((0.0, 0.0, 0.0), HALF_M),)), stream, EncodeSpec(mapping="1"))

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from touchfield.cli.app import Json, command
-from touchfield.cli.options import BESIDE, CODER, SCENE, asks, encode_spec
+from touchfield.cli.options import BESIDE, CODER, SCENE, asks, encode_spec, frames_of
 from touchfield.cli.show import progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:
     from touchfield.job import EncodeSpec
-    from touchfield.job.editing import Written
 
 __all__: list[str] = []
 
@@ -30,29 +29,12 @@ def coder_spec(asked: dict[str, Any]) -> EncodeSpec:
     return encode_spec({name.replace("-", "_"): default for name, _, default, _ in SCENE} | asked)
 
 
-def frames_of(option: str, text: str | None) -> tuple[int, int | None] | None:
-    """START:STOP of an option."""
-    if text is None:
-        return None
-    start, colon, stop = text.partition(":")
-    if not colon or not all(n.isdecimal() or not n for n in (start, stop)):
-        raise InvalidArgument(option, repr(text), "START:STOP, such as 0:24")
-    return int(start or 0), int(stop) if stop else None
-
-
-def counts_of(option: str, text: str | None) -> list[int] | None:
+def counts_of(option: str, text: str) -> list[int]:
     """NX,NY,NZ of an option."""
-    if text is None:
-        return None
     parts = text.split(",")
     if len(parts) != 3 or not all(p.strip().isdecimal() for p in parts):
         raise InvalidArgument(option, repr(text), "NX,NY,NZ, such as 64,64,32")
     return [int(p) for p in parts]
-
-
-def show_written(done: Written, as_json: bool) -> None:
-    """Print what was written."""
-    show(done.summary(), str(done.path), as_json, done.notes)
 
 
 @command("Make")
@@ -84,12 +66,14 @@ def edit(
     from touchfield.filters.registry import length_m
     from touchfield.job import editing
 
+    if frames is not None and ":" not in frames:
+        raise InvalidArgument("--frames", repr(frames), "START:STOP, such as 0:24")
     span = frames_of("--frames", frames)
     with progress("edit") as report:
         done = editing.edit(
             medium, out, region, operator, length_m(feather, "--feather"), span, coder_spec(asked), report
         )
-    show_written(done, as_json)
+    show(done.summary(), str(done.path), as_json, done.notes)
 
 
 @command("Make", "splice first.touch second.touch both.touch")
@@ -109,7 +93,7 @@ def splice(
         raise InvalidArgument("touchfield splice", f"{len(media)} file", "media to join, and OUT.touch behind them")
     with progress("splice") as report:
         done = editing.splice(media[:-1], Path(media[-1]), fade_s, kernel, coder_spec(asked), report)
-    show_written(done, as_json)
+    show(done.summary(), str(done.path), as_json, done.notes)
 
 
 @command("Make")
@@ -130,10 +114,11 @@ def resample(
     from touchfield.filters.registry import length_m
     from touchfield.job import editing
 
-    lattice = nw, counts_of("--shape", shape), None if spacing is None else length_m(spacing, "--spacing")
+    samples = None if shape is None else counts_of("--shape", shape)
+    lattice = nw, samples, None if spacing is None else length_m(spacing, "--spacing")
     with progress("resample") as report:
         done = editing.resample_file(medium, out, lattice, rate_hz, kernel, coder_spec(asked), report)
-    show_written(done, as_json)
+    show(done.summary(), str(done.path), as_json, done.notes)
 
 
 @command("Make")
@@ -179,12 +164,12 @@ def partition(
 ) -> None:
     """Divide the workspace of MEDIUM into boxes that each fill a coarse device, with the least loss."""
     from touchfield.job.joining import read_medium
-    from touchfield.job.partition_workspace import partition_workspace
+    from touchfield.job.mapping import partition_workspace
 
     given = read_medium(medium).medium
     if not 0 <= depth <= 7:
         raise InvalidArgument("--depth", f"{depth}", "0 to 7")
-    x, y, z = counts_of("--shape", shape) or [max(1, n >> depth) for n in given.grid.shape]
+    x, y, z = counts_of("--shape", shape) if shape else [max(1, n >> depth) for n in given.grid.shape]
     with progress("partition") as report:
         done = partition_workspace(given, (x, y, z), penalty_bits, quantiser, report)
     rows = []

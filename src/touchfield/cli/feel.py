@@ -10,15 +10,15 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from touchfield.cli.app import Json, Stream, Trajectory, command
-from touchfield.cli.options import Row, asks
+from touchfield.cli.app import Json, Stream, command
+from touchfield.cli.options import Row, asks, numbers_of
 from touchfield.cli.show import check_picture, progress, show
 from touchfield.errors import InvalidArgument
 from touchfield.render.spec import RenderSpec
 from touchfield.render.tool import SPHERE_POINTS, Tool
 from touchfield.sources.mesh import read_triangles
 
-__all__ = ["RENDER", "render_spec", "tool_of"]
+__all__ = ["PLAY", "RENDER", "render_spec", "tool_of"]
 
 RENDER: Final[tuple[Row, ...]] = (
     ("rate-hz", float, 1000.0, "Ticks of the servo a second."),
@@ -43,6 +43,28 @@ RENDER: Final[tuple[Row, ...]] = (
     ("up", str, "auto", "Up for the hand: x to -z; auto: as the stream says; lattice: y or -y, as it was laid."),
 )
 
+_RENDERER: Final = frozenset(row[0] for row in RENDER)
+
+PLAY: Final[tuple[Row, ...]] = (
+    (
+        "device",
+        str,
+        "sim",
+        "sim, sim:spring, haply, openhaptics, forcedimension, bhaptics, osc:HOST:PORT, pins:PORT.",
+    ),
+    ("profile", str | None, None, "Profile whose limits and actuators hold; default: the device's own."),
+    ("trajectory", Path | None, None, "Where the probe goes: CSV of t_s,x_m,y_m,z_m."),
+    ("trace", Path | None, None, "As --trajectory, but in the metres and axes of the scene: a recording."),
+    ("seconds", float | None, None, "How long; default: the trajectory, or the medium."),
+    ("start-s", float, 0.0, "Where the medium begins."),
+    ("speed", float, 1.0, "Seconds of the medium in one of yours."),
+    ("loop", bool, False, "Begin again at the end."),
+    ("panel", str, "front", "Of an array with two panels: front or back."),
+    ("offline", bool, False, "sim: no clock, as fast as it goes; the same forces."),
+)
+"""Fields of `touchfield.job.play.PlaySpec`."""
+
+_TRIPLE: Final = "three numbers, X,Y,Z"
 _FORMS: Final = "point, sphere:RADIUS_M or MESH.obj, with ,points=N behind the last two"
 
 
@@ -52,31 +74,11 @@ _FORMS: Final = "point, sphere:RADIUS_M or MESH.obj, with ,points=N behind the l
     "play room.touch --device haply --friction 0.4",
     "play vest.touch --device bhaptics --loop",
 )
-@asks(RENDER, panel="Renderer")
+@asks(PLAY, RENDER, panel=lambda name: "Renderer" if name in _RENDERER else None)
 def play(
     stream: Stream,
-    device: Annotated[
-        str,
-        typer.Option(help="sim, sim:spring, haply, openhaptics, forcedimension, bhaptics, osc:HOST:PORT, pins:PORT."),
-    ] = "sim",
-    profile: Annotated[
-        str | None, typer.Option(help="Profile whose limits and actuators hold; default: the device's own.")
-    ] = None,
-    trajectory: Trajectory = None,
     log: Annotated[Path | None, typer.Option(help="CSV to write: every tick.")] = None,
     plot: Annotated[Path | None, typer.Option(help="PNG to draw: the hand, the field, the forces.")] = None,
-    seconds: Annotated[float | None, typer.Option(help="How long; default: the trajectory, or the medium.")] = None,
-    start_s: Annotated[float, typer.Option("--start-s", help="Where the medium begins.")] = 0.0,
-    speed: Annotated[float, typer.Option(help="Seconds of the medium in one of yours.")] = 1.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
-    panel: Annotated[str, typer.Option(help="Of an array with two panels: front or back.")] = "front",
-    offline: Annotated[
-        bool, typer.Option("--offline", help="sim: no clock, as fast as it goes; the same forces.")
-    ] = False,
-    as_json: Json = False,
-    trace: Annotated[
-        Path | None, typer.Option(help="As --trajectory, but in the metres and axes of the scene: a recording.")
-    ] = None,
     wav: Annotated[Path | None, typer.Option(help="WAV to write: the play as sound.")] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Play nothing; tell whether this machine can decode it in time.")
@@ -84,6 +86,7 @@ def play(
     bridge: Annotated[
         bool, typer.Option("--bridge", help="Show the hand in a browser while it plays (extra broadcast).")
     ] = False,
+    as_json: Json = False,
     *,
     asked: dict[str, Any],
 ) -> None:
@@ -92,14 +95,13 @@ def play(
     from touchfield.job.play import play as run
 
     if check:
-        _check(stream, speed, as_json)
+        _check(stream, asked["speed"], as_json)
         return
     for target in (log, plot, wav):
         check_picture(stream, target)
-    spec = PlaySpec(
-        device, profile, trajectory, seconds, start_s, speed, loop, panel, offline,
-        is_logged=not (log is plot is wav is None), is_drawn=plot is not None, render=render_spec(asked), trace=trace,
-    )  # fmt: skip
+    given = {name.replace("-", "_"): asked[name.replace("-", "_")] for name, *_ in PLAY}
+    is_logged = not (log is plot is wav is None)
+    spec = PlaySpec(**given, is_logged=is_logged, is_drawn=plot is not None, render=render_spec(asked))
     with _bridge(stream, bridge) as watch, progress("play", "s") as report:
         played = run(stream, spec, report, _say, watch)
     notes = played.notes
@@ -160,18 +162,10 @@ def render_spec(asked: dict[str, Any]) -> RenderSpec:
     given = {f.name: asked[f.name] for f in fields(RenderSpec) if asked.get(f.name) is not None}
     given["tool"] = tool_of(asked["tool"])
     if asked["clutch_mm"] is not None:
-        given["clutch_m"] = tuple(v / 1000 for v in _triple("--clutch-mm", asked["clutch_mm"]))
+        given["clutch_m"] = tuple(v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], 3, _TRIPLE))
     if asked["gravity_n"] is not None:
-        given["gravity_n"] = _triple("--gravity-n", asked["gravity_n"])
+        given["gravity_n"] = numbers_of("--gravity-n", asked["gravity_n"], 3, _TRIPLE)
     return RenderSpec(**given, blend=not asked["no_blend"])
-
-
-def _triple(option: str, text: str) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(word) for word in text.split(","))
-    except ValueError:
-        raise InvalidArgument(option, repr(text), "three numbers, X,Y,Z") from None
-    return x, y, z
 
 
 def tool_of(words: str) -> Tool | None:
@@ -180,12 +174,7 @@ def tool_of(words: str) -> Tool | None:
     A mesh is in metres of the field, its origin is the device's point and its axes are the field's where the grip is
     not turned.
 
-    Raises
-    ------
-    InvalidArgument
-        If the words name none, or a number is out of range.
-    SourceError
-        If the mesh cannot be read.
+    InvalidArgument if the words name none or a number is out of range, SourceError if the mesh cannot be read.
     """
     name, comma, option = words.rpartition(",") if ",points=" in words else (words, "", "")
     points = SPHERE_POINTS

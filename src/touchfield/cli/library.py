@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from touchfield.cli.app import Json, Stream, command
-from touchfield.cli.options import SCENE, asks, encode_spec
+from touchfield.cli.options import SCENE, asks, encode_spec, numbers_of
 from touchfield.cli.show import progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 
@@ -119,13 +119,7 @@ def correlate(
     """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and whether by chance."""
     from touchfield.job.likeness import correlate as run
 
-    camera = None
-    if intrinsics is not None:
-        try:
-            fx, fy, cx, cy = (float(part) for part in intrinsics.split(","))
-        except ValueError:
-            raise InvalidArgument("--intrinsics", repr(intrinsics), "fx,fy,cx,cy") from None
-        camera = fx, fy, cx, cy
+    camera = None if intrinsics is None else numbers_of("--intrinsics", intrinsics, 4, "fx,fy,cx,cy")
     with progress("correlate") as report:
         done = run(
             video, stream, frames=looks, reading=reading, intrinsics=camera, source_rate_hz=source_rate_hz,

@@ -20,7 +20,20 @@ from touchfield.filters.registry import field_filters
 from touchfield.job import EncodeSpec, Target
 from touchfield.sources.options import SourceOptions
 
-__all__ = ["ALLOW_OUTSIDE", "BESIDE", "CODER", "SCENE", "TARGET", "asks", "encode_spec", "filter_rows", "target_of"]
+__all__ = [
+    "ALLOW_OUTSIDE",
+    "BESIDE",
+    "CODER",
+    "SCENE",
+    "TARGET",
+    "address_rows",
+    "asks",
+    "encode_spec",
+    "filter_rows",
+    "frames_of",
+    "numbers_of",
+    "target_of",
+]
 
 Row = tuple[str, Any, Any, str]
 """Name, type, default, help."""
@@ -34,6 +47,7 @@ PANELS: Final = {
     "Device and lattice": (
         "nominal", "representation", "fit-frames", "oversample", "pool", "cutoff",
     ),
+    "Address": ("host", "port", "token", "open", "cors"),
     "Force": (
         "law", "band-m", "surface-damping-n-s-per-m", "vibration", "friction", "damping-n-s-per-m",
     ),
@@ -114,13 +128,27 @@ TARGET: tuple[Row, ...] = (
 )
 
 
+def address_rows(port: int, verb: str) -> tuple[Row, ...]:
+    """The options of a server: where it listens, and who may receive."""
+    return (
+        ("host", str, "127.0.0.1", "Address to listen at; beyond this machine only with a token."),
+        ("port", int, port, "Port; 0: a free one."),
+        ("token", str | None, None, "Word that a receiver must bring: ...?token=WORD."),
+        ("open", bool, False, f"Let anyone {verb} who reaches the address."),
+        ("cors", list[str] | None, None, "Origin of web pages that may read, such as https://example.org; or *."),
+    )
+
+
 def filter_rows() -> tuple[Row, ...]:
     """One option for each registered haptic filter; their order on the command line is their order of work."""
     return tuple((name, list[str] | None, None, kind.summary) for name, kind in field_filters().items())
 
 
-def asks(*groups: tuple[Row, ...], panel: str | None = None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Give a command the options of `groups`, in the help under `panel` or each under its own; it gets `asked`."""
+def asks(
+    *groups: tuple[Row, ...], panel: Callable[[str], str | None] | None = None
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Give a command the options of `groups`; it gets `asked`. `panel` of a name is its group in the help."""
+    group = panel or _panel
 
     def give(command: Callable[..., Any]) -> Callable[..., Any]:
         own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "asked"]
@@ -130,7 +158,7 @@ def asks(*groups: tuple[Row, ...], panel: str | None = None) -> Callable[[Callab
                 _identifier(name),
                 inspect.Parameter.KEYWORD_ONLY,
                 default=default,
-                annotation=Annotated[kind, _option(name, text, panel)],
+                annotation=Annotated[kind, _option(name, text, group(name))],
             )
             for name, kind, default, text in rows
         ]
@@ -153,7 +181,7 @@ def asks(*groups: tuple[Row, ...], panel: str | None = None) -> Callable[[Callab
 
 def _option(name: str, text: str, panel: str | None) -> Any:
     text = text.replace("[", r"\[")  # what stands in brackets is no markup
-    return typer.Option(f"--{name}", help=text, rich_help_panel=panel or _panel(name))
+    return typer.Option(f"--{name}", help=text, rich_help_panel=panel)
 
 
 def _panel(name: str) -> str:
@@ -178,7 +206,8 @@ def _identifier(name: str) -> str:
     return "as_" if name == "as" else name.replace("-", "_")
 
 
-def _frames(option: str, text: str | None) -> tuple[int, int | None] | None:
+def frames_of(option: str, text: str | None) -> tuple[int, int | None] | None:
+    """The frames of START:STOP, or of the number of one."""
     if text is None:
         return None
     start, colon, stop = text.partition(":")
@@ -190,6 +219,17 @@ def _frames(option: str, text: str | None) -> tuple[int, int | None] | None:
     if first < 0 or (last is not None and last <= first):
         raise InvalidArgument(option, repr(text), "START below STOP, neither negative")
     return first, last
+
+
+def numbers_of(option: str, text: str, count: int, expected: str) -> Any:
+    """So many numbers between commas, as a tuple."""
+    try:
+        numbers = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise InvalidArgument(option, repr(text), expected)
+    return numbers
 
 
 def _of(spec: type[Any], asked: dict[str, Any]) -> dict[str, Any]:
@@ -241,8 +281,8 @@ def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
     chain = tuple((name, _once(name, asked[key])) for key in asked if (name := _filter_name(key)) and asked[key])
     as_given |= {
         "nw": None if asked["nominal"] else asked["nw"],
-        "frames": _frames("--frames", asked["frames"]),
-        "fit_frames": _frames("--fit-frames", asked["fit_frames"]),
+        "frames": frames_of("--frames", asked["frames"]),
+        "fit_frames": frames_of("--fit-frames", asked["fit_frames"]),
         "filters": chain,
     }
     return EncodeSpec(**as_given, source=source, **(_coder(asked) if "coder" in asked else {}))

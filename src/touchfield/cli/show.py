@@ -39,24 +39,15 @@ def is_same_file(a: str | Path, b: str | Path) -> bool:
 
 
 def keep_source(source: str | Path, out: Path) -> None:
-    """Refuse to write over what is read.
-
-    Raises
-    ------
-    InvalidArgument
-        If both are one file.
-    """
+    """Refuse to write over what is read, with InvalidArgument."""
     if is_same_file(source, out):
         raise InvalidArgument(str(out), "the file that is read", "another name", "Name a new file for the result.")
 
 
 def check_picture(source: str | Path, picture: Path | None) -> None:
-    """Check before the work that a picture (or any result beside the main one) can be written.
+    """Check before the work that a picture (or any result beside the main one) can be written, or InvalidArgument.
 
-    Raises
-    ------
-    InvalidArgument
-        If its folder is not there, or it is the file that is read.
+    Its folder must be there, and it must not be the file that is read.
     """
     if picture is None:
         return

@@ -7,9 +7,7 @@ medium as a hand feels it beside its source                             hand_mot
 medium -> a picture of where the scene lies in the workspace            draw_preview
 medium before and after each haptic filter                              filter_report
 medium, device and filters in bits                                      measure_medium
-medium -> the coarsest level of detail that loses little enough         coarsest
 medium -> workspace in boxes that each fill the device                  partition_workspace
-settings of the coder -> Pareto front, choice                           optimise
 scene -> a file of a given size or error                                encode_to_target
 scene, budget -> lattice and settings that spend it best                plan
 """
@@ -17,16 +15,14 @@ scene, budget -> lattice and settings that spend it best                plan
 from touchfield.job.compare import Comparison, compare, hand_motion
 from touchfield.job.encode import Encoded, encode
 from touchfield.job.filtering import FilterReport, draw_filtered, filter_report
-from touchfield.job.level_of_detail import LevelChoice, coarsest
+from touchfield.job.mapping import partition_workspace
 from touchfield.job.measure import Measurement, MeasureSpec, measure_medium
-from touchfield.job.partition_workspace import partition_workspace
-from touchfield.job.plan import Budget, Plan, PlanGrid, parse_budget, plan
+from touchfield.job.plan import Budget, Plan, PlanGrid, Trial, parse_budget, plan
 from touchfield.job.prepare import Prepared, prepare
-from touchfield.job.preview import draw_preview
 from touchfield.job.rate_control import Target, encode_to_target
-from touchfield.job.settings import Optimisation, SearchGrid, Trial, optimise
 from touchfield.job.setup import warm_up
 from touchfield.job.spec import EncodeSpec
+from touchfield.job.view import draw_preview
 from touchfield.stream.opened import OpenStream, open_stream, write_field
 
 __all__ = [
@@ -35,18 +31,14 @@ __all__ = [
     "EncodeSpec",
     "Encoded",
     "FilterReport",
-    "LevelChoice",
     "MeasureSpec",
     "Measurement",
     "OpenStream",
-    "Optimisation",
     "Plan",
     "PlanGrid",
     "Prepared",
-    "SearchGrid",
     "Target",
     "Trial",
-    "coarsest",
     "compare",
     "draw_filtered",
     "draw_preview",
@@ -56,7 +48,6 @@ __all__ = [
     "hand_motion",
     "measure_medium",
     "open_stream",
-    "optimise",
     "parse_budget",
     "partition_workspace",
     "plan",

@@ -12,6 +12,7 @@ import numpy as np
 from touchfield.codec.objects.promise import Found, compare_scenes
 from touchfield.codec.rate import BitAccount
 from touchfield.errors import InvalidArgument
+from touchfield.job.joining import spread
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.job.stream_scene import Source
@@ -128,16 +129,9 @@ def compare(
 ) -> Comparison:
     """Measure a stream against its source, filtered again as the stream's provenance says.
 
-    Parameters
-    ----------
-    source : path, Scene, HapticMedium or ForceField
-        What was encoded; or its field, as `field` writes it.
-    k, f0_n : float, optional
-        The mask max(F_0, k |F|); by default the stream's.
-    frame : int, optional
-        The frame that `Comparison.draw` shows; by default the middle one.
-    allow_outside : bool
-        Whether the source may name files outside its own folder.
+    `source` is what was encoded, a path, scene, medium or field; or its field, as the command `field` writes it. The
+    mask max(F_0, k |F|) is by default the stream's; `frame`, which `Comparison.draw` shows, is the middle one.
+    `allow_outside` lets the source name files outside its own folder.
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
@@ -245,16 +239,8 @@ class HandMeter:
 
     Slides are measured in up to four frames, evenly spread, as they were decoded; holds over all, as a receiver plays
     them, blended where a segment starts. Voxels are felt as their fields are interpolated, objects by the receiver's
-    own query of both scenes.
-
-    Parameters
-    ----------
-    opened : OpenStream
-    scene : HapticScene or None
-        The source's objects.
-    exact : callable or None
-        The field that the source samples, as `Prepared.exact`.
-    spec : SlideSpec, optional
+    own query of both scenes. `scene` are the source's objects, `exact` the field that it samples, as
+    `Prepared.exact`.
     """
 
     def __init__(
@@ -269,7 +255,7 @@ class HandMeter:
         felt = opened.medium if scene is None or opened.scene is None else opened.scene
         self._played, self._blends = with_blends(felt)
         count = head.frame_count
-        self._slid = set(np.linspace(0, count - 1, min(count, _SLIDE_FRAMES)).round().astype(int).tolist())
+        self._slid = set(spread(count, _SLIDE_FRAMES))
         self._starts = {segment.first_frame for segment in opened.reader.segments}
         self._slides = SlideMeter(spec)
         floor_n = head.force_threshold_n or NO_FLOOR_N
@@ -300,20 +286,7 @@ class HandMeter:
 def hand_motion(
     prepared: Prepared, stream: str | Path, spec: SlideSpec | None = None, report: Report = silent
 ) -> HandMotion:
-    """A stream beside its source, as a hand feels it.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        What was encoded, as `prepare` or `Encoded.prepared` has it.
-    stream : path
-    spec : SlideSpec, optional
-
-    Raises
-    ------
-    TouchfieldError
-        If the stream or the source is at fault.
-    """
+    """A stream beside its source, as a hand feels it; `prepared` is what was encoded."""
     with open_stream(stream) as opened:
         meter, decoded = HandMeter(opened, prepared.scene, prepared.exact, spec), opened.medium
         for i in range(len(decoded)):

@@ -14,8 +14,6 @@ from functools import reduce
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.edit import (
@@ -34,7 +32,7 @@ from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpa
 from touchfield.filters.registry import field_filters, filter_of, length_m
 from touchfield.filters.resample import RigidMotion
 from touchfield.job.encode import encode_prepared, provenance_of
-from touchfield.job.joining import joined, lattice_of, read_medium, resampled, retimed, with_history
+from touchfield.job.joining import joined, lattice_of, read_medium, resampled, retimed, spread, with_history
 from touchfield.job.prepare import Prepared
 from touchfield.job.spec import FILTERED, EncodeSpec, Report, silent
 from touchfield.job.stream_scene import is_stream
@@ -101,10 +99,7 @@ def edit(
     `region` and `operators` are in the words of `region_of` and `operator_of`; `feather_m` is the width of the
     transition outside the region, metres, `frames` the (start, stop) of those to be edited, `spec` the coder's.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     if not operators:
         raise InvalidArgument("--operator", "none", "at least one")
@@ -148,10 +143,7 @@ def splice(
     Each source is FILE, or FILE@START:STOP for some of its frames; `fade_s` are the seconds in which one fades into
     the next, `kernel` is the resampler's, and `spec` the coder's, whose friction and damping are those of all.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     if not sources:
         raise InvalidArgument("media to splice", "none", "at least one")
@@ -208,10 +200,7 @@ def resample_file(
 ) -> Written:
     """A medium on another lattice over its box (`lattice_of`), or at another rate, and what a receiver then lacks.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     given = read_medium(source, spec)
     grid = lattice_of(given.medium.grid, *lattice)
@@ -220,7 +209,7 @@ def resample_file(
     on_grid = resampled(given.medium, grid, kernel)
     medium = retimed(on_grid, rate_hz or given.medium.rate_hz)
     meter = _meter(given.spec)
-    for n in _spread(len(given.medium)):
+    for n in spread(len(given.medium), _LOOKED_AT):
         back = on_grid[n] if grid == given.medium.grid else rebuilt(on_grid[n], given.medium.grid)
         meter.add(given.medium[n], back)
     path, notes = _write(given, [source], medium, out, report)
@@ -237,11 +226,6 @@ def resample_file(
 
 def _meter(spec: EncodeSpec) -> FidelityMeter:
     return FidelityMeter(spec.k, spec.f0_n or EncodeSpec().f0_n)
-
-
-def _spread(count: int) -> list[int]:
-    places: list[int] = np.unique(np.linspace(0, count - 1, min(_LOOKED_AT, count)).round().astype(int)).tolist()
-    return places
 
 
 class Detail(NamedTuple):
@@ -279,7 +263,7 @@ def levels_of_detail(
             one = _level(medium, level)
             path, _ = _write(given, [source], one, folder / f"level-{level}.touch", silent)
             meter = _meter(given.spec)
-            for n in _spread(len(medium)):
+            for n in spread(len(medium), _LOOKED_AT):
                 meter.add(medium[n], rebuilt(one[n], medium.grid) if level else one[n])
             rows.append(
                 {
@@ -309,17 +293,20 @@ def _level(medium: HapticMedium, level: int) -> HapticMedium:
     return replace(medium, grid=grid, make_frame=make, vibration=None, segments=None, provenance=words)
 
 
+REGIONS: Final[Mapping[str, tuple[str, Callable[..., Region]]]] = {
+    "box": ("LLLLLL", lambda *v: Box(v[:3], v[3:])),
+    "ball": ("LLLL", lambda *v: Ball(v[:3], v[3])),
+    "half-space": ("NNNLLL", lambda *v: HalfSpace(v[:3], v[3:])),
+}
+"""Of each region the form of its numbers, as `_numbers` reads them, and what it is made of them."""
+
+
 def region_of(text: str) -> Region:
     """A region in words; `|` is the union, `&` what both share, `~` all that is not in it.
 
     ``everywhere``; ``box:X,Y,Z,X,Y,Z``, low and high corner; ``ball:X,Y,Z,RADIUS``; ``half-space:NX,NY,NZ,X,Y,Z``,
     the side that the normal points to, and a point; ``force:LOW..HIGH`` newtons. Lengths have a unit: 2mm, -0.5cm;
-    bounds of a box may be inf.
-
-    Raises
-    ------
-    InvalidArgument
-        If the words make no sense.
+    bounds of a box may be inf. InvalidArgument if the words make no sense.
     """
     for sign in "|&":
         parts = text.split(sign)
@@ -331,63 +318,50 @@ def region_of(text: str) -> Region:
     name, _, values = word.partition(":")
     if name == "everywhere" and not values:
         return Everywhere()
-    if name == "box":
-        low, high = _triples("--region box", values, "LLLLLL")
-        return Box(low, high)
-    if name == "ball":
-        x, y, z, radius = _numbers("--region ball", values, "LLLL")
-        return Ball((x, y, z), radius)
-    if name == "half-space":
-        normal, through = _triples("--region half-space", values, "NNNLLL")
-        return HalfSpace(normal, through)
     if name == "force":
         least, _, most = values.partition("..")
-        bounds = _numbers("--region force", f"{least},{most or 'inf'}", "NN")
-        return ForceRange(bounds[0], bounds[1])
+        return ForceRange(*_numbers("--region force", f"{least},{most or 'inf'}", "NN"))
+    if name in REGIONS:
+        form, make = REGIONS[name]
+        return make(*_numbers(f"--region {name}", values, form))
     raise InvalidArgument("--region", repr(text), "everywhere, box:, ball:, half-space: or force:, with | & ~")
 
 
+_ORIGIN: Final = (0.0, 0.0, 0.0)
+
+OPERATORS: Final[Mapping[str, tuple[tuple[str, ...], Callable[..., EditOperator]]]] = {
+    "gain": (("N",), Gain),
+    "limit": (("N",), Limited),
+    "move": (("LLL",), lambda *v: Moved(RigidMotion.move(v))),
+    "turn": (("NNNN", "NNNNLLL"), lambda *v: Moved(RigidMotion.turn(v[:3], v[3], v[4:] or _ORIGIN))),
+    "mirror": (("NNN", "NNNLLL"), lambda *v: Moved(RigidMotion.mirror(v[:3], v[3:] or _ORIGIN))),
+}
+"""Likewise of the operators that are numbers alone."""
+
+
 def operator_of(text: str, like: Prepared) -> EditOperator:
-    """What is done within a region, in words.
+    """An operator in words.
 
     ``gain:2``; ``erase``; ``limit:1.5`` newtons; ``move:DX,DY,DZ``; ``turn:AX,AY,AZ,DEGREES`` and
     ``mirror:NX,NY,NZ``, each with a point ``,X,Y,Z`` that stays; ``over:FILE``, ``add:FILE``, ``max:FILE`` or
     ``replace:FILE``, another medium, frame by frame or a still one; or a haptic filter, ``gaussian:sigma=2mm``.
 
-    Parameters
-    ----------
-    text : str
-    like : Prepared
-        The medium to be edited: another one is brought onto its lattice.
-
-    Raises
-    ------
-    InvalidArgument
-        If the words make no sense.
+    `like` is the medium to be edited: another one is brought onto its lattice. InvalidArgument if the words make no
+    sense.
     """
     name, _, values = text.strip().partition(":")
-    where = f"--operator {name}"
-    if name == "gain":
-        return Gain(_numbers(where, values, "N")[0])
     if name == "erase" and not values:
         return Erased()
-    if name == "limit":
-        return Limited(_numbers(where, values, "N")[0])
-    if name == "move":
-        return Moved(RigidMotion.move(_numbers(where, values, "LLL")))
-    if name == "turn":
-        x, y, z, degrees, *about = _numbers(where, values, "NNNN", "NNNNLLL")
-        return Moved(RigidMotion.turn((x, y, z), degrees, about or (0.0, 0.0, 0.0)))
-    if name == "mirror":
-        x, y, z, *through = _numbers(where, values, "NNN", "NNNLLL")
-        return Moved(RigidMotion.mirror((x, y, z), through or (0.0, 0.0, 0.0)))
+    if name in OPERATORS:
+        forms, make = OPERATORS[name]
+        return make(*_numbers(f"--operator {name}", values, *forms))
     if name in COMPOSITIONS:
         other = read_medium(values)
         medium, _ = joined(other.medium, like.medium, name=values)
         return Composed(medium if len(medium) > 1 else medium[0], name)
     if name in field_filters():
         return filter_of(name, values)
-    names = ", ".join(("gain", "erase", "limit", "move", "turn", "mirror", *COMPOSITIONS, *field_filters()))
+    names = ", ".join(("gain", "erase", *list(OPERATORS)[1:], *COMPOSITIONS, *field_filters()))
     raise InvalidArgument("--operator", repr(text), f"one of {names}")
 
 
@@ -398,18 +372,13 @@ def _numbers(where: str, text: str, *forms: str) -> list[float]:
     if form is None:
         expected = " or ".join(str(len(f)) for f in forms)
         raise InvalidArgument(where, repr(text), f"{expected} numbers between commas")
-    return [_number(where, part, kind) for part, kind in zip(parts, form, strict=True)]
-
-
-def _number(where: str, part: str, kind: str) -> float:
-    if kind == "L" and part.lstrip("+-") not in ("inf", "0"):
-        return length_m(part, where)
-    try:
-        return float(part)
-    except ValueError:
-        raise InvalidArgument(where, repr(part), "a number") from None
-
-
-def _triples(where: str, text: str, form: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    a, b, c, d, e, f = _numbers(where, text, form)
-    return (a, b, c), (d, e, f)
+    numbers = []
+    for part, kind in zip(parts, form, strict=True):
+        if kind == "L" and part.lstrip("+-") not in ("inf", "0"):
+            numbers.append(length_m(part, where))
+            continue
+        try:
+            numbers.append(float(part))
+        except ValueError:
+            raise InvalidArgument(where, repr(part), "a number") from None
+    return numbers

@@ -99,22 +99,11 @@ def encode(
 ) -> Encoded:
     """Turn a source into a ``.touch`` file.
 
-    Parameters
-    ----------
-    source : path, Scene, HapticMedium, ForceField or array
-        A medium and a field keep their lattice and forces; an array of newtons [nx, ny, nz, 3] or, at 30 frames a
-        second, [frame, nx, ny, nz, 3] is one on `grid`.
-    out : path
-    spec : EncodeSpec, optional
-    report : callable
-        ``report(done, total)`` in frames.
-    grid : Grid, optional
-        Of an array.
+    A path, a scene, a medium, a field or an array: a medium and a field keep their lattice and forces; an array of
+    newtons [nx, ny, nz, 3] or, at 30 frames a second, [frame, nx, ny, nz, 3] is one on `grid`. `report` gets
+    ``(done, total)`` in frames.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     began = time.perf_counter()
     spec = spec or EncodeSpec()
@@ -129,36 +118,27 @@ def encode_prepared(
 ) -> Encoded:
     """Write what `prepare` made as a ``.touch`` file, coded as its spec says; the bytes are the same on any machine.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     began = time.perf_counter()
-    coding = coder(prepared.spec.coder).resolve(prepared.spec.coding, prepared.device.is_array)
     if prepared.source is not None:
         prepared.source.report = report
     with TouchWriter(Path(out)) as writer:
         if prepared.scene is None:
-            supported = _write_voxels(writer, prepared, coding, provenance, report)
+            supported = _write_voxels(writer, prepared, provenance, report)
         else:
-            encoder = ObjectsEncoder(prepared.scene, coding, prepared.spec.f0_n or DEFAULT_F0_N)  # poses need some
+            floor_n = prepared.spec.f0_n or DEFAULT_F0_N  # poses need some
+            encoder = ObjectsEncoder(prepared.scene, prepared.coding, floor_n)
             writer.write_head(head_of(prepared, encoder), provenance)
             write_objects(writer, encoder, len(prepared.scene), report)
             supported = encoder.supported
     return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported)
 
 
-def _write_voxels(
-    writer: TouchWriter,
-    prepared: Prepared,
-    coding: Any,
-    provenance: Mapping[str, str],
-    report: Report,
-) -> int:
+def _write_voxels(writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Report) -> int:
     """The voxel representation, head and segments; how many samples hold a force."""
     medium = prepared.medium
-    encoder = field_encoder(medium.grid, coding)
+    encoder = field_encoder(medium.grid, prepared.coding)
     vibrates = medium.vibration is not None
     writer.write_head(head_of(prepared, encoder), provenance)
     ready = written = supported = 0

@@ -67,18 +67,7 @@ _VEST: Final = "tactsuit-x40"
 
 @dataclass(frozen=True)
 class Exported:
-    """What `export` wrote.
-
-    Attributes
-    ----------
-    path : Path
-    device : str
-    seconds : float
-    told : mapping of str to object
-        What else a summary tells: actuators and frames, or samples and the greatest force.
-    notes : tuple of str
-        What the user should be told.
-    """
+    """A file that `export` wrote; `told` is what else a summary tells, such as frames, or the greatest force."""
 
     path: Path
     device: str
@@ -103,29 +92,15 @@ def export(
 ) -> Exported:
     """Write a stream in another format, by the ending of `out`.
 
-    Parameters
-    ----------
-    stream : Path
-        A ``.touch`` file.
-    out : Path
-        ``.hjif`` (ISO/IEC 23090-31), ``.wav`` (a channel an actuator): the drives of an array, or with `trajectory` a
-        force over time. ``.tact``: a vest of bHaptics. ``.haptic`` (Meta), ``.ahap`` (Apple): one track.
-        ``.html``: the page, with the stream within.
-    device_name : str, optional
-        A profile: of an array, or with `trajectory` of a point. By default the device that the stream was made for,
-        and for ``.tact`` a TactSuit X40 where it was made for another.
-    trajectory : Path, optional
-        Where the probe is over time (`touchfield.medium.trace.read_trace`).
-    panel : str
-        Of an array: "front" or "back".
-    report : callable
-    full_scale_n : float
-        Of a force as ``.hjif``: newtons that are told as 1; 1 tells newtons.
+    ``.hjif`` (ISO/IEC 23090-31) and ``.wav`` (a channel an actuator) hold the drives of an array, or with
+    `trajectory`, where the probe is over time (`touchfield.medium.trace.read_trace`), a force over time; ``.tact`` is
+    for a vest of bHaptics; ``.haptic`` (Meta) and ``.ahap`` (Apple) have one track; ``.html`` is the page, with the
+    stream within. `device_name` is a profile, of an array or with `trajectory` of a point: by default the device that
+    the stream was made for, and for ``.tact`` a TactSuit X40 where it was made for another. `panel` is that of an
+    array, "front" or "back"; `full_scale_n`, of a force as ``.hjif``, are the newtons that are told as 1; 1 tells
+    newtons.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     path = Path(out)
     kind = path.suffix.lower()
@@ -157,24 +132,12 @@ def import_effect(
     A stream keeps a drive as exactly as its coder is asked to keep the force, and beside it the frequency in whole
     hertz with the drive to within a ninth (`touchfield.codec.vibration`); what is shown is the greater of the two.
 
-    Parameters
-    ----------
-    source : Path
-        ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``.
-    out : Path
-    spec : EncodeSpec, optional
-        What is asked of the coder, its haptic filters, frames and vibration in place of the effect's own; the device
-        is that of the effect.
-    rate_hz : float
-        Frames a second.
-    force_max_n : float, optional
-        The force that a full drive stands for; None takes what the file tells, or else 3.3 N.
-    report : callable
+    `source` is ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``; of `spec` are taken the coder, its haptic
+    filters, frames and vibration in place of the effect's own; the device is that of the effect. `rate_hz` are the
+    frames a second, and `force_max_n` the force that a full drive stands for: None takes what the file tells, or else
+    3.3 N.
 
-    Raises
-    ------
-    TouchfieldError
-        If anything is at fault; nothing is then left under the name `out`.
+    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     asked = spec or EncodeSpec()
     if force_max_n is not None and not 0 < force_max_n <= 1e6:

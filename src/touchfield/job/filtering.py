@@ -30,15 +30,10 @@ __all__ = ["FilterReport", "draw_filtered", "filter_report"]
 
 @dataclass(frozen=True)
 class FilterReport:
-    """The medium before the chain and after each filter of it.
+    """The medium before the chain and after each filter of it; `quantiser` is the Q of the entropies.
 
-    Attributes
-    ----------
-    quantiser : str
-        Q of the entropies.
-    stages : tuple of dict
-        For each stage its name, support, greatest and root-mean-square force, entropies, and what changed against
-        the medium before the chain: NMSE in dB, and the share of voxels beyond the mask.
+    Each of `stages` tells its name, support, greatest and root-mean-square force, entropies, and what changed against
+    the medium before the chain: NMSE in dB, and the share of voxels beyond the mask.
     """
 
     quantiser: str
@@ -57,13 +52,8 @@ def filter_report(
 ) -> FilterReport:
     """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
 
-    Parameters
-    ----------
-    source : path or Scene
-    spec : EncodeSpec
-        Its ``paper.k`` is the Weber fraction of the mask.
-    quantiser : FieldQuantiserSpec, optional
-        Q of the entropies; the default is fitted to the device's F_max and kept for all stages.
+    ``spec.paper.k`` is the Weber fraction of the mask; `quantiser`, the Q of the entropies, is by default fitted to
+    the device's F_max and kept for all stages.
     """
     prepared = prepare(source, replace(spec, filters=()))
     medium = prepared.medium
@@ -104,10 +94,7 @@ def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int
 def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path) -> None:
     """Write the picture of the middle frame before and after the chain of ``spec.filters``, PNG.
 
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    MissingExtra if matplotlib is not installed.
     """
     from touchfield.viewer.picture import PictureSpec, draw_comparison
 

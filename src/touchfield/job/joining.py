@@ -25,7 +25,7 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.render.axes import axes_matrix
 from touchfield.sources.registry import open_source
 
-__all__ = ["joined", "lattice_of", "read_medium", "resampled", "retimed", "with_history"]
+__all__ = ["joined", "lattice_of", "read_medium", "resampled", "retimed", "spread", "taken", "with_history"]
 
 KERNELS: Final = (*LOW_PASSES, "trilinear")
 
@@ -33,10 +33,7 @@ KERNELS: Final = (*LOW_PASSES, "trilinear")
 def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
     """A .touch file, or a stored field on its own lattice.
 
-    Raises
-    ------
-    InvalidArgument
-        If the source is no medium yet.
+    InvalidArgument if the source is no medium yet.
     """
     if is_stream(path):
         return prepare(path, spec)
@@ -46,6 +43,20 @@ def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
             str(path), "a scene", "a .touch file or a stored field", "Make it a medium: touchfield encode."
         )
     return prepare(stored, spec)
+
+
+def spread(count: int, most: int) -> list[int]:
+    """At most so many of the numbers below `count`, evenly spaced."""
+    places: list[int] = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
+    return places
+
+
+def taken(medium: HapticMedium, places: Sequence[int]) -> HapticMedium:
+    """Some of the frames of a medium, one after the other."""
+    count, band = len(places), medium.vibration
+    if band is not None:
+        band = replace(band, frame_count=count, make_frame=[band[i] for i in places].__getitem__)
+    return replace(medium, frame_count=count, make_frame=lambda i: medium[places[i]], vibration=band, segments=None)
 
 
 def with_history(medium: HapticMedium, key: str, words: str) -> Mapping[str, str]:

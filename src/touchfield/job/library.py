@@ -66,10 +66,7 @@ class Library:
     def load(cls, path: Path) -> Library:
         """Read what `save` wrote.
 
-        Raises
-        ------
-        SourceError
-            If it is no such file, is damaged, or was made by another version of the descriptor.
+        SourceError if it is no such file, is damaged, or was made by another version of the descriptor.
         """
         index, archive = MediumIndex.load(path), NpzArchive(path)
         where, expected = f"{path}, array files", "what `touchfield index` wrote"
@@ -160,10 +157,8 @@ def index_folder(folder: str | Path, path: Path | None = None, report: Report = 
 
     `path` is the file to write, FOLDER.index.npz beside the folder unless another is named; `report` counts files.
 
-    Raises
-    ------
-    TouchfieldError
-        If there is no such folder, or the file cannot be read or written. A damaged .touch file is told in `faults`.
+    TouchfieldError if there is no such folder, or the file cannot be read or written. A damaged .touch file is told
+    in `faults`.
     """
     began, folder = time.perf_counter(), Path(folder)
     target = library_path(folder, path)
@@ -267,10 +262,7 @@ def search(
     `like` is a .touch file, in the folder or not, or a medium; `weights` are those of the parts of the descriptor
     (`MediumIndex.query`; `touchfield.measure.retrieval.ANY_POSE` for any pose), and `path` is the library's file.
 
-    Raises
-    ------
-    TouchfieldError
-        If the folder was not indexed, or `like` cannot be described.
+    TouchfieldError if the folder was not indexed, or `like` cannot be described.
     """
     folder, target = Path(folder), library_path(Path(folder), path)
     if count < 1:

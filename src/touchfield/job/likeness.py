@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -17,7 +17,7 @@ import numpy as np
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import Placement
-from touchfield.job.joining import joined
+from touchfield.job.joining import joined, spread, taken
 from touchfield.job.mapping import SymbolFrames
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec, Report, silent
@@ -82,10 +82,7 @@ def similar(
     words, fitted to both at once, and coarse so that a small error of a coder is none; `over` ("voxel" or "object")
     is mu of NMI and VI, and `frames` how many of those that both have are compared, evenly spaced.
 
-    Raises
-    ------
-    InvalidArgument
-        If one of them has no force, or an option is unknown.
+    InvalidArgument if one of them has no force, or an option is unknown.
     """
     if frames < 1:
         raise InvalidArgument("frames", f"{frames}", "1 or more")
@@ -96,8 +93,8 @@ def similar(
         report(n + 1, 3)
     beside, notes = joined(other, one, name="the second")
     count = min(len(one), len(beside))
-    places = np.unique(np.linspace(0, count - 1, min(frames, count)).round().astype(int)).tolist()
-    media = [_taken(m, places) for m in (one, beside)]
+    places = spread(count, frames)
+    media = [taken(m, places) for m in (one, beside)]
     quantise = FieldQuantiserSpec.parse(quantiser).fit(itertools.chain(*media))
     mine, theirs = (SymbolFrames(m, quantise) for m in media)
     with warnings.catch_warnings():
@@ -112,12 +109,6 @@ def similar(
     report(3, 3)
     parts = {name: float(np.linalg.norm(told[0][slot] - told[1][slot])) for name, slot in part_slots()}
     return Alike(measured, parts, len(places), notes)
-
-
-def _taken(medium: HapticMedium, places: list[int]) -> HapticMedium:
-    return replace(
-        medium, frame_count=len(places), make_frame=lambda i: medium[places[i]], vibration=None, segments=None
-    )
 
 
 # -- a video beside -------------------------------------------------------------------------------------------------
@@ -150,10 +141,8 @@ def correlate(
     `frames` are the times that are looked at, evenly spaced over what both have, `reading` is "first" or "peak"
     (`touchfield.measure.correlation`), and `intrinsics` are fx, fy, cx, cy, pixels of the video.
 
-    Raises
-    ------
-    InvalidArgument, SourceError
-        If a file cannot be read, nothing is felt within the picture, or the camera does not fit the medium.
+    InvalidArgument or SourceError if a file cannot be read, nothing is felt within the picture, or the camera does
+    not fit the medium.
     """
     if frames < 1:
         raise InvalidArgument("frames", f"{frames}", "1 or more")
@@ -167,7 +156,7 @@ def correlate(
     last = len(medium) - 1
     if pictures.frame_count > 1:
         last = min(last, math.floor((pictures.frame_count - 1) / rate_hz * medium.rate_hz + 1e-9))
-    places = np.unique(np.linspace(0, last, min(frames, last + 1)).round().astype(int)).tolist()
+    places = spread(last + 1, frames)
     done: list[Looked] = []
     for n in places:
         at = min(round(n / medium.rate_hz * rate_hz), pictures.frame_count - 1)

@@ -16,7 +16,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Final
 
-from touchfield.codec.registry import coder, field_encoder
+from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.errors import InvalidArgument
@@ -41,21 +41,10 @@ _MOST_UNDER_WAY: Final = 2
 
 @dataclass(frozen=True)
 class LiveSpec:
-    """How a source goes on the air.
+    """How a source goes on the air; InvalidArgument if a value is out of range.
 
-    Parameters
-    ----------
-    segment_s : float
-        Seconds of a segment: what the delay is, and what a receiver that joins waits for at most.
-    loop : bool
-        Whether the source begins again at its end.
-    seconds : float or None
-        How long; None: to the end of the source.
-
-    Raises
-    ------
-    InvalidArgument
-        If a value is out of range.
+    `segment_s`, the length of a segment, is what the delay is, and what a receiver that joins waits for at most;
+    `loop` begins again at the end of the source; `seconds` None is to the end of the source.
     """
 
     segment_s: float = 0.25
@@ -71,16 +60,7 @@ class LiveSpec:
 
 @dataclass
 class Sent:
-    """What went on the air.
-
-    Attributes
-    ----------
-    frames, segments, sent_bytes : int
-    left_out : int
-        Frames that came too late to be made or coded.
-    slowest_encode_s : float
-        Of a segment.
-    """
+    """What went on the air; `left_out` are frames that came too late to be made or coded."""
 
     frames: int = 0
     segments: int = 0
@@ -100,19 +80,13 @@ class Sent:
 
 
 def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSender]:
-    """A source that is prepared as voxels, and a sender that has its opening.
-
-    Raises
-    ------
-    TouchfieldError
-        If the source or an option is at fault.
-    """
+    """A source that is prepared as voxels, and a sender that has its opening."""
     if spec.coder == "touch":  # what is live has no time for a search
         spec = replace(spec, touch=replace(spec.touch, effort="fast"))
     spec = replace(spec, representation="voxel")
     given = captured(source, spec.source) or as_source(source, spec.device)
     prepared = prepare(given, spec)
-    encoder = field_encoder(prepared.medium.grid, _coding(prepared))
+    encoder = field_encoder(prepared.medium.grid, prepared.coding)
     sender = LiveSender()
     name = source if isinstance(source, str | Path) else "scene"
     sender.open(head_of(prepared, encoder), provenance_of(name, prepared))
@@ -129,19 +103,11 @@ def broadcast(
 ) -> Sent:
     """Make, code and send frames in time, until the source or the time is over.
 
-    Parameters
-    ----------
-    prepared : Prepared
-    send : callable
-        ``send(segment) -> message``; must not wait for anyone.
-    spec : LiveSpec
-    tell : callable
-        ``tell(note)``: what could not keep up.
-    clock_s, pause : callable
+    ``send(segment) -> message`` must not wait for anyone; ``tell(note)`` gets what could not keep up.
     """
     sent = Sent()
     anchor: ForceField | None = None
-    encoder = field_encoder(prepared.medium.grid, _coding(prepared))
+    encoder = field_encoder(prepared.medium.grid, prepared.coding)
 
     def coded(first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> LiveSegment | None:
         nonlocal anchor
@@ -246,7 +212,3 @@ def _groups(
         band: list[VibrationFrame] = []
         yield first, frames(first, band), band
         first += length
-
-
-def _coding(prepared: Prepared) -> Any:
-    return coder(prepared.spec.coder).resolve(prepared.spec.coding, prepared.device.is_array)

@@ -13,16 +13,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.devices import Device, device
+from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
+from touchfield.filters.resample import resample
 from touchfield.job.placing import Mapping, mapping_of
-from touchfield.job.spec import EncodeSpec
+from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.partition import BoxLosses, DyadicLattice, Partition, optimal_partition
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.stored import StoredScene
@@ -31,24 +34,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.codec.paper.field_quantiser import FieldQuantiser
-    from touchfield.medium import HapticMedium
 
-__all__ = ["FrameRange", "Mapped", "SymbolFrames", "mapped"]
+__all__ = ["FrameRange", "Mapped", "SymbolFrames", "mapped", "partition_workspace"]
+
+_COARSE_QUANTISER: Final = "weber:0.25/ico1"
+"""Ten amplitudes by twelve directions: few enough symbols that a box holds many samples of each."""
 
 
 @dataclass(frozen=True)
 class Mapped:
     """M(W) for one device.
 
-    Attributes
-    ----------
-    device : Device
-    medium : HapticMedium
-    own_grid : Grid
-        The lattice of W in the hand metres of `medium`, so that both can be asked about the same places.
-    quantiser : FieldQuantiserSpec
-        The force levels that the device is given: its own steps where the profile counts them, else Q.
-    notes : tuple of str
+    `own_grid` is the lattice of W in the hand metres of `medium`, so that both can be asked about the same places;
+    `quantiser` the force levels that the device is given: its own steps where the profile counts them, else Q.
     """
 
     device: Device
@@ -174,3 +172,32 @@ class FrameRange(Sequence[FieldSymbols]):
 
     def __getitem__(self, index: Any) -> Any:
         return self._frames[self._range[index]]
+
+
+def partition_workspace(
+    medium: HapticMedium,
+    device_shape: tuple[int, int, int],
+    penalty_bits: float,
+    quantiser: str | FieldQuantiserSpec = _COARSE_QUANTISER,
+    report: Report = silent,
+) -> Partition:
+    """Divide the workspace into the dyadic boxes, each of the device's lattice, that lose least (paper section 4).
+
+    The medium lies on 2^D times the samples that the device shows at once, `device_shape`
+    (`touchfield.measure.partition`). `penalty_bits` is lambda, bits a frame that another box must save; what a box is
+    told of a cell is Q of its mean force.
+
+    InvalidArgument if the lattice does not fit, lambda is negative or the quantiser knows no forces but those of the
+    medium.
+    """
+    asked = FieldQuantiserSpec.parse(quantiser) if isinstance(quantiser, str) else quantiser
+    if asked.form == "distinct":
+        raise InvalidArgument("quantiser", "distinct", "one that also knows mean forces, such as weber:0.25/ico1")
+    lattice = DyadicLattice(medium.grid, device_shape)
+    losses, quantise = BoxLosses(lattice), asked.fit(medium)
+    for i, frame in enumerate(medium):
+        coarse = [resample(frame, lattice.lattice(d), "box") for d in range(lattice.depth)]
+        # weights that round up must not leave Q
+        losses.add([quantise(limited(level, quantise.top_n)) for level in (*coarse, frame)])
+        report(i + 1, len(medium))
+    return optimal_partition(lattice, losses.bits(), penalty_bits)

@@ -38,10 +38,8 @@ from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
 
 if TYPE_CHECKING:
-    from touchfield.measure.capacity import Capacity
     from touchfield.measure.limits import CodingLimits
     from touchfield.measure.passivity import Passivity
-    from touchfield.measure.quantity import Quantity
     from touchfield.sources.scene import Scene
     from touchfield.viewer.information import Bar
 
@@ -52,36 +50,13 @@ __all__ = ["MeasureSpec", "Measurement", "measure_medium"]
 class Measurement:
     """Findings of `measure_medium`, for people, programs and eyes.
 
-    Attributes
-    ----------
-    name : str
-        The medium's.
-    quantiser : str
-        Q in words.
-    alphabet : int
-        K, its symbols with "no force".
-    frames, voxels, supported_voxels : int
-        Frames; voxels of one frame; supported voxels of all frames, after Q.
-    entropy : Quantity
-        H(S) over the weighting that was asked for.
-    voxel, object : Quantity
-        H(S) over all voxels, and over the object alone; of the plug-in estimates
-        H_voxel = h2(p) + p H_object holds exactly.
-    corrected : Quantity
-        `voxel` with the correction of Miller and Madow: how far the estimate may be trusted at all.
-    per_frame : Quantity
-        H(W): H_voxel times the voxels of a frame.
-    in_time : dict of str to Quantity
-        Between a frame and the next, over voxels: H(S_t | S_t-1), I(S_t; S_t-1), normalised, and the variation of
-        information; empty for one frame.
-    limits : CodingLimits or None
-    capacities : dict of str to Capacity
-        By device.
-    passivity : Passivity or None
-        Of the frame with the largest support.
-    file_bits : int or None
-        All bits of the ``.touch`` file that was measured.
-    notes : tuple of str
+    `quantiser` is Q in words, `alphabet` K, its symbols with "no force"; `voxels` are those of one frame,
+    `supported_voxels` those of all frames after Q. `entropy` is H(S) over the weighting that was asked for, `voxel`
+    over all voxels and `object` over the object alone: of the plug-in estimates H_voxel = h2(p) + p H_object holds
+    exactly. `corrected` is `voxel` with the correction of Miller and Madow: how far the estimate may be trusted at
+    all; `per_frame` is H(W), H_voxel times the voxels of a frame. `in_time` is of a frame and the next, over voxels:
+    H(S_t | S_t-1), I(S_t; S_t-1), normalised, and the variation of information; empty for one frame. `capacities` are
+    by device, `passivity` is of the frame with the largest support, `file_bits` are all of the ``.touch`` file.
     """
 
     name: str
@@ -177,27 +152,16 @@ OVER = ("voxel", "object", "interaction")
 
 @dataclass(frozen=True)
 class MeasureSpec:
-    """What was asked of `measure_medium`.
+    """What was asked of `measure_medium`; InvalidArgument if it makes no sense.
 
-    Parameters
-    ----------
-    quantiser : str or None
-        Q in words (`touchfield.codec.paper.field_quantiser`); None takes "distinct" for a ``.touch`` file
-        of coder `paper`, whose decoder made the codewords, and "weber:0.1" for all else (coder `touch` has none, and
-        the receiver interpolates between those of an object) and whenever a device is named.
-    over : str
-        mu: "voxel", "object", or "interaction:TRACE.csv".
-    estimator : str
-        A name of `touchfield.measure.estimators.ESTIMATORS`.
-    devices : tuple of str
-        Device profiles whose capacity, WMR and HIL are wanted.
-    limits : bool
-        Whether the coding limits are wanted; they take most of the time.
-    encode : EncodeSpec
-        How a scene becomes the medium; its device is the reference space that W is sampled in.
-    density : float or None
-        Samples of W along each axis for one of a point device; None: as fine as the device's data sheet has it, and
-        no finer than W. The paper's W of 10^12 samples has 5 for one of the 8 10^9 of its device.
+    `quantiser` is Q in words (`touchfield.codec.paper.field_quantiser`); None takes "distinct" for a ``.touch`` file
+    of coder `paper`, whose decoder made the codewords, and "weber:0.1" for all else (coder `touch` has none, and the
+    receiver interpolates between those of an object) and whenever a device is named. `over` is mu: "voxel", "object",
+    or "interaction:TRACE.csv"; `estimator` a name of `touchfield.measure.estimators.ESTIMATORS`; `devices` are the
+    profiles whose capacity, WMR and HIL are wanted; `limits` tells whether the coding limits are, which take most of
+    the time. `encode` makes a medium of a scene; its device is the reference space that W is sampled in. `density`
+    are samples of W along each axis for one of a point device; None: as fine as the device's data sheet has it, and
+    no finer than W. The paper's W of 10^12 samples has 5 for one of the 8 10^9 of its device.
     """
 
     quantiser: str | None = None
@@ -227,19 +191,9 @@ def measure_medium(
 ) -> Measurement:
     """Measure a medium as an information source, and what devices render of it.
 
-    Parameters
-    ----------
-    source : path, Scene or HapticMedium
-        A ``.touch`` file and a medium are measured as they are; a scene is first made a medium by ``spec.encode``.
-    spec : MeasureSpec, optional
-    report : callable
-        ``report(done, total)`` in steps of the work.
-
-    Returns
-    -------
-    Measurement
-        Every entropy is of one random variable, the symbol of a voxel of any frame; `in_time` pairs a voxel with
-        itself one frame later.
+    A ``.touch`` file and a medium are measured as they are; a scene is first made a medium by ``spec.encode``. Every
+    entropy is of one random variable, the symbol of a voxel of any frame; `in_time` pairs a voxel with itself one
+    frame later. `report` gets ``(done, total)`` in steps of the work.
     """
     spec = spec or MeasureSpec()
     for known in spec.devices:

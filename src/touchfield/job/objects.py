@@ -57,10 +57,8 @@ _VAST: Final = 1 << 16
 def takes_objects(scene: Scene, chosen: Device, spec: EncodeSpec) -> bool:
     """True where the scene is to be coded as objects.
 
-    Raises
-    ------
-    InvalidArgument
-        If `spec.representation` is unknown, or objects are asked for an array, which renders no place but its own.
+    InvalidArgument if `spec.representation` is unknown, or objects are asked for an array, which renders no place but
+    its own.
     """
     if spec.representation not in REPRESENTATIONS:
         raise InvalidArgument("representation", repr(spec.representation), f"one of {', '.join(REPRESENTATIONS)}")
@@ -150,10 +148,7 @@ def _label(name: str) -> str:
 def _lattice(body: Body, mapping: Mapping) -> Grid:
     """The lattice of a body that moves, over its own box and what its force and the low-pass reach beyond.
 
-    Raises
-    ------
-    InvalidArgument
-        If the body is so much larger than the workspace that its field would not fit in memory.
+    InvalidArgument if the body is so much larger than the workspace that its field would not fit in memory.
     """
     never_turns = bool((body.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all())
     spacing = _FINER * np.asarray(mapping.grid.spacing_m)

@@ -34,20 +34,9 @@ _ROUNDING_M: Final = 1e-9
 class Mapping:
     """The mapping M of one device, for scenes in any frame.
 
-    Attributes
-    ----------
-    device : Device
-    grid : Grid
-        The lattice over the workspace, hand metres.
-    placement : Placement
-    profile : ForceProfile
-        The force law in hand metres.
-    spec : EncodeSpec
-        Its device filter is used; its haptic filters are not.
-    notes : tuple of str
-        On the scale, and on units that look odd.
-    is_own : bool
-        Whether the lattice is that of a stored field, which is kept without loss.
+    `grid` is the lattice over the workspace and `profile` the force law, both in hand metres; of `spec` the device
+    filter is used, and not the haptic filters; `notes` are on the scale, and on units that look odd. `is_own` tells
+    that the lattice is that of a stored field, which is kept without loss.
     """
 
     device: Device

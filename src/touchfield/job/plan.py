@@ -1,8 +1,11 @@
-"""The lattice and the settings of the coders that spend a budget best (paper section 4, "optimisation").
+"""The lattice and the settings of the coders that spend a budget best: min R + lambda D (paper section 4).
 
 A medium that moves has a bit rate: R is that of a long stream, from a few pairs of frames that follow each other,
 spread over the scene; the first of a pair tells what a frame alone takes, the second what one that follows takes. A
 still medium is sent once, and has a size in bytes.
+
+D is the NMSE on one lattice, that of the greatest n_w: a coarser stream is decoded and interpolated there as a
+receiver does, so that what a coarse lattice leaves out counts. The mask is the same for all, whatever k a coder took.
 """
 
 from __future__ import annotations
@@ -11,24 +14,26 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.registry import coder, field_decoder, field_encoder
+from touchfield.codec.registry import field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
-from touchfield.job.prepare import open_scene, prepare
-from touchfield.job.settings import Lattice, Optimisation, Trial, lattices, tried
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.filters.resample import interpolated
+from touchfield.job.encode import in_order
+from touchfield.job.prepare import Prepared, open_scene, prepare
+from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
+from touchfield.measure.fidelity import FidelityMeter
+from touchfield.medium import ForceField
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
     from touchfield.codec.segment import CodedSegment
-    from touchfield.medium import ForceField
 
-__all__ = ["Budget", "Plan", "PlanGrid", "amount", "parse_budget", "plan"]
+__all__ = ["Budget", "Plan", "PlanGrid", "Trial", "amount", "parse_budget", "plan"]
 
 _BITS: Final = {"bit": 1, "kbit": 1_000, "Mbit": 1_000_000, "B": 8, "kB": 8_000, "MB": 8_000_000}
 _BUDGET: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(?:(bit|kbit|Mbit|B|kB)/s|(B|kB|MB))")
@@ -62,13 +67,7 @@ class Budget:
 
 
 def parse_budget(text: str) -> Budget:
-    """A budget such as ``64kbit/s`` (bit/s, kbit/s, Mbit/s, B/s, kB/s) or ``60kB`` (B, kB, MB).
-
-    Raises
-    ------
-    InvalidArgument
-        If it is no positive number with one of them.
-    """
+    """A budget such as ``64kbit/s`` (bit/s, kbit/s, Mbit/s, B/s, kB/s) or ``60kB`` (B, kB, MB)."""
     parts = _BUDGET.fullmatch(text.strip())
     if parts is None or not float(parts[1]) > 0:
         units = "bit/s, kbit/s, Mbit/s, B/s, kB/s, or of bytes B, kB, MB"
@@ -82,16 +81,19 @@ class PlanGrid:
     """The settings to try; InvalidArgument if there is no lattice or no setting.
 
     n_w of the lattices (an array has its own); Weber fractions of coder `touch`, F_0 in proportion, in the modes
-    "mask" and "mask-direction"; steps of its mode "nmse", newtons; codebooks of coder `paper`, as a comparison.
+    "mask" and "mask-direction"; steps of its mode "nmse", newtons; of coder `paper`, every one with every other,
+    codebooks (N_d), Weber fractions and n_q.
     """
 
     nw: tuple[int, ...] = (5, 6, 7)
     k: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     step_n: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
     directions: tuple[str, ...] = ("ico3", "ico5")
+    paper_k: tuple[float, ...] = (PaperSpec().k,)
+    nq: tuple[int, ...] = (PaperSpec().nq,)
 
     def __post_init__(self) -> None:
-        for name in ("nw", "k", "step_n", "directions"):
+        for name in ("nw", "k", "step_n", "directions", "paper_k", "nq"):
             object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
         if not self.nw or not (self.k or self.step_n or self.directions):
             raise InvalidArgument("plan", "no setting to try", "a lattice, and a k, a step or a direction codebook")
@@ -103,7 +105,10 @@ class PlanGrid:
         coders = [replace(one, mode=mode) for mode in ("mask", "mask-direction") for one in masks]
         coders += [replace(touch, mode="nmse", step_n=step) for step in self.step_n]
         length = touch.segment_frames or PaperSpec().segment_frames
-        papers = [PaperSpec(directions=d, segment_frames=length) for d in self.directions]
+        papers = [
+            PaperSpec(k=k, nq=nq, directions=d, segment_frames=length)
+            for k, nq, d in product(self.paper_k, self.nq, self.directions)
+        ]
         return [
             *(replace(asked, touch=one) for one in coders),
             *(replace(asked, coder="paper", touch=TouchSpec(), paper=one) for one in papers),
@@ -112,28 +117,89 @@ class PlanGrid:
     @property
     def coarsest(self) -> PlanGrid:
         """Of these the settings that take least: the coarsest lattice, the weakest promise, the greatest step."""
-        k, step_n = self.k and (max(self.k),), self.step_n and (max(self.step_n),)
-        return PlanGrid((min(self.nw),), k, step_n, self.directions)
+        greatest = {name: (max(axis),) for name in ("k", "step_n", "paper_k") if (axis := getattr(self, name))}
+        return replace(self, nw=(min(self.nw),), nq=self.nq and (min(self.nq),), **greatest)
 
 
 @dataclass(frozen=True)
-class Plan(Optimisation):
-    """All settings that were tried, and the best within a budget.
+class Trial:
+    """One setting, as `touchfield.job.encode` takes it, and what came of it.
 
-    Attributes
-    ----------
-    budget : float
-    source : str
-    frames_tried : int
-    unit : str
-        Of the budget: "bit/s", or "bytes" for a still medium.
-
-    Raises
-    ------
-    InvalidArgument
-        If no setting is within the budget; the message names the smallest.
+    `file_bytes` are the file of a still medium, or of a medium that moves a segment of `frames` in a long stream.
+    Measured on the finest lattice are `nmse`, sum |e|^2 / sum |F|^2; `beyond_mask`, the voxels that differ by more
+    than a hand can feel over those that held a force, which can exceed 1; and `mask_kept`, the share of the voxels
+    whose error no hand can feel.
     """
 
+    spec: EncodeSpec
+    file_bytes: int
+    frames: int
+    nmse: float
+    beyond_mask: float
+    rate_hz: float = 1.0
+    mask_kept: float = 1.0
+
+    @property
+    def bits_per_frame(self) -> float:
+        """R."""
+        return 8 * self.file_bytes / self.frames
+
+    @property
+    def bits_per_s(self) -> float:
+        """R as a rate."""
+        return self.bits_per_frame * self.rate_hz
+
+    @property
+    def kind(self) -> str:
+        """The coder, and its mode."""
+        return "paper" if self.spec.coder == "paper" else f"touch {self.spec.touch.mode}"
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        touch, paper = self.spec.touch, self.spec.paper
+        is_paper, is_nmse = self.spec.coder == "paper", touch.mode == "nmse"
+        return {
+            "nw": self.spec.nw,
+            "coder": self.spec.coder,
+            "mode": None if is_paper else touch.mode,
+            "k": paper.k if is_paper else None if is_nmse else touch.k,
+            "f0_n": None if is_paper or is_nmse else touch.f0_n,
+            "step_n": touch.step_n if is_nmse and not is_paper else None,
+            "nq": paper.nq if is_paper else None,
+            "directions": paper.directions if is_paper else None,
+            "file_bytes": self.file_bytes,
+            "bits_per_frame": self.bits_per_frame,
+            "nmse": self.nmse,
+            "nmse_db": 10 * math.log10(self.nmse) if self.nmse > 0 else None,
+            "beyond_mask": self.beyond_mask,
+            "mask_kept": self.mask_kept,
+        }
+
+    @property
+    def options(self) -> str:
+        """The options of `touchfield encode` for it."""
+        told = self.summary()
+        words = [] if told["nw"] is None else [f"--nw {told['nw']}"]
+        if told["coder"] == "paper":
+            words.append("--coder paper")
+        for key in ("mode", "k", "f0_n", "step_n", "nq", "directions"):
+            if told[key] is not None and told[key] != "mask":
+                value = told[key] if isinstance(told[key], str) else f"{told[key]:g}"
+                words.append(f"--{key.replace('_', '-')} {value}")
+        return " ".join(words)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All settings that were tried, in the order of the search, and the best within a budget.
+
+    `k` and `f0_n` are the mask of `Trial.beyond_mask` and `Trial.mask_kept`; `unit` is the budget's, "bit/s", or
+    "bytes" for a still medium. InvalidArgument if no setting is within the budget; it names the smallest.
+    """
+
+    trials: tuple[Trial, ...]
+    k: float
+    f0_n: float
     budget: float
     source: str
     frames_tried: int
@@ -151,6 +217,14 @@ class Plan(Optimisation):
     def is_within(self, trial: Trial) -> bool:
         """True of a trial that keeps to the budget."""
         return self.cost(trial) <= self.budget
+
+    def front(self) -> tuple[Trial, ...]:
+        """Settings that no other beats in both size and NMSE, the smallest first; of equal ones the first tried."""
+        front: list[Trial] = []
+        for trial in sorted(self.trials, key=lambda t: (t.bits_per_s, t.nmse)):
+            if not front or trial.nmse < front[-1].nmse:
+                front.append(trial)
+        return tuple(front)
 
     @property
     def chosen(self) -> Trial:
@@ -173,10 +247,9 @@ class Plan(Optimisation):
 
     @property
     def multiplier(self) -> float | None:
-        """lambda: bits a second (bytes of a still medium) that one unit of NMSE is worth at the choice.
+        """lambda: bits a second (bytes of a still medium) that one unit of NMSE is worth at the choice, if any.
 
-        The slope of the frontier's convex hull there: with it, R + lambda D is least at both ends of that edge. None
-        where there is nothing to weigh.
+        The slope of the frontier's convex hull there: with it, R + lambda D is least at both ends of that edge.
         """
         hull: list[Trial] = []
         for t in self.front():
@@ -213,7 +286,7 @@ class Plan(Optimisation):
 
     def draw(self, path: str | Path) -> None:
         """Write the picture, PNG: NMSE over the cost, the frontier, the budget and the choice."""
-        from touchfield.job.preview import draw_plan
+        from touchfield.job.view import draw_plan
 
         draw_plan(Path(path), self)
 
@@ -227,22 +300,11 @@ def plan(
 ) -> Plan:
     """Code a few frames of a source, as voxels, under every setting, and choose the best within a budget.
 
-    Parameters
-    ----------
-    source : path or Scene
-    budget : float or Budget
-        A number is bits a second.
-    spec : EncodeSpec, optional
-        Of coder `touch`; its k and F_0 are the mask that is reported, its effort that of every trial.
-    search : PlanGrid, optional
-    report : callable
-        ``report(done, total)`` in settings.
+    A number as `budget` is bits a second; `spec` is of coder `touch`: its k and F_0 are the mask that is reported,
+    its effort that of every trial. `report` gets ``(done, total)`` in settings.
 
-    Raises
-    ------
-    TouchfieldError
-        If a setting is not possible, the frames hold no force, or nothing is within the budget; the message then
-        names what takes least. The cheapest settings are tried first, so that this is told soon.
+    TouchfieldError if a setting is not possible, the frames hold no force, or nothing is within the budget; the
+    message then names what takes least. The cheapest settings are tried first, so that this is told soon.
     """
     spec, search = spec or EncodeSpec(), search or PlanGrid()
     budget = budget if isinstance(budget, Budget) else Budget(bits_per_s=budget)
@@ -251,20 +313,64 @@ def plan(
     asked = replace(spec, representation="voxel", touch=replace(spec.touch, mode="mask"))
     scene = open_scene(source, spec.source)
     _check_possible(scene, asked, search.coarsest, budget)
-    total, medium = 0, None
+    mask, total = (spec.touch.k, spec.touch.f0_n), 0
+    prepared = None
 
     def tries() -> Iterator[tuple[Lattice, EncodeSpec]]:
-        nonlocal total, medium
-        for lattice in lattices(scene, asked, sorted(search.nw), _numbers):
-            specs, medium = search.specs(lattice.prepared.spec), lattice.prepared.medium
-            total = len(specs) * (1 if lattice.prepared.device.is_array else len(search.nw))
+        nonlocal total, prepared
+        for lattice in lattices(scene, asked, sorted(search.nw)):
+            prepared = lattice.prepared
+            specs = search.specs(prepared.spec)
+            total = len(specs) * (1 if prepared.device.is_array else len(search.nw))
             yield from ((lattice, one) for one in specs)
 
-    mask = spec.touch.k, spec.touch.f0_n
-    trials = tried(tries(), _in_memory, mask, lambda done: report(done, total))
-    assert medium is not None
+    trials: list[Trial] = []
+    for trial in in_order(lambda one: _trial(*one, mask), tries()):
+        trials.append(trial)
+        report(len(trials), total)
+    assert prepared is not None
+    medium = prepared.medium
     amount, unit = budget.of(len(medium), medium.rate_hz)
-    return Plan(trials, *mask, amount, str(source), len(_numbers(len(medium))), unit)
+    return Plan(tuple(trials), *mask, amount, str(source), len(_numbers(len(medium))), unit)
+
+
+def _trial(lattice: Lattice, spec: EncodeSpec, mask: tuple[float, float]) -> Trial:
+    """A setting coded, decoded and measured by the mask of k and F_0."""
+    size, frames, decoded = _in_memory(lattice, spec)
+    meter = FidelityMeter(mask[0], max(mask[1], NO_FLOOR_N))
+    for original, field in zip(lattice.reference, decoded, strict=True):
+        same = field.grid.shape == original.grid.shape
+        meter.add(original, field if same else interpolated(field, original.grid, border="cell"))
+    nmse = 0.0 if meter.nmse_db is None else 10 ** (meter.nmse_db / 10)
+    beyond = meter.mask_violations / max(1, meter.supported_voxels)
+    rate_hz = lattice.prepared.medium.rate_hz
+    return Trial(spec, size, frames, nmse, beyond, rate_hz, 1 - meter.mask_violation_share)
+
+
+class Lattice(NamedTuple):
+    """The frames to try on one lattice, and the same frames on the finest."""
+
+    prepared: Prepared
+    fields: tuple[ForceField, ...]
+    reference: tuple[ForceField, ...]
+
+
+def lattices(scene: Scene, base: EncodeSpec, nws: Sequence[int]) -> Iterator[Lattice]:
+    """The lattices of several n_w, each made once.
+
+    An array has its own lattice: of several n_w the first is taken. InvalidArgument if no frame holds a force.
+    """
+    finest = prepare(scene, replace(base, nw=max(nws)))
+    wanted = _numbers(len(finest.medium))
+    reference = tuple(finest.medium[i] for i in wanted)
+    if not any(f.support_count for f in reference):
+        raise InvalidArgument("source of a search", f"{len(reference)} frames without a force", "a force")
+    for nw in nws[:1] if finest.device.is_array else nws:
+        asked = replace(base, nw=nw)
+        is_finest = nw == max(nws) or finest.device.is_array
+        prepared = replace(finest, spec=asked) if is_finest else prepare(scene, asked)
+        fields = reference if is_finest else tuple(prepared.medium[i] for i in wanted)
+        yield Lattice(prepared, fields, reference)
 
 
 def _check_possible(scene: Scene, asked: EncodeSpec, search: PlanGrid, budget: Budget) -> None:
@@ -317,8 +423,7 @@ def _numbers(count: int) -> list[int]:
 def _in_memory(lattice: Lattice, spec: EncodeSpec, is_decoded: bool = True) -> tuple[int, int, list[ForceField]]:
     """The bytes of a segment in a long stream, or of the file of a still medium; and the decoded pairs."""
     medium, fields = lattice.prepared.medium, iter(lattice.fields)
-    coding = coder(spec.coder).resolve(spec.coding, lattice.prepared.device.is_array)
-    encoder = field_encoder(lattice.fields[0].grid, coding)
+    encoder = field_encoder(lattice.fields[0].grid, replace(lattice.prepared, spec=spec).coding)
     decoder = field_decoder(spec.coder, lattice.fields[0].grid, encoder.parameters)
     coded: list[CodedSegment] = []
     decoded: list[ForceField] = []

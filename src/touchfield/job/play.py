@@ -67,28 +67,14 @@ _SPARE: Final = 1.2
 class PlaySpec:
     """Everything asked of a play; InvalidArgument if a number is out of range.
 
-    Parameters
-    ----------
-    device : str
-        "sim", "haply", "bhaptics", ...; see `touchfield.adapters`.
-    profile : str or None
-        Device profile whose limits, axes or actuators hold; None: that of the device, for "sim" that of the stream.
-    trajectory : Path or None
-        Of the simulated hand; None: it comes, presses, slides and leaves.
-    trace : Path or None
-        Likewise in the metres and axes of the scene, as a recording has it: it is laid where the scene lies.
-    seconds : float or None
-        How long, from the first frame on; None: the trajectory, or else the medium (a single frame, or a loop: until
-        interrupted).
-    start_s, speed, loop
-        Where the medium begins, how fast it goes, if it begins again.
-    panel : str
-        Of an array with two panels: "front" or "back".
-    offline : bool
-        A simulated hand without a clock: as fast as it goes.
-    is_logged, is_drawn : bool
-        All rows of the log are wanted, else the latest minute; a frame is wanted behind a picture.
-    render : RenderSpec
+    `device` is "sim", "haply", "bhaptics", ... (`touchfield.adapters`); `profile` the device profile whose limits,
+    axes or actuators hold, by default that of the device, for "sim" that of the stream. `trajectory` is that of the
+    simulated hand, which else comes, presses, slides and leaves; `trace` likewise in the metres and axes of the
+    scene, as a recording has it: it is laid where the scene lies. `seconds` count from the first frame on; None: the
+    trajectory, or else the medium (a single frame, or a loop: until interrupted). `start_s`, `speed` and `loop` tell
+    where the medium begins, how fast it goes, and if it begins again; `panel` is "front" or "back" of an array that
+    has both. `offline` is a simulated hand without a clock, as fast as it goes. `is_logged`: all rows of the log are
+    wanted, else the latest minute; `is_drawn`: a frame is wanted behind a picture.
     """
 
     device: str = "sim"
@@ -120,16 +106,8 @@ class PlaySpec:
 class Played:
     """The traces of a play.
 
-    Attributes
-    ----------
-    statistics : dict
-        Stable keys for people and programs.
-    rows : structured array or None
-        `touchfield.render.block.record.COLUMNS`, a row a tick; None for an array.
-    view : InteractionView or None
-    notes : tuple of str
-    error : Exception or None
-        What ended it half way; what was felt until then is here.
+    `statistics` have stable keys; `rows` are of `touchfield.render.block.record.COLUMNS`, a row a tick, None for an
+    array; `error` is what ended it half way: what was felt until then is here.
     """
 
     statistics: dict[str, Any]
@@ -144,13 +122,7 @@ class Played:
         return bool(self.statistics.get("stalled_share", 0.0) > MOST_NOTHING)
 
     def checked(self) -> Played:
-        """Itself.
-
-        Raises
-        ------
-        Exception
-            What ended it half way.
-        """
+        """Itself, or the exception that ended it half way, raised."""
         if self.error is not None:
             raise self.error
         return self
@@ -186,11 +158,8 @@ def play(
     An error half way is in `Played.error`, beside what was felt until then; `tell` gets notes while it plays, `watch`
     the player of a point device once it is there.
 
-    Raises
-    ------
-    InvalidArgument, DeviceError, FormatError
-        If the device is unknown or not there, the trajectory is unusable, or the file or its first frame cannot
-        be read.
+    InvalidArgument or DeviceError or FormatError if the device is unknown or not there, the trajectory is unusable,
+    or the file or its first frame cannot be read.
     """
     spec = spec or PlaySpec()
     with open_stream(path, tell) as stream:
@@ -376,18 +345,8 @@ def _for_points(option: str) -> InvalidArgument:
 def check_play(path: str | Path, speed: float = 1.0, clock_s: Callable[[], float] = perf_counter) -> dict[str, Any]:
     """Decode up to 8 segments, evenly spread, for at most 20 s, and compare with the time that they last.
 
-    Returns
-    -------
-    dict
-        ``frames_decoded``, ``decode_s``, ``decoded_rate_hz``, ``needed_rate_hz``, ``greatest_speed`` that can be
-        played in time, and ``can_play`` at the speed asked for.
-
-    Raises
-    ------
-    InvalidArgument
-        If the speed is not positive.
-    TouchfieldError
-        If the file cannot be read.
+    ``greatest_speed`` is the one that can be played in time, and ``can_play`` is of the speed asked for.
+    InvalidArgument if that is not positive, TouchfieldError if the file cannot be read.
     """
     if not 0 < speed <= _FASTEST:
         raise InvalidArgument("--speed", repr(speed), "above 0, up to 100")

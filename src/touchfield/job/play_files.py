@@ -69,20 +69,9 @@ def _words(flags: int) -> str:
 def sound_of(
     times_s: NDArray[np.float64], forces_n: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], tuple[float, float]]:
-    """The sound of forces over time.
+    """The sound of forces over time, float64 [m, 2] from -1 to 1 at `RATE_HZ`, and the newtons at 1 in each channel.
 
-    Parameters
-    ----------
-    times_s : float64 [n]
-        Ascending, n at least 2.
-    forces_n : float64 [n, 3]
-
-    Returns
-    -------
-    samples : float64 [m, 2]
-        -1 to 1, `RATE_HZ` a second.
-    full_scale_n : (float, float)
-        Newtons at 1 in each channel.
+    times_s : float64 [n], ascending, n at least 2. forces_n : float64 [n, 3].
     """
     from scipy.signal import butter, sosfilt
 

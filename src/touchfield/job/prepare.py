@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from touchfield.codec.registry import coder
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
@@ -38,25 +39,11 @@ _MOST_NAMES: Final = 8
 class Prepared:
     """A source after the device filter and the haptic filters.
 
-    Attributes
-    ----------
-    medium : HapticMedium
-        The voxel representation, on the device's lattice.
-    device : Device
-    placement : Placement
-    spec : EncodeSpec
-    notes : tuple of str
-        For the user.
-    scene : HapticScene or None
-        The object representation, where that is to be coded; `medium` is then made of it.
-    exact : callable or None
-        ``exact(points_m [n, 3]) -> newtons [n, 3]``, the field that the lattice of `medium` samples, where it has a
-        formula and no haptic filter changes it.
-    source : Scene or None
-        What the frames are made of: it tells how far it is, and what was learnt once they are made.
-    reference : str
-        What a promise of the coder is held against: `touchfield.job.spec.OWN_FORCES` where nothing changed these,
-        else `FILTERED`.
+    `medium` is the voxel representation on the device's lattice; `scene` the objects, where these are to be coded and
+    `medium` is made of them. ``exact(points_m [n, 3]) -> newtons [n, 3]`` is the field that the lattice samples,
+    where it has a formula and no haptic filter changes it; `source` what the frames are made of: it tells how far it
+    is, and what was learnt once they are made; `reference` what a promise of the coder is held against, `OWN_FORCES`
+    of `touchfield.job.spec` where nothing changed these, else `FILTERED`.
     """
 
     medium: HapticMedium
@@ -71,6 +58,11 @@ class Prepared:
 
     def __repr__(self) -> str:
         return f"<Prepared: {self.medium!r} for {self.device.name}>"
+
+    @property
+    def coding(self) -> Any:
+        """The coder's spec, of which nothing is left open."""
+        return coder(self.spec.coder).resolve(self.spec.coding, self.device.is_array)
 
     @property
     def learnt(self) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from typing import Any, Final
 
 from touchfield.errors import InvalidArgument
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
+from touchfield.job.joining import taken
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.measure.fidelity import FidelityMeter
@@ -49,13 +50,7 @@ _WITHIN: Final = 0.05
 
 @dataclass(frozen=True)
 class Target:
-    """A target: the bytes of the file or the NMSE in dB, one of both.
-
-    Raises
-    ------
-    InvalidArgument
-        If both or none are given, or the bytes are not positive.
-    """
+    """A target: the bytes of the file or the NMSE in dB; InvalidArgument for both, none, or bytes below 1."""
 
     bytes: int | None = None
     nmse_db: float | None = None
@@ -95,13 +90,7 @@ class Target:
 class RootSearch:
     """Search for the x in `low` to `high` where a falling y(x) is zero.
 
-    Attributes
-    ----------
-    low, high : float
-    slope : float
-        dy/dx where nothing better is known, negative.
-    points : list of (float, float)
-        x and y known so far.
+    `slope` is dy/dx where nothing better is known, negative; `points` are x and y known so far.
     """
 
     low: float
@@ -228,17 +217,8 @@ def encode_to_target(
 ) -> Encoded:
     """Turn a source into a ``.touch`` file of a given size or error, in at most 8 encodings.
 
-    Parameters
-    ----------
-    spec : EncodeSpec
-        Of coder `touch`, in any mode but "lossless".
-    report : callable
-        ``report(done, total)`` in frames, for one encoding after another.
-
-    Raises
-    ------
-    InvalidArgument
-        If the target cannot be reached; it says what the nearest is. Nothing is then left under the name `out`.
+    `spec` is of coder `touch`, in any mode but "lossless"; `report` gets ``(done, total)`` in frames, for one
+    encoding after another. InvalidArgument says what the nearest is; nothing is then left under the name `out`.
     """
     began = time.perf_counter()
     spec = spec or EncodeSpec()
@@ -339,12 +319,7 @@ def _part(prepared: Prepared) -> Prepared | None:
         for i in range(_SUBSET_SEGMENTS)
         for j in range(length)
     ]
-    frames, band = [medium[i] for i in numbers], medium.vibration
-    if band is not None:
-        band = replace(band, frame_count=len(numbers), make_frame=[band[i] for i in numbers].__getitem__)
-    return replace(
-        prepared, medium=replace(medium, frame_count=len(frames), make_frame=frames.__getitem__, vibration=band)
-    )
+    return replace(prepared, medium=taken(medium, numbers))
 
 
 def _kept(prepared: Prepared) -> Prepared:

@@ -53,10 +53,7 @@ _TICK_S: Final = 1e-3
 def examine(name: str | None = None) -> dict[str, list[Check]]:
     """Everything there is, by what it is for: the libraries, the machine, and each device; or one device alone.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no such device.
+    InvalidArgument if there is no such device.
     """
     kinds = {kind.name: kind.checks for kind in point_kinds()} | {kind.name: kind.checks for kind in array_kinds()}
     if name is None:

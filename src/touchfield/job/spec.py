@@ -59,10 +59,7 @@ class EncodeSpec:
     of what vibrates beside the force (`touchfield.filters.contact`), which takes the voxel representation;
     `friction` and `damping_n_s_per_m` are mu and b of paper 3.2, which the receiver renders; None: the source's.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no such coder, or something is asked of the coder that is not taken.
+    InvalidArgument if there is no such coder, or something is asked of the coder that is not taken.
     """
 
     device: str = "phantom-omni"
@@ -168,10 +165,7 @@ class EncodeSpec:
     def from_json(cls, text: str) -> EncodeSpec:
         """The spec of a stream, so that its source can be filtered again in the same way.
 
-        Raises
-        ------
-        CorruptFile
-            If the provenance cannot be understood.
+        CorruptFile if the provenance cannot be understood.
         """
         try:
             values = json.loads(text)

@@ -38,16 +38,7 @@ def is_stream(source: Source) -> bool:
 class StreamScene(StoredScene):
     """A stream's decoded medium, its objects if it has any, and the device, lattice and placement it was made for.
 
-    The file is closed when the scene and its medium are no longer used.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read.
+    The file is closed when the scene and its medium are no longer used. FormatError if it cannot be read.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -69,11 +60,7 @@ class StreamScene(StoredScene):
 class MediumScene(StreamScene):
     """A medium of the user's, on its own lattice in the metres of the hand: neither scaled nor resampled nor clipped.
 
-    Parameters
-    ----------
-    medium : HapticMedium
-    device_name : str
-        The device that it is for, whose F_max holds for what haptic filters add.
+    It is for a device of that name, whose F_max holds for what haptic filters add.
     """
 
     def __init__(self, medium: HapticMedium, device_name: str) -> None:
@@ -88,10 +75,7 @@ class MediumScene(StreamScene):
 def as_source(source: object, device_name: str, grid: Grid | None = None) -> str | Path | Scene:
     """A path or a scene as it is, a medium as a `MediumScene`; newtons [.., nx, ny, nz, 3] are one with their grid.
 
-    Raises
-    ------
-    InvalidArgument
-        If it is none of these, or an array without its grid.
+    InvalidArgument if it is none of these, or an array without its grid.
     """
     if grid is not None and not isinstance(source, str | Path | Scene | HapticMedium | ForceField):
         source = HapticMedium.from_array(np.asarray(source), grid)
@@ -109,9 +93,6 @@ def as_source(source: object, device_name: str, grid: Grid | None = None) -> str
 def decode(path: str | Path) -> HapticMedium:
     """The medium of a ``.touch`` file; its frames are decoded when they are asked for.
 
-    Raises
-    ------
-    FormatError
-        If the file cannot be read.
+    FormatError if the file cannot be read.
     """
     return StreamScene(path).medium

@@ -244,4 +244,4 @@ class HapticMedium:
 
         Raises `MissingExtra` if matplotlib is not installed.
         """
-        return import_module("touchfield.job.preview").draw_medium(self, path)
+        return import_module("touchfield.job.view").draw_medium(self, path)
