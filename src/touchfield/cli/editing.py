@@ -25,7 +25,7 @@ Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, gaussian, b
 
 
 def coder_spec(asked: dict[str, Any]) -> EncodeSpec:
-    """What is asked of the coder, and nothing of a scene."""
+    """The coder's options alone, without a scene's."""
     return encode_spec({name.replace("-", "_"): default for name, _, default, _ in SCENE} | asked)
 
 

@@ -157,7 +157,7 @@ Row = tuple[str, str, str, str]
 
 _DILUTED = "too few samples for its {}: not to be trusted"
 _WARNINGS = ("bias", "few", "too low", "overshoots", "negative", "diluted", "not to be trusted")
-"""What a note says that tells how far a number may be trusted; such notes come first."""
+"""Words of notes that tell how far a number may be trusted; such notes come first."""
 
 
 def show_measurement(found: Measurement, as_json: bool, notes: tuple[str, ...]) -> None:

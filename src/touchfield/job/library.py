@@ -57,7 +57,7 @@ class Entry:
 
 @dataclass
 class Library:
-    """What is known of a folder: `entries` of all its files, and the descriptors of those that have one."""
+    """Index of a folder: `entries` of all its files, and the descriptors of those that have one."""
 
     entries: dict[str, Entry] = field(default_factory=dict)
     rows: dict[str, Float64s] = field(default_factory=dict)
@@ -122,7 +122,7 @@ def library_path(folder: Path, path: Path | None = None) -> Path:
 
 @dataclass(frozen=True)
 class Indexed:
-    """What `index_folder` did."""
+    """Counts of one run of `index_folder`."""
 
     path: Path
     library: Library
@@ -133,7 +133,7 @@ class Indexed:
 
     @property
     def faults(self) -> dict[str, str]:
-        """What is wrong with the files that are left out, by name."""
+        """Faults of the files that are left out, by name."""
         return {name: entry.fault for name, entry in self.library.entries.items() if entry.fault}
 
     def summary(self) -> dict[str, Any]:

@@ -60,7 +60,7 @@ class LiveSpec:
 
 @dataclass
 class Sent:
-    """What went on the air; `left_out` are frames that came too late to be made or coded."""
+    """Counts of a broadcast; `left_out` are frames that came too late to be made or coded."""
 
     frames: int = 0
     segments: int = 0

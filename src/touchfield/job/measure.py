@@ -122,7 +122,7 @@ class Measurement:
         draw_information(Path(path), InformationView(title, "bits per supported voxel", self._bars(), devices))
 
     def _bars(self) -> list[Bar]:
-        """What a supported voxel costs, from raw numbers to the best limit; telling where it is included."""
+        """Bits of a supported voxel, from raw numbers to the best limit; telling where it is included."""
         from touchfield.viewer.information import Bar
 
         each = self.frames * self.voxels / self.supported_voxels
@@ -152,7 +152,7 @@ OVER = ("voxel", "object", "interaction")
 
 @dataclass(frozen=True)
 class MeasureSpec:
-    """What was asked of `measure_medium`; InvalidArgument if it makes no sense.
+    """Options of `measure_medium`; InvalidArgument if it makes no sense.
 
     `quantiser` is Q in words (`touchfield.codec.paper.field_quantiser`); None takes "distinct" for a ``.touch`` file
     of coder `paper`, whose decoder made the codewords, and "weber:0.1" for all else (coder `touch` has none, and the
@@ -359,7 +359,7 @@ def _capacity(
 
 
 def _same_symbols(a: SymbolFrames, b: SymbolFrames) -> bool:
-    """Whether both tell the same of every voxel, so that no loss has to be estimated."""
+    """True if both tell the same of every voxel, so that no loss has to be estimated."""
     if a.medium.grid.shape != b.medium.grid.shape or a.quantiser.words != b.quantiser.words:
         return False
     return all(

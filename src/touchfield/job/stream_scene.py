@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 __all__ = ["MediumScene", "Source", "StreamScene", "as_source", "decode", "is_stream"]
 
 Source = str | Path | Scene | HapticMedium | ForceField
-"""What can be encoded: a path or "sample:NAME", a scene, a medium, or a field, which is a medium of one frame."""
+"""Sources of an encoding: a path or "sample:NAME", a scene, a medium, or a field, which is a medium of one frame."""
 
 
 def is_stream(source: Source) -> bool:
-    """Whether a source is a ``.touch`` file, by its name; a scene is none."""
+    """True if a source is a ``.touch`` file, by its name; a scene is none."""
     if is_remote(source):
         return True
     return isinstance(source, str | Path) and Path(source).suffix.lower() == ".touch" and Path(source).is_file()

@@ -118,7 +118,7 @@ def page_of_medium(medium: HapticMedium) -> Page:
 
 
 def _figures(opened: OpenStream) -> dict[str, Any]:
-    """What the stream itself promises, without decoding it."""
+    """Promises of the stream itself, without decoding it."""
     told = opened.summary()
     return {key: told[key] for key in _FIGURES if told.get(key) is not None}
 

@@ -128,7 +128,7 @@ def blocks_around(
 
 
 def _numbers(where: str, given: ArrayLike, kind: type[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
-    """What was given as an array of a kind and shape, or an error of ours."""
+    """An argument as an array of a kind and shape, or an error of ours."""
     try:
         numbers = np.asarray(given, kind)
         return numbers if shape is None else numbers.reshape(shape)

@@ -189,7 +189,7 @@ def _doubled(pairs):
 
 @njit(cache=True, nogil=True)
 def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, most):
-    """Which bricks of a lattice each object may reach: pairs (brick, object), int64 [m, 2], objects ascending.
+    """Bricks of a lattice that each object may reach: pairs (brick, object), int64 [m, 2], objects ascending.
 
     Boxes of cells and of the lattice's brick are held against each other along the axes of both. `bricks` [n, 3]
     are those of cells, from `starts[n]` on; `stamps`, zero for each brick of the lattice, comes back as the number
