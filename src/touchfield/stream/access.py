@@ -263,12 +263,13 @@ def _most_connections() -> int:
     except ImportError:  # of a system that has no such limit
         return 8192
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    most = hard if hard != resource.RLIM_INFINITY else 1 << 16
+    unbounded = resource.RLIM_INFINITY
+    soft, most = (_MOST_CONNECTIONS if n == unbounded else min(n, _MOST_CONNECTIONS) for n in (soft, hard))
     if soft < most:
         with suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
             soft = most
-    return max(8, min(soft, _MOST_CONNECTIONS) * 7 // 8)
+    return max(8, soft * 7 // 8)
 
 
 def _is_loopback(host: str) -> bool:
