@@ -23,9 +23,10 @@ import copy
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
@@ -46,11 +47,6 @@ from touchfield.sources.shapes import (
     moved,
 )
 from touchfield.sources.toml_values import known, number, number_or_list, read_toml, tables, text
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["KIND", "SHAPES", "AnalyticScene", "read_analytic", "shape_of_table"]
 
 SHAPES: Final[dict[str, type[Shape]]] = {
     "plane": Plane,

@@ -15,32 +15,26 @@ import math
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.medium import PoseTrack
+from touchfield.medium import ForceField, Grid, PoseTrack
 from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.gltf.document import members_of
+from touchfield.sources.gltf.model import Model, Poses
 from touchfield.sources.mesh_holes import HOLES, Mended, mended
 from touchfield.sources.mesh_scene import MeshScene, union_of
 from touchfield.sources.mesh_surface import Surface, welded_in_motion
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.rigid_parts import RigidPart, rigid_parts
 from touchfield.sources.scene import UP_Y_AXES, Body, Scene
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import ForceField, Grid
-    from touchfield.sources.gltf.model import Model, Poses
-    from touchfield.sources.options import SourceOptions
-    from touchfield.sources.profile import ForceProfile
-
-    Floats = NDArray[np.float64]
-
-__all__ = ["KIND", "AnimatedMeshScene"]
+Floats = NDArray[np.float64]
 
 _RATE_HZ: Final = 60.0
 _MOST_FRAMES: Final = 100_000
@@ -88,8 +82,6 @@ class AnimatedMeshScene(Scene):
         shell: str = "auto",
         holes: str = "small",
     ) -> None:
-        from touchfield.sources.gltf.model import Model
-
         if not (rate_hz > 0 and math.isfinite(rate_hz)):
             raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
         if holes not in HOLES:

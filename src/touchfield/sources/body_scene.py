@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid
@@ -16,17 +16,12 @@ from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import UP_Z_AXES, Body, Scene
 from touchfield.sources.shapes import Plane
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Float64s = NDArray[np.float64]
 
-    from touchfield.sources.profile import ForceProfile
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["BodyScene"]
 
 _AT_REST = (0.0,) * 9
 

@@ -18,28 +18,24 @@ import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.files import require_plain
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_contacts
 from touchfield.parallel import for_chunks
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Scene, field_of_points
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Float64s = NDArray[np.float64]
+Triple = tuple[float, float, float]
 
-    from touchfield.sources.options import SourceOptions
-    from touchfield.sources.profile import ForceProfile
-
-    Float64s = NDArray[np.float64]
-    Triple = tuple[float, float, float]
-
-__all__ = ["KIND", "REACH", "ContactScene"]
 
 _POSITIONS: Final = ("pose.position", "position", "point", "transform.translation", "translation")
 _FORCES: Final = ("wrench.force", "force")

@@ -10,23 +10,18 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import SourceError
 from touchfield.files import require_beside, require_plain
 from touchfield.sources.gltf.document import members_of
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import welded
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.sources.options import SourceOptions
-
-__all__ = ["KIND", "read_triangles"]
 
 _SUFFIXES: Final = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
 _MOST_TRIANGLES: Final = 30_000_000

@@ -13,18 +13,15 @@ left. No vertex is added, so that a patch moves with its mesh.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.sources.mesh_surface import Edges, Surface
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Int32s = NDArray[np.int32]
 
-    Int32s = NDArray[np.int32]
-
-__all__ = ["HOLES", "Mended", "mended"]
 
 HOLES: Final = ("small", "close", "leave")
 

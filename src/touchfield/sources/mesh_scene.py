@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from touchfield.sources.kernels.mesh import Band, Motion
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["MeshScene", "Union", "union_of"]
 
 _UNSURE = 2e-9
 """Closer than this to the mesh, of the largest coordinate, rounding spoils the direction to the nearest point."""

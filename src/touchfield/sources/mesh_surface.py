@@ -9,16 +9,12 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from touchfield.errors import SourceError
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-__all__ = ["Edges", "Surface", "joined", "places", "welded", "welded_in_motion"]
 
 _LARGEST_M = 1e15
 

@@ -37,8 +37,6 @@ from touchfield.sources.simulation import (
     warnings_heard,
 )
 
-__all__ = ["KIND"]
-
 _SECONDS: Final = 2.0
 _SECONDS_NAME: Final = "touchfield_seconds"
 _HEAD_BYTES: Final = 1 << 16

@@ -10,10 +10,12 @@ geoms too is a body of its own, "body/geom", with the same track: where they ove
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.analytic_scene import AnalyticScene
@@ -22,14 +24,8 @@ from touchfield.sources.mesh_surface import joined
 from touchfield.sources.scene import UP_Z_AXES, Scene
 from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Plane, Shape, Sphere, moved
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+Float64s = NDArray[np.float64]
 
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["Piece", "pieces_of"]
 
 _SHOWN_GROUPS: Final = 3
 _HERE: Final = (0.0, 0.0, 0.0)

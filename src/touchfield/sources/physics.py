@@ -41,9 +41,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.pose_track import PoseTrack
@@ -59,12 +60,8 @@ from touchfield.sources.shapes import Plane
 from touchfield.sources.simulation import frames_of, load_mujoco, simulated
 from touchfield.sources.toml_values import read_toml
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Poses = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
-    Poses = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-
-__all__ = ["KIND", "open_physics"]
 
 _SECONDS: Final = 2.0
 

@@ -11,25 +11,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import SourceError
+from touchfield.medium.pose_track import PoseTrack
 from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.physics_table import PhysicsTable, RigidBody, World
 from touchfield.sources.poses import quaternion_of_turns
 from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere, Superquadric, rotation_matrix
 from touchfield.sources.simulation import START, mujoco_faults, warnings_heard
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Float64s = NDArray[np.float64]
 
-    from touchfield.medium.pose_track import PoseTrack
-    from touchfield.sources.physics_table import PhysicsTable, RigidBody, World
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["model_of"]
 
 _HARD: Final = (0.99, 0.99, 0.001, 0.5, 2.0)
 """Impedance: nearly all of the acceleration at a contact is the spring's and damper's."""

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import SourceError
 from touchfield.files import require_beside
 from touchfield.sources.analytic_scene import SHAPES, AnalyticScene, shape_of_table
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.scene import UP_Z_AXES
+from touchfield.sources.shapes import Triple
 from touchfield.sources.simulation import FRAME_RATE_HZ
 from touchfield.sources.toml_values import known, number, read_toml, tables, text
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.sources.shapes import Triple
-
-__all__ = ["DENSITY_KG_M3", "Floor", "PhysicsTable", "RigidBody", "World", "read_physics"]
 
 DENSITY_KG_M3: Final = 1000.0
 

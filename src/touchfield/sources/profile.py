@@ -8,16 +8,11 @@ so a new law needs no new kernel.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from touchfield.errors import InvalidArgument
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-__all__ = ["ForceProfile"]
 
 
 @dataclass(frozen=True)

@@ -10,21 +10,17 @@ Source of the fit: W. Kabsch, A solution for the best rotation to relate two set
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.medium import PoseTrack
 from touchfield.medium.pose_track import quaternions_of
+from touchfield.sources.mesh_surface import Surface
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Floats = NDArray[np.float64]
 
-    from touchfield.sources.mesh_surface import Surface
-
-    Floats = NDArray[np.float64]
-
-__all__ = ["RigidPart", "rigid_parts"]
 
 _RIGID: Final = 1e-5
 _LOOKS: Final = 16

@@ -5,20 +5,13 @@ Also tiny ones for tests.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.options import SourceOptions
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.sources.scene import Scene
-
-__all__ = ["SAMPLES", "sample", "tiny_scenes"]
+from touchfield.sources.scene import Scene
 
 SAMPLES = ("shapes", "terrain", "motorcycle", "falling-4", "falling-7")
 

@@ -25,24 +25,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.sources.camera import DepthSequence, require_frame
-from touchfield.sources.scene import Body
+from touchfield.sources.scene import Body, Scene
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Float32s = NDArray[np.float32]
+Labels = NDArray[np.int32]
 
-    from touchfield.sources.scene import Scene
-
-    Float32s = NDArray[np.float32]
-    Labels = NDArray[np.int32]
-
-__all__ = ["MaskedSequence", "SegmentRule", "Segmentation", "segmented_bodies", "surfaces"]
 
 LARGEST_AT_MOST: Final = 254
 BACKGROUND: Final = 0

@@ -19,8 +19,6 @@ import numpy as np
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.medium.pose_track import PoseTrack
 
-__all__ = ["FRAME_RATE_HZ", "START", "frames_of", "load_mujoco", "mujoco_faults", "simulated", "warnings_heard"]
-
 FRAME_RATE_HZ: Final = 1000.0
 """Frames a second where none are asked for: the rate of haptic rendering."""
 

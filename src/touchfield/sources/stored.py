@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import SourceError
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
@@ -18,11 +19,6 @@ from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Scene, field_of_points
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["KIND", "StoredScene"]
 
 _RETIRED: Final = (".vti", ".pvd")
 """Written for ParaView, and read no more."""

@@ -10,8 +10,6 @@ from typing import Any, Final
 from touchfield.errors import SourceError
 from touchfield.files import plain_size
 
-__all__ = ["known", "number", "number_or_list", "read_toml", "tables", "text"]
-
 _MAX_BYTES: Final = 1 << 24
 
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from touchfield.sources.scene import Scene
-
-__all__ = ["unit_notes"]
+from touchfield.sources.scene import Scene
 
 _FACTORS: Final = (1000.0, 100.0, 1e4, 1e6, 10.0)
 """Between units that are mistaken for each other, the usual first: metres and millimetres."""

@@ -14,15 +14,13 @@ import math
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final
 from urllib.parse import unquote
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import SourceError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _SPARE: Final = 1 << 20

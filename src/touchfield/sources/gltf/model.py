@@ -6,18 +6,16 @@ import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.sources.gltf.document import Document
 from touchfield.sources.gltf.nodes import Animation, Nodes, animation_names, read_animation
 from touchfield.sources.gltf.primitives import MOST_TRIANGLES, Geometry, Skin, joint_shares, read_geometry
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

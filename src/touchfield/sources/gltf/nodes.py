@@ -8,21 +8,17 @@ and after its last time a sampler holds its value.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.medium.pose_track import rotation_matrices, slerp
+from touchfield.sources.gltf.document import Document, Element
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from touchfield.sources.gltf.document import Document, Element
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 _WIDTHS: Final = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS: Final = ("LINEAR", "STEP", "CUBICSPLINE")

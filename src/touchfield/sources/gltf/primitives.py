@@ -8,16 +8,14 @@ has no say.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from touchfield.sources.gltf.document import Element
 
-    from touchfield.sources.gltf.document import Element
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 MOST_TRIANGLES: Final = 10_000_000
 """A node tree may use one mesh many times; a frame of this many takes about 3 GB."""

@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from touchfield.medium import Grid
 from touchfield.medium.kernels.placed import close_up
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels.mesh_samples import Motion, Rim, RimNear, add_motion, fade
@@ -35,11 +36,6 @@ from touchfield.sources.kernels.mesh_triangle import (
     sweep_block,
     tiles_for,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import Grid
 
 __all__ = ["CLOSED", "LIDDED", "ONE_SIDED", "TWO_SIDED", "Band", "Motion", "Rim", "forces_near"]
 

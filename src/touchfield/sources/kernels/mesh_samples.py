@@ -12,16 +12,14 @@ grid's origin and spacing in metres, `lattice` float64 [6]; they change `forces`
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels.mesh_triangle import nearest
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 class Motion(NamedTuple):

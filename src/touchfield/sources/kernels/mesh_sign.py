@@ -12,20 +12,13 @@ An event is one int64: column of bricks, y and z within it (3 bits each), first 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from touchfield.medium import Grid
 from touchfield.medium.kernels.bricks import first_at_least
 from touchfield.parallel import for_chunks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import Grid
-
-__all__ = ["COLUMN_SHIFT", "crossings", "winding_at", "winding_of_brick"]
 
 COLUMN_SHIFT = 27
 _ROW_SHIFT = 21

@@ -13,32 +13,12 @@ than their work.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from touchfield.parallel import for_chunks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = [
-    "ID",
-    "D",
-    "X",
-    "Y",
-    "Z",
-    "feature",
-    "least_of",
-    "nearest",
-    "place_centres",
-    "see_all",
-    "square_of",
-    "sweep_block",
-    "tiles_for",
-    "triangle_table",
-]  # fmt: skip
 
 X, Y, Z, D, ID = 0, 64, 128, 192, 256
 """Sections of a block's memory, float32 [320]: 64 places, squared distances and numbers of the nearest triangle."""

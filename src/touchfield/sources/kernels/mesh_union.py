@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 
 from touchfield.parallel import for_chunks
 
-__all__ = ["Bins", "Pieces", "boxes_of", "crossing_pairs", "cut", "inner_and_outer", "sorted_into_bins"]
-
 _MOST_CORNERS, _MOST_PIECES = 24, 96
 _PER_TRIANGLE = 32
 """Bins a triangle may lie in on average."""

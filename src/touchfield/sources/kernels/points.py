@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from touchfield.lean import entry
+from touchfield.medium import ForceField, Grid
 from touchfield.parallel import for_chunks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.medium import ForceField, Grid
-
-__all__ = ["add_body", "add_forces", "greatest_roots"]
 
 _MOST_STEPS: Final = 60
 """Of Newton's iteration; where it is slowest, beside the focal ellipse, about ten are needed."""
