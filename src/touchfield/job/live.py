@@ -106,39 +106,8 @@ def broadcast(
     ``send(segment) -> message`` must not wait for anyone; ``tell(note)`` gets what could not keep up.
     """
     sent = Sent()
-    anchor: ForceField | None = None
     encoder = field_encoder(prepared.medium.grid, prepared.coding)
-
-    def coded(first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> LiveSegment | None:
-        nonlocal anchor
-        frames: list[ForceField] = []
-        spent = 0.0
-
-        def next_frames() -> Iterator[ForceField]:
-            nonlocal spent
-            while (frame := coming.get()) is not None:
-                frames.append(frame)
-                began = clock_s()
-                yield frame
-                spent += clock_s() - began
-
-        if isinstance(encoder, TouchEncoder):  # codes a frame while the next one is made
-            coming_frames = next_frames()
-            start = next(coming_frames, None)
-            if start is None:  # the source ended before it
-                return None
-            anchor = encoder.anchor(start, anchor)  # of a world that stands
-            every = chain([start], coming_frames)
-            body = encoder.encode_segment(every, anchor, prepared.device.force_max_n).body
-        else:
-            came = list(next_frames())
-            if not came:
-                return None
-            began = clock_s()
-            body = encoder.encode_segment(came).body
-            spent = clock_s() - began
-        sent.slowest_encode_s = max(sent.slowest_encode_s, spent)
-        return LiveSegment(first, len(frames), body, encode_vibration(band) if band else None)
+    coded = _SegmentCoder(encoder, prepared.device.force_max_n, sent, clock_s)
 
     def delivered(future: Future[LiveSegment | None]) -> None:
         if future.exception() is None and (segment := future.result()) is not None:
@@ -174,6 +143,44 @@ def broadcast(
         while under_way:
             under_way.popleft().result()
     return sent
+
+
+class _SegmentCoder:
+    """Codes segments of frames as they come, one after the other."""
+
+    def __init__(self, encoder: Any, force_max_n: float, sent: Sent, clock_s: Callable[[], float]) -> None:
+        self._encoder, self._force_max_n, self._sent, self._clock_s = encoder, force_max_n, sent, clock_s
+        self._anchor: ForceField | None = None
+
+    def __call__(
+        self, first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]
+    ) -> LiveSegment | None:
+        """Code the frames that come up to a None; no segment where there are none."""
+        count, spent = 0, 0.0
+
+        def next_frames() -> Iterator[ForceField]:
+            nonlocal count, spent
+            while (frame := coming.get()) is not None:
+                count += 1
+                began = self._clock_s()
+                yield frame
+                spent += self._clock_s() - began
+
+        frames = next_frames()
+        start = next(frames, None)
+        if start is None:  # the source ended before it
+            return None
+        every = chain([start], frames)
+        if isinstance(self._encoder, TouchEncoder):  # codes a frame while the next one is made
+            self._anchor = self._encoder.anchor(start, self._anchor)  # of a world that stands
+            body = self._encoder.encode_segment(every, self._anchor, self._force_max_n).body
+        else:
+            came = list(every)
+            began = self._clock_s()
+            body = self._encoder.encode_segment(came).body
+            spent = self._clock_s() - began
+        self._sent.slowest_encode_s = max(self._sent.slowest_encode_s, spent)
+        return LiveSegment(first, count, body, encode_vibration(band) if band else None)
 
 
 def _groups(

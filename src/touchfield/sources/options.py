@@ -1,4 +1,4 @@
-"""What a user may say about a source beyond its path; each source kind reads what concerns it."""
+"""Options of a source beyond its path; each source kind reads what concerns it."""
 
 from __future__ import annotations
 

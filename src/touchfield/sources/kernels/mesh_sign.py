@@ -44,7 +44,7 @@ def _index_from(position, origin, step, count):
 
 @njit(nogil=True)
 def _scan_line(vertices, triangle, z, lattice, ny):
-    """What a triangle covers of the line at height z: columns from, to; y and x at both ends; sign."""
+    """The part of the line at height z that a triangle covers: columns from, to; y and x at both ends; sign."""
     first = last = 0
     y0 = y1 = x0 = x1 = 0.0
     held = False

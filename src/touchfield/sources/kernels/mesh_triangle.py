@@ -90,7 +90,7 @@ def triangle_table(vertices_m: NDArray[np.float64], triangles: NDArray[np.int32]
 
 @njit(nogil=True, forceinline=True)
 def _see(table, t, x, y, z, scale, reach, tiles, at):
-    """What the search needs of a triangle, seen from (x, y, z), for samples within `reach` of there (scaled)."""
+    """A triangle as the search needs it, seen from (x, y, z), for samples within `reach` of there (scaled)."""
     for i in range(21):
         tiles[at + (10 + i) * _LANES] = np.float32(table[t, i])
     tiles[at + 31 * _LANES] = np.float32(1)

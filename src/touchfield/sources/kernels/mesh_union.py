@@ -34,7 +34,7 @@ class Bins(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """What is left of triangles that were cut: corners float64 [k, 3, 3], and the triangle of each, int32 [k]."""
+    """Pieces of triangles that were cut: corners float64 [k, 3, 3], and the triangle of each, int32 [k]."""
 
     corners: NDArray[np.float64]
     parents: NDArray[np.int32]
@@ -125,7 +125,7 @@ def _span_on_line(points, count, heights, along, tiny):
 
 @njit(nogil=True)
 def _meet(piece, count, normal, other, its_normal, tiny, h, g):
-    """Whether a triangle `other` reaches a convex piece along a line on both sides of which the piece lies.
+    """True if a triangle `other` reaches a convex piece along a line on both sides of which the piece lies.
 
     Fills `h`, the heights of the piece over the other's plane.
     """
