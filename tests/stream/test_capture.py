@@ -47,7 +47,7 @@ def png(number: int) -> bytes:
 
 def put(folder: Path, number: int) -> None:
     (folder / "being-written").write_bytes(png(number))
-    os.rename(folder / "being-written", folder / f"{number:04d}.png")
+    os.rename(folder / "being-written", folder / f"depth{8 + number}.png")  # 8, 9, 10, ...
 
 
 def until(condition: Callable[[], bool]) -> None:
@@ -81,7 +81,7 @@ def test_a_folder_that_grows_shows_the_newest_picture(tmp_path: Path, monkeypatc
 def test_a_picture_that_is_never_finished_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capture, "PATIENCE_S", 5.0)
     monkeypatch.setattr(capture, "_UNFINISHED_S", 0.05)
-    (tmp_path / "0000.png").write_bytes(png(0)[:-30])
+    (tmp_path / "depth8.png").write_bytes(png(0)[:-30])
     folder = GrowingFolder(tmp_path)
     Thread(target=lambda: (time.sleep(0.2), put(tmp_path, 1)), daemon=True).start()  # type: ignore[func-returns-value]
     np.testing.assert_array_equal(folder.next(), depth_mm(1))

@@ -22,7 +22,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.files import exactly, standard_input
 from touchfield.sources.camera import DepthCode, DepthSequence
-from touchfield.sources.depth_reader import source_rate
+from touchfield.sources.depth_reader import list_files, source_rate, with_suffix
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.fused_scene import FusedScene
 from touchfield.sources.intrinsics_file import camera_of
@@ -80,24 +80,24 @@ class Pictures(ABC):
 
 
 class GrowingFolder(Pictures):
-    """Pictures that are put into a folder: each time the one whose name is last, where it was not seen before."""
+    """Pictures that are put into a folder: each time the last in the order of their numbers, once it is another."""
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
             raise SourceError(str(folder), "no folder", "a folder into which depth pictures are put")
-        self.name, self._folder, self._last = str(folder), folder, ""
+        self.name, self._folder = str(folder), folder
+        self._last: Path | None = None
 
     def next(self) -> NDArray[Any]:
         """See `Pictures.next`. A picture that is being written is looked at again for a second, then passed over."""
         until = time.monotonic() + PATIENCE_S
         while time.monotonic() < until:
-            names = [path.name for path in self._folder.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES]
-            newest = max(names, default="")
-            if newest <= self._last:
+            files = list_files(self._folder, with_suffix(*PICTURE_SUFFIXES))
+            if not files or files[-1] == self._last:
                 time.sleep(_LOOK_S)
                 continue
-            self._last = newest
-            picture = self._whole(self._folder / newest)
+            self._last = files[-1]
+            picture = self._whole(self._last)
             if picture is not None:
                 return picture
         raise CaptureEnd(self.name, f"no new picture for {PATIENCE_S:g} s", "a folder that grows")
