@@ -16,6 +16,8 @@ A message is one line: where, what was found, what was expected, how to mend it.
 
 from __future__ import annotations
 
+from typing import Any
+
 __all__ = [
     "CorruptFile",
     "DeviceError",
@@ -55,6 +57,16 @@ class TouchfieldError(Exception):
         if mend:
             text += f". {mend}"
         super().__init__(" ".join(text.split()))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As it travels from a process to another: its text, whatever made it."""
+        return _travelled, (type(self), str(self), self.__dict__)
+
+
+def _travelled(kind: type[TouchfieldError], text: str, told: dict[str, Any]) -> TouchfieldError:
+    error = kind.__new__(kind, text)
+    error.__dict__.update(told)
+    return error
 
 
 class InvalidArgument(TouchfieldError, ValueError):

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
-from touchfield.job.encode import in_order
+from touchfield.job.executors import in_order
 from touchfield.job.spec import Report, silent
 from touchfield.job.stream_scene import decode
 from touchfield.measure.descriptors import Descriptor, descriptor

@@ -20,7 +20,8 @@ from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.errors import InvalidArgument
-from touchfield.job.encode import head_of, provenance_of
+from touchfield.job.coding import head_of
+from touchfield.job.encode import provenance_of
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import as_source

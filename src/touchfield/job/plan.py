@@ -23,7 +23,7 @@ from touchfield.codec.registry import field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import interpolated
-from touchfield.job.encode import in_order
+from touchfield.job.executors import in_order
 from touchfield.job.prepare import Prepared, open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
 from touchfield.measure.fidelity import FidelityMeter

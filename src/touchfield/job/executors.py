@@ -1,0 +1,149 @@
+"""Work spread over threads, or over the workers of an executor: processes, or the machines of a cluster.
+
+Any `concurrent.futures.Executor` will do; what is retried, moved and kept where is its business alone.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any, Final, TypeVar
+
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
+from touchfield.parallel import worker_count
+
+__all__ = ["executor_of", "in_order"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_MOST_SUBMITTED: Final = 256
+"""Tasks that an executor is given before the first of their results is waited for."""
+
+_MOST_PROCESSES: Final = 1024
+_PATIENCE_S: Final = 5
+"""For a scheduler that does not answer."""
+
+
+@contextmanager
+def executor_of(words: str) -> Iterator[Executor]:
+    """The executor of ``--workers``: ``processes:N`` of this machine, or ``dask:ADDRESS``, dask's scheduler.
+
+    InvalidArgument if the words are neither; SourceError if there is no scheduler at the address.
+    """
+    kind, _, rest = words.partition(":")
+    if kind == "processes" and rest.isdigit() and 0 < int(rest) <= _MOST_PROCESSES:
+        each = max(1, worker_count() // int(rest))
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(int(rest), context, _use_threads, (each,)) as pool:
+            yield pool
+    elif kind == "dask" and rest:
+        try:
+            Client: Any = import_module("distributed").Client
+        except ImportError:
+            raise MissingExtra("--workers dask:ADDRESS", "distributed", "cluster") from None
+        try:
+            client = Client(rest, timeout=_PATIENCE_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            found = f"no scheduler that answers ({str(error) or type(error).__name__})"
+            mend = "Start one: dask scheduler."
+            raise SourceError(f"--workers {words}", found, "the address of one", mend) from None
+        with client:
+            yield client.get_executor(pure=False)
+    else:
+        raise InvalidArgument("--workers", repr(words), "processes:N, or dask:ADDRESS such as dask:tcp://host:8786")
+
+
+def in_order(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    weight: Callable[[Item], int] = lambda _: 0,
+    most_weight: int = 0,
+    executor: Executor | None = None,
+) -> Iterator[Result]:
+    """``work(item)`` of each item in threads or by an executor, the results in the order of the items.
+
+    The items are drawn by the caller's thread, one at a time and only as there is room: at most one more than there
+    are threads is under way, and no second one while their weights, for example their bytes, exceed `most_weight` (0:
+    any). With one thread everything happens in the caller's. The first error, in the order of the items, ends it;
+    what was not begun is left. In threads `work` gains where it releases the interpreter's lock. Work and items are
+    sent to the workers of an `executor`, and weights are not looked at.
+
+    SourceError if a worker is lost and its executor cannot go on without it.
+    """
+    if executor is not None:
+        yield from _elsewhere(executor, work, items)
+        return
+    workers = worker_count()
+    if workers == 1:
+        for item in items:
+            yield work(item)
+        return
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="touchfield-job")
+    waiting: deque[tuple[Future[Result], int]] = deque()
+    under_way = 0
+    try:
+        for item in items:
+            own = weight(item)
+            while waiting and (len(waiting) > workers or (most_weight and under_way + own > most_weight)):
+                first, size = waiting.popleft()
+                yield first.result()
+                under_way -= size
+            waiting.append((pool.submit(work, item), own))
+            under_way += own
+            del item
+            while waiting and waiting[0][0].done():
+                first, size = waiting.popleft()
+                yield first.result()
+                under_way -= size
+        while waiting:
+            yield waiting.popleft()[0].result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _elsewhere(executor: Executor, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """Results of an executor's workers, in the order of the items."""
+    waiting: deque[Future[Result]] = deque()
+    try:
+        for item in items:
+            while len(waiting) >= _MOST_SUBMITTED or (waiting and waiting[0].done()):
+                yield _result(waiting.popleft())
+            waiting.append(_submitted(executor, work, item))
+        while waiting:
+            yield _result(waiting.popleft())
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def _submitted(executor: Executor, work: Callable[[Item], Result], item: Item) -> Future[Result]:
+    try:
+        return executor.submit(work, item)
+    except RuntimeError as error:  # of a pool whose worker was lost meanwhile
+        raise _lost(error) from None
+
+
+def _result(future: Future[Result]) -> Result:
+    try:
+        return future.result()
+    except (TouchfieldError, MemoryError):
+        raise
+    except Exception as error:
+        raise _lost(error) from error
+
+
+def _lost(error: Exception) -> SourceError:
+    """The error for what ends in a worker and is no error of ours: it was killed, or cannot read what it was sent."""
+    found = f"that one ended before its work was done ({type(error).__name__}: {str(error)[:300]})"
+    return SourceError("a worker", found, mend="The same command goes on from what is finished.")
+
+
+def _use_threads(count: int) -> None:
+    """The threads of one process of several."""
+    os.environ.setdefault("TOUCHFIELD_THREADS", str(count))
