@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from touchfield.cli.app import Json, Stream, command
-from touchfield.cli.options import SCENE, asks, encode_spec, numbers_of
+from touchfield.cli.options import SCENE, Workers, asks, encode_spec, numbers_of, workers_of
 from touchfield.cli.show import progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 
@@ -23,14 +23,14 @@ _TOLD = 20
 
 
 @command("Study", "index recordings")
-def index(folder: Folder, index_file: IndexFile = None, as_json: Json = False) -> None:
+def index(folder: Folder, index_file: IndexFile = None, workers: Workers = None, as_json: Json = False) -> None:
     """Describe every .touch file of FOLDER for `search`; only what changed is read again."""
     from touchfield.job.library import index_folder
 
     if index_file is not None and index_file.suffix == ".touch":
         raise InvalidArgument("--index", str(index_file), "a name that ends in .npz")
-    with progress("index", "file") as report:
-        done = index_folder(folder, index_file, report)
+    with progress("index", "file") as report, workers_of(workers) as executor:
+        done = index_folder(folder, index_file, report, executor)
     faults = done.faults
     if as_json:
         show({**done.summary(), "faults": faults}, str(folder), True)

@@ -9,7 +9,18 @@ from typing import Annotated, Any
 import typer
 
 from touchfield.cli.app import Json, Source, Stream, Trajectory, command
-from touchfield.cli.options import BESIDE, CODER, SCENE, TARGET, asks, encode_spec, filter_rows, target_of
+from touchfield.cli.options import (
+    BESIDE,
+    CODER,
+    SCENE,
+    TARGET,
+    Workers,
+    asks,
+    encode_spec,
+    filter_rows,
+    target_of,
+    workers_of,
+)
 from touchfield.cli.show import (
     check_picture,
     keep_source,
@@ -44,6 +55,7 @@ def encode(
         bool,
         typer.Option("--report", help="Also measure what a hand feels of the coding that moves, or holds still."),
     ] = False,
+    workers: Workers = None,
     *,
     asked: dict[str, Any],
 ) -> None:
@@ -52,9 +64,11 @@ def encode(
 
     keep_source(source, out)
     spec, target = encode_spec(asked), target_of(asked)
-    with progress("encode", later=LATER.get(spec.coder, ())) as report:
+    if target is not None and workers is not None:
+        raise InvalidArgument(f"--workers works without {target.option}: one encoding after another finds a target")
+    with progress("encode", later=LATER.get(spec.coder, ())) as report, workers_of(workers) as executor:
         if target is None:
-            done = job.encode(source, out, spec, report)
+            done = job.encode(source, out, spec, report, executor=executor)
         else:
             done = job.encode_to_target(source, out, spec, target, report)
     shown = done.summary()
@@ -75,6 +89,7 @@ def filter_(
     ] = False,
     quantiser: Annotated[str, typer.Option(help="Q of the report's entropies.")] = "weber:0.1",
     plot: Annotated[Path | None, typer.Option(help="PNG to draw: the middle frame before and after.")] = None,
+    workers: Workers = None,
     *,
     asked: dict[str, Any],
 ) -> None:
@@ -94,6 +109,8 @@ def filter_(
             raise InvalidArgument(
                 f"--{name} works with OUT.touch, not with {out.suffix}: a field file has no place for it"
             )
+    if workers is not None and out.suffix != ".touch":
+        raise InvalidArgument(f"--workers works with OUT.touch, not with {out.suffix}")
     keep_source(source, out)
     check_picture(source, plot)
     measured = None
@@ -102,7 +119,8 @@ def filter_(
             measured = job.filter_report(source, spec, parsed, report).summary()
     with progress("filter", later=LATER.get(spec.coder, ()) if out.suffix == ".touch" else ()) as report:
         if out.suffix == ".touch":
-            done = job.encode(source, out, spec, report)
+            with workers_of(workers) as executor:
+                done = job.encode(source, out, spec, report, executor=executor)
             shown, notes = done.summary(), done.notes
         else:
             prepared = job.prepare(source, spec)
@@ -161,6 +179,7 @@ def plan(
     out: Annotated[
         Path | None, typer.Option("--plot", "--out", help="PNG to draw: the frontier and the choice.")
     ] = None,
+    workers: Workers = None,
     as_json: Json = False,
     *,
     asked: dict[str, Any],
@@ -173,8 +192,9 @@ def plan(
         raise InvalidArgument("--nominal does not go with plan: name --nw, the finest lattice to try")
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
     check_picture(source, out)
-    with progress("plan", "setting") as report:
-        chosen = job.plan(source, amount, replace(spec, touch=replace(spec.touch, effort=effort)), search, report)
+    spec = replace(spec, touch=replace(spec.touch, effort=effort))
+    with progress("plan", "setting") as report, workers_of(workers) as executor:
+        chosen = job.plan(source, amount, spec, search, report, executor)
     if out is not None:
         chosen.draw(out)
     _show_plan(chosen, as_json, (f"the picture is {out}",) if out else ())

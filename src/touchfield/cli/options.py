@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
 from functools import wraps
 from pathlib import Path
@@ -26,6 +28,7 @@ __all__ = [
     "CODER",
     "SCENE",
     "TARGET",
+    "Workers",
     "address_rows",
     "asks",
     "encode_spec",
@@ -33,6 +36,12 @@ __all__ = [
     "frames_of",
     "numbers_of",
     "target_of",
+    "workers_of",
+]
+
+Workers = Annotated[
+    str | None,
+    typer.Option("--workers", help="Who does the work: processes:N of this machine, or dask:ADDRESS, a scheduler."),
 ]
 
 Row = tuple[str, Any, Any, str]
@@ -293,3 +302,12 @@ def target_of(asked: dict[str, Any]) -> Target | None:
     if asked["target_bytes"] is None and asked["target_nmse_db"] is None:
         return None
     return Target(asked["target_bytes"], asked["target_nmse_db"])
+
+
+def workers_of(words: str | None) -> AbstractContextManager[Executor | None]:
+    """The executor of --workers, for the length of a block; None where nobody asked for one."""
+    if words is None:
+        return nullcontext()
+    from touchfield.job.executors import executor_of
+
+    return executor_of(words)

@@ -44,10 +44,10 @@ class Stretch(NamedTuple):
 
 
 class Coded(NamedTuple):
-    """A segment: its bytes, those of its vibration, and how many frames and samples with a force it holds."""
+    """A segment: its bytes, those of what vibrates if anything does, its frames, and its samples with a force."""
 
     body: bytes
-    vibration: bytes
+    vibration: bytes | None
     frames: int
     supported: int
 
@@ -118,7 +118,7 @@ def coded_segments(encoder: FieldEncoder, vibrates: bool, groups: Iterable[Group
 
     def coded(group: Group) -> Coded:
         frames, band, anchor = group
-        beside = encode_vibration(band) if vibrates else b""
+        beside = encode_vibration(band) if vibrates else None
         if isinstance(encoder, AnchoringEncoder):
             segment = encoder.encode_segment(frames, anchor)
         else:

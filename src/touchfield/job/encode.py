@@ -145,7 +145,7 @@ def _write_voxels(writer: TouchWriter, prepared: Prepared, provenance: Mapping[s
 
     groups = (groups_of(medium, spec, encoder, *one, tell) for one in stretches(medium, spec, encoder))
     for coded in coded_segments(encoder, medium.vibration is not None, chain.from_iterable(groups)):
-        if medium.vibration is not None:
+        if coded.vibration is not None:
             writer.write_vibration(written, coded.frames, coded.vibration)
         writer.write_segment(written, coded.frames, coded.body)
         written, supported = written + coded.frames, supported + coded.supported

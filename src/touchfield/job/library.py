@@ -11,6 +11,7 @@ import time
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor
 from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -149,13 +150,16 @@ class Indexed:
         }
 
 
-def index_folder(folder: str | Path, path: Path | None = None, report: Report = silent) -> Indexed:
+def index_folder(
+    folder: str | Path, path: Path | None = None, report: Report = silent, executor: Executor | None = None
+) -> Indexed:
     """File every .touch file of a folder and its folders under its descriptor; only what changed is decoded.
 
     A file of the same size and time is kept as it is, and one of the same bytes takes over its descriptor, whatever
     it is called now. What was described is saved every few seconds and after an error, so that the next run goes on.
 
-    `path` is the file to write, FOLDER.index.npz beside the folder unless another is named; `report` counts files.
+    `path` is the file to write, FOLDER.index.npz beside the folder unless another is named; `report` counts files;
+    with `executor` its workers read them.
 
     TouchfieldError if there is no such folder, or the file cannot be read or written. A damaged .touch file is told
     in `faults`.
@@ -175,7 +179,9 @@ def index_folder(folder: str | Path, path: Path | None = None, report: Report = 
     done, saved, pause = len(files) - len(fresh), time.perf_counter(), SAVE_EVERY_S
     report(done, len(files))
     try:
-        results = in_order(described, [folder / name for name in fresh], _bytes_of, MOST_BYTES_UNDER_WAY)
+        results = in_order(
+            described, [folder.resolve() / name for name in fresh], _bytes_of, MOST_BYTES_UNDER_WAY, executor
+        )
         for name, (values, fault) in zip(fresh, results, strict=True):
             kept.file(name, Entry(*files[name], checks[name], fault), values)
             done += 1

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import secrets
 import shutil
 import tempfile
 from collections import deque
@@ -118,7 +119,7 @@ def spread_voxels(
     with ExitStack() as stack:
         job = _job(sent, head, provenance)
         if job is None:  # nobody could tell that it is the same source another time
-            folder, job = Path(stack.enter_context(tempfile.TemporaryDirectory())), hashlib.sha256().hexdigest()
+            folder, job = Path(stack.enter_context(tempfile.TemporaryDirectory())), secrets.token_hex(32)
         else:
             folder = Path(f"{out}.parts")
             _make(folder)
@@ -164,6 +165,9 @@ class _Parts:
     def head(self, stretch: Stretch) -> Head:
         return replace(self._head, frame_count=stretch.stop - stretch.start)
 
+    def story(self, stretch: Stretch) -> dict[str, str]:
+        return {"job": self._job, "first_frame": str(stretch.start)}
+
     def has(self, stretch: Stretch) -> bool:
         """True if the part is there, of this job, and whole; one that is not is made again."""
         if not self.path(stretch).exists():
@@ -176,12 +180,12 @@ class _Parts:
         return False
 
     def write(self, stretch: Stretch, part: Part) -> None:
-        story = {"job": self._job, "supported": str(sum(one.supported for one in part.segments))}
+        story = {**self.story(stretch), "supported": str(sum(one.supported for one in part.segments))}
         with TouchWriter(self.path(stretch)) as writer:
             writer.write_head(self.head(stretch), story)
             at = 0
             for one in part.segments:
-                if one.vibration:
+                if one.vibration is not None:
                     writer.write_vibration(at, one.frames, one.vibration)
                 writer.write_segment(at, one.frames, one.body)
                 at += one.frames
@@ -191,8 +195,8 @@ class _Parts:
         path, kind = self.path(stretch), coder(self._head.coder)
         grid = Grid(self._head.grid_shape, self._head.spacing_m, self._head.origin_m)
         with TouchReader(path) as reader:
-            if reader.head != self.head(stretch) or reader.provenance.get("job") != self._job:
-                raise CorruptFile(str(path), "a part of another job", "one of this", "Delete it.")
+            if reader.head != self.head(stretch) or not self.story(stretch).items() <= reader.provenance.items():
+                raise CorruptFile(str(path), "another part, or one of another job", "this one", "Delete it.")
             decoder = kind.decoder_class(grid, reader.head.coder_parameters, str(path))
             left = int(reader.provenance["supported"])
             for i, entry in enumerate(reader.segments):
@@ -200,7 +204,7 @@ class _Parts:
                 worst = decoder.promise(body).worst_ratio if kind.has_promise else None
                 if worst is not None and worst > 1:
                     raise CorruptFile(f"{path} segment {i}", f"a promise that is broken ({worst:g})", "at most 1")
-                yield Coded(body, reader.read_vibration(i) or b"", entry.frame_count, 0 if i else left)
+                yield Coded(body, reader.read_vibration(i), entry.frame_count, 0 if i else left)
 
     def join(self, out: Path, every: list[Stretch], provenance: Mapping[str, str]) -> int:
         """All parts as one file; how many samples hold a force."""
@@ -209,7 +213,7 @@ class _Parts:
             writer.write_head(self._head, provenance)
             for stretch in every:
                 for one in self.read(stretch):
-                    if one.vibration:
+                    if one.vibration is not None:
                         writer.write_vibration(at, one.frames, one.vibration)
                     writer.write_segment(at, one.frames, one.body)
                     at, supported = at + one.frames, supported + one.supported

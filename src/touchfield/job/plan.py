@@ -13,13 +13,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.registry import field_decoder, field_encoder
+from touchfield.codec.registry import coder, field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import interpolated
@@ -297,11 +299,12 @@ def plan(
     spec: EncodeSpec | None = None,
     search: PlanGrid | None = None,
     report: Report = silent,
+    executor: Executor | None = None,
 ) -> Plan:
     """Code a few frames of a source, as voxels, under every setting, and choose the best within a budget.
 
     A number as `budget` is bits a second; `spec` is of coder `touch`: its k and F_0 are the mask that is reported,
-    its effort that of every trial. `report` gets ``(done, total)`` in settings.
+    its effort that of every trial. `report` gets ``(done, total)`` in settings; with `executor` its workers try them.
 
     TouchfieldError if a setting is not possible, the frames hold no force, or nothing is within the budget; the
     message then names what takes least. The cheapest settings are tried first, so that this is told soon.
@@ -314,28 +317,27 @@ def plan(
     scene = open_scene(source, spec.source)
     _check_possible(scene, asked, search.coarsest, budget)
     mask, total = (spec.touch.k, spec.touch.f0_n), 0
-    prepared = None
+    lattice = None
 
     def tries() -> Iterator[tuple[Lattice, EncodeSpec]]:
-        nonlocal total, prepared
+        nonlocal total, lattice
         for lattice in lattices(scene, asked, sorted(search.nw)):
-            prepared = lattice.prepared
-            specs = search.specs(prepared.spec)
-            total = len(specs) * (1 if prepared.device.is_array else len(search.nw))
+            specs = search.specs(lattice.spec)
+            total = len(specs) * (1 if lattice.is_array else len(search.nw))
             yield from ((lattice, one) for one in specs)
 
     trials: list[Trial] = []
-    for trial in in_order(lambda one: _trial(*one, mask), tries()):
+    for trial in in_order(partial(_trial, mask), tries(), executor=executor):
         trials.append(trial)
         report(len(trials), total)
-    assert prepared is not None
-    medium = prepared.medium
-    amount, unit = budget.of(len(medium), medium.rate_hz)
-    return Plan(tuple(trials), *mask, amount, str(source), len(_numbers(len(medium))), unit)
+    assert lattice is not None
+    amount, unit = budget.of(lattice.frames, lattice.rate_hz)
+    return Plan(tuple(trials), *mask, amount, str(source), len(_numbers(lattice.frames)), unit)
 
 
-def _trial(lattice: Lattice, spec: EncodeSpec, mask: tuple[float, float]) -> Trial:
+def _trial(mask: tuple[float, float], setting: tuple[Lattice, EncodeSpec]) -> Trial:
     """A setting coded, decoded and measured by the mask of k and F_0."""
+    lattice, spec = setting
     size, frames, decoded = _in_memory(lattice, spec)
     meter = FidelityMeter(mask[0], max(mask[1], NO_FLOOR_N))
     for original, field in zip(lattice.reference, decoded, strict=True):
@@ -343,14 +345,16 @@ def _trial(lattice: Lattice, spec: EncodeSpec, mask: tuple[float, float]) -> Tri
         meter.add(original, field if same else interpolated(field, original.grid, border="cell"))
     nmse = 0.0 if meter.nmse_db is None else 10 ** (meter.nmse_db / 10)
     beyond = meter.mask_violations / max(1, meter.supported_voxels)
-    rate_hz = lattice.prepared.medium.rate_hz
-    return Trial(spec, size, frames, nmse, beyond, rate_hz, 1 - meter.mask_violation_share)
+    return Trial(spec, size, frames, nmse, beyond, lattice.rate_hz, 1 - meter.mask_violation_share)
 
 
 class Lattice(NamedTuple):
-    """The frames to try on one lattice, and the same frames on the finest."""
+    """The frames to try of a medium on one lattice, and the same frames on the finest; it can be sent to a worker."""
 
-    prepared: Prepared
+    spec: EncodeSpec
+    is_array: bool
+    frames: int
+    rate_hz: float
     fields: tuple[ForceField, ...]
     reference: tuple[ForceField, ...]
 
@@ -370,7 +374,12 @@ def lattices(scene: Scene, base: EncodeSpec, nws: Sequence[int]) -> Iterator[Lat
         is_finest = nw == max(nws) or finest.device.is_array
         prepared = replace(finest, spec=asked) if is_finest else prepare(scene, asked)
         fields = reference if is_finest else tuple(prepared.medium[i] for i in wanted)
-        yield Lattice(prepared, fields, reference)
+        yield _lattice(prepared, fields, reference)
+
+
+def _lattice(prepared: Prepared, fields: tuple[ForceField, ...], reference: tuple[ForceField, ...]) -> Lattice:
+    medium = prepared.medium
+    return Lattice(prepared.spec, prepared.device.is_array, len(medium), medium.rate_hz, fields, reference)
 
 
 def _check_possible(scene: Scene, asked: EncodeSpec, search: PlanGrid, budget: Budget) -> None:
@@ -383,7 +392,7 @@ def _check_possible(scene: Scene, asked: EncodeSpec, search: PlanGrid, budget: B
         return  # the search tells it
     least = math.inf, ""
     for spec in search.specs(prepared.spec):
-        size, frames, _ = _in_memory(Lattice(prepared, fields, fields), spec, is_decoded=False)
+        size, frames, _ = _in_memory(_lattice(prepared, fields, fields), spec, is_decoded=False)
         own = Trial(spec, size, frames, 0.0, 0.0, rate_hz)
         least = min(least, (own.bits_per_s if unit == "bit/s" else float(size), own.options))
         if least[0] <= amount:
@@ -422,16 +431,16 @@ def _numbers(count: int) -> list[int]:
 
 def _in_memory(lattice: Lattice, spec: EncodeSpec, is_decoded: bool = True) -> tuple[int, int, list[ForceField]]:
     """The bytes of a segment in a long stream, or of the file of a still medium; and the decoded pairs."""
-    medium, fields = lattice.prepared.medium, iter(lattice.fields)
-    encoder = field_encoder(lattice.fields[0].grid, replace(lattice.prepared, spec=spec).coding)
+    fields, coding = iter(lattice.fields), coder(spec.coder).resolve(spec.coding, lattice.is_array)
+    encoder = field_encoder(lattice.fields[0].grid, coding)
     decoder = field_decoder(spec.coder, lattice.fields[0].grid, encoder.parameters)
     coded: list[CodedSegment] = []
     decoded: list[ForceField] = []
-    for pair in _pairs(len(medium)):
+    for pair in _pairs(lattice.frames):
         coded.append(encoder.encode_segment([next(fields) for _ in pair]))
         decoded += decoder.frames(coded[-1].body, len(pair)) if is_decoded else ()
-    length = min(spec.segment_frames_at(medium.rate_hz), len(medium))
-    size = _SEGMENT_BYTES + _FILE_BYTES * length / len(medium) + _segment_bytes(coded, length)
+    length = min(spec.segment_frames_at(lattice.rate_hz), lattice.frames)
+    size = _SEGMENT_BYTES + _FILE_BYTES * length / lattice.frames + _segment_bytes(coded, length)
     return round(size), length, decoded
 
 
