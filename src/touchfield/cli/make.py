@@ -49,7 +49,7 @@ LATER = {"touch": ("passes", "columns")}
 @asks(SCENE, BESIDE, CODER, TARGET)
 def encode(
     source: Source,
-    out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
+    out: Annotated[Path, typer.Argument(help="The .touch file to write; or OUT.zarr, tiles of a huge lattice.")],
     as_json: Json = False,
     with_report: Annotated[
         bool,
@@ -66,7 +66,13 @@ def encode(
     spec, target = encode_spec(asked), target_of(asked)
     if target is not None and workers is not None:
         raise InvalidArgument(f"--workers works without {target.option}: one encoding after another finds a target")
+    if out.suffix == ".zarr" and (target is not None or with_report):
+        raise InvalidArgument("--report and targets work with OUT.touch, not with .zarr")
     with progress("encode", later=LATER.get(spec.coder, ())) as report, workers_of(workers) as executor:
+        if out.suffix == ".zarr":
+            tiled = job.encode_tiles(source, out, spec, report, executor)
+            show(tiled.summary(), str(out), as_json, tiled.notes)
+            return
         if target is None:
             done = job.encode(source, out, spec, report, executor=executor)
         else:

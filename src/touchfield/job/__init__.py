@@ -9,6 +9,7 @@ medium before and after each haptic filter                              filter_r
 medium, device and filters in bits                                      measure_medium
 medium -> workspace in boxes that each fill the device                  partition_workspace
 scene -> a file of a given size or error                                encode_to_target
+scene -> a huge lattice, as tiles of a zarr store                        encode_tiles
 scene, budget -> lattice and settings that spend it best                plan
 """
 
@@ -22,6 +23,7 @@ from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.rate_control import Target, encode_to_target
 from touchfield.job.setup import warm_up
 from touchfield.job.spec import EncodeSpec
+from touchfield.job.tiles import Tiled, encode_tiles
 from touchfield.job.view import draw_preview
 from touchfield.stream.opened import OpenStream, open_stream, write_field
 
@@ -38,11 +40,13 @@ __all__ = [
     "PlanGrid",
     "Prepared",
     "Target",
+    "Tiled",
     "Trial",
     "compare",
     "draw_filtered",
     "draw_preview",
     "encode",
+    "encode_tiles",
     "encode_to_target",
     "filter_report",
     "hand_motion",

@@ -37,7 +37,7 @@ from touchfield.medium import ForceField, Grid
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["Sent", "Task", "code_part", "spread_voxels"]
+__all__ = ["Sent", "Task", "code_part", "name_of", "spread_voxels"]
 
 _MOST_NOTES: Final = 40
 _ALONE: Final = Lock()
@@ -117,7 +117,7 @@ def spread_voxels(
     encoder = field_encoder(medium.grid, prepared.coding)
     head = head_of(prepared, encoder)
     with ExitStack() as stack:
-        job = _job(sent, head, provenance)
+        job = name_of(sent, repr(head), dict(provenance))
         if job is None:  # nobody could tell that it is the same source another time
             folder, job = Path(stack.enter_context(tempfile.TemporaryDirectory())), secrets.token_hex(32)
         else:
@@ -220,7 +220,7 @@ class _Parts:
         return supported
 
 
-def _job(sent: Sent, head: Head, provenance: Mapping[str, str]) -> str | None:
+def name_of(sent: Sent, *asked: Any) -> str | None:
     """A name for a job: what is asked, of which source, and how that is now; None where nobody could tell."""
     if not isinstance(sent.source, str):
         return None
@@ -229,8 +229,7 @@ def _job(sent: Sent, head: Head, provenance: Mapping[str, str]) -> str | None:
     for file in files:
         told = file.stat()
         state.append((str(file), told.st_size, told.st_mtime_ns))
-    said: Any = [sent.source, state, repr(head), dict(provenance)]
-    return hashlib.sha256(json.dumps(said).encode()).hexdigest()
+    return hashlib.sha256(json.dumps([__version__, sent.source, state, *asked]).encode()).hexdigest()
 
 
 def _make(folder: Path) -> None:

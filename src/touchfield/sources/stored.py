@@ -1,4 +1,4 @@
-"""A stored force field as a source: ``.npz`` with ``forces_n``.
+"""A stored force field as a source: ``.npz`` or ``.zarr`` with ``forces_n``.
 
 Its forces are what they are: a force law has nothing to act on, and the profile is ignored.
 """
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from touchfield.errors import SourceError
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 from touchfield.medium.npz import NpzArchive, read_npz
+from touchfield.medium.zarr_store import read_zarr
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
@@ -76,6 +77,8 @@ def _touched(stored: ForceField, grid: Grid) -> NDArray[np.int32]:
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() in _RETIRED:
         return path.is_file()
+    if path.suffix.lower() == ".zarr":
+        return path.is_dir()
     try:
         return path.suffix.lower() == ".npz" and "forces_n" in NpzArchive(path).names
     except SourceError:
@@ -85,9 +88,11 @@ def _recognise(path: Path) -> bool:
 def _open(path: Path, options: SourceOptions) -> Scene:
     if path.suffix.lower() == ".npz":
         return StoredScene(read_npz(path), lambda: read_npz(path, to_the_bit=True))
+    if path.suffix.lower() == ".zarr":
+        return StoredScene(read_zarr(path))
     if path.suffix.lower() in _RETIRED:
         raise SourceError(str(path), "VTK ImageData", ".npz", "Reading .vti was dropped; write .npz.")
-    raise SourceError(str(path), f"a file named {path.suffix or 'without suffix'}", ".npz")
+    raise SourceError(str(path), f"a file named {path.suffix or 'without suffix'}", ".npz or .zarr")
 
 
-KIND = SourceKind("field", "a stored force field: .npz with forces_n", _recognise, _open)
+KIND = SourceKind("field", "a stored force field: .npz or .zarr with forces_n", _recognise, _open)

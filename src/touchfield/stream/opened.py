@@ -353,7 +353,7 @@ def opened(reader: TouchReader, file_bytes: int) -> OpenStream:
 def write_field(
     path: str | Path, medium: HapticMedium, report: Report = silent, placement: Placement | None = None
 ) -> Path:
-    """Write a medium as ``.npz`` or ``.vti``, by the ending of `path`, and where its scene lies; the file to open.
+    """Write a medium as ``.npz``, ``.zarr`` or ``.vti``, by the ending of `path`; the file to open.
 
     Several frames as ``.vti`` are numbered files and a ``.pvd`` that lists them: that is the one to open.
 
@@ -367,6 +367,12 @@ def write_field(
     from touchfield.medium.vti import write_vti
 
     path = Path(path)
+    told = placement.told() if placement is not None else {}
+    if path.suffix == ".zarr":
+        from touchfield.medium.zarr_store import write_zarr
+
+        write_zarr(path, medium, lambda done: report(done, len(medium)), told)
+        return path
     needed, allowed = 12 * medium.grid.voxel_count, memory_budget_bytes()
     if needed > allowed:
         size = f"{needed / 2**30:.1f} GiB for each dense frame of {medium.grid.shape} samples"
@@ -376,10 +382,9 @@ def write_field(
     def progress(done: int) -> None:
         report(done, len(medium))
 
-    told = placement.told() if placement is not None else {}
     if path.suffix == ".npz":
         write_npz(path, medium, progress, told)
         return path
     if path.suffix == ".vti":
         return write_vti(path, medium, progress=progress, told=told)
-    raise InvalidArgument(str(path), f"the ending {path.suffix!r}", "FIELD.npz or FIELD.vti")
+    raise InvalidArgument(str(path), f"the ending {path.suffix!r}", "FIELD.npz, FIELD.zarr or FIELD.vti")

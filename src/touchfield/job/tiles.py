@@ -1,0 +1,197 @@
+"""One huge lattice as a zarr store: tiles of whole bricks, each made, filtered and coded without the others.
+
+source -> mapping -> tile of the lattice -> device filter -> coder `touch` (a codec of zarr) -> shard
+
+A worker opens the source itself, makes the field of its tile with the rim that the low-pass needs, and writes one
+shard. Nothing is as large as the lattice: a tile has at most 256^3 samples, whatever the workspace has.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Lock
+from typing import Any, Final, NamedTuple
+
+from touchfield._version import __version__
+from touchfield.errors import InvalidArgument
+from touchfield.job.executors import in_order
+from touchfield.job.parts import Sent, name_of
+from touchfield.job.placing import Mapping, mapping_of
+from touchfield.job.prepare import Prepared, prepare
+from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.stream_scene import as_source
+from touchfield.medium import Grid
+from touchfield.medium.zarr_store import boxes, create, whole_folder, write_box
+from touchfield.sources.scene import Scene
+
+__all__ = ["Tiled", "encode_tiles"]
+
+_ALONE: Final = Lock()
+
+
+class Tile(NamedTuple):
+    """A part of a frame to be made: its first sample and its shape."""
+
+    sent: Sent
+    spec: EncodeSpec
+    store: str
+    frame: int
+    low: tuple[int, int, int]
+    shape: tuple[int, int, int]
+    version: str = __version__
+
+    @property
+    def place(self) -> str:
+        """Frame and first sample, in words."""
+        return ",".join(map(str, (self.frame, *self.low)))
+
+
+@dataclass(frozen=True)
+class Tiled:
+    """The result of `encode_tiles`."""
+
+    prepared: Prepared
+    tiles: int
+    supported_voxels: int
+    file_bytes: int
+    encode_s: float
+    told: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user."""
+        return (*self.prepared.notes, *self.prepared.learnt, *self.told)
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        spec = self.prepared.spec
+        return {
+            **self.prepared.summary(),
+            "coder": "touch, a codec of zarr",
+            "k": spec.k,
+            "f0_n": spec.f0_n,
+            "tiles": self.tiles,
+            "file_bytes": self.file_bytes,
+            "supported_voxels": self.supported_voxels,
+            "encode_s": self.encode_s,
+        }
+
+
+def encode_tiles(
+    source: Any, out: Path, spec: EncodeSpec, report: Report = silent, executor: Executor | None = None
+) -> Tiled:
+    """Write a source as a zarr store whose chunks are of coder `touch`, tile by tile.
+
+    The folder appears when it is whole; after an error the tiles that are written stay in ``OUT.parts``, and the same
+    call goes on from there.
+
+    InvalidArgument if what is asked needs more than a tile knows: haptic filters, vibration, another coder, an array
+    of actuators.
+    """
+    began = time.perf_counter()
+    asked = replace(spec, representation="voxel")
+    prepared = prepare(as_source(source, spec.device), asked)
+    _check(prepared, str(out))
+    medium, sent = prepared.medium, Sent.of(source, None)
+    codec = {
+        "name": "touchfield.touch",
+        "configuration": {
+            "k": spec.touch.k, "f0_n": spec.touch.f0_n, "mode": spec.touch.mode, "effort": spec.touch.effort,
+            "spacing_m": list(medium.grid.spacing_m),
+        },
+    }  # fmt: skip
+    parts = list(boxes(medium.grid))
+    total = len(medium) * len(parts)
+    with whole_folder(out, is_kept=True) as store:
+        finished = _Finished(store, name_of(sent, asked.to_json(), medium.grid.words) or "")
+        if not finished.counts:
+            create(store, medium, prepared.placement.told(), codec)
+        before, waiting = len(finished.counts), deque[Tile]()
+
+        def tiles() -> Iterator[Tile]:
+            for frame in range(len(medium)):
+                for low, shape in parts:
+                    tile = Tile(sent, asked, str(store.resolve()), frame, low, shape)
+                    if tile.place not in finished.counts:
+                        waiting.append(tile)
+                        yield tile
+
+        for count in map(make_tile, tiles()) if executor is None else in_order(make_tile, tiles(), executor=executor):
+            finished.add(waiting.popleft().place, count)
+            report(len(finished.counts) * len(medium) // total, len(medium))
+        supported = sum(finished.counts.values())
+        finished.forget()
+    told = (f"{before} of {total} tiles were there from an earlier run",) if before else ()
+    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    return Tiled(prepared, total, supported, size, time.perf_counter() - began, told)
+
+
+class _Finished:
+    """Tiles that are written, one line each in a file of the folder, and their samples with a force.
+
+    What another job left there is removed.
+    """
+
+    def __init__(self, store: Path, job: str) -> None:
+        self._file = store.with_name(f"{store.name}.txt")
+        self.counts: dict[str, int] = {}
+        lines = self._file.read_text("utf-8").splitlines() if self._file.is_file() and store.is_dir() else []
+        if job and lines[:1] == [job]:
+            for line in lines[1:]:
+                place, _, count = line.partition(" ")
+                if count.isdigit():  # the last line of a run that was killed may be cut
+                    self.counts[place] = int(count)
+        if not self.counts:
+            shutil.rmtree(store, ignore_errors=True)
+        self._file.write_text("".join(f"{line}\n" for line in (job, *(f"{p} {n}" for p, n in self.counts.items()))))
+
+    def add(self, place: str, count: int) -> None:
+        self.counts[place] = count
+        with self._file.open("a", encoding="utf-8") as stream:
+            stream.write(f"{place} {count}\n")
+
+    def forget(self) -> None:
+        self._file.unlink()
+
+
+_opened: dict[tuple[str, str], tuple[Scene, Mapping]] = {}
+
+
+def make_tile(tile: Tile) -> int:
+    """Make, code and write a tile, in whichever process this is; how many of its samples hold a force."""
+    if tile.version != __version__:
+        raise InvalidArgument("a worker", f"touchfield {__version__}", f"{tile.version}, as where the job was begun")
+    with _ALONE:
+        key = str(tile.sent.source), tile.spec.to_json()
+        if key not in _opened:
+            _opened.clear()
+            prepared = prepare(as_source(tile.sent.source, tile.spec.device), tile.spec)
+            assert prepared.source is not None  # or it would have been refused
+            scene = prepared.source
+            _opened[key] = scene, mapping_of(scene, prepared.device, tile.spec)
+        scene, mapping = _opened[key]
+        whole = mapping.grid
+        part = Grid(tile.shape, whole.spacing_m, tuple(whole.to_m(tile.low).tolist()))
+        field = replace(mapping, grid=part).medium(scene)[tile.frame]
+        write_box(tile.store, tile.frame, tile.low, field)
+        return field.support_count
+
+
+def _check(prepared: Prepared, out: str) -> None:
+    spec = prepared.spec
+    for found, is_asked in (
+        ("a haptic filter", bool(spec.chain)),
+        ("a vibration", spec.vibration is not None),
+        (f"coder {spec.coder}", spec.coder != "touch"),
+        (f"mode {spec.touch.mode}", spec.touch.mode == "lossless"),
+        ("an array of actuators", prepared.device.is_array),
+        ("a source that is a stream", prepared.source is None),
+    ):
+        if is_asked:
+            raise InvalidArgument(out, found, "a scene for a point device, as it is", "Write OUT.touch.")

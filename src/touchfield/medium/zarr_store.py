@@ -1,0 +1,253 @@
+"""A medium as a zarr store, version 3: chunks of whole bricks in shards, for programs that read a part at a time.
+
+A group with attributes (the lattice, the rate, what travels beside the forces) and the array ``forces_n`` float32
+[t, x, y, z, component]. A chunk without a force is not written. Chunks are packed by zstd, or by a codec
+that is named, such as the coder `touch` (`touchfield.codec.zarr_codec`). A shard is a file, what is written at once.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from itertools import product
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.medium.field import ForceField
+from touchfield.medium.grid import BRICK, Grid
+from touchfield.medium.medium import HapticMedium
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Box = tuple[tuple[int, int, int], tuple[int, int, int]]
+    """First sample and shape of a part of a lattice."""
+
+__all__ = ["boxes", "create", "read_zarr", "write_box", "write_zarr"]
+
+ARRAY: Final = "forces_n"
+DIMENSIONS: Final = ("t", "x", "y", "z", "component")
+_CHUNK: Final = 128
+_SHARD: Final = 256
+_MOST_CHUNK_BYTES: Final = 1 << 28
+_MOST_FRAMES: Final = 1 << 24
+_MOST_TEXT: Final = 1 << 16
+_CODECS: Final = frozenset(
+    {"sharding_indexed", "bytes", "transpose", "crc32c", "zstd", "gzip", "blosc", "touchfield.touch"}
+)
+"""Those of a stranger's store that are run; others of this machine are not for its bytes to choose."""
+
+
+def _zarr() -> Any:
+    try:
+        return import_module("zarr")
+    except ImportError:
+        raise MissingExtra("a zarr store", "zarr", "zarr") from None
+
+
+def _chunks(grid: Grid) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Samples of a chunk and of a shard along each axis: whole bricks, no more than the lattice needs."""
+    chunk = tuple(min(_CHUNK, BRICK * -(-n // BRICK)) for n in grid.shape)
+    return chunk, tuple(c * -(-min(_SHARD, n) // c) for c, n in zip(chunk, grid.shape))
+
+
+def boxes(grid: Grid) -> Iterator[Box]:
+    """The parts of a lattice that can be written without each other, one shard each."""
+    _, shard = _chunks(grid)
+    for low in product(*(range(0, n, s) for n, s in zip(grid.shape, shard))):
+        shape = tuple(min(s, n - a) for s, n, a in zip(shard, grid.shape, low))
+        yield low, shape  # type: ignore[misc]
+
+
+def create(store: str | Path, medium: HapticMedium, told: Mapping[str, Any], codec: Mapping[str, Any] | None) -> None:
+    """Begin a store without a force; `codec` is the name and the configuration of what codes a chunk."""
+    zarr, grid = _zarr(), medium.grid
+    chunk, shard = _chunks(grid)
+    about = {
+        "spacing_m": list(grid.spacing_m),
+        "origin_m": list(grid.origin_m),
+        "rate_hz": medium.rate_hz,
+        "axes": medium.axes,
+        "tags": list(medium.tags),
+        "friction": medium.friction,
+        "damping_n_s_per_m": medium.damping_n_s_per_m,
+        **told,
+    }
+    group = zarr.create_group(store, zarr_format=3, attributes={"touchfield": about})
+    coding = {"serializer": dict(codec), "compressors": None} if codec else {}
+    group.create_array(
+        ARRAY,
+        shape=(len(medium), *grid.shape, 3),
+        chunks=(1, *chunk, 3),
+        shards=(1, *shard, 3),
+        dtype="float32",
+        fill_value=0.0,
+        dimension_names=DIMENSIONS,
+        attributes={"units": "N"},
+        **coding,
+    )
+
+
+def write_box(store: str | Path, frame: int, low: Sequence[int], field: ForceField) -> None:
+    """Write the forces of one of `boxes`, whose first sample is `low`; nothing where there is none."""
+    if field.support_count:
+        array = _zarr().open_array(store, path=ARRAY, mode="r+")
+        high = [a + n for a, n in zip(low, field.grid.shape)]
+        array[(frame, *(slice(a, b) for a, b in zip(low, high)))] = field.to_dense()
+
+
+def write_zarr(
+    path: str | Path,
+    medium: HapticMedium,
+    progress: Callable[[int], None] | None = None,
+    told: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
+    """Write all frames, packed by zstd; the folder appears when it is whole.
+
+    progress : callable, optional; called with the number of frames written, after each.
+    told : mapping of str to JSON values; what else the attributes are to tell.
+    Raises `MissingExtra` if zarr is not installed; `InvalidArgument` if something lies at `path`; `SourceError` if
+    the system refuses to write.
+    """
+    with whole_folder(Path(path)) as store:
+        create(store, medium, told, None)
+        parts = list(boxes(medium.grid))
+        for i, field in enumerate(medium):
+            for low, shape in parts:
+                write_box(store, i, low, cut(field, low, shape))
+            if progress is not None:
+                progress(i + 1)
+
+
+@contextmanager
+def whole_folder(path: Path, is_kept: bool = False) -> Iterator[Path]:
+    """A folder ``PATH.parts`` that gets its name at the end of the block; after an error it goes, or is kept."""
+    if path.exists():
+        raise InvalidArgument(str(path), "something there already", "a new name", "Remove it, or take another name.")
+    partial = path.with_name(f"{path.name}.parts")
+    if not is_kept:
+        shutil.rmtree(partial, ignore_errors=True)
+    try:
+        yield partial
+        partial.rename(path)
+    except OSError as error:
+        raise SourceError(str(path), f"that it cannot be written: {error.strerror or error}") from error
+    finally:
+        if not is_kept:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def cut(field: ForceField, low: Sequence[int], shape: tuple[int, int, int]) -> ForceField:
+    """Part of a field from sample `low` on, which begins a brick."""
+    first, count = np.asarray(low) // BRICK, -(-np.asarray(shape) // BRICK)
+    own = ((field.bricks >= first) & (field.bricks < first + count)).all(axis=1)
+    grid = Grid(shape, field.grid.spacing_m, tuple(field.grid.to_m(low).tolist()))
+    return ForceField(grid, (field.bricks[own] - first).astype(np.int32), field.forces_n[own])
+
+
+def read_zarr(path: str | Path) -> HapticMedium:
+    """Open a store that `write_zarr` or `touchfield encode` wrote; frames are read when they are asked for.
+
+    Raises `MissingExtra` if zarr is not installed; `SourceError` if it is no such store, its codecs are others than
+    ours, or (when a frame is read) a chunk is damaged.
+    """
+    zarr = _zarr()
+    about, layout = _about(Path(path)), _layout(Path(path))
+    shape, chunk = layout["shape"], layout["chunk"]
+    where = f"{path}, attribute touchfield"
+    try:
+        grid = Grid(tuple(shape[1:4]), tuple(about["spacing_m"]), tuple(about["origin_m"]))
+        array = zarr.open_array(str(path), path=ARRAY, mode="r")
+        return HapticMedium(
+            grid,
+            float(about["rate_hz"]),
+            shape[0],
+            lambda i: _frame(array, i, grid, chunk, str(path)),
+            axes=str(about["axes"])[:_MOST_TEXT],
+            tags=tuple(str(tag) for tag in about["tags"])[:8],
+            friction=float(about["friction"]),
+            damping_n_s_per_m=float(about["damping_n_s_per_m"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise SourceError(where, f"values that cannot be used ({error})", "what touchfield writes") from None
+
+
+def _json(file: Path) -> dict[str, Any]:
+    try:
+        if file.stat().st_size > _MOST_TEXT:
+            raise SourceError(str(file), f"{file.stat().st_size} bytes", f"at most {_MOST_TEXT}")
+        told = json.loads(file.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise SourceError(str(file), f"that it cannot be read ({error})", "a zarr store, version 3") from None
+    if not isinstance(told, dict) or told.get("zarr_format") != 3:
+        raise SourceError(str(file), "another format", "zarr, version 3")
+    return told
+
+
+def _about(path: Path) -> dict[str, Any]:
+    about = _json(path / "zarr.json").get("attributes")
+    about = about.get("touchfield") if isinstance(about, dict) else None
+    if not isinstance(about, dict):
+        raise SourceError(str(path), "a zarr store of something else", "one with the attribute touchfield")
+    return about
+
+
+def _layout(path: Path) -> dict[str, Any]:
+    """Shape and chunks of the array, checked before anything is allocated: its bytes are a stranger's."""
+    told, where = _json(path / ARRAY / "zarr.json"), f"{path}, array {ARRAY}"
+    try:
+        shape = [int(n) for n in told["shape"]]
+        chunk = [int(n) for n in told["chunk_grid"]["configuration"]["chunk_shape"]]
+        codecs = list(_names(told["codecs"]))
+        inner = [c for c in told["codecs"] if c["name"] == "sharding_indexed"]
+        chunk = [int(n) for n in inner[0]["configuration"]["chunk_shape"]] if inner else chunk
+        kind = str(told["data_type"])
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise SourceError(where, f"metadata that cannot be used ({error!r})", "a zarr array, version 3") from None
+    if kind not in ("float32", "float64") or len(shape) != 5 or shape[4] != 3 or min(shape) < 1:
+        raise SourceError(where, f"{kind} {shape}", "float32 [t, x, y, z, 3], newtons")
+    if len(chunk) != 5 or min(chunk) < 1 or chunk[4] != 3 or shape[0] > _MOST_FRAMES:
+        raise SourceError(where, f"chunks {chunk}", "chunks of whole forces")
+    if 8 * math.prod(chunk) > _MOST_CHUNK_BYTES:
+        raise SourceError(where, f"chunks of {chunk} samples", f"at most {_MOST_CHUNK_BYTES >> 20} MiB each")
+    strange = [name for name in codecs if name not in _CODECS]
+    if strange:
+        raise SourceError(where, f"the codec {strange[0]!r}", f"one of {', '.join(sorted(_CODECS))}")
+    return {"shape": shape, "chunk": chunk}
+
+
+def _names(codecs: Any) -> Iterator[str]:
+    """Names of codecs, and of those within a shard."""
+    for one in codecs:
+        yield str(one["name"])
+        inside = one.get("configuration") or {}
+        for key in ("codecs", "index_codecs"):
+            yield from _names(inside.get(key) or ())
+
+
+def _frame(array: Any, frame: int, grid: Grid, chunk: Sequence[int], name: str) -> ForceField:
+    """A frame, slab by slab of chunks along x, and in each chunk by chunk."""
+
+    def slab(x: int) -> NDArray[np.float32]:
+        high = min(x + step, grid.shape[0])
+        dense = np.zeros((high - x, *grid.shape[1:], 3), np.float32)
+        for y, z in product(range(0, grid.shape[1], chunk[2]), range(0, grid.shape[2], chunk[3])):
+            ends = slice(y, y + chunk[2]), slice(z, z + chunk[3])
+            dense[(slice(None), *ends)] = array[(frame, slice(x, high), *ends)]
+        return dense
+
+    step = -(-chunk[1] // BRICK) * BRICK
+    try:
+        return ForceField.from_slabs(grid, (slab(x) for x in range(0, grid.shape[0], step)))
+    except InvalidArgument as error:
+        raise SourceError(f"{name} frame {frame}", error.found, error.expected) from None
+    except Exception as error:  # whatever the codecs of a damaged chunk raise
+        raise SourceError(f"{name} frame {frame}", f"a chunk that cannot be read ({error})"[:300]) from None
