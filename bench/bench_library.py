@@ -20,7 +20,8 @@ import numpy as np
 from machine import Bar, Figures, at_least, at_most, bench
 from touchfield.container.records import Pair, Provenance
 from touchfield.container.wire import encode_record
-from touchfield.job.encode import encode_prepared, in_order
+from touchfield.job.encode import encode_prepared
+from touchfield.job.executors import in_order
 from touchfield.job.library import Library, index_folder, library_path
 from touchfield.job.prepare import prepare
 from touchfield.job.stream_scene import decode

@@ -7,7 +7,10 @@ know beside it is the codec's configuration. Found by zarr through the entry poi
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -18,12 +21,23 @@ from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid
+from touchfield.parallel import worker_count
 
 __all__ = ["NAME", "TouchCodec"]
 
 NAME: Final = "touchfield.touch"
 _OPTIONS: Final = ("k", "f0_n", "mode", "effort")
 _MOST_SAMPLES: Final = 1 << 25
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(worker_count(), thread_name_prefix="touchfield-zarr")
+
+
+def _in_thread(work: Callable[..., Any], *given: Any) -> Awaitable[Any]:
+    """The work beside zarr's loop, on as many threads as touchfield may use: each holds a chunk."""
+    return asyncio.get_running_loop().run_in_executor(_threads(), work, *given)
 
 
 @dataclass(frozen=True)
@@ -99,11 +113,11 @@ class TouchCodec(ArrayBytesCodec):
         return out
 
     async def _encode_single(self, chunk_array: Any, chunk_spec: Any) -> Any:
-        body = await asyncio.to_thread(self.encode_chunk, chunk_array.as_numpy_array())
+        body = await _in_thread(self.encode_chunk, chunk_array.as_numpy_array())
         return chunk_spec.prototype.buffer.from_bytes(body)
 
     async def _decode_single(self, chunk_bytes: Any, chunk_spec: Any) -> Any:
         if not len(chunk_bytes):
             raise CorruptFile(f"codec {NAME}", "a chunk without bytes", "a segment of the coder touch")
-        dense = await asyncio.to_thread(self.decode_chunk, chunk_bytes.to_bytes(), chunk_spec.shape)
+        dense = await _in_thread(self.decode_chunk, chunk_bytes.to_bytes(), chunk_spec.shape)
         return chunk_spec.prototype.nd_buffer.from_numpy_array(dense)

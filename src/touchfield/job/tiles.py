@@ -3,7 +3,7 @@
 source -> mapping -> tile of the lattice -> device filter -> coder `touch` (a codec of zarr) -> shard
 
 A worker opens the source itself, makes the field of its tile with the rim that the low-pass needs, and writes one
-shard. Nothing is as large as the lattice: a tile has at most 256^3 samples, whatever the workspace has.
+shard. Nothing is as large as the lattice: a tile has at most 256^3 samples, and is made in blocks of 128^3.
 """
 
 from __future__ import annotations
@@ -14,9 +14,12 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from threading import Lock
 from typing import Any, Final, NamedTuple
+
+import numpy as np
 
 from touchfield._version import __version__
 from touchfield.errors import InvalidArgument
@@ -31,6 +34,9 @@ from touchfield.medium.zarr_store import boxes, create, whole_folder, write_box
 from touchfield.sources.scene import Scene
 
 __all__ = ["Tiled", "encode_tiles"]
+
+_MADE: Final = 128
+"""Samples an axis of what is made at once: the lattice before the low-pass is finer, and may be full."""
 
 _ALONE: Final = Lock()
 
@@ -176,11 +182,17 @@ def make_tile(tile: Tile) -> int:
             scene = prepared.source
             _opened[key] = scene, mapping_of(scene, prepared.device, tile.spec)
         scene, mapping = _opened[key]
-        whole = mapping.grid
-        part = Grid(tile.shape, whole.spacing_m, tuple(whole.to_m(tile.low).tolist()))
-        field = replace(mapping, grid=part).medium(scene)[tile.frame]
-        write_box(tile.store, tile.frame, tile.low, field)
-        return field.support_count
+        forces, supported = np.zeros((*tile.shape, 3), np.float32), 0
+        for first in product(*(range(0, n, _MADE) for n in tile.shape)):
+            shape = tuple(min(_MADE, n - a) for a, n in zip(first, tile.shape))
+            low = [a + b for a, b in zip(tile.low, first)]
+            part = Grid(shape, mapping.grid.spacing_m, tuple(mapping.grid.to_m(low).tolist()))  # type: ignore[arg-type]
+            field = replace(mapping, grid=part).medium(scene)[tile.frame]
+            if field.support_count:
+                forces[tuple(slice(a, a + n) for a, n in zip(first, shape))] = field.to_dense()
+                supported += field.support_count
+        write_box(tile.store, tile.frame, tile.low, forces)
+        return supported
 
 
 def _check(prepared: Prepared, out: str) -> None:

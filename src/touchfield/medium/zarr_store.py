@@ -96,12 +96,11 @@ def create(store: str | Path, medium: HapticMedium, told: Mapping[str, Any], cod
     )
 
 
-def write_box(store: str | Path, frame: int, low: Sequence[int], field: ForceField) -> None:
-    """Write the forces of one of `boxes`, whose first sample is `low`; nothing where there is none."""
-    if field.support_count:
+def write_box(store: str | Path, frame: int, low: Sequence[int], forces_n: NDArray[np.float32]) -> None:
+    """Write newtons [nx, ny, nz, 3] of one of `boxes`, whose first sample is `low`; nothing where there are none."""
+    if forces_n.any():
         array = _zarr().open_array(store, path=ARRAY, mode="r+")
-        high = [a + n for a, n in zip(low, field.grid.shape)]
-        array[(frame, *(slice(a, b) for a, b in zip(low, high)))] = field.to_dense()
+        array[(frame, *(slice(a, a + n) for a, n in zip(low, forces_n.shape)))] = forces_n
 
 
 def write_zarr(
@@ -122,7 +121,7 @@ def write_zarr(
         parts = list(boxes(medium.grid))
         for i, field in enumerate(medium):
             for low, shape in parts:
-                write_box(store, i, low, cut(field, low, shape))
+                write_box(store, i, low, cut(field, low, shape).to_dense())
             if progress is not None:
                 progress(i + 1)
 

@@ -1,0 +1,108 @@
+"""Work spread over processes: what a second worker is worth, and what a workspace of 10^10 samples takes.
+
+    python bench/bench_cluster.py [--quick]
+
+Falling bodies as voxels, 512 frames at 1 kHz, coded by one worker and by two, each of one thread, after both have
+their kernels; the bytes are compared with those of no worker at all. Then a real stereo picture on a lattice of
+2909 x 2182 x 1273 samples as a zarr store of tiles, by two workers; the memory is that of the largest process.
+Quick: 128 frames, and 2^8 samples an axis.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import Executor
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+
+from machine import Bar, Figures, at_least, at_most, bench, figure
+from touchfield import EncodeSpec, TouchSpec, device, encode
+from touchfield.job.executors import executor_of
+from touchfield.job.tiles import encode_tiles
+
+SOURCE = "sample:falling-7"
+TILED = "sample:motorcycle"
+
+
+def seconds(out: Path, spec: EncodeSpec, workers: Executor | None) -> float:
+    """Wall seconds of one encoding."""
+    began = perf_counter()
+    encode(SOURCE, out, spec, executor=workers)
+    return perf_counter() - began
+
+
+def spread(frames: int) -> Figures:
+    """One worker, two, and none."""
+    spec = EncodeSpec(nw=6, representation="voxel", frames=(0, frames))
+    figures: Figures = {"frames": frames}
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "a.touch"
+        seconds(out, spec, None)
+        alone = out.read_bytes()
+        figures["bytes"] = len(alone)
+        same = True
+        for count in (1, 2, 1, 2):
+            with executor_of(f"processes:{count}") as workers:
+                seconds(out, replace(spec, frames=(0, 64 * 2 * count)), workers)
+                took = seconds(out, spec, workers)
+            figures[f"workers_{count}_s"] = min(took, figures.get(f"workers_{count}_s", took))
+            same &= out.read_bytes() == alone
+        figures["same_bytes"] = same
+    figures["efficiency"] = figures["workers_1_s"] / (2 * figures["workers_2_s"])
+    return figures
+
+
+def huge(nw: int | None) -> Figures:
+    """A workspace in tiles: time, size, and the memory of the largest worker."""
+    spec = EncodeSpec(nw=nw, touch=TouchSpec(effort="fast"))
+    with tempfile.TemporaryDirectory() as folder, executor_of("processes:2") as workers:
+        done = encode_tiles(TILED, Path(folder) / "a.zarr", spec, executor=workers)
+    samples = done.prepared.medium.grid.voxel_count
+    return {
+        "samples": samples,
+        "tiles": done.tiles,
+        "supported_voxels": done.supported_voxels,
+        "file_bytes": done.file_bytes,
+        "seconds": done.encode_s,
+        "core_seconds_a_tile": 2 * done.encode_s / done.tiles,
+        "samples_a_second_and_core": samples / done.encode_s / 2,
+    }
+
+
+def in_a_process(nw: int | None) -> Figures:
+    """`huge` in a process of its own, so that the memory of its workers alone is counted."""
+    import json
+
+    code = "import json, sys, bench_cluster; print(json.dumps(bench_cluster.huge(json.loads(sys.argv[1]))))"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(nw)], env=environment, check=True, capture_output=True, text=True
+    )
+    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
+    return {**json.loads(done.stdout), "most_bytes": most}
+
+
+def measure(frames: int, is_huge: int) -> Figures:
+    """Both."""
+    os.environ["TOUCHFIELD_THREADS"] = "1"
+    shape = device("phantom-omni").lattice
+    return {"nominal": list(shape), "tiles": in_a_process(None if is_huge else 8), "spread": spread(frames)}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Of the work spread, and of the memory."""
+    return [
+        at_least("efficiency of two processes", figure(figures, "spread", "efficiency"), 0.85),
+        at_least("same bytes with none, one and two workers", float(figures["spread"]["same_bytes"]), 1.0),
+        at_least("samples of the workspace", figure(figures, "tiles", "samples"), 8e9),
+        at_most("memory of the largest process", figure(figures, "tiles", "most_bytes"), 2e9, "bytes"),
+    ]
+
+
+if __name__ == "__main__":
+    bench("cluster", __doc__, measure, bars, frames=(512, 128), is_huge=(1, 0))
