@@ -1,0 +1,78 @@
+"""A field as a zarr store beside ``.npz``: time to write and to read again, and bytes.
+
+    python bench/bench_zarr.py [--nw N] [--runs N] [--quick]
+
+The stereo picture on 2^n_w samples an axis. zstd is zarr's own choice; the codec of the coder `touch` promises
+k 0.1, F_0 0.05 N in every chunk, and is written tile by tile from the source. Best of the runs, taken in turn.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+
+from machine import Bar, Figures, at_least, bench, figure
+from touchfield import EncodeSpec, TouchSpec, prepare
+from touchfield.job.tiles import encode_tiles
+from touchfield.medium.npz import read_npz, write_npz
+from touchfield.medium.zarr_store import read_zarr, write_zarr
+
+SOURCE = "sample:motorcycle"
+
+
+def seconds(work: Callable[[Path], object], path: Path) -> float:
+    """Wall seconds of a call."""
+    began = perf_counter()
+    work(path)
+    return perf_counter() - began
+
+
+def size(path: Path) -> int:
+    """Bytes of a file, or of all in a folder."""
+    return sum(p.stat().st_size for p in ([path] if path.is_file() else path.rglob("*")) if p.is_file())
+
+
+def measure(nw: int, runs: int) -> Figures:
+    """Each way, several times."""
+    spec = EncodeSpec(nw=nw, representation="voxel", touch=TouchSpec())
+    medium = prepare(SOURCE, spec).medium
+    frames = [medium[0]]
+    held = type(medium).from_frames(frames, medium.rate_hz, medium.axes)
+    rows: dict[str, Figures] = {"npz": {}, "zarr, zstd": {}, "zarr, touch": {}}
+    for run in range(runs + 1):
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            ways: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]] = {
+                "npz": ("a.npz", lambda path: write_npz(path, held), lambda path: read_npz(path)[0]),
+                "zarr, zstd": ("a.zarr", lambda path: write_zarr(path, held), lambda path: read_zarr(path)[0]),
+                "zarr, touch": (
+                    "b.zarr",
+                    lambda path: encode_tiles(SOURCE, path, spec),
+                    lambda path: read_zarr(path)[0],
+                ),
+            }
+            for way, (file, write, read) in ways.items():
+                took = {"write_s": seconds(write, folder / file), "read_s": seconds(read, folder / file)}
+                if run:  # the first compiles
+                    rows[way] = {k: min(v, rows[way].get(k, v)) for k, v in took.items()}
+                    rows[way]["bytes"] = size(folder / file)
+    return {"source": SOURCE, "samples": medium.grid.voxel_count, "supported": frames[0].support_count, "ways": rows}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Half the speed of ``.npz`` at least."""
+
+    def ratio(key: str) -> float:
+        npz, zarr = (figure(figures, "ways", way, key) for way in ("npz", "zarr, zstd"))
+        return float(npz / zarr)
+
+    return [
+        at_least("zarr: speed of writing over that of npz", ratio("write_s"), 0.5),
+        at_least("zarr: speed of reading over that of npz", ratio("read_s"), 0.5),
+    ]
+
+
+if __name__ == "__main__":
+    bench("zarr", __doc__, measure, bars, nw=(8, 6), runs=(3, 1))
