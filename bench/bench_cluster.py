@@ -2,10 +2,10 @@
 
     python bench/bench_cluster.py [--quick]
 
-Falling bodies as voxels, 512 frames at 1 kHz, coded by one worker and by two, each of one thread, after both have
+Falling bodies as voxels, 2000 frames at 1 kHz, coded by one worker and by two, each of one thread, after both have
 their kernels; the bytes are compared with those of no worker at all. Then a real stereo picture on a lattice of
 2909 x 2182 x 1273 samples as a zarr store of tiles, by two workers; the memory is that of the largest process.
-Quick: 128 frames, and 2^8 samples an axis.
+Quick: 512 frames, and 2^8 samples an axis.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def spread(frames: int) -> Figures:
         same = True
         for count in (1, 2, 1, 2):
             with executor_of(f"processes:{count}") as workers:
-                seconds(out, replace(spec, frames=(0, 64 * 2 * count)), workers)
+                seconds(out, replace(spec, frames=(0, 256 * count)), workers)
                 took = seconds(out, spec, workers)
             figures[f"workers_{count}_s"] = min(took, figures.get(f"workers_{count}_s", took))
             same &= out.read_bytes() == alone
@@ -105,4 +105,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("cluster", __doc__, measure, bars, frames=(512, 128), is_huge=(1, 0))
+    bench("cluster", __doc__, measure, bars, frames=(2000, 512), is_huge=(1, 0))

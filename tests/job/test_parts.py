@@ -18,7 +18,7 @@ import pytest
 
 from touchfield import EncodeSpec, Grid, TouchSpec, encode
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
-from touchfield.job import parts
+from touchfield.job import coding, parts
 from touchfield.job.executors import executor_of
 from touchfield.job.library import index_folder
 from touchfield.job.parts import Sent, Task, code_part
@@ -43,6 +43,14 @@ def moving(count: int = FRAMES) -> np.ndarray:
     """Newtons of frames that rise, stand, and rise again; those that stand differ by a little."""
     heights = [5 + 0.2 * min(i, 6) + 0.2 * max(0, i - 14) for i in range(count)]
     return np.stack([field(h + 1e-5 * i).to_dense() for i, h in enumerate(heights)])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_stretches() -> Iterator[None]:
+    """Stretches of one segment, so that there are many."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(coding, "STRETCH", 1)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -35,6 +35,10 @@ MOST_BYTES_UNDER_WAY = 1 << 30
 """No further segment is begun while the fields of those that are being coded take more."""
 
 
+STRETCH = 4
+"""Of the longest segments: where a stretch ends, one may end early."""
+
+
 class Stretch(NamedTuple):
     """Frames of whole segments; of a coder with anchors the frame that the first of them is to begin like."""
 
@@ -60,7 +64,7 @@ def stretches(
     The anchor of a stretch is that of the one before where its first frame is as good (`AnchoringEncoder.anchor`).
     """
     length, longest = spec.segment_frames_at(medium.rate_hz), spec.longest_segment_at(medium.rate_hz)
-    each = -(-longest // length) * length
+    each = STRETCH * -(-longest // length) * length
     anchor, place = None, 0
     for start in range(0, len(medium), each):
         stop = min(start + each, len(medium))
