@@ -26,8 +26,8 @@ Int32s = NDArray[np.int32]
 HOLES: Final = ("small", "close", "leave")
 
 _SMALL: Final = 0.05
+# a part with more of its area missing is a sheet: its wall lies behind its faces, not within what they enclose
 _NEARLY_CLOSED: Final = 0.75
-"""A part with more of its area missing is a sheet: its wall lies behind its faces, not within what they enclose."""
 
 _MOST_EDGES: Final = 1 << 18
 _LONGEST, _LONGEST_OF_MANY, _MANY = 128, 24, 100
@@ -39,9 +39,7 @@ class Mended:
     """A surface with holes closed, and what is left open."""
 
     surface: Surface
-    # int32 [l, 3]; triangles that would close what is left open, where the mesh is nearly closed: they tell inside
-    # from outside, and are not felt. Empty for sheets and for closed meshes
-    lids: Int32s
+    lids: Int32s  # int32 [l, 3]; would close what is left open of a nearly closed mesh: tell inside, and are not felt
     rim: Int32s  # int32 [r, 2]; edges at the holes that are left
     is_oriented: bool  # whether neighbouring triangles face alike
     notes: tuple[str, ...]
@@ -51,8 +49,9 @@ class Mended:
 class _Hole:
     loop: NDArray[np.int64]
     patch: Int32s
+    part: int  # connected part of the surface that it lies in
     area_m2: float
-    share: float
+    share: float  # of the area of that part
     across_m: float
 
 
@@ -83,7 +82,7 @@ def mended(surface: Surface, holes: str) -> Mended:
         return Mended(done, none, none[:, :2], True, (*notes, *_told(taken, [])))
     lids = none
     rim = np.concatenate([np.stack([h.loop, np.roll(h.loop, -1)], axis=1) for h in left]).astype(np.int32)
-    if _part_shares(done, left).max() <= _NEARLY_CLOSED:
+    if np.bincount([h.part for h in left], [h.share for h in left]).max() <= _NEARLY_CLOSED:
         lids = np.concatenate([h.patch for h in left])
         if done.with_triangles(np.concatenate([done.triangles, lids])).volume_m3() < 0:
             done, lids = done.with_triangles(done.triangles[:, ::-1]), lids[:, ::-1]
@@ -122,9 +121,8 @@ def _loops(triangles: Int32s) -> list[NDArray[np.int64]] | None:
     if np.abs(net[open_]).sum() > _MOST_EDGES:
         return None
     after: dict[int, list[int]] = {}
-    for low, high, much in zip(
-        (edges[open_] >> 32).tolist(), (edges[open_] & 0xFFFFFFFF).tolist(), net[open_].tolist()
-    ):
+    ends = edges[open_] >> 32, edges[open_] & 0xFFFFFFFF, net[open_]
+    for low, high, much in zip(*(each.tolist() for each in ends)):
         u, v = (high, low) if much > 0 else (low, high)  # against the triangle that is there
         after.setdefault(u, []).extend([v] * abs(much))
     loops = []
@@ -146,33 +144,16 @@ def _loops(triangles: Int32s) -> list[NDArray[np.int64]] | None:
 
 
 def _measured(surface: Surface, loops: list[NDArray[np.int64]]) -> list[_Hole]:
-    areas, part_of = _part_areas(surface)
+    part_of, vertices = surface.part_of_vertex(), surface.vertices_m
+    areas = np.bincount(part_of[surface.triangles[:, 0]], _areas(vertices, surface.triangles))
     most = _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY
     gaps = []
     for loop in loops:
-        patch = _patch(loop, surface.vertices_m, most)
-        area = float(_areas(surface.vertices_m, patch).sum())
-        whole = float(areas[part_of[loop[0]]])
-        points = surface.vertices_m[loop]
-        across = float(np.linalg.norm(np.ptp(points, axis=0)))
-        gaps.append(_Hole(loop, patch, area, area / whole if whole > 0 else np.inf, across))
+        patch, part = _patch(loop, vertices, most), int(part_of[loop[0]])
+        area, whole = float(_areas(vertices, patch).sum()), float(areas[part])
+        across = float(np.linalg.norm(np.ptp(vertices[loop], axis=0)))
+        gaps.append(_Hole(loop, patch, part, area, area / whole if whole > 0 else np.inf, across))
     return gaps
-
-
-def _part_areas(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """The area of each connected part, and the part of each vertex."""
-    part_of = surface.part_of_vertex()
-    areas = np.bincount(part_of[surface.triangles[:, 0]], _areas(surface.vertices_m, surface.triangles))
-    return areas.astype(np.float64), part_of
-
-
-def _part_shares(surface: Surface, left: list[_Hole]) -> NDArray[np.float64]:
-    """Of each part with holes, how much of its area is missing."""
-    part_of = surface.part_of_vertex()
-    missing = np.zeros(part_of.max() + 1)
-    for hole in left:
-        missing[part_of[hole.loop[0]]] += hole.share
-    return missing
 
 
 def _areas(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from touchfield.medium import Grid
 from touchfield.medium.kernels.placed import close_up
 from touchfield.parallel import for_chunks
-from touchfield.sources.kernels.mesh_samples import Motion, Rim, RimNear, add_motion, fade
+from touchfield.sources.kernels.mesh_samples import Motion, Rim, add_motion, fade
 from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
 from touchfield.sources.kernels.mesh_triangle import (
     ID,
@@ -38,6 +38,9 @@ from touchfield.sources.kernels.mesh_triangle import (
 )
 
 __all__ = ["CLOSED", "LIDDED", "ONE_SIDED", "TWO_SIDED", "Band", "Motion", "Rim", "forces_near"]
+
+Floats = NDArray[np.float64]
+Int64s = NDArray[np.int64]
 
 CLOSED, ONE_SIDED, TWO_SIDED, LIDDED = 0, 1, 2, 3
 """Signs of a distance: by winding number; by the pseudo-normal; by the wall's half thickness; by the
@@ -237,12 +240,8 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
 
 
 def _bricks_near(
-    table: NDArray[np.float64],
-    lattice: NDArray[np.float64],
-    shape: NDArray[np.int64],
-    limits: NDArray[np.float32],
-    events: NDArray[np.int64],
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
+    table: Floats, lattice: Floats, shape: Int64s, limits: NDArray[np.float32], events: Int64s
+) -> tuple[NDArray[np.int32], Int64s, NDArray[np.int32]]:
     """The bricks near a mesh in any order, where the triangles of each begin, and the triangles."""
     size = 8 << int(-(-int(shape.max()) // 8) - 1).bit_length()
     cells = np.zeros((1, 3), np.int32)
@@ -251,8 +250,8 @@ def _bricks_near(
     while size > 8 and len(cells):
         keep = np.empty(len(ids), np.uint8)
         counts = np.zeros((len(cells), 8), np.int64)
-        arguments = (cells, start, ids, table, lattice, shape, size, limits, events, keep, counts)
-        for_chunks(_descend, len(cells), *arguments)
+        work = (cells, start, ids, table, lattice, shape, size, limits, events, keep, counts)
+        for_chunks(_descend, len(cells), *work)
         ends = np.cumsum(counts)
         children = np.empty(ends[-1], np.int32)
         offsets = (ends - counts.reshape(-1)).reshape(-1, 8)
@@ -267,8 +266,8 @@ def _bricks_near(
 
 
 def _rim_near(
-    rim: Rim, lattice: NDArray[np.float64], shape: NDArray[np.int64], reach_m: float, keys: NDArray[np.int64]
-) -> RimNear:
+    rim: Rim, lattice: Floats, shape: Int64s, reach_m: float, keys: Int64s
+) -> tuple[Int64s, Int64s, NDArray[np.int32]]:
     """Edges of a rim that may be within `reach_m` of the bricks with these keys, ascending."""
     limits = np.array([reach_m / lattice[3:].max()] * 2 + [0], np.float32)
     bricks, start, ids = _bricks_near(rim.table, lattice, shape, limits, np.zeros(0, np.int64))
@@ -278,12 +277,12 @@ def _rim_near(
     first, last = np.zeros((2, len(keys)), np.int64)
     is_there = np.flatnonzero(np.append(keys, -1)[place] == own)
     first[place[is_there]], last[place[is_there]] = start[:-1][is_there], start[1:][is_there]
-    return RimNear(first, last, ids)
+    return first, last, ids
 
 
 def forces_near(
-    surface: tuple[NDArray[np.float64], NDArray[np.float64]],
-    events: NDArray[np.int64],
+    surface: tuple[Floats, Floats],
+    events: Int64s,
     grid: Grid,
     band: Band,
     tiny_m: float,
@@ -312,16 +311,17 @@ def forces_near(
     columns = np.stack([np.searchsorted(events, columns + e) for e in (0, 1 << COLUMN_SHIFT)], axis=1)
     forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
     held = np.zeros(len(bricks), np.bool_)
-    rule = (band.sidedness, band.half_wall_m, tiny_m)
-    near = (bricks, spans, ids, columns)
-    frame = (lattice, shape, limits)
     owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
-    arguments = (near, surface, frame, events, rule, band.pieces, forces, held, owners)
-    for_chunks(_fill_bricks, len(bricks), *arguments)
+    near, frame = (bricks, spans, ids, columns), (lattice, shape, limits)
+    rule = (band.sidedness, band.half_wall_m, tiny_m)
+    for_chunks(_fill_bricks, len(bricks), near, surface, frame, events, rule, band.pieces, forces, held, owners)
     if motion is not None:
-        add_motion(bricks, owners, surface[0], lattice, motion, forces)
+        velocities = np.ascontiguousarray(motion.velocities_m_s, np.float64)
+        moves = motion.triangles, velocities, motion.damping_n_s_per_m
+        for_chunks(add_motion, len(bricks), bricks, owners, surface[0], lattice, *moves, forces)
     if rim is not None:
-        rim_near = _rim_near(rim, lattice, shape, max(band.inner_m, band.outer_m) + rim.width_m, keys)
-        fade(bricks, owners, surface[0], lattice, rim, rim_near, forces, held)
+        near_rim = _rim_near(rim, lattice, shape, max(band.inner_m, band.outer_m) + rim.width_m, keys)
+        beside = rim.table, near_rim, rim.width_m
+        for_chunks(fade, len(bricks), bricks, owners, surface[0], lattice, *beside, forces, held)
     count = close_up(bricks, forces, held)
     return bricks[:count], forces[:count]
