@@ -16,6 +16,10 @@ A message is one line: where, what was found, what was expected, how to mend it.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 __all__ = [
     "CorruptFile",
     "DeviceError",
@@ -27,6 +31,8 @@ __all__ = [
     "TouchfieldError",
     "TruncatedFile",
     "UnsupportedVersion",
+    "blamed_on",
+    "require_positive",
 ]
 
 
@@ -100,3 +106,19 @@ class CorruptFile(FormatError):
 
 class UnsupportedVersion(FormatError):
     """The file is of another version of the format, or needs a part that this one has not."""
+
+
+def require_positive(**values: float) -> None:
+    """`InvalidArgument` for a value, by its name, that is not positive or not finite."""
+    for name, value in values.items():
+        if not (value > 0 and math.isfinite(value)):
+            raise InvalidArgument(name, repr(value), "a positive number")
+
+
+@contextmanager
+def blamed_on(where: str) -> Iterator[None]:
+    """Within it an `InvalidArgument` is a `SourceError` of the file, or place in a file, that gave the argument."""
+    try:
+        yield
+    except InvalidArgument as error:
+        raise SourceError(f"{where}{error.where}", error.found, error.expected, error.mend) from error

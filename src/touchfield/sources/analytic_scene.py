@@ -28,7 +28,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_positive
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.field import brick_keys
 from touchfield.sources.options import SourceOptions
@@ -85,8 +85,7 @@ class AnalyticScene(Scene):
             raise InvalidArgument("shapes", "none", "at least one")
         if combine not in COMBINATIONS:
             raise InvalidArgument("combine", repr(combine), " or ".join(COMBINATIONS))
-        if not (rate_hz > 0 and np.isfinite(rate_hz)):
-            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        require_positive(rate_hz=rate_hz)
         self.shapes, self.combine = tuple(shapes), combine
         self.axes, self.rate_hz = axes, float(rate_hz)
 
@@ -172,10 +171,8 @@ def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
         for name, default in (("axes", UP_Y_AXES), ("combine", "sum"))
     )
     rate = number(f"{path}: rate_hz", table["rate_hz"]) if "rate_hz" in table else rate_hz or 30.0
-    try:
+    with blamed_on(f"{path}: "):
         return AnalyticScene(shapes, combine, axes, rate)
-    except InvalidArgument as error:
-        raise SourceError(f"{path}: {error.where}", error.found, error.expected) from error
 
 
 def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
@@ -197,9 +194,8 @@ def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
         elif f.default is dataclasses.MISSING:
             raise SourceError(f"{where}: {f.name}", "nothing", f"a value; a {kind} needs it")
     try:
-        return shape_type(**values)
-    except InvalidArgument as error:
-        raise SourceError(f"{where}: {error.where}", error.found, error.expected) from error
+        with blamed_on(f"{where}: "):
+            return shape_type(**values)
     except (TypeError, ValueError) as error:
         raise SourceError(where, "a number for a list, or a list for a number", f"the keys of a {kind}") from error
 

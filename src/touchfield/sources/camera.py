@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_positive
 from touchfield.medium.pose_track import quaternions_of, rotation_matrices
 from touchfield.sources.poses import checked_poses, poses_between
 
@@ -220,8 +220,7 @@ class InterpolatedSequence(DepthSequence):
     def __init__(self, source: DepthSequence, rate_hz: float, interpolation: str = "linear") -> None:
         if interpolation not in INTERPOLATIONS:
             raise InvalidArgument("interpolation", repr(interpolation), " or ".join(INTERPOLATIONS))
-        if not (rate_hz > 0 and np.isfinite(rate_hz)):
-            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        require_positive(rate_hz=rate_hz)
         frames = 1.0 if source.frame_count == 1 else source.frame_count / source.rate_hz * rate_hz
         if frames > MAX_FRAMES:
             found = f"{rate_hz:g} Hz: {frames:.3g} frames of {source.frame_count} at {source.rate_hz:.4g} Hz"

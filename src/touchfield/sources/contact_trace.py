@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.files import require_plain
+from touchfield.files import readable, require_plain
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_contacts
 from touchfield.parallel import for_chunks
@@ -217,7 +217,7 @@ def read_mcap(path: Path) -> ContactTrace:
     names: dict[str, None] = {}
     count = 0
     try:
-        with path.open("rb") as file:
+        with readable(path, _WHAT, "Check path and rights."), path.open("rb") as file:
             for schema, channel, message in make_reader(file).iter_messages():
                 name = schema.name if schema is not None else ""
                 names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
@@ -226,8 +226,6 @@ def read_mcap(path: Path) -> ContactTrace:
                     count += 1
                 if count > 2 * MAX_SAMPLES:
                     raise SourceError(str(path), f"more than {2 * MAX_SAMPLES} messages", _WHAT, "Cut it in parts.")
-    except OSError as error:
-        raise SourceError(str(path), error.strerror or str(error), _WHAT, "Check path and rights.") from error
     except (McapError, struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
         raise SourceError(str(path), f"no sound MCAP ({error})", _WHAT) from error
     for rows, what in zip(rows_of, ("positions", "forces")):

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import MissingExtra, SourceError, blamed_on
 from touchfield.medium.npz import NpzArchive, map_npy, read_npy_header
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
@@ -89,16 +89,13 @@ def _scene(path: Path, stored: _Map, options: SourceOptions) -> HeightScene:
     if _is_in_degrees(place) and place.middle is not None and abs(place.middle[0]) > LATITUDE_LIMIT_DEG:
         expected = f"at most {LATITUDE_LIMIT_DEG} either way"
         raise SourceError(str(path), f"the latitude {place.middle[0]:.4g}", expected)
-    cell_m, notes = _cell_m(place, options)
+    cell_m, told = _cell_m(place, options)
     unit_m, more = _height_unit_m(stored, cell_m, options)
     heights = stored.heights if unit_m == 1 else stored.heights.astype(np.float64) * unit_m
     rate_hz, factor = options.rate_hz or 30.0, options.exaggeration
-    try:
-        return HeightScene(
-            heights, cell_m, exaggeration=factor, rate_hz=rate_hz, notes=(*notes, *more), name=str(path)
-        )
-    except InvalidArgument as error:
-        raise SourceError(f"{path}, {error.where}", error.found, error.expected) from error
+    notes = (*told, *more)
+    with blamed_on(f"{path}, "):
+        return HeightScene(heights, cell_m, exaggeration=factor, rate_hz=rate_hz, notes=notes, name=str(path))
 
 
 def _cell_m(place: GeoTags, options: SourceOptions) -> tuple[tuple[float, float], list[str]]:

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError, blamed_on
 from touchfield.medium.npz import NpzArchive
 from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics, StoredFrame
 from touchfield.sources.depth_reader import depth_kind, list_files, source_rate, with_suffix
@@ -187,10 +187,8 @@ def _calibration(path: Path, size: tuple[int, int]) -> StereoRig | None:
         raise SourceError(str(file), f"no or another {error}", "Middlebury's cam0=, baseline=, doffs=") from error
     if stated != size:
         raise SourceError(str(file), f"a camera of {stated[0]} x {stated[1]} pixels", f"{size[0]} x {size[1]}")
-    try:
+    with blamed_on(f"{file}: "):
         return StereoRig(parse_intrinsics(matrix, f"{file}: {camera}").intrinsics, baseline_m, offset_px)
-    except InvalidArgument as error:
-        raise SourceError(f"{file}: {error.where}", error.found, error.expected) from error
 
 
 def _is_disparity(path: Path) -> bool:

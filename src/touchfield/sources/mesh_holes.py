@@ -18,14 +18,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.errors import InvalidArgument
 from touchfield.sources.mesh_surface import Edges, Surface
 
 Int32s = NDArray[np.int32]
 
-
-HOLES: Final = ("small", "close", "leave")
-
-_SMALL: Final = 0.05
+HOLES: Final = {"small": 0.05, "close": np.inf, "leave": -1.0}  # of its part: the largest hole that is closed
 # a part with more of its area missing is a sheet: its wall lies behind its faces, not within what they enclose
 _NEARLY_CLOSED: Final = 0.75
 
@@ -56,7 +54,9 @@ class _Hole:
 
 
 def mended(surface: Surface, holes: str) -> Mended:
-    """Close the holes of a surface by the rule `holes`, one of `HOLES`."""
+    """Close the holes of a surface by a rule: "small", "close" or "leave"; `InvalidArgument` for another word."""
+    if holes not in HOLES:
+        raise InvalidArgument("holes", repr(holes), " or ".join(HOLES))
     none = np.zeros((0, 3), np.int32)
     if surface.is_closed:
         return Mended(surface, none, none[:, :2], True, ())
@@ -71,7 +71,7 @@ def mended(surface: Surface, holes: str) -> Mended:
     if loops is None:  # no side is known, or there are too many
         return Mended(surface, none, none[:, :2], not surface.edges.repeated_count, ())
     gaps = _measured(start, loops)
-    share = {"small": _SMALL, "close": np.inf, "leave": -1.0}[holes]
+    share = HOLES[holes]
     taken, left = [h for h in gaps if h.share <= share], [h for h in gaps if h.share > share]
     done = start
     if taken:

@@ -22,7 +22,7 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField
 from touchfield.medium.pose_track import checked_rotation
-from touchfield.sources.mesh_holes import HOLES, Mended, mended
+from touchfield.sources.mesh_holes import Mended, mended
 from touchfield.sources.mesh_surface import Surface, from_longest
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
@@ -75,8 +75,6 @@ class MeshScene(Scene):
         name: str = "mesh",
         notes: tuple[str, ...] = (),
     ) -> None:
-        if holes not in HOLES:
-            raise InvalidArgument("holes", repr(holes), " or ".join(HOLES))
         self._hold(mended(Surface(vertices_m, triangles, name), holes), shell, name, notes)
 
     @classmethod

@@ -22,7 +22,7 @@ from typing import Any, Final
 from xml.parsers import expat
 
 from touchfield.errors import SourceError
-from touchfield.files import plain_size, require_beside, require_plain
+from touchfield.files import plain_size, readable, require_beside, require_plain
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.mujoco_bodies import pieces_of
 from touchfield.sources.options import SourceOptions
@@ -196,11 +196,10 @@ def _elements(model: Path) -> Iterator[tuple[str, dict[str, str]]]:
     parser.StartElementHandler = lambda tag, attributes: elements.append((tag, attributes))
     parser.StartDoctypeDeclHandler = refuse
     try:
-        parser.Parse(model.read_bytes(), True)
+        with readable(model, "a model that can be read"):
+            parser.Parse(model.read_bytes(), True)
     except expat.ExpatError as error:
         raise SourceError(str(model), f"no XML ({error})", "a whole MJCF model") from error
-    except OSError as error:
-        raise SourceError(str(model), error.strerror or str(error), "a model that can be read") from error
     if elements[0][0] not in ("mujoco", "mujocoinclude"):
         raise SourceError(str(model), f"the element {elements[0][0][:40]!r}", "mujoco")
     yield from elements

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import SourceError, blamed_on
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import joined
@@ -25,7 +25,6 @@ from touchfield.sources.scene import UP_Z_AXES, Scene
 from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Plane, Shape, Sphere, moved
 
 Float64s = NDArray[np.float64]
-
 
 _SHOWN_GROUPS: Final = 3
 _HERE: Final = (0.0, 0.0, 0.0)
@@ -58,11 +57,8 @@ def pieces_of(mujoco: Any, model: Any, where: str, shell: str = "auto") -> tuple
     left_out = int(model.nflex) + int(model.nskin)
     for geom in chosen:
         own = parts.setdefault(int(model.geom_bodyid[geom]), _Parts())
-        try:
+        with blamed_on(f"{where}: {_name(mujoco, model, mujoco.mjtObj.mjOBJ_GEOM, geom, 'geom')}: "):
             shape = _shape(mujoco, model, geom)
-        except InvalidArgument as error:
-            name = _name(mujoco, model, mujoco.mjtObj.mjOBJ_GEOM, geom, "geom")
-            raise SourceError(f"{where}: {name}: {error.where}", error.found, error.expected) from error
         triangles = None if shape else _triangles(mujoco, model, geom)
         if shape:
             own.shapes.append(shape)

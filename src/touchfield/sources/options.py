@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_positive
 
 __all__ = ["SourceOptions"]
 
@@ -114,7 +113,4 @@ class SourceOptions:
             "depth_scale", "cell_size_m", "height_scale", "exaggeration", "unit_m", "rate_hz", "seconds",
             "source_rate_hz", "near_m", "far_m", "baseline_m",
         )  # fmt: skip
-        for name in positive:
-            value = getattr(self, name)
-            if value is not None and not (value > 0 and math.isfinite(value)):
-                raise InvalidArgument(name, repr(value), "a positive number")
+        require_positive(**{name: getattr(self, name) for name in positive if getattr(self, name) is not None})

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import SourceError
-from touchfield.files import plain_size
+from touchfield.files import plain_size, readable
 from touchfield.medium.pose_track import PoseTrack, rotation_matrices, slerp
 
 if TYPE_CHECKING:
@@ -76,12 +76,11 @@ class PoseList:
 def read_text(path: Path) -> str:
     """A text file; `SourceError` if it cannot be read, is longer than 64 MiB or is not text."""
     try:
-        size = plain_size(path, "a text file")
-        if size > _MAX_TEXT_BYTES:
-            raise SourceError(str(path), f"{size} bytes", f"a text file up to {_MAX_TEXT_BYTES} bytes")
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise SourceError(str(path), error.strerror or str(error), "a text file", "Check path and rights.") from error
+        with readable(path, "a text file", "Check path and rights."):
+            size = plain_size(path, "a text file")
+            if size > _MAX_TEXT_BYTES:
+                raise SourceError(str(path), f"{size} bytes", f"a text file up to {_MAX_TEXT_BYTES} bytes")
+            return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SourceError(str(path), f"bytes that are no text at offset {error.start}", "a text file") from error
 

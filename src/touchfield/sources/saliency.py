@@ -37,7 +37,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError, require_positive
+from touchfield.files import readable
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.sources.camera import MAX_FRAMES, require_frame
@@ -102,8 +103,7 @@ class SaliencyModel:
     peaks: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if not (self.rate_hz > 0 and math.isfinite(self.rate_hz)):
-            raise InvalidArgument("rate_hz", repr(self.rate_hz), "a positive number")
+        require_positive(rate_hz=self.rate_hz)
 
     def update(self, colours: NDArray[np.uint8]) -> tuple[Float32s, SaliencyModel]:
         """The saliency of the next picture, sRGB, uint8 [height, width, 3], and the model that has seen it.
@@ -205,8 +205,7 @@ class SaliencyScene(Scene):
         self.maps = SaliencyMaps(pictures, source_rate_hz)
         self.axes, self.notes = UP_Y_AXES, notes
         self.rate_hz = float(source_rate_hz if rate_hz is None else rate_hz)
-        if not (self.rate_hz > 0 and np.isfinite(self.rate_hz)):
-            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        require_positive(rate_hz=self.rate_hz)
         count = pictures.frame_count
         self._step = source_rate_hz / self.rate_hz  # pictures in a frame
         if count > 1 and count / self._step > MAX_FRAMES:
@@ -285,10 +284,8 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
     if options.kind is None and options.depth_scale is not None:
         found, mend = "an ordinary picture or video of 8 bits", "Name its kind with --as saliency if that is meant."
         raise SourceError(str(path), found, "16-bit grey depth, as --depth-scale says", mend)
-    try:
+    with readable(path, "files that can be read"):
         pictures, rate_hz = _pictures(path, options)
-    except OSError as error:
-        raise SourceError(str(path), error.strerror or str(error), "files that can be read") from error
     note = "Symbolic: forces tell where the picture catches the eye, and no surface; a point device feels a slab."
     return SaliencyScene(pictures, rate_hz, options.rate_hz, (note,))
 

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid, PoseTrack
 from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import frozen
 from touchfield.parallel import for_chunks
 from touchfield.sources.profile import ForceProfile
 
-__all__ = ["CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene", "field_of_points"]
+__all__ = ["CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "MovingScene", "Scene", "field_of_points"]
 
 CAMERA_AXES: Final = "x right, y down, z forward"
 UP_Y_AXES: Final = "x right, y up, z towards the viewer"
@@ -120,6 +121,26 @@ class Scene(ABC):
         `rotation` float64 [3, 3]; `shift_m` float64 [3].
         """
         raise InvalidArgument(type(self).__name__, "a rigid motion asked of it", "a mesh or shapes with a formula")
+
+
+class MovingScene(Scene):
+    """A scene whose surface is another one in each frame; the latest box that was asked for is kept."""
+
+    _box: tuple[tuple[int, int], NDArray[np.float64]] | None = None
+
+    @abstractmethod
+    def _box_m(self, start: int, stop: int) -> NDArray[np.float64]:
+        """See `bounds_between_m`."""
+
+    def bounds_m(self) -> NDArray[np.float64]:
+        """The box of the surface over all frames, metres, float64 [2, 3], read-only."""
+        return self.bounds_between_m(0, self.frame_count)
+
+    def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
+        """The box over frames start to stop - 1, as `bounds_m` has it over all."""
+        if self._box is None or self._box[0] != (start, stop):
+            self._box = (start, stop), frozen(self._box_m(start, stop))
+        return self._box[1]
 
 
 @dataclass(frozen=True)

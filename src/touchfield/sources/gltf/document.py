@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.errors import SourceError
+from touchfield.files import readable
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _SPARE: Final = 1 << 20
@@ -333,7 +334,7 @@ def members_of(path: Path) -> dict[str, Any] | None:
 
 def _contents(path: Path, *, needs_bytes: bool) -> tuple[dict[str, Any], bytes]:
     """The JSON object of a file, and the binary chunk of a GLB (empty if there is none or it is not needed)."""
-    try:
+    with readable(path):
         if path.exists() and not path.is_file():
             raise SourceError(str(path), "a folder or a device", "one glTF file", "Name the file in it.")
         size = path.stat().st_size
@@ -345,8 +346,6 @@ def _contents(path: Path, *, needs_bytes: bool) -> tuple[dict[str, Any], bytes]:
             else:
                 stream.seek(0)
                 text = stream.read(size)
-    except OSError as error:
-        raise SourceError(str(path), error.strerror or str(error), "a file that can be read") from error
     try:
         members = json.loads(text)
     except (ValueError, RecursionError) as error:
