@@ -35,29 +35,8 @@ from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene, field_of_points
-from touchfield.sources.shapes import (
-    Box,
-    Capsule,
-    Cylinder,
-    Ellipsoid,
-    Plane,
-    Shape,
-    Sphere,
-    Superquadric,
-    moved,
-)
+from touchfield.sources.shapes import SHAPES, Plane, Shape, moved
 from touchfield.sources.toml_values import known, number, number_or_list, read_toml, tables, text
-
-SHAPES: Final[dict[str, type[Shape]]] = {
-    "plane": Plane,
-    "sphere": Sphere,
-    "box": Box,
-    "superquadric": Superquadric,
-    "capsule": Capsule,
-    "cylinder": Cylinder,
-    "ellipsoid": Ellipsoid,
-}
-"""The kinds of shape; a new one is a dataclass with a signed distance."""
 
 _TOP: Final = ("axes", "rate_hz", "combine", "shape")
 
@@ -67,8 +46,6 @@ COMBINATIONS: Final = ("sum", "union")
 class AnalyticScene(Scene):
     """One or several shapes, standing still.
 
-    Parameters
-    ----------
     combine : str; "sum": the forces of the shapes are added. "union": the nearest surface alone acts, phi the least
         of all and n its normal; exact outside, while within an overlap phi is that of the shape entered deepest, not
         the distance to the joint surface.

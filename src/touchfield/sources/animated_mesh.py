@@ -49,8 +49,6 @@ _LARGEST: Final = 1e15
 class AnimatedMeshScene(MovingScene):
     """A glTF model with one of its animations.
 
-    Parameters
-    ----------
     animation : str or None; Its name or its number; None for the first.
     rate_hz : float; Frames a second.
     unit_m : float or None; Metres of one unit of the coordinates; None for 1, as glTF has it.

@@ -40,8 +40,6 @@ class BodyScene(MovingScene):
     With `ForceProfile.surface_damping_n_s_per_m` b, b (v + omega x r) is added wherever a body has a force: its
     velocity there, r from its origin.
 
-    Parameters
-    ----------
     bodies : sequence of Body; One or more; their tracks have one length.
 
     Raises `InvalidArgument` if there is no body, the tracks differ in length, a body that deforms has not a frame
@@ -69,7 +67,6 @@ class BodyScene(MovingScene):
         self._kept: tuple[Grid, ForceProfile, ForceField] | None = None
 
     def bodies(self) -> tuple[Body, ...]:
-        """See `Scene.bodies`."""
         return self._bodies
 
     def _box_m(self, start: int, stop: int) -> Float64s:

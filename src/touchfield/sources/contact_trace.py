@@ -36,7 +36,6 @@ from touchfield.sources.scene import UP_Z_AXES, Scene, field_of_points
 Float64s = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
-
 _POSITIONS: Final = ("pose.position", "position", "point", "transform.translation", "translation")
 _FORCES: Final = ("wrench.force", "force")
 _CDR: Final = {"PoseStamped": 0, "PointStamped": 0, "TransformStamped": 0, "WrenchStamped": 1}
@@ -49,9 +48,7 @@ _LENGTHS: Final = (1.0, 1.5, 2.25, 3.5, 5.0)
 _NOISES: Final = (1e-4, 1e-2, 0.1, 0.5)
 _AT_ONCE: Final = 1024
 
-REACH: Final = 1.0
-"""Lengths of the kernel: a sample so far off still tells 60 % of the potential."""
-
+REACH: Final = 1.0  # lengths of the kernel: a sample so far off still tells 60 % of the potential
 _LEAST: Final = 4
 _FARTHEST_M: Final = 1e4
 _STRONGEST_N: Final = 1e6
@@ -139,8 +136,6 @@ def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, 
 class ContactScene(Scene):
     """Forces that were recorded, as a field that stands still.
 
-    Parameters
-    ----------
     where : str; Of the trace, for messages.
 
     Raises `SourceError` if there are too few places, all in one, or no force at all.

@@ -15,9 +15,10 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import MissingExtra, SourceError, blamed_on
 from touchfield.medium.npz import NpzArchive, map_npy, read_npy_header
@@ -27,21 +28,14 @@ from touchfield.sources.pictures import opened
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Scene
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 __all__ = ["KIND", "degree_m", "jacksboro_scene"]
 
 HEIGHT_KEYS: Final = ("elevation", "height", "heights", "heights_m", "z")
 PLACE_KEYS: Final = ("dx", "dy", "xmin", "xmax", "ymin", "ymax")
 COORDINATE_KEYS: Final = (("latitude", "longitude"), ("lat", "lon"), ("y", "x"))
-UNEVEN: Final = 0.1
-"""Steps between coordinates may differ by this share: rows of a Mercator map do, by little."""
-
+UNEVEN: Final = 0.1  # steps between coordinates may differ by this share: rows of a Mercator map do, by little
 PICTURES: Final = (".png", ".tif", ".tiff")
-LATITUDE_LIMIT_DEG: Final = 89.0
-"""Nearer to a pole the degrees of longitude are no cells of one width."""
-
+LATITUDE_LIMIT_DEG: Final = 89.0  # nearer to a pole the degrees of longitude are no cells of one width
 PICTURE_RELIEF: Final = 0.2
 """Relief of a picture without a scale, of its shorter side: as a landscape under the hand, not a wall."""
 

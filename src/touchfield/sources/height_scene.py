@@ -12,21 +12,17 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.camera import noise_step_per_m
+from touchfield.sources.camera import DepthSequence, noise_step_per_m
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, MovingScene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from touchfield.sources.camera import DepthSequence
 
 __all__ = ["HeightLattice", "HeightScene"]
 
@@ -66,8 +62,6 @@ class HeightLattice:
 class HeightScene(MovingScene):
     """One height map, or several over time; beyond its rim and where it is unknown there is no force.
 
-    Parameters
-    ----------
     heights_m : array [rows, cols], array [frames, rows, cols], sequence of arrays, or callable; Heights, metres, NaN
         where unknown. A callable ``heights(frame) -> [rows, cols]`` is asked when a frame is needed, and needs
         `frame_count`.

@@ -23,9 +23,10 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, blamed_on
 from touchfield.medium.npz import NpzArchive
@@ -33,6 +34,7 @@ from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode,
 from touchfield.sources.depth_reader import depth_kind, list_files, source_rate, with_suffix
 from touchfield.sources.intrinsics_file import CameraFile, camera_of, parse_intrinsics
 from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import (
     PHOTO_SUFFIXES,
     PICTURE_SUFFIXES,
@@ -44,11 +46,6 @@ from touchfield.sources.pictures import (
     read_picture,
 )
 from touchfield.sources.poses import read_text
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.sources.options import SourceOptions
 
 __all__ = ["KINDS", "InverseDepth", "StereoRig", "depth_of_disparity", "find_map", "motorcycle_sequence"]
 

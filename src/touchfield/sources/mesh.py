@@ -24,9 +24,7 @@ from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
 
 _SUFFIXES: Final = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
-_MOST_TRIANGLES: Final = 30_000_000
-"""A scene graph may use one geometry many times; this many fill about 5 GB."""
-
+_MOST_TRIANGLES: Final = 30_000_000  # a scene graph may use one geometry many times; this many fill about 5 GB
 _EMPTY_PER_BYTE: Final = 16
 """glTF lets an accessor be of zeros without any bytes; more than this for each byte of the file are refused."""
 

@@ -18,20 +18,18 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium import ForceField
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.mesh_holes import Mended, mended
 from touchfield.sources.mesh_surface import Surface, from_longest
+from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from touchfield.medium import Grid
     from touchfield.sources.kernels.mesh import Band, Motion
-    from touchfield.sources.profile import ForceProfile
 
 
 _UNSURE: Final = 2e-9  # of the largest coordinate: so near, rounding spoils the direction to the nearest point
@@ -42,8 +40,6 @@ _LARGEST_IN_SPACINGS: Final = 1e12  # extent of mesh and grid: beyond, float64 h
 class MeshScene(Scene):
     """A mesh that stands still.
 
-    Parameters
-    ----------
     vertices_m : float array [n, 3]; Metres. Vertices at one place must be one
         (`touchfield.sources.mesh_surface.joined`).
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.

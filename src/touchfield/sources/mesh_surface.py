@@ -55,8 +55,6 @@ class Edges:
 class Surface:
     """A checked triangle mesh, in metres.
 
-    Parameters
-    ----------
     vertices_m : float array [n, 3]
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
     name : str; What to call it in messages.

@@ -21,27 +21,23 @@ from dataclasses import dataclass
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import MissingExtra, SourceError, TouchfieldError
 from touchfield.sources.camera import MAX_FRAMES, require_frame
 from touchfield.sources.pictures import InOrder, bound_pixels, opened, require_size
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Colours = NDArray[np.uint8]
+Colours = NDArray[np.uint8]
 
 __all__ = ["ColourVideo", "GreyVideo", "PictureFiles", "Pictures", "StillOrAnimated", "map_size", "reduced"]
 
 ANIMATED_SUFFIXES: Final = (".gif",)
 """Of animations that are told by their name; animated WebP and PNG look like pictures."""
 
-LONGER_SIDE_PX: Final = 64
-"""Of the reduced picture, as Hou & Zhang have it."""
-
+LONGER_SIDE_PX: Final = 64  # of the reduced picture, as Hou & Zhang have it
 _STILL_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 _SHALLOW_MODES: Final = (
     "1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "LAB", "HSV",
@@ -52,7 +48,6 @@ VIDEO_SUFFIXES: Final = (".mkv", ".avi", ".mov", ".mp4")
 
 DEEP_GREY: Final = re.compile(r"gray(9|10|12|14|16)(le|be)")
 """FFmpeg's names of the pixel formats with one number of 9 to 16 bits a pixel."""
-
 
 _FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mov"}
 _STRICT: Final = {"err_detect": "crccheck+explode"}  # a damaged frame is an error where the codec can tell
@@ -237,7 +232,6 @@ class ColourVideo(GreyVideo):
     """The frames of an ordinary video, in colour; see `GreyVideo`."""
 
     def picture(self, frame: int) -> Colours:
-        """See `Pictures`."""
         return self.values(frame)
 
     def _values(self, picture: Any) -> Colours:
@@ -253,7 +247,6 @@ class PictureFiles:
             self.size = _size_of(_as_shown(image))
 
     def picture(self, frame: int) -> Colours:
-        """See `Pictures`."""
         require_frame(frame, self.frame_count)
         with _shallow(self.paths[frame]) as image:
             return _small(image, str(self.paths[frame]), self.size)

@@ -62,7 +62,6 @@ from touchfield.sources.toml_values import read_toml
 
 Poses = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
-
 _SECONDS: Final = 2.0
 
 

@@ -26,17 +26,12 @@ from touchfield.sources.simulation import START, mujoco_faults, warnings_heard
 
 Float64s = NDArray[np.float64]
 
-
 _HARD: Final = (0.99, 0.99, 0.001, 0.5, 2.0)
 """Impedance: nearly all of the acceleration at a contact is the spring's and damper's."""
 
 _LEAST_RESTITUTION: Final = 0.02
-_MOST_DAMPED: Final = 10.0
-"""A damping ratio beyond that of the least restitution."""
-
-_POSED_KG_M3: Final = 1e8
-"""Density of a body that a file poses: nothing that it meets within a frame moves it."""
-
+_MOST_DAMPED: Final = 10.0  # a damping ratio beyond that of the least restitution
+_POSED_KG_M3: Final = 1e8  # density of a body that a file poses: nothing that it meets within a frame moves it
 _HULL_ROWS: Final = 16
 _THINNEST: Final = 1e-5
 """Thickness of a mesh, as a share of its length, below which no hull is made of it that could be trusted."""

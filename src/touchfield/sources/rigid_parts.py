@@ -21,7 +21,6 @@ from touchfield.sources.mesh_surface import Surface
 
 Floats = NDArray[np.float64]
 
-
 _RIGID: Final = 1e-5
 _LOOKS: Final = 16
 

@@ -33,9 +33,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, require_positive
 from touchfield.files import readable
@@ -54,36 +55,24 @@ from touchfield.sources.moving_pictures import (
     reduced,
     video_header,
 )
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder
+from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.sources.options import SourceOptions
-    from touchfield.sources.profile import ForceProfile
-
-    Float32s = NDArray[np.float32]
+Float32s = NDArray[np.float32]
 
 __all__ = ["KIND", "THICKNESS", "SaliencyMaps", "SaliencyModel", "SaliencyScene", "open_saliency"]
 
 LONGER_SIDE_M: Final = 1.0
-THICKNESS: Final = 0.05
-"""Of the plate, as a share of its longer side."""
-
-MEMORY_S: Final = 0.3
-"""Of the mean against which movement is seen: a few frames of a film."""
-
-FADE_S: Final = 2.0
-"""In which a peak of the past fades to 1/e."""
-
+THICKNESS: Final = 0.05  # of the plate, as a share of its longer side
+MEMORY_S: Final = 0.3  # of the mean against which movement is seen: a few frames of a film
+FADE_S: Final = 2.0  # in which a peak of the past fades to 1/e
 FLOORS: Final = (0.02, 0.15, 0.15)
 """Least peaks of spectral residual, centre-surround and temporal contrast; 1 is the step from black to white."""
 
-NOISE_LEVEL: Final = 0.02
-"""Standard deviation of white noise that is not worth attention, of 1: 5 of 255 grey levels."""
-
+NOISE_LEVEL: Final = 0.02  # standard deviation of white noise that is not worth attention, of 1: 5 of 255 grey levels
 _LEAST_TOTAL: Final = 1 / 3  # of the averaged parts: one part alone at its peak
 _CENTRE_PX, _SURROUND_PX, _RESIDUAL_PX = 1.5, 8.0, 2.0  # standard deviations
 _LEAST: Final = 1e-6  # saliency that is none

@@ -130,7 +130,7 @@ class MovingScene(Scene):
 
     @abstractmethod
     def _box_m(self, start: int, stop: int) -> NDArray[np.float64]:
-        """See `bounds_between_m`."""
+        """The box over frames start to stop - 1, float64 [2, 3]; `bounds_between_m` keeps it."""
 
     def bounds_m(self) -> NDArray[np.float64]:
         """The box of the surface over all frames, metres, float64 [2, 3], read-only."""

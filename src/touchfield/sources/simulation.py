@@ -19,18 +19,10 @@ import numpy as np
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.medium.pose_track import PoseTrack
 
-FRAME_RATE_HZ: Final = 1000.0
-"""Frames a second where none are asked for: the rate of haptic rendering."""
-
-START: Final = "touchfield"
-"""Name of the keyframe from which a simulation begins, where the model has it."""
-
-_MAX_POSES: Final = 1 << 22
-"""Bodies times frames; 28 doubles of 8 bytes and their copies are kept for each."""
-
-_MAX_STEPS: Final = 20_000_000
-"""Steps times bodies: up to half a minute of one core."""
-
+FRAME_RATE_HZ: Final = 1000.0  # frames a second where none are asked for: the rate of haptic rendering
+START: Final = "touchfield"  # name of the keyframe from which a simulation begins, where the model has it
+_MAX_POSES: Final = 1 << 22  # bodies times frames; 28 doubles of 8 bytes and their copies are kept for each
+_MAX_STEPS: Final = 20_000_000  # steps times bodies: up to half a minute of one core
 _STEPS_S: Final = (1e-9, 1e9)
 
 _one_at_a_time = threading.Lock()
@@ -93,8 +85,6 @@ def simulated(
     The model's time step must divide the time between frames; where it does not, the nearest that does is set, and a
     note says so. A keyframe of the name `START` is the state it begins from. Controls are 0.
 
-    Parameters
-    ----------
     model : mujoco.MjModel; Its time step may be changed.
     where : str; What to call the model in messages.
     posed : mapping of int to PoseTrack, optional; Of bodies with a free joint: the pose and velocity that they are

@@ -28,9 +28,7 @@ _SPARE: Final = 1 << 20
 _PER_BYTE: Final = 16
 """A document may ask for this many elements for each of its bytes, and `_SPARE` more (zeros need no bytes)."""
 
-_LARGEST: Final = 1 << 53
-"""Beyond this a JSON number need not be a whole one any more."""
-
+_LARGEST: Final = 1 << 53  # beyond this a JSON number need not be a whole one any more
 _LISTS: Final = ("accessors", "animations", "bufferViews", "buffers", "meshes", "nodes", "scenes", "skins")
 _COMPONENTS: Final = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -197,7 +195,6 @@ class Document:
     # -- accessors ---------------------------------------------------------------------------------------------------
 
     def floats(self, index: int, kind: str) -> NDArray[np.float64]:
-        """See `Element.floats`."""
         element = self._checked(index, kind)
         if index not in self._floats:
             stored = self._data(element, _WIDTHS[kind])
@@ -212,7 +209,6 @@ class Document:
         return self._floats[index]
 
     def whole(self, index: int, kind: str, below: int) -> NDArray[np.int64]:
-        """See `Element.whole`."""
         element = self._checked(index, kind)
         if index not in self._whole:
             stored = self._data(element, _WIDTHS[kind])

@@ -13,9 +13,7 @@ from touchfield.lean import entry
 from touchfield.medium import ForceField, Grid
 from touchfield.parallel import for_chunks
 
-_MOST_STEPS: Final = 60
-"""Of Newton's iteration; where it is slowest, beside the focal ellipse, about ten are needed."""
-
+_MOST_STEPS: Final = 60  # of Newton's iteration; where it is slowest, beside the focal ellipse, about ten are needed
 _FAR = 50.0  # of r^2 / l^2, where exp(-r^2 / 2 l^2) is 1e-11
 
 
