@@ -16,6 +16,7 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, Final
@@ -28,14 +29,7 @@ from touchfield.sources.mujoco_bodies import pieces_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Body
-from touchfield.sources.simulation import (
-    FRAME_RATE_HZ,
-    frames_of,
-    load_mujoco,
-    mujoco_faults,
-    simulated,
-    warnings_heard,
-)
+from touchfield.sources.simulation import FRAME_RATE_HZ, compiled, frames_of, load_mujoco, simulated
 
 _SECONDS: Final = 2.0
 _SECONDS_NAME: Final = "touchfield_seconds"
@@ -53,7 +47,8 @@ _MOST: Final = {("count",): 1 << 16, ("nkey",): 1 << 16, ("nrow", "ncol"): 1 << 
 def _open(path: Path, options: SourceOptions) -> BodyScene:
     mujoco = load_mujoco()
     check_files(path, anywhere=options.allow_outside)
-    model, notes = _compiled(mujoco, path)
+    read = partial(mujoco.MjModel.from_xml_path, str(path))
+    model, notes = compiled(read, str(path), "a model that MuJoCo cannot read", "a whole MJCF model")
     pieces, more = pieces_of(mujoco, model, str(path), options.shell)
     seconds, rate = _seconds(mujoco, model, path, options), options.rate_hz or FRAME_RATE_HZ
     bodies = sorted({piece.body_id for piece in pieces})
@@ -62,16 +57,6 @@ def _open(path: Path, options: SourceOptions) -> BodyScene:
     track_of = dict(zip(bodies, tracks, strict=True))
     posed = [Body(piece.name, piece.scene, track_of[piece.body_id]) for piece in pieces]
     return BodyScene(posed, rate, notes=(*notes, *more, *told))
-
-
-def _compiled(mujoco: Any, path: Path) -> tuple[Any, tuple[str, ...]]:
-    """The model, and what MuJoCo warned of."""
-    try:
-        with warnings_heard(mujoco) as heard:
-            model = mujoco.MjModel.from_xml_path(str(path))
-    except mujoco_faults(mujoco) as error:
-        raise SourceError(str(path), f"a model that MuJoCo cannot read ({error})", "a whole MJCF model") from error
-    return model, tuple(f"MuJoCo warns: {' '.join(said.split())[:200]}" for said in heard)
 
 
 def _seconds(mujoco: Any, model: Any, path: Path, options: SourceOptions) -> float:
@@ -116,9 +101,7 @@ class _Named:
 def check_files(path: Path, *, anywhere: bool = False) -> None:
     """Refuse a model that names what lies outside its folder, or is no plain file, or asks for counts beyond reason.
 
-    `anywhere` bool: whether the user allows files outside the folder.
-
-    Raises `SourceError`: It names the file, the element and the attribute.
+    `anywhere`: the user allows files outside the folder. `SourceError` names file, element and attribute.
     """
     named, waiting, met = _Named(), [path], set()
     while waiting:

@@ -10,7 +10,6 @@ geoms too is a body of its own, "body/geom", with the same track: where they ove
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -22,7 +21,7 @@ from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import joined
 from touchfield.sources.scene import UP_Z_AXES, Scene
-from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Plane, Shape, Sphere, moved
+from touchfield.sources.shapes import SHAPES, Shape, moved
 
 Float64s = NDArray[np.float64]
 
@@ -90,19 +89,15 @@ def _touchable(model: Any) -> tuple[list[int], tuple[str, ...]]:
 
 def _shape(mujoco: Any, model: Any, geom: int) -> Shape | None:
     """The shape of a geom in its body's frame; None where it has no formula."""
-    kinds, (a, b, c) = mujoco.mjtGeom, (float(s) for s in model.geom_size[geom])
-    makers: dict[Any, Callable[[], Shape]] = {
-        kinds.mjGEOM_SPHERE: lambda: Sphere(_HERE, a),
-        kinds.mjGEOM_CAPSULE: lambda: Capsule(_HERE, a, b),
-        kinds.mjGEOM_CYLINDER: lambda: Cylinder(_HERE, a, b),
-        kinds.mjGEOM_ELLIPSOID: lambda: Ellipsoid(_HERE, (a, b, c)),
-        kinds.mjGEOM_BOX: lambda: Box(_HERE, (a, b, c)),
-        kinds.mjGEOM_PLANE: lambda: Plane(_HERE, (0.0, 0.0, 1.0)),
-    }
-    make = makers.get(kinds(int(model.geom_type[geom])))
-    if make is None:
+    name = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+    a, b, c = (float(s) for s in model.geom_size[geom])
+    sizes: dict[str, tuple[Any, ...]] = {
+        "sphere": (a,), "capsule": (a, b), "cylinder": (a, b), "plane": ((0.0, 0.0, 1.0),),
+        "ellipsoid": ((a, b, c),), "box": ((a, b, c),),
+    }  # fmt: skip
+    if name not in sizes:
         return None
-    shape = make()
+    shape = SHAPES[name](_HERE, *sizes[name])  # type: ignore[call-arg]
     rotation, shift = _frame(mujoco, model, geom)
     is_placed = shift.any() or not np.array_equal(rotation, np.eye(3))
     return moved(shape, rotation, shift) if is_placed else shape

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, Final
@@ -29,10 +29,7 @@ _one_at_a_time = threading.Lock()
 
 
 def load_mujoco() -> Any:
-    """The module, imported when it is first needed.
-
-    Raises `MissingExtra` if it is not installed.
-    """
+    """The module, imported when it is first needed; `MissingExtra` if it is not installed."""
     try:
         return import_module("mujoco")
     except ImportError as error:
@@ -60,11 +57,19 @@ def warnings_heard(mujoco: Any) -> Iterator[list[str]]:
             heard += [str(one.message) for one in told]
 
 
-def frames_of(where: str, seconds: float, rate_hz: float, body_count: int = 1) -> int:
-    """Frames of a duration, at least one.
+def compiled(make: Callable[[], Any], where: str, found: str, expected: str) -> tuple[Any, tuple[str, ...]]:
+    """What `make` gives, and what MuJoCo warned of; `SourceError` in these words where it refuses."""
+    mujoco = load_mujoco()
+    try:
+        with warnings_heard(mujoco) as heard:
+            made = make()
+    except mujoco_faults(mujoco) as error:
+        raise SourceError(where, f"{found} ({error})", expected) from error
+    return made, tuple(f"MuJoCo warns: {' '.join(said.split())[:200]}" for said in heard)
 
-    Raises `InvalidArgument` if that many poses of that many bodies are beyond what is kept.
-    """
+
+def frames_of(where: str, seconds: float, rate_hz: float, body_count: int = 1) -> int:
+    """Frames of a duration, at least one; `InvalidArgument` for more poses of so many bodies than are kept."""
     frames = seconds * rate_hz
     if not frames * body_count <= _MAX_POSES:
         found = f"{seconds:g} s at {rate_hz:g} Hz for {body_count} bodies"
@@ -83,17 +88,10 @@ def simulated(
     """Step a model and record its bodies.
 
     The model's time step must divide the time between frames; where it does not, the nearest that does is set, and a
-    note says so. A keyframe of the name `START` is the state it begins from. Controls are 0.
+    note says so. A keyframe of the name `START` is the state it begins from. Controls are 0. `where` is what to call
+    the model in messages; `posed` are the poses, and so velocities, that bodies with a free joint are given.
 
-    model : mujoco.MjModel; Its time step may be changed.
-    where : str; What to call the model in messages.
-    posed : mapping of int to PoseTrack, optional; Of bodies with a free joint: the pose and velocity that they are
-        given in each frame.
-
-    Returns
-    -------
-    tracks : list of PoseTrack; One for each of `body_ids`, scene from body frame.
-    notes : tuple of str
+    Gives a track for each of `body_ids`, scene from body frame, and notes.
 
     Raises `SourceError` if the simulation diverges, MuJoCo cannot go on, or the time step is none; `InvalidArgument`
     if it would take more than 20 million steps of a body.

@@ -176,11 +176,8 @@ class Document:
             raise self.root.fault(f"glTF version {version[:20]!r}", "version 2", "Convert it to glTF 2.0.")
         for name in self.root.texts("extensionsRequired"):
             if not name.startswith(_HARMLESS):
-                found, mend = (
-                    f"the required extension {name[:60]!r}",
-                    "Export it without extensions.",
-                )
-                raise self.root.fault(found, "a mesh without it", mend)
+                found = f"the required extension {name[:60]!r}"
+                raise self.root.fault(found, "a mesh without it", "Export it without extensions.")
 
     def all(self, key: str) -> list[Element]:
         """The objects of a top-level list: accessors, nodes, ..."""
@@ -363,9 +360,8 @@ def _chunk_of(path: Path, stream: BinaryIO, size: int, kind: int) -> bytes:
     while len(head := stream.read(8)) == 8:
         length, found = struct.unpack("<II", head)
         if length > size - stream.tell():
-            raise SourceError(
-                str(path), f"a chunk of {length} bytes that is cut short", "whole chunks", "Copy it again."
-            )
+            text = f"a chunk of {length} bytes that is cut short"
+            raise SourceError(str(path), text, "whole chunks", "Copy it again.")
         if found == kind:
             return stream.read(length)
         stream.seek(length, 1)
