@@ -29,12 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_positive
-from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.medium.field import brick_keys
+from touchfield.medium import ForceField, Grid
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Y_AXES, Scene, field_of_points
+from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_that, field_of_points
 from touchfield.sources.shapes import SHAPES, Plane, Shape, moved
 from touchfield.sources.toml_values import known, number, number_or_list, read_toml, tables, text
 
@@ -100,25 +99,11 @@ class AnalyticScene(Scene):
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` does not matter."""
-        return field_of_points(grid, self._candidates(grid, profile), lambda points: self.forces_n(points, profile))
 
-    def _candidates(self, grid: Grid, profile: ForceProfile) -> NDArray[np.int32]:
-        """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may."""
-        size = 1 << max(grid.brick_shape).bit_length()
-        blocks = np.zeros((1, 3), np.int64)
-        spacing = np.asarray(grid.spacing_m)
-        octants = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(1, 8, 3)
-        while True:
-            half = (size * BRICK - 1) / 2
-            centres = grid.to_m(blocks * (size * BRICK) + half)
-            blocks = blocks[self._may_act(centres, float(np.linalg.norm(spacing * half)), profile)]
-            if size == 1:
-                break
-            size //= 2
-            blocks = (blocks[:, None] * 2 + octants).reshape(-1, 3)
-            blocks = blocks[(blocks * size < grid.brick_shape).all(axis=1)]
-        ordered = np.argsort(brick_keys(grid, blocks))
-        return blocks[ordered].astype(np.int32)
+        def may_act(centres: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
+            return self._may_act(centres, radius_m, profile)
+
+        return field_of_points(grid, bricks_that(may_act, grid), lambda points: self.forces_n(points, profile))
 
     def _may_act(self, centres: NDArray[np.float64], radius_m: float, profile: ForceProfile) -> NDArray[np.bool_]:
         met = np.zeros(len(centres), np.bool_)

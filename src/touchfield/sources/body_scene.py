@@ -13,6 +13,7 @@ from touchfield.errors import InvalidArgument, require_positive
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
+from touchfield.parallel import for_chunks
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.camera import require_frame
 from touchfield.sources.mesh_scene import MeshScene
@@ -143,7 +144,9 @@ def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
     keys = np.unique(np.concatenate([np.zeros(0, np.int64), *places]))
     total = zero_forces(len(keys))
     for part, place in zip(parts, places):
-        add_body(part.field, np.searchsorted(keys, place), part.field.grid, part.motion, total)
+        field, lattice = part.field, (*part.field.grid.origin_m, *part.field.grid.spacing_m)
+        work = field.bricks, field.forces_n, np.searchsorted(keys, place), lattice, part.motion, total
+        for_chunks(add_body, len(place), *work, chunk=32)
     bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
     holds = total.any(axis=(1, 2, 3, 4))
     return ForceField(grid, bricks, total) if holds.all() else ForceField(grid, bricks[holds], total[holds])

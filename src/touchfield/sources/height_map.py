@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -50,6 +50,10 @@ _WGS84_AXIS_M: Final = 6378137.0
 _WGS84_E2: Final = 0.00669437999014
 
 
+Floats = NDArray[np.float64]
+Pair = tuple[float, float]
+
+
 @dataclass(frozen=True)
 class GeoTags:
     """Place and units of samples, as a file says; None where it does not.
@@ -58,8 +62,8 @@ class GeoTags:
     metres where they are not degrees; `vertical_unit_m` are the metres of one unit of height.
     """
 
-    cell: tuple[float, float] | None = None
-    middle: tuple[float, float] | None = None
+    cell: Pair | None = None
+    middle: Pair | None = None
     is_degrees: bool | None = None
     unit_m: float = 1.0
     vertical_unit_m: float | None = 1.0
@@ -92,7 +96,7 @@ def _scene(path: Path, stored: _Map, options: SourceOptions) -> HeightScene:
         return HeightScene(heights, cell_m, exaggeration=factor, rate_hz=rate_hz, notes=notes, name=str(path))
 
 
-def _cell_m(place: GeoTags, options: SourceOptions) -> tuple[tuple[float, float], list[str]]:
+def _cell_m(place: GeoTags, options: SourceOptions) -> tuple[Pair, list[str]]:
     """(dy, dx) in metres."""
     if options.cell_size_m is not None:
         return (options.cell_size_m, options.cell_size_m), []
@@ -117,7 +121,7 @@ def _is_in_degrees(place: GeoTags) -> bool:
     return abs(latitude) <= 90 and abs(longitude) <= 180 and max(place.cell) < 0.1
 
 
-def _height_unit_m(stored: _Map, cell_m: tuple[float, float], options: SourceOptions) -> tuple[float, list[str]]:
+def _height_unit_m(stored: _Map, cell_m: Pair, options: SourceOptions) -> tuple[float, list[str]]:
     unit_m = stored.place.vertical_unit_m if options.height_scale is None else options.height_scale
     if unit_m is not None:
         return unit_m, []
@@ -160,9 +164,7 @@ def _from_npz(path: Path) -> _Map:
     return _Map(heights, GeoTags((dy, dx), middle, is_degrees))
 
 
-def _coordinates(
-    archive: NpzArchive, shape: tuple[int, ...]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], bool | None] | None:
+def _coordinates(archive: NpzArchive, shape: tuple[int, ...]) -> tuple[Floats, Floats, bool | None] | None:
     """Coordinates of the rows and columns, and whether they are degrees, where the archive holds them as arrays."""
     for y_name, x_name in COORDINATE_KEYS:
         if not {y_name, x_name} <= set(archive.names):
@@ -180,10 +182,6 @@ def _coordinates(
             axes.append(values)
         return axes[0], axes[1], True if y_name.startswith("lat") else None
     return None
-
-
-def _from_npy(path: Path) -> _Map:
-    return _Map(_known(map_npy(path)))
 
 
 def _from_picture(path: Path) -> _Map:
@@ -207,12 +205,6 @@ def _from_picture(path: Path) -> _Map:
     return _Map(_known(values), tags if is_elevation else replace(tags, vertical_unit_m=None))
 
 
-def _is_grey_picture(path: Path) -> bool:
-    """True if Pillow knows the picture and it has one grey channel; reads the head only."""
-    with opened(path) as picture:
-        return picture.mode in _GREY_MODES
-
-
 def _known(values: NDArray[Any]) -> NDArray[np.floating[Any]]:
     """As floating point, NaN where not finite."""
     heights: NDArray[np.floating[Any]] = values.astype(np.float64 if values.dtype.itemsize > 2 else np.float32)
@@ -221,7 +213,7 @@ def _known(values: NDArray[Any]) -> NDArray[np.floating[Any]]:
 
 
 # -- GeoTIFF ------------------------------------------------------------------------------------------------
-def degree_m(latitude_deg: float) -> tuple[float, float]:
+def degree_m(latitude_deg: float) -> Pair:
     """Metres of one degree of latitude and of one degree of longitude, on WGS 84."""
     sine2 = math.sin(math.radians(latitude_deg)) ** 2
     across = _WGS84_AXIS_M / math.sqrt(1 - _WGS84_E2 * sine2)
@@ -239,15 +231,11 @@ def _geo_tags(tags: Mapping[int, Any], rows: int, cols: int) -> GeoTags:
         missing = float(nodata)
     except ValueError:
         missing = None
-    unit_m, vertical_unit_m = (
-        _UNITS_M.get(keys.get(key, 9001), 1.0) for key in (_LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY)
-    )
-    return GeoTags(cell, middle, None if model is None else model == _GEOGRAPHIC, unit_m, vertical_unit_m, missing)
+    unit_m, vertical_m = (_UNITS_M.get(keys.get(key, 9001), 1.0) for key in (_LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY))
+    return GeoTags(cell, middle, None if model is None else model == _GEOGRAPHIC, unit_m, vertical_m, missing)
 
 
-def _placement(
-    tags: Mapping[int, Any], rows: int, cols: int
-) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+def _placement(tags: Mapping[int, Any], rows: int, cols: int) -> tuple[Pair | None, Pair | None]:
     scale, tie = _numbers(tags, _PIXEL_SCALE), _numbers(tags, _TIEPOINT)
     matrix = _numbers(tags, _TRANSFORMATION)
     if len(scale) >= 2 and scale[0] > 0 and scale[1] > 0:
@@ -306,14 +294,18 @@ def _recognise(path: Path) -> bool:
         if suffix == ".npy":
             with path.open("rb") as stream:
                 return len(read_npy_header(stream, str(path)).shape) == 2
-        return suffix in PICTURES and _is_grey_picture(path)
+        if suffix not in PICTURES:
+            return False
+        with opened(path) as picture:  # reads the head only
+            return picture.mode in _GREY_MODES
     except (SourceError, OSError):
         return False
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:
     suffix = path.suffix.lower()
-    readers = {".npz": _from_npz, ".npy": _from_npy, **dict.fromkeys(PICTURES, _from_picture)}
+    readers: dict[str, Callable[[Path], _Map]] = {".npz": _from_npz, **dict.fromkeys(PICTURES, _from_picture)}
+    readers[".npy"] = lambda file: _Map(_known(map_npy(file)))
     if suffix not in readers:
         raise SourceError(str(path), f"a file named {suffix or 'without suffix'}", ", ".join(readers))
     return _scene(path, readers[suffix](path), options)

@@ -53,11 +53,8 @@ _SUFFIXES: Final = (".npy", ".npz", ".pfm", ".png")
 _KITTI_UNITS_PER_PX: Final = 256.0
 
 NEAR_M: Final = 1.0
-FIELD_OF_VIEW_DEG: Final = 60.0
-"""Across the width, where no camera is known: between a phone's main camera (about 65) and a webcam (about 55)."""
-
-SHAPE_TOLERANCE: Final = 0.03
-"""Width to height of map and picture may differ by this share: estimators round to multiples of 14 or 32 pixels."""
+FIELD_OF_VIEW_DEG: Final = 60.0  # across the width: between a phone's main camera (about 65) and a webcam (about 55)
+SHAPE_TOLERANCE: Final = 0.03  # of width to height of map and picture: estimators round to multiples of 14 or 32 px
 
 
 # -- disparity -----------------------------------------------------------------------------------------------
@@ -134,7 +131,7 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
 
 
 def _disparity_px(path: Path, options: SourceOptions) -> NDArray[np.float64]:
-    """The disparities of a file, pixels, float64 [height, width]."""
+    """Float64 [height, width]."""
     suffix, units_per_px = path.suffix.lower(), options.depth_scale
     values = {".pfm": _pfm, ".npz": _npz}.get(suffix, read_picture)(path)
     if values.dtype == np.uint8:

@@ -244,7 +244,7 @@ class PictureFiles:
     def __init__(self, paths: tuple[Path, ...]) -> None:
         self.paths, self.frame_count = paths, len(paths)
         with _shallow(paths[0]) as image:
-            self.size = _size_of(_as_shown(image))
+            self.size = _as_shown(image).shape[1::-1]
 
     def picture(self, frame: int) -> Colours:
         require_frame(frame, self.frame_count)
@@ -271,7 +271,7 @@ class StillOrAnimated(InOrder):
                     image.load()
                 total_ms += float(image.info.get("duration") or 0) or _UNSAID_MS
             image.seek(0)
-            self.size = _size_of(_as_shown(image))
+            self.size = _as_shown(image).shape[1::-1]
         self.rate_hz = 1000 * frame_count / total_ms if frame_count > 1 else None
         super().__init__(str(path), frame_count)
 
@@ -297,14 +297,10 @@ def _as_shown(image: Any) -> Colours:
     return np.asarray(upright.convert("RGB"))
 
 
-def _size_of(colours: Colours) -> tuple[int, int]:
-    return colours.shape[1], colours.shape[0]
-
-
 def _small(image: Any, where: str, size: tuple[int, int]) -> Colours:
     """The small map of an open picture, which must be of this size."""
     colours = _as_shown(image)
-    require_size(where, _size_of(colours), size, "as before")
+    require_size(where, colours.shape[1::-1], size, "as before")
     return reduced(colours)
 
 

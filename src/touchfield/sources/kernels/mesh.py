@@ -19,23 +19,9 @@ from numpy.typing import NDArray
 from touchfield.medium import Grid
 from touchfield.medium.kernels.placed import close_up
 from touchfield.parallel import for_chunks
+from touchfield.sources.kernels import mesh_triangle as tri
 from touchfield.sources.kernels.mesh_samples import Motion, Rim, add_motion, fade
 from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
-from touchfield.sources.kernels.mesh_triangle import (
-    ID,
-    D,
-    X,
-    Y,
-    Z,
-    feature,
-    least_of,
-    nearest,
-    place_centres,
-    see_all,
-    square_of,
-    sweep_block,
-    tiles_for,
-)
 
 __all__ = ["CLOSED", "LIDDED", "ONE_SIDED", "TWO_SIDED", "Band", "Motion", "Rim", "forces_near"]
 
@@ -72,21 +58,21 @@ def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits,
     steps = lattice[3:] * scale
     half = size // 2
     block = np.empty(320, np.float32)
-    radius = place_centres(block, half, steps)
+    radius = tri.place_centres(block, half, steps)
     reach = 2.0 * radius * size / max(half - 1, 1)
-    tiles = tiles_for(begin, end, start[:-1], start[1:])
+    tiles = tri.tiles_for(begin, end, start[:-1], start[1:])
     limit = max(limits[0], limits[1])
     for cell in range(begin, end):
         first, count = start[cell], start[cell + 1] - start[cell]
         i, j, k = cells[cell, 0] * size, cells[cell, 1] * size, cells[cell, 2] * size
         x, y, z = lattice[0] + i * lattice[3], lattice[1] + j * lattice[4], lattice[2] + k * lattice[5]
-        see_all(ids[first : first + count], table, x, y, z, scale, reach, block, tiles)
+        tri.see_all(ids[first : first + count], table, x, y, z, scale, reach, block, tiles)
         keep[first : first + count] = 0
         for s in range(8):
             ci, cj, ck = i + (s >> 2) * half, j + ((s >> 1) & 1) * half, k + (s & 1) * half
             if ci >= shape[0] or cj >= shape[1] or ck >= shape[2]:
                 continue
-            least = np.sqrt(least_of(tiles, count, s)[1])
+            least = np.sqrt(tri.least_of(tiles, count, s)[1])
             span = limit
             if limits[2] > _0 and least > radius + _SLACK + least * np.float32(1e-5):  # all of one sign
                 is_outside = winding_at(events, ci, cj, ck, (shape[2] + 7) // 8) == 0
@@ -97,7 +83,7 @@ def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits,
             far = far * far
             kept = 0
             for c in range(count):
-                if square_of(tiles, c, s) <= far:
+                if tri.square_of(tiles, c, s) <= far:
                     keep[first + c] |= 1 << s
                     kept += 1
             counts[cell, s] = kept
@@ -129,10 +115,10 @@ def _amplitude(pieces, phi):
 def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     """The force at (x, y, z), given its nearest triangle t."""
     sidedness, half_wall, tiny = rule
-    dx, dy, dz, edge, along = nearest(table, t, x, y, z)
+    dx, dy, dz, edge, along = tri.nearest(table, t, x, y, z)
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     if sidedness in (ONE_SIDED, LIDDED):
-        f = feature(table, t, edge, along)
+        f = tri.feature(table, t, edge, along)
         is_enclosed = is_inside or sidedness == ONE_SIDED
         is_inside = dx * normals[t, f, 0] + dy * normals[t, f, 1] + dz * normals[t, f, 2] < 0.0
         if is_inside and not is_enclosed:
@@ -140,7 +126,7 @@ def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     is_inside = is_inside and sidedness != TWO_SIDED
     amplitude = _amplitude(pieces, -distance if is_inside else distance - half_wall)
     if distance <= tiny:
-        f = feature(table, t, edge, along)
+        f = tri.feature(table, t, edge, along)
         return amplitude * normals[t, f, 0], amplitude * normals[t, f, 1], amplitude * normals[t, f, 2]
     share = amplitude / (-distance if is_inside else distance)
     return share * dx, share * dy, share * dz
@@ -152,15 +138,15 @@ def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
     far = np.float32(-1.0)
     for s in range(64):
         i, j, k = local[0] + (s >> 4), local[1] + ((s >> 2) & 3), local[2] + (s & 3)
-        block[X + s], block[Y + s], block[Z + s] = i * steps[0], j * steps[1], k * steps[2]
+        block[tri.X + s], block[tri.Y + s], block[tri.Z + s] = i * steps[0], j * steps[1], k * steps[2]
         span = limits[0]
         if is_closed and winding[(i << 6) | (j << 3) | k] == 0:
             span = limits[1]
         if corner[0] + i >= shape[0] or corner[1] + j >= shape[1] or corner[2] + k >= shape[2]:
             span = np.float32(-1.0)
         span = span * span * np.float32(1 + 1e-4) + _SLACK * _SLACK if span >= _0 else span
-        block[D + s] = span
-        block[ID + s] = np.float32(-1.0)
+        block[tri.D + s] = span
+        block[tri.ID + s] = np.float32(-1.0)
         far = max(far, span)
     return far
 
@@ -168,20 +154,20 @@ def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
 @njit(nogil=True)
 def _search_block(block, s, far, count, tiles, radius):
     """Find the nearest triangle of each sample of a block; False if none is near enough."""
-    best, least = least_of(tiles, count, s)
+    best, least = tri.least_of(tiles, count, s)
     least = np.sqrt(least)
     grown = np.float32(1 + 1e-5)
     if least > (np.sqrt(far) + radius) * grown + _SLACK:
         return False
-    sweep_block(tiles, best, block)
+    tri.sweep_block(tiles, best, block)
     far = _0
     for q in range(64):
-        far = max(far, block[D + q])
+        far = max(far, block[tri.D + q])
     reach = min(np.sqrt(far) + radius, least + 2 * radius) * grown + _SLACK
     reach = reach * reach
     for c in range(count):
-        if square_of(tiles, c, s) <= reach and c != best:
-            sweep_block(tiles, c, block)
+        if tri.square_of(tiles, c, s) <= reach and c != best:
+            tri.sweep_block(tiles, c, block)
     return True
 
 
@@ -200,9 +186,9 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
     is_closed = rule[0] == CLOSED
     has_inside = is_closed or rule[0] == LIDDED
     centres, block = np.empty(320, np.float32), np.empty(320, np.float32)
-    radius = place_centres(centres, 4, steps)
+    radius = tri.place_centres(centres, 4, steps)
     reach = 7.0 * math.sqrt(steps[0] ** 2 + steps[1] ** 2 + steps[2] ** 2)
-    tiles = tiles_for(begin, end, spans[:, 0], spans[:, 1])
+    tiles = tri.tiles_for(begin, end, spans[:, 0], spans[:, 1])
     winding = np.zeros(512, np.int32)
     corner, local = np.empty(3, np.int64), np.empty(3, np.int64)
     low = np.empty(3)
@@ -213,20 +199,20 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
             low[c] = lattice[c] + corner[c] * lattice[3 + c]
         if has_inside:
             winding_of_brick(events, columns[b, 0], columns[b, 1], corner[0], winding)
-        see_all(ids[first : first + count], table, low[0], low[1], low[2], scale, reach, centres, tiles)
+        tri.see_all(ids[first : first + count], table, low[0], low[1], low[2], scale, reach, centres, tiles)
         for s in range(8):
             local[0], local[1], local[2] = (s >> 2) * 4, ((s >> 1) & 1) * 4, (s & 1) * 4
             far = _open_block(block, corner, local, shape, steps32, limits, is_closed, winding)
             if far < _0 or not _search_block(block, s, far, count, tiles, radius):
                 continue
             for q in range(64):
-                if block[ID + q] < _0:
+                if block[tri.ID + q] < _0:
                     continue
                 i, j, k = local[0] + (q >> 4), local[1] + ((q >> 2) & 3), local[2] + (q & 3)
                 x = lattice[0] + (corner[0] + i) * lattice[3]
                 y = lattice[1] + (corner[1] + j) * lattice[4]
                 z = lattice[2] + (corner[2] + k) * lattice[5]
-                t = ids[first + int(block[ID + q])]
+                t = ids[first + int(block[tri.ID + q])]
                 is_inside = winding[(i << 6) | (j << 3) | k] != 0
                 x, y, z = _force(table, normals, t, x, y, z, is_inside, rule, pieces)
                 if x != 0.0 or y != 0.0 or z != 0.0:
