@@ -25,7 +25,7 @@ _ROW_SHIFT = 21
 _DROPPED = np.iinfo(np.int64).max
 
 
-@njit(nogil=True)
+@njit(nogil=True, forceinline=True, error_model="numpy")  # no divisor is zero
 def line_at(vertices, triangle, z):
     """True if a triangle crosses the height z; y and x there on its edge that goes up, and on the one going down."""
     y0 = x0 = y1 = x1 = 0.0

@@ -132,14 +132,6 @@ def _meet(piece, count, normal, other, its_normal, tiny, h, g):
 
 
 @njit(nogil=True, forceinline=True)
-def _are_apart(boxes, t, u, tiny):
-    apart = False
-    for c in range(0, 6, 2):
-        apart |= boxes[u, c] > boxes[t, c + 1] + tiny or boxes[u, c + 1] < boxes[t, c] - tiny
-    return apart
-
-
-@njit(nogil=True, forceinline=True)
 def _share_a_vertex(triangles, t, u):
     for c in range(3):
         for d in range(3):
@@ -158,11 +150,17 @@ def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
     for s in range(begin, end):
         first, last = start[s], start[s + 1]
         for a in range(first, last):
+            box = boxes[ids[a]]
+            x0, x1, y0, y1, z0, z1 = box[0], box[1], box[2], box[3], box[4], box[5]
             for b in range(a + 1, last):
                 t, u = ids[a], ids[b]
-                if _are_apart(boxes, t, u, tiny) or _share_a_vertex(triangles, t, u):
+                if boxes[u, 0] > x1 + tiny or boxes[u, 1] < x0 - tiny or boxes[u, 2] > y1 + tiny:
                     continue
-                y, z = max(boxes[t, 2], boxes[u, 2]), max(boxes[t, 4], boxes[u, 4])
+                if boxes[u, 3] < y0 - tiny or boxes[u, 4] > z1 + tiny or boxes[u, 5] < z0 - tiny:
+                    continue
+                if _share_a_vertex(triangles, t, u):
+                    continue
+                y, z = max(y0, boxes[u, 2]), max(z0, boxes[u, 4])
                 if _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1) != s:
                     continue  # found in another bin
                 for _ in range(2):
