@@ -99,20 +99,16 @@ class AnalyticScene(Scene):
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` does not matter."""
+        acting = [piece for piece in profile.pieces if piece[2] or piece[3]]
 
         def may_act(centres: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
-            return self._may_act(centres, radius_m, profile)
+            met = np.zeros(len(centres), np.bool_)
+            for low, high in (shape.distance_range(centres, radius_m) for shape in self.shapes):
+                for piece_low, piece_high, *_ in acting:
+                    met |= (low <= piece_high) & (high > piece_low)
+            return met
 
         return field_of_points(grid, bricks_that(may_act, grid), lambda points: self.forces_n(points, profile))
-
-    def _may_act(self, centres: NDArray[np.float64], radius_m: float, profile: ForceProfile) -> NDArray[np.bool_]:
-        met = np.zeros(len(centres), np.bool_)
-        for shape in self.shapes:
-            low, high = shape.distance_range(centres, radius_m)
-            for piece_low, piece_high, intercept, slope in profile.pieces:
-                if intercept or slope:
-                    met |= (low <= piece_high) & (high > piece_low)
-        return met
 
 
 # -- from a file ---------------------------------------------------------------------------------------------

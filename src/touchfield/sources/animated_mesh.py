@@ -33,7 +33,7 @@ from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.rigid_parts import RigidPart, rigid_parts
-from touchfield.sources.scene import UP_Y_AXES, Body, MovingScene
+from touchfield.sources.scene import UP_Y_AXES, Body, MovingScene, size_note
 
 Floats = NDArray[np.float64]
 
@@ -92,11 +92,8 @@ class AnimatedMeshScene(MovingScene):
         self._surface = self._whole.surface
         scene = MeshScene.of_surface(self._whole, shell=shell, name=self.name)
         self.is_closed = scene.is_closed
-        extent = " x ".join(f"{side:.4g}" for side in np.ptp(self.vertices_m(0), axis=0))
-        wording = f"Coordinates taken as metres: {extent} m in the first frame; say --unit-m if they are not."
-        if unit_m is not None:
-            wording = f"One unit is {unit_m:g} m: {extent} m in the first frame."
-        self.notes = (wording, self._wording(number, model.animation_names), *scene.notes)
+        size = size_note(np.ptp(self.vertices_m(0), axis=0), unit_m, " in the first frame")
+        self.notes = (size, self._wording(number, model.animation_names), *scene.notes)
 
     def _count_frames(self) -> int:
         # a duration in float32 may lie a little behind its frame

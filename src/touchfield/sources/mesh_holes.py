@@ -67,7 +67,7 @@ def mended(surface: Surface, holes: str) -> Mended:
         start = surface.with_triangles(faces)
         if count:
             notes = (f"{count} triangles turned to face as their neighbours do",)
-    loops = _loops(start.triangles) if not surface.edges.repeated_count or is_two_sided else None
+    loops = _loops(start) if not surface.edges.repeated_count or is_two_sided else None
     if loops is None:  # no side is known, or there are too many
         return Mended(surface, none, none[:, :2], not surface.edges.repeated_count, ())
     gaps = _measured(start, loops)
@@ -108,21 +108,21 @@ def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
 # -- loops ---------------------------------------------------------------------------------------------------
 
 
-def _loops(triangles: Int32s) -> list[NDArray[np.int64]] | None:
+def _loops(surface: Surface) -> list[NDArray[np.int64]] | None:
     """The loops of the edges that lack a partner, each in the direction of the triangles that would close it.
 
     None if they are too many.
     """
-    begin, end = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1).astype(np.int64)
-    key = np.minimum(begin, end) << 32 | np.maximum(begin, end)
-    edges, number = np.unique(key, return_inverse=True)
-    net = np.bincount(number, np.where(begin < end, 1, -1), len(edges)).astype(np.int64)
+    faces, of = surface.triangles, surface.edges.edge_of.reshape(-1)
+    begin, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    net = np.bincount(of, np.where(begin < end, 1, -1)).astype(np.int64)
     open_ = np.flatnonzero(net)
     if np.abs(net[open_]).sum() > _MOST_EDGES:
         return None
+    ends = np.zeros((len(net), 2), np.int64)
+    ends[of] = np.sort(np.stack([begin, end], axis=1), axis=1)
     after: dict[int, list[int]] = {}
-    ends = edges[open_] >> 32, edges[open_] & 0xFFFFFFFF, net[open_]
-    for low, high, much in zip(*(each.tolist() for each in ends)):
+    for (low, high), much in zip(ends[open_].tolist(), net[open_].tolist()):
         u, v = (high, low) if much > 0 else (low, high)  # against the triangle that is there
         after.setdefault(u, []).extend([v] * abs(much))
     loops = []

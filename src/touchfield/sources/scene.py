@@ -167,6 +167,14 @@ class MovingScene(Scene):
         return self._box[1]
 
 
+def size_note(extent_m: NDArray[np.floating[Any]], unit_m: float | None, when: str = "") -> str:
+    """What a mesh measures, metres [3], in the unit that was asked for, or in metres where none was."""
+    extent = " x ".join(f"{side:.4g}" for side in extent_m)
+    if unit_m is not None:
+        return f"One unit is {unit_m:g} m: {extent} m{when}."
+    return f"Coordinates taken as metres: {extent} m{when}; say --unit-m if they are not."
+
+
 @dataclass(frozen=True)
 class Body:
     """An object of a scene: what it is in its own frame, and where that frame lies.
