@@ -112,8 +112,6 @@ class AnalyticScene(Scene):
 
 
 # -- from a file ---------------------------------------------------------------------------------------------
-
-
 def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
     """Read a scene of shapes; `rate_hz` stands in where the file gives none.
 

@@ -119,7 +119,6 @@ class AnimatedMeshScene(MovingScene):
         return f"{text}; there are also {others}." if others else f"{text}."
 
     # -- the surface -----------------------------------------------------------------------------------------------
-
     def vertices_m(self, frame: int) -> Floats:
         """The vertices of a frame in metres, float64 [n, 3].
 
@@ -183,7 +182,6 @@ class AnimatedMeshScene(MovingScene):
         return vertices
 
     # -- the field -------------------------------------------------------------------------------------------------
-
     def _scene(self, frame: int) -> MeshScene:
         latest = self._latest
         if latest is None or latest[0] != frame:
@@ -206,7 +204,6 @@ class AnimatedMeshScene(MovingScene):
         return scene.field(0, grid, profile)
 
     # -- bodies ----------------------------------------------------------------------------------------------------
-
     @cached_property
     def _parts(self) -> tuple[list[RigidPart], NDArray[np.bool_]]:
         return rigid_parts(self._surface, self.vertices_m, self.frame_count)

@@ -28,8 +28,6 @@ from touchfield.sources.pictures import opened
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Scene
 
-__all__ = ["KIND", "degree_m", "jacksboro_scene"]
-
 HEIGHT_KEYS: Final = ("elevation", "height", "heights", "heights_m", "z")
 PLACE_KEYS: Final = ("dx", "dy", "xmin", "xmax", "ymin", "ymax")
 COORDINATE_KEYS: Final = (("latitude", "longitude"), ("lat", "lon"), ("y", "x"))

@@ -24,8 +24,6 @@ from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, MovingScene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
-__all__ = ["HeightLattice", "HeightScene"]
-
 DEPTH_STEP: Final = 0.05  # of the median depth: a larger jump between neighbours is an edge
 
 

@@ -106,8 +106,6 @@ def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
 
 
 # -- loops ---------------------------------------------------------------------------------------------------
-
-
 def _loops(surface: Surface) -> list[NDArray[np.int64]] | None:
     """The loops of the edges that lack a partner, each in the direction of the triangles that would close it.
 
@@ -163,8 +161,6 @@ def _areas(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> NDArray[np
 
 
 # -- patches -------------------------------------------------------------------------------------------------
-
-
 def _patch(loop: NDArray[np.int64], vertices: NDArray[np.float64], most: int) -> Int32s:
     """Triangles that close a loop, int32 [len(loop) - 2, 3]."""
     triangles = []
@@ -201,8 +197,6 @@ def _least_area(points: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 # -- facing --------------------------------------------------------------------------------------------------
-
-
 def _turned(triangles: Int32s, edges: Edges) -> tuple[Int32s, int, bool]:
     """The triangles turned so that neighbours face alike, most of each part as they were; how many; whether all can.
 

@@ -188,7 +188,6 @@ class MeshScene(Scene):
         return Band(TWO_SIDED, high + half, high + half, half, pieces)
 
     # -- what is felt: the triangles, or the outer surface of those that overlap -------------------------------------
-
     @cached_property
     def _union(self) -> Union | None:
         return union_of(self.surface) if self.is_closed else None
@@ -238,8 +237,6 @@ class MeshScene(Scene):
 
 
 # -- the outer surface of closed parts that overlap ----------------------------------------------------------
-
-
 class Union(NamedTuple):
     """The boundary of a union."""
 

@@ -228,8 +228,6 @@ def places(points: NDArray[np.float64], tolerance: float = 0.0) -> tuple[NDArray
 
 
 # -- which vertices are one: those at one place, and in a mesh that moves only if they stay together ---------
-
-
 def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """The mesh with equal vertices made one; nearly equal ones too, if that closes it."""
     if triangles.min() < 0 or triangles.max() >= len(vertices):

@@ -87,8 +87,6 @@ def _recognise(path: Path) -> bool:
 
 
 # -- the files that a model names, before MuJoCo opens them --------------------------------------------------
-
-
 @dataclass
 class _Named:
     """Names in the files of a model: files with their place in the text, folders, and where they are looked for."""

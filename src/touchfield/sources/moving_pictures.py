@@ -32,7 +32,6 @@ from touchfield.sources.pictures import InOrder, bound_pixels, opened, require_s
 
 Colours = NDArray[np.uint8]
 
-__all__ = ["ColourVideo", "GreyVideo", "PictureFiles", "Pictures", "StillOrAnimated", "map_size", "reduced"]
 
 ANIMATED_SUFFIXES: Final = (".gif",)
 """Of animations that are told by their name; animated WebP and PNG look like pictures."""

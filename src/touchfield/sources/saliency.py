@@ -42,19 +42,10 @@ from touchfield.errors import InvalidArgument, MissingExtra, SourceError, requir
 from touchfield.files import readable
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
+from touchfield.sources import moving_pictures as moving
 from touchfield.sources.camera import MAX_FRAMES, require_frame
 from touchfield.sources.depth_reader import is_known, list_files, source_rate, with_suffix
-from touchfield.sources.moving_pictures import (
-    ANIMATED_SUFFIXES,
-    VIDEO_SUFFIXES,
-    ColourVideo,
-    PictureFiles,
-    Pictures,
-    StillOrAnimated,
-    map_size,
-    reduced,
-    video_header,
-)
+from touchfield.sources.moving_pictures import Pictures
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder
 from touchfield.sources.profile import ForceProfile
@@ -63,7 +54,6 @@ from touchfield.sources.scene import UP_Y_AXES, Scene
 
 Float32s = NDArray[np.float32]
 
-__all__ = ["KIND", "THICKNESS", "SaliencyMaps", "SaliencyModel", "SaliencyScene", "open_saliency"]
 
 LONGER_SIDE_M: Final = 1.0
 THICKNESS: Final = 0.05  # of the plate, as a share of its longer side
@@ -100,7 +90,7 @@ class SaliencyModel:
         The saliency is float32 [map height, map width], 0 to 1, of `map_size`, row 0 at the top. Raises
         `InvalidArgument` if the picture is of another size than the one before it.
         """
-        now = _opponents(reduced(colours))
+        now = _opponents(moving.reduced(colours))
         mean = now if self.mean is None else self.mean
         if mean.shape != now.shape:
             raise InvalidArgument("picture", f"size {now.shape[1:]} of the map", f"{mean.shape[1:]}, as before")
@@ -205,7 +195,7 @@ class SaliencyScene(Scene):
         longer = max(width, height)
         self._size_m = LONGER_SIDE_M * width / longer, LONGER_SIDE_M * height / longer
         self._depth_m = THICKNESS * LONGER_SIDE_M
-        columns, rows = map_size(width, height)
+        columns, rows = moving.map_size(width, height)
         self._cell_m = self._size_m[0] / columns, self._size_m[1] / rows
         self.finest_m = (*self._cell_m, self._depth_m)
 
@@ -281,29 +271,29 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
 
 def _pictures(path: Path, options: SourceOptions) -> tuple[Pictures, float]:
     if path.is_dir():
-        files = list_files(path, with_suffix(*PHOTO_SUFFIXES, *ANIMATED_SUFFIXES))
+        files = list_files(path, with_suffix(*PHOTO_SUFFIXES, *moving.ANIMATED_SUFFIXES))
         if not files:
             raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP, TIFF or GIF pictures")
-        return PictureFiles(tuple(files)), source_rate(options)
-    if path.suffix.lower() in VIDEO_SUFFIXES:
-        header = video_header(path)
+        return moving.PictureFiles(tuple(files)), source_rate(options)
+    if path.suffix.lower() in moving.VIDEO_SUFFIXES:
+        header = moving.video_header(path)
         if header.is_deep_grey:
             mend = "Deep grey is depth: --as depth-video."
             raise SourceError(str(path), f"a video of {header.pixels} pixels", "8 bits a colour", mend)
-        return ColourVideo(path), header.rate_hz or source_rate(options)
-    picture = StillOrAnimated(path)
+        return moving.ColourVideo(path), header.rate_hz or source_rate(options)
+    picture = moving.StillOrAnimated(path)
     return picture, picture.rate_hz or source_rate(options)
 
 
 def _recognise(path: Path) -> bool:
     if not path.is_file():
         return False
-    if path.suffix.lower() in VIDEO_SUFFIXES:
+    if path.suffix.lower() in moving.VIDEO_SUFFIXES:
         try:
-            return not video_header(path).is_deep_grey
+            return not moving.video_header(path).is_deep_grey
         except MissingExtra:
             return True  # so that the user is told which extra reads videos
-    return path.suffix.lower() in ANIMATED_SUFFIXES
+    return path.suffix.lower() in moving.ANIMATED_SUFFIXES
 
 
 KIND = SourceKind(

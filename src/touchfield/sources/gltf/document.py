@@ -190,7 +190,6 @@ class Document:
             raise asker.fault(f"{self._asked} elements asked of {self._bytes} bytes", "elements with their data")
 
     # -- accessors ---------------------------------------------------------------------------------------------------
-
     def floats(self, index: int, kind: str) -> NDArray[np.float64]:
         element = self._checked(index, kind)
         if index not in self._floats:
@@ -265,7 +264,6 @@ class Document:
         return np.ndarray((count, width), component, data, begin, strides).copy()
 
     # -- buffers -----------------------------------------------------------------------------------------------------
-
     def _view(self, element: Element) -> memoryview:
         buffer = element.index("buffer", "buffers")
         if buffer is None:

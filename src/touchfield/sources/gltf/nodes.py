@@ -121,8 +121,6 @@ class Nodes:
 
 
 # -- animations -----------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Sampler:
     """A value over time."""

@@ -49,8 +49,6 @@ class Band:
 
 
 # -- from the grid down to its bricks ------------------------------------------------------------------------------
-
-
 @njit(cache=True, nogil=True)
 def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits, events, keep, counts):
     """Triangles of each cell that its eight children keep: a bit for each child, and their numbers."""
@@ -101,8 +99,6 @@ def _hand_down(begin, end, start, ids, keep, offsets, out):
 
 
 # -- a brick --------------------------------------------------------------------------------------------------------
-
-
 @njit(nogil=True, forceinline=True)
 def _amplitude(pieces, phi):
     for i in range(pieces.shape[0]):
@@ -223,8 +219,6 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
 
 
 # -- all of it -----------------------------------------------------------------------------------------------------
-
-
 def _bricks_near(
     table: Floats, lattice: Floats, shape: Int64s, limits: NDArray[np.float32], events: Int64s
 ) -> tuple[NDArray[np.int32], Int64s, NDArray[np.int32]]:

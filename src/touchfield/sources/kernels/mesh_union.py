@@ -79,8 +79,6 @@ def sorted_into_bins(boxes: Floats) -> Bins:
 
 
 # -- which triangles cross -----------------------------------------------------------------------------------------
-
-
 @njit(nogil=True)
 def _heights(points, count, normal, base, out):
     """Heights of points over a plane; least and greatest."""
@@ -188,8 +186,6 @@ def crossing_pairs(
 
 
 # -- cutting -------------------------------------------------------------------------------------------------------
-
-
 @njit(nogil=True)
 def _split(piece, count, h, tiny, above, below):
     """Cut a convex polygon at height 0; corners above and below."""
@@ -249,8 +245,6 @@ def cut(starts, pairs, corners, normals, tiny):
 
 
 # -- inside and outside --------------------------------------------------------------------------------------------
-
-
 @njit(nogil=True)
 def _winding(x, y, z, bins, vertices, triangles):
     """The winding number of a closed mesh at a point, up to its sign."""
