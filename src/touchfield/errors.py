@@ -19,6 +19,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
 
 __all__ = [
     "CorruptFile",
@@ -32,6 +34,7 @@ __all__ = [
     "TruncatedFile",
     "UnsupportedVersion",
     "blamed_on",
+    "import_extra",
     "require_positive",
 ]
 
@@ -106,6 +109,14 @@ class CorruptFile(FormatError):
 
 class UnsupportedVersion(FormatError):
     """The file is of another version of the format, or needs a part that this one has not."""
+
+
+def import_extra(module: str, purpose: str, library: str, extra: str) -> Any:
+    """A module of an optional library; `MissingExtra` if that is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingExtra(purpose, library, extra) from error
 
 
 def require_positive(**values: float) -> None:

@@ -54,10 +54,6 @@ class AnimatedMeshScene(MovingScene):
     unit_m : float or None; Metres of one unit of the coordinates; None for 1, as glTF has it.
     shell, holes : str; Of an open mesh, as `MeshScene` takes them; holes are closed as they are at rest.
 
-    Attributes
-    ----------
-    frame_count : int; Times i / rate_hz before the end, one at least.
-
     Raises `SourceError` if the file or what it holds is at fault; `InvalidArgument` if there is no such animation,
     or it has too many frames.
     """

@@ -19,7 +19,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import exactly, standard_input
 from touchfield.sources.camera import DepthCode, DepthSequence
 from touchfield.sources.depth_reader import list_files, source_rate, with_suffix
@@ -155,10 +155,7 @@ class OpencvCamera(Pictures):
     """A depth camera that OpenCV opens: by number, or by whatever else `cv2.VideoCapture` takes."""
 
     def __init__(self, which: str) -> None:
-        try:
-            import cv2
-        except ImportError:
-            raise MissingExtra("a camera", "opencv-python-headless", "camera") from None
+        cv2 = import_extra("cv2", "a camera", "opencv-python-headless", "camera")
         self.name = f"camera:{which}"
         way = cv2.CAP_IMAGES if "%" in which else cv2.CAP_ANY  # a row of pictures is read with all its bits
         self._camera = cv2.VideoCapture(int(which) if which.isdigit() else which, way)

@@ -24,7 +24,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import readable, require_plain
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_contacts
@@ -193,18 +193,14 @@ def read_mcap(path: Path) -> ContactTrace:
     Raises `MissingExtra` if the library mcap is not installed; `SourceError` if the file cannot be read, a message
     is damaged, or there are no positions or no forces.
     """
-    try:
-        from mcap.exceptions import McapError
-        from mcap.reader import make_reader
-    except ImportError as error:
-        raise MissingExtra(str(path), "mcap", "mcap") from error
+    faults, reader = (import_extra(f"mcap.{part}", str(path), "mcap", "mcap") for part in ("exceptions", "reader"))
     require_plain(path, _WHAT)
     rows_of: tuple[dict[int, list[tuple[float, ...]]], ...] = ({}, {})
     names: dict[str, None] = {}
     count = 0
     try:
         with readable(path, _WHAT, "Check path and rights."), path.open("rb") as file:
-            for schema, channel, message in make_reader(file).iter_messages():
+            for schema, channel, message in reader.make_reader(file).iter_messages():
                 name = schema.name if schema is not None else ""
                 names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
                 for kind, values in _told(name, channel.message_encoding, message.data, f"{path}: {channel.topic}"):
@@ -212,7 +208,7 @@ def read_mcap(path: Path) -> ContactTrace:
                     count += 1
                 if count > 2 * MAX_SAMPLES:
                     raise SourceError(str(path), f"more than {2 * MAX_SAMPLES} messages", _WHAT, "Cut it in parts.")
-    except (McapError, struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
+    except (faults.McapError, struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
         raise SourceError(str(path), f"no sound MCAP ({error})", _WHAT) from error
     for rows, what in zip(rows_of, ("positions", "forces")):
         if not rows:

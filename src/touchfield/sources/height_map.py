@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import MissingExtra, SourceError, blamed_on
+from touchfield.errors import SourceError, blamed_on, import_extra
 from touchfield.medium.npz import NpzArchive, map_npy, read_npy_header
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
@@ -222,7 +222,9 @@ def degree_m(latitude_deg: float) -> Pair:
 def _geo_tags(tags: Mapping[int, Any], rows: int, cols: int) -> GeoTags:
     """Read the tags of a picture of `rows` x `cols`; what is missing or malformed is left out."""
     cell, middle = _placement(tags, rows, cols)
-    keys = _geo_keys(_numbers(tags, _GEO_KEYS))
+    directory = _numbers(tags, _GEO_KEYS)
+    entries = (directory[i : i + 4] for i in range(4, len(directory) - 3, 4))
+    keys = {int(key): int(value) for key, location, _, value in entries if location == 0}  # which stand here
     model = keys.get(_MODEL_TYPE_KEY)
     nodata = str(tags.get(_GDAL_NODATA, "")).strip(" \0")
     try:
@@ -258,22 +260,13 @@ def _numbers(tags: Mapping[int, Any], tag: int) -> list[float]:
     return numbers if all(map(math.isfinite, numbers)) else []
 
 
-def _geo_keys(directory: list[float]) -> dict[int, int]:
-    """The keys whose value stands in the directory itself (location 0)."""
-    entries = [directory[i : i + 4] for i in range(4, len(directory) - 3, 4)]
-    return {int(key): int(value) for key, location, _, value in entries if location == 0}
-
-
 # -- the kind -----------------------------------------------------------------------------------------------
 def jacksboro_scene(exaggeration: float = 1.0) -> HeightScene:
     """The Jacksboro fault, Tennessee, from matplotlib's sample data; `MissingExtra` if that is not installed.
 
     344 x 403 samples of about 93 m by 74 m, heights 236 to 1076 m (int16; USGS, by way of matplotlib).
     """
-    try:
-        from matplotlib import cbook
-    except ImportError as error:
-        raise MissingExtra("the bundled elevation model", "matplotlib", "report") from error
+    cbook = import_extra("matplotlib.cbook", "the bundled elevation model", "matplotlib", "report")
     sample = Path(cbook.get_sample_data("jacksboro_fault_dem.npz", asfileobj=False))
     return _scene(sample, _from_npz(sample), SourceOptions(exaggeration=exaggeration))
 

@@ -31,8 +31,6 @@ DEPTH_STEP: Final = 0.05  # of the median depth: a larger jump between neighbour
 class HeightLattice:
     """Places of the samples of a height map, and its solid side.
 
-    Attributes
-    ----------
     x0_m, dx_m, y0_m, dy_m : float; Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are
         signed.
     facing : int; 1: solid below the surface; -1: solid beyond it, where z points away from the viewer.
@@ -95,7 +93,7 @@ class HeightScene(MovingScene):
         self._exaggeration = float(exaggeration)
         self._cell_m = cell_m
         self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter asks for one frame many times
-        self._of_depth: tuple[DepthSequence, SegmentRule] | None = None
+        self._segmented: Callable[[], tuple[tuple[Body, ...], str]] | None = None
         self._bodies: tuple[Body, ...] = ()
 
     @classmethod
@@ -119,8 +117,12 @@ class HeightScene(MovingScene):
         dx_m, dy_m = z / k.fx, z / k.fy
         lattice = HeightLattice(-k.cx / k.fx * z, dx_m, -k.cy / k.fy * z, dy_m, -1, DEPTH_STEP * z * exaggeration)
         note = f"Depth is read as a height map: pixels are spaced as at {z:.3g} m, perspective is not undone."
-        scene = cls._of_heights(sequence, lattice, exaggeration, (*sequence.notes, note))
-        scene._of_depth = sequence, SegmentRule.parse(segment)
+        notes, rule = (*sequence.notes, note), SegmentRule.parse(segment)
+        scene = cls._of_heights(sequence, lattice, exaggeration, notes)
+        scene._segmented = lambda: segmented_bodies(
+            lambda part: cls._of_heights(part, lattice, exaggeration, notes), sequence, rule,
+            noise_step_per_m(sequence.depth_m(0)),
+        )  # fmt: skip
         return scene
 
     @classmethod
@@ -143,18 +145,10 @@ class HeightScene(MovingScene):
 
     def bodies(self) -> tuple[Body, ...]:
         """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene."""
-        if self._of_depth is None:
+        if self._segmented is None:
             return super().bodies()
         if not self._bodies:
-            (sequence, rule), lattice = self._of_depth, self._cell_m
-            assert isinstance(lattice, HeightLattice)
-            exaggeration, notes = self._exaggeration, self.notes
-            self._bodies, note = segmented_bodies(
-                lambda part: HeightScene._of_heights(part, lattice, exaggeration, notes),
-                sequence,
-                rule,
-                noise_step_per_m(sequence.depth_m(0)),
-            )
+            self._bodies, note = self._segmented()
             self.notes = (*self.notes, note)
         return self._bodies
 

@@ -21,14 +21,13 @@ import math
 import re
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError, blamed_on
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra
 from touchfield.medium.npz import NpzArchive
 from touchfield.sources import pictures
 from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics, StoredFrame
@@ -87,10 +86,7 @@ def _of_disparity(
 
 def motorcycle_sequence() -> CodedSequence:
     """scikit-image's disparity map "motorcycle" (Middlebury 2014), 741 x 500, 2 to 5 m; `MissingExtra` without it."""
-    try:
-        data: Any = import_module("skimage.data")
-    except ImportError as error:
-        raise MissingExtra("the motorcycle scene", "scikit-image", "motorcycle") from error
+    data = import_extra("skimage.data", "the motorcycle scene", "scikit-image", "motorcycle")
     try:
         disparity = data.stereo_motorcycle()[2]
     except (OSError, ImportError) as error:  # a repackaged scikit-image may have to download its pictures

@@ -18,7 +18,6 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -26,7 +25,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import MissingExtra, SourceError, TouchfieldError
+from touchfield.errors import SourceError, TouchfieldError, import_extra
 from touchfield.sources.camera import MAX_FRAMES, require_frame
 from touchfield.sources.pictures import InOrder, bound_pixels, opened, require_size
 
@@ -173,10 +172,7 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     """The container and its first video stream; what FFmpeg raises is a `SourceError`."""
-    try:
-        av: Any = import_module("av")
-    except ImportError as error:
-        raise MissingExtra("a video", "PyAV", "video") from error
+    av = import_extra("av", "a video", "PyAV", "video")
     form = _FORMATS.get(path.suffix.lower())
     if form is None:
         raise SourceError(str(path), f"the suffix {path.suffix!r}", " ".join(VIDEO_SUFFIXES))

@@ -218,7 +218,8 @@ class SaliencyScene(Scene):
         down = _weights(rows / 2 - ys / self._cell_m[1], rows)
         image = (across @ (down @ saliency).T).astype(np.float32)  # [x, y]
         image[image < _LEAST] = 0
-        tiles = _in_bricks(image * np.float32(_largest_n(profile)))
+        largest_n = max(abs(c + s * x) for a, b, c, s in profile.pieces for x in (a, b) if np.isfinite(x))
+        tiles = _in_bricks(image * np.float32(largest_n))
         slab = _in_bricks((np.abs(zs) <= self._depth_m / 2).astype(np.float32)[:, None])[:, 0, :, 0]
         flat = np.argwhere(tiles.any(axis=(2, 3)))
         deep = np.flatnonzero(slab.any(axis=1))
@@ -250,12 +251,6 @@ def _in_bricks(image: Float32s) -> Float32s:
     padded = np.pad(image, [(0, -n % BRICK) for n in image.shape])
     n, m = padded.shape
     return padded.reshape(n // BRICK, BRICK, m // BRICK, BRICK).transpose(0, 2, 1, 3)
-
-
-def _largest_n(profile: ForceProfile) -> float:
-    """The largest amplitude of a force law, newtons."""
-    ends = [(x, c + s * x) for a, b, c, s in profile.pieces for x in (a, b) if np.isfinite(x)]
-    return max(abs(value) for _, value in ends)
 
 
 def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:

@@ -11,12 +11,11 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.medium.pose_track import PoseTrack
 
 FRAME_RATE_HZ: Final = 1000.0  # frames a second where none are asked for: the rate of haptic rendering
@@ -30,10 +29,7 @@ _one_at_a_time = threading.Lock()
 
 def load_mujoco() -> Any:
     """The module, imported when it is first needed; `MissingExtra` if it is not installed."""
-    try:
-        return import_module("mujoco")
-    except ImportError as error:
-        raise MissingExtra("a simulation of rigid bodies", "mujoco", "physics") from error
+    return import_extra("mujoco", "a simulation of rigid bodies", "mujoco", "physics")
 
 
 def mujoco_faults(mujoco: Any) -> tuple[type[Exception], ...]:

@@ -38,11 +38,7 @@ class _Piece:
 
 
 class Model:
-    """The triangles of the scene of a glTF document.
-
-    Attributes
-    ----------
-    triangles : int64 [m, 3]; Vertex numbers over all pieces; those of mirrored pieces are turned over.
+    """The triangles of the scene of a glTF document: `triangles` int64 [m, 3], vertex numbers over all pieces.
 
     Raises `SourceError` if the document is at fault, or holds no triangle.
     """
@@ -50,6 +46,7 @@ class Model:
     def __init__(self, path: Path) -> None:
         self._document = Document(path)
         self._nodes = Nodes(self._document)
+        self.node_count = len(self._nodes)
         self._skins: dict[int, Skin] = {}
         self._targets = [0] * len(self._nodes)
         self._rest_weights: dict[int, Floats] = {}
@@ -102,7 +99,7 @@ class Model:
         for piece in self._pieces:
             faces = piece.geometry.triangles + first
             is_mirrored = np.linalg.det(world[piece.node, :3, :3]) < 0 if piece.skin is None else turned[piece.skin]
-            found.append(faces[:, ::-1] if is_mirrored else faces)
+            found.append(faces[:, ::-1] if is_mirrored else faces)  # turned over
             first += len(piece.geometry.vertices)
         self.triangles, self.vertex_count = np.concatenate(found), first
 
@@ -118,11 +115,6 @@ class Model:
             if channel.path == "weights":
                 weights[channel.node] = channel.sampler.at(times_s)
         return Poses(self._nodes.world(animation, times_s), weights)
-
-    @property
-    def node_count(self) -> int:
-        """Nodes of the document."""
-        return len(self._nodes)
 
     def reduced(self, kept: NDArray[np.int64]) -> Model:
         """This model with only these vertices, ascending numbers, and no triangle."""

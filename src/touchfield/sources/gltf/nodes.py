@@ -25,11 +25,7 @@ _INTERPOLATIONS: Final = ("LINEAR", "STEP", "CUBICSPLINE")
 
 
 class Nodes:
-    """The nodes of a document.
-
-    Attributes
-    ----------
-    shown : frozenset of int; The nodes of the scene that is shown; all of them where the document has no scene.
+    """The nodes of a document; `shown` are those of the scene that is shown, all where the document has no scene.
 
     Raises `SourceError` if a node has two parents, is its own ancestor, or has numbers at fault.
     """
