@@ -37,6 +37,14 @@ class Rim(NamedTuple):
 
 
 @njit(nogil=True, forceinline=True)
+def _place(bricks, b, i, j, k, lattice):
+    x = lattice[0] + (bricks[b, 0] * 8 + i) * lattice[3]
+    y = lattice[1] + (bricks[b, 1] * 8 + j) * lattice[4]
+    z = lattice[2] + (bricks[b, 2] * 8 + k) * lattice[5]
+    return x, y, z
+
+
+@njit(nogil=True, forceinline=True)
 def _height(table, t, edge, x, y, z):
     """The height over an edge, in the plane of its triangle."""
     m, a = 3 + 3 * edge, 21 + 3 * edge
@@ -71,21 +79,17 @@ def _shares(table, t, x, y, z):
 def add_motion(begin, end, bricks, owners, table, lattice, triangles, velocities, damping, forces):
     """Add the damping of a surface that moves, where there are forces."""
     for b in range(begin, end):
-        for i in range(8):
-            for j in range(8):
-                for k in range(8):
-                    t = owners[b, i, j, k]
-                    if t < 0:
-                        continue
-                    x = lattice[0] + (bricks[b, 0] * 8 + i) * lattice[3]
-                    y = lattice[1] + (bricks[b, 1] * 8 + j) * lattice[4]
-                    z = lattice[2] + (bricks[b, 2] * 8 + k) * lattice[5]
-                    second, third = _shares(table, t, x, y, z)
-                    for c in range(3):
-                        v = velocities[triangles[t, 0], c]
-                        at = v + second * (velocities[triangles[t, 1], c] - v)
-                        at += third * (velocities[triangles[t, 2], c] - v)
-                        forces[b, i, j, k, c] += damping * at
+        for i, j, k in np.ndindex(8, 8, 8):
+            t = owners[b, i, j, k]
+            if t < 0:
+                continue
+            x, y, z = _place(bricks, b, i, j, k, lattice)
+            second, third = _shares(table, t, x, y, z)
+            for c in range(3):
+                v = velocities[triangles[t, 0], c]
+                at = v + second * (velocities[triangles[t, 1], c] - v)
+                at += third * (velocities[triangles[t, 2], c] - v)
+                forces[b, i, j, k, c] += damping * at
 
 
 @njit(cache=True, nogil=True)
@@ -99,25 +103,21 @@ def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, h
         if first[b] == last[b] or not held[b]:
             continue
         held[b] = False
-        for i in range(8):
-            for j in range(8):
-                for k in range(8):
-                    t = owners[b, i, j, k]
-                    if t < 0:
-                        continue
-                    x = lattice[0] + (bricks[b, 0] * 8 + i) * lattice[3]
-                    y = lattice[1] + (bricks[b, 1] * 8 + j) * lattice[4]
-                    z = lattice[2] + (bricks[b, 2] * 8 + k) * lattice[5]
-                    dx, dy, dz, _, _ = nearest(table, t, x, y, z)
-                    x, y, z = x - dx, y - dy, z - dz
-                    least = width * width
-                    for e in range(first[b], last[b]):
-                        dx, dy, dz, _, _ = nearest(rim, ids[e], x, y, z)
-                        least = min(least, dx * dx + dy * dy + dz * dz)
-                    # what lies on the rim to rounding has no force at all
-                    share = max(0.0, math.sqrt(least) / width - 1e-6)
-                    if share < 1.0 - 2e-6:
-                        for c in range(3):
-                            forces[b, i, j, k, c] *= share
-                    if share > 0.0:
-                        held[b] = True
+        for i, j, k in np.ndindex(8, 8, 8):
+            t = owners[b, i, j, k]
+            if t < 0:
+                continue
+            x, y, z = _place(bricks, b, i, j, k, lattice)
+            dx, dy, dz, _, _ = nearest(table, t, x, y, z)
+            x, y, z = x - dx, y - dy, z - dz
+            least = width * width
+            for e in range(first[b], last[b]):
+                dx, dy, dz, _, _ = nearest(rim, ids[e], x, y, z)
+                least = min(least, dx * dx + dy * dy + dz * dz)
+            # what lies on the rim to rounding has no force at all
+            share = max(0.0, math.sqrt(least) / width - 1e-6)
+            if share < 1.0 - 2e-6:
+                for c in range(3):
+                    forces[b, i, j, k, c] *= share
+            if share > 0.0:
+                held[b] = True
