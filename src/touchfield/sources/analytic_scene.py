@@ -73,10 +73,7 @@ class AnalyticScene(Scene):
         return np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
 
     def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> AnalyticScene:
-        """See `Scene.moved`.
-
-        Raises `InvalidArgument` if `rotation` is not a rotation, or a number is not finite.
-        """
+        """See `Scene.moved`; `InvalidArgument` if `rotation` is not a rotation, or a number is not finite."""
         other = copy.copy(self)
         other.shapes = tuple(moved(shape, rotation, shift_m) for shape in self.shapes)
         return other

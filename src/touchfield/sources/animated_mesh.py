@@ -248,10 +248,7 @@ class AnimatedMeshScene(MovingScene):
         return replace(whole, surface=surface, lids=lids, rim=rim, notes=())
 
     def moved(self, rotation: Floats, shift_m: Floats) -> AnimatedMeshScene:
-        """See `Scene.moved`.
-
-        Raises `InvalidArgument` if `rotation` is not a rotation.
-        """
+        """See `Scene.moved`; `InvalidArgument` if `rotation` is not a rotation."""
         other, more = self._copy(), checked_rotation(rotation)
         turn, shift = self._placed or (np.eye(3), np.zeros(3))
         other._placed = more @ turn, more @ shift + np.asarray(shift_m, np.float64)

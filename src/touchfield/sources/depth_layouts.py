@@ -26,9 +26,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import MissingExtra, SourceError
 from touchfield.medium.npz import read_npy_header
@@ -48,10 +49,7 @@ from touchfield.sources.placed_frames import POSE_TOLERANCE_S, PlacedFrames, pos
 from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text
 from touchfield.sources.registry import kinds
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
+Float64s = NDArray[np.float64]
 
 __all__ = ["KINDS", "LAYOUTS"]
 

@@ -108,8 +108,6 @@ class Shots(NamedTuple):
 class Layout:
     """One way to lay a depth sequence out on disk.
 
-    Parameters
-    ----------
     name, summary, recognise : As of `SourceKind`; of what a path that cannot be read would raise, `kind` takes care.
         A folder, unless `is_file`.
     shots : callable; ``shots(path) -> Shots``.

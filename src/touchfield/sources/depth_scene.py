@@ -37,28 +37,24 @@ A step edge thus ends the support and never tilts a normal, as long as it is hig
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.sources.camera import noise_step_per_m, require_frame
+from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m, require_frame
 from touchfield.sources.kernels import depth as kernels
 from touchfield.sources.kernels.depth import Query
 from touchfield.sources.kernels.planes import SurfacePlanes, fit_planes
 from touchfield.sources.poses import checked_poses
+from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.sources.camera import DepthSequence, Intrinsics
-    from touchfield.sources.profile import ForceProfile
-
-    Float32s = NDArray[np.float32]
-    Float64s = NDArray[np.float64]
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
 
 __all__ = [
     "RAY_LIMIT",
@@ -91,8 +87,6 @@ def surface_planes(depth_m: Float32s, intrinsics: Intrinsics, step_per_m: float)
 class DepthScene(MovingScene):
     """A depth sequence as a scene of thin walls, in metres.
 
-    Parameters
-    ----------
     frame : str; "world": in the coordinates of the first camera, where the sequence has poses; "camera": each frame
         in its own camera.
     segment : str, optional; The rule by which `bodies` are told apart (`segments.SegmentRule.parse`).

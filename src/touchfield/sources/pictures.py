@@ -16,31 +16,23 @@ from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
 from threading import Lock
-from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple
+from typing import IO, Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import SourceError, TouchfieldError
 from touchfield.files import require_plain
 from touchfield.medium.npz import map_npy, read_npy_header
 from touchfield.sources.camera import require_frame
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 __all__ = ["MAX_PIXELS", "PICTURE_SUFFIXES", "PictureHeader", "bound_pixels", "picture_header", "read_picture"]
 
-MAX_PIXELS: Final = 1 << 26
-"""Pixels of the largest picture that is decoded (8192 x 8192)."""
-
+MAX_PIXELS: Final = 1 << 26  # pixels of the largest picture that is decoded (8192 x 8192)
 PICTURE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy")
 PHOTO_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-MAX_PAGES: Final = 1 << 16
-"""Of a TIFF, whose pages can name each other in a ring."""
-
-_MAX_EXPANSION: Final = 1400
-"""Bytes out of one byte in: deflate reaches 1032, LZW of TIFF about 1366."""
-
+MAX_PAGES: Final = 1 << 16  # of a TIFF, whose pages can name each other in a ring
+_MAX_EXPANSION: Final = 1400  # bytes out of one byte in: deflate reaches 1032, LZW of TIFF about 1366
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # the numbers of a palette are no grey levels
 _PIL_SAMPLES: Final = {
