@@ -169,12 +169,9 @@ def _extrinsics(path: Path, paths: tuple[Path, ...]) -> PlacedFrames | None:
         return posed_frames(str(file), taken, "no posed colour frame within 20 ms")
     if len(poses) == len(paths):
         return PlacedFrames(tuple(range(len(paths))), poses, ())
-    raise SourceError(
-        str(file),
-        f"{len(poses)} poses for {len(paths)} depth and {len(colour)} colour frames",
-        "one for each frame",
-        "Copy all frames of the sequence, or ignore the poses with --frame camera.",
-    )
+    found = f"{len(poses)} poses for {len(paths)} depth and {len(colour)} colour frames"
+    mend = "Copy all frames of the sequence, or ignore the poses with --frame camera."
+    raise SourceError(str(file), found, "one for each frame", mend)
 
 
 def _redwood(path: Path) -> Shots:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.errors import SourceError, TouchfieldError
-from touchfield.files import require_plain
+from touchfield.files import readable, require_plain
 from touchfield.medium.npz import map_npy, read_npy_header
 from touchfield.sources.camera import require_frame
 
@@ -109,25 +109,22 @@ def opened(path: Path, formats: tuple[str, ...] | None = None, expected: str = "
 def picture_header(path: Path) -> PictureHeader:
     """Size and samples of a PNG, TIFF, PGM or NPY picture, from its header."""
     require_plain(path, "a picture")
-    try:
-        with path.open("rb") as stream:
-            start = stream.read(33)
-            stream.seek(0)
-            if start.startswith(_PNG_SIGNATURE):
-                header = _png_header(path, start)
-            elif start.startswith(_NPY_MAGIC):
-                header = _npy_header(path, stream)
-            elif start.startswith(b"P5"):
-                header, _ = _pgm_header(path, stream)
-            elif start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-                with opened(path, ("TIFF",)) as image:
-                    sample = _PIL_SAMPLES.get(image.mode, "")
-                    header = PictureHeader(image.width, image.height, sample, len(image.getbands()))
-            else:
-                raise SourceError(str(path), "no PNG, TIFF, PGM or NPY file", "one of these", "Check the file.")
-            bound_pixels(path, header.width, header.height)
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    with readable(path, mend="Check path and rights."), path.open("rb") as stream:
+        start = stream.read(33)
+        stream.seek(0)
+        if start.startswith(_PNG_SIGNATURE):
+            header = _png_header(path, start)
+        elif start.startswith(_NPY_MAGIC):
+            header = _npy_header(path, stream)
+        elif start.startswith(b"P5"):
+            header, _ = _pgm_header(path, stream)
+        elif start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+            with opened(path, ("TIFF",)) as image:
+                sample = _PIL_SAMPLES.get(image.mode, "")
+                header = PictureHeader(image.width, image.height, sample, len(image.getbands()))
+        else:
+            raise SourceError(str(path), "no PNG, TIFF, PGM or NPY file", "one of these", "Check the file.")
+        bound_pixels(path, header.width, header.height)
     return header
 
 
@@ -141,16 +138,13 @@ def read_picture(path: Path) -> NDArray[Any]:
     if header.channels != 1 or not header.sample:
         raise SourceError(str(path), header.wording, "one number a pixel, of 8 or 16 bits or float")
     size = (header.height, header.width)
-    try:
-        with path.open("rb") as stream:
-            start = stream.read(6)
-            stream.seek(0)
-            if start == _NPY_MAGIC:
-                return _native(map_npy(path)).reshape(size)
-            if start.startswith(b"P5"):
-                return _pgm_samples(path, stream)
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    with readable(path, mend="Check path and rights."), path.open("rb") as stream:
+        start = stream.read(6)
+        stream.seek(0)
+        if start == _NPY_MAGIC:
+            return _native(map_npy(path)).reshape(size)
+        if start.startswith(b"P5"):
+            return _pgm_samples(path, stream)
     bound_pixels(path, header.width, header.height, np.dtype(header.sample).itemsize)
     with opened(path, ("PNG", "TIFF")) as image:
         values = np.array(image)
@@ -185,10 +179,6 @@ def photo_size(path: Path) -> tuple[int, int]:
 
 def _native(values: NDArray[Any]) -> NDArray[Any]:
     return np.array(values, values.dtype.newbyteorder("="), order="C")
-
-
-def _unreadable(path: Path, error: OSError) -> SourceError:
-    return SourceError(str(path), error.strerror or str(error), "a file that can be read", "Check path and rights.")
 
 
 def _png_header(path: Path, start: bytes) -> PictureHeader:
