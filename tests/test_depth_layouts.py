@@ -658,7 +658,7 @@ def test_the_motorcycle_is_between_two_and_five_metres(monkeypatch: pytest.Monke
     def absent(name: str) -> ModuleType:
         raise ModuleNotFoundError(name)
 
-    monkeypatch.setattr(inverse_depth, "import_module", absent)
+    monkeypatch.setattr("touchfield.errors.import_module", absent)
     with pytest.raises(MissingExtra, match=r"touchfield\[motorcycle\]"):
         inverse_depth.motorcycle_sequence()
 

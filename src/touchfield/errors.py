@@ -16,6 +16,10 @@ A message is one line: where, what was found, what was expected, how to mend it.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
 from typing import Any
 
 __all__ = [
@@ -29,6 +33,9 @@ __all__ = [
     "TouchfieldError",
     "TruncatedFile",
     "UnsupportedVersion",
+    "blamed_on",
+    "import_extra",
+    "require_positive",
 ]
 
 
@@ -112,3 +119,27 @@ class CorruptFile(FormatError):
 
 class UnsupportedVersion(FormatError):
     """The file is of another version of the format, or needs a part that this one has not."""
+
+
+def import_extra(module: str, purpose: str, library: str, extra: str) -> Any:
+    """A module of an optional library; `MissingExtra` if that is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingExtra(purpose, library, extra) from error
+
+
+def require_positive(**values: float) -> None:
+    """`InvalidArgument` for a value, by its name, that is not positive or not finite."""
+    for name, value in values.items():
+        if not (value > 0 and math.isfinite(value)):
+            raise InvalidArgument(name, repr(value), "a positive number")
+
+
+@contextmanager
+def blamed_on(where: str) -> Iterator[None]:
+    """Within it an `InvalidArgument` is a `SourceError` of the file, or place in a file, that gave the argument."""
+    try:
+        yield
+    except InvalidArgument as error:
+        raise SourceError(f"{where}{error.where}", error.found, error.expected, error.mend) from error

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
 from touchfield.errors import SourceError
 
-__all__ = ["exactly", "plain_size", "require_beside", "require_plain", "standard_input"]
+__all__ = ["exactly", "plain_size", "readable", "require_beside", "require_plain", "standard_input"]
 
 
 def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: bool = False) -> None:
@@ -33,6 +35,15 @@ def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: boo
         return
     kind = "a folder" if stat.S_ISDIR(mode) else "a pipe, a socket or a device"
     raise SourceError(os.fspath(path), kind, expected)
+
+
+@contextmanager
+def readable(where: Path, expected: str = "a file that can be read", mend: str = "") -> Iterator[None]:
+    """Within it what the system refuses, an `OSError`, is a `SourceError`."""
+    try:
+        yield
+    except OSError as error:
+        raise SourceError(str(where), error.strerror or str(error), expected, mend) from error
 
 
 def plain_size(path: Path, expected: str) -> int:

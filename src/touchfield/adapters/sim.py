@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, cast
 import numpy as np
 
 from touchfield.adapters.registry import Check, DeviceKind, Opener
-from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.errors import DeviceError, InvalidArgument, require_positive
 from touchfield.render.point_device import PointDevice, Quaternion
 
 if TYPE_CHECKING:
@@ -70,9 +70,7 @@ class SimHand(PointDevice):
     ) -> None:
         if kind not in _KINDS:
             raise InvalidArgument("hand", repr(kind), " or ".join(_KINDS))
-        for name, value in (("mass_kg", mass_kg), ("stiffness_n_per_m", stiffness_n_per_m)):
-            if not (value > 0 and math.isfinite(value)):
-                raise InvalidArgument(name, repr(value), "a positive number")
+        require_positive(mass_kg=mass_kg, stiffness_n_per_m=stiffness_n_per_m)
         if not stiffness_n_per_m / mass_kg <= _FASTEST**2:
             found = f"{stiffness_n_per_m:g} N/m at {mass_kg:g} kg"
             raise InvalidArgument("hand", found, f"at most {_FASTEST:g} rad/s, sqrt(k/m)")

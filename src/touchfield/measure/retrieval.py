@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, blamed_on
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, DESCRIPTOR_VERSION, PARTS, Descriptor, part_slots
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.npz import NpzArchive
@@ -217,10 +217,8 @@ class MediumIndex:
             raise SourceError(where, found, f"float64 [{len(names)}, {DESCRIPTOR_LENGTH}]")
         index = cls()
         for name, row in zip(names, archive.read("values"), strict=True):
-            try:
+            with blamed_on(f"{path}, "):
                 index.add(name, Descriptor(row))
-            except InvalidArgument as error:
-                raise SourceError(f"{path}, {error.where}", error.found, error.expected) from error
         return index
 
 

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TextIO
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.files import require_plain
+from touchfield.files import readable, require_plain
 from touchfield.medium.field import frozen
 
 if TYPE_CHECKING:
@@ -182,14 +182,13 @@ def has_forces(path: Path) -> bool:
 def _table(where: Path, forces: tuple[str, ...]) -> tuple[NDArray[np.float64], NDArray[np.int64], _Columns]:
     """The wanted columns, the line of each row, and what the columns are."""
     require_plain(where, "a trace file")
-    try:
-        with where.open(encoding="utf-8-sig", errors="replace", newline=None) as file:
-            lines = _lines(file, str(where))
-            columns = _columns(next(lines, None), str(where), forces)
-            return (*_rows(lines, columns, str(where)), columns)
-    except OSError as error:
-        mend = "Check path and rights."
-        raise SourceError(str(where), error.strerror or str(error), "a trace file", mend) from error
+    with (
+        readable(where, "a trace file", "Check path and rights."),
+        where.open(encoding="utf-8-sig", errors="replace", newline=None) as file,
+    ):
+        lines = _lines(file, str(where))
+        columns = _columns(next(lines, None), str(where), forces)
+        return (*_rows(lines, columns, str(where)), columns)
 
 
 def _checked_rate(rate_hz: float) -> float:

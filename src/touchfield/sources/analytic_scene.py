@@ -28,36 +28,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, SourceError
-from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.medium.field import brick_keys
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_positive
+from touchfield.medium import ForceField, Grid
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Y_AXES, Scene, field_of_points
-from touchfield.sources.shapes import (
-    Box,
-    Capsule,
-    Cylinder,
-    Ellipsoid,
-    Plane,
-    Shape,
-    Sphere,
-    Superquadric,
-    moved,
-)
+from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_that, field_of_points
+from touchfield.sources.shapes import SHAPES, Plane, Shape, moved
 from touchfield.sources.toml_values import known, number, number_or_list, read_toml, tables, text
-
-SHAPES: Final[dict[str, type[Shape]]] = {
-    "plane": Plane,
-    "sphere": Sphere,
-    "box": Box,
-    "superquadric": Superquadric,
-    "capsule": Capsule,
-    "cylinder": Cylinder,
-    "ellipsoid": Ellipsoid,
-}
-"""The kinds of shape; a new one is a dataclass with a signed distance."""
 
 _TOP: Final = ("axes", "rate_hz", "combine", "shape")
 
@@ -67,8 +45,6 @@ COMBINATIONS: Final = ("sum", "union")
 class AnalyticScene(Scene):
     """One or several shapes, standing still.
 
-    Parameters
-    ----------
     combine : str; "sum": the forces of the shapes are added. "union": the nearest surface alone acts, phi the least
         of all and n its normal; exact outside, while within an overlap phi is that of the shape entered deepest, not
         the distance to the joint surface.
@@ -85,8 +61,7 @@ class AnalyticScene(Scene):
             raise InvalidArgument("shapes", "none", "at least one")
         if combine not in COMBINATIONS:
             raise InvalidArgument("combine", repr(combine), " or ".join(COMBINATIONS))
-        if not (rate_hz > 0 and np.isfinite(rate_hz)):
-            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        require_positive(rate_hz=rate_hz)
         self.shapes, self.combine = tuple(shapes), combine
         self.axes, self.rate_hz = axes, float(rate_hz)
 
@@ -98,10 +73,7 @@ class AnalyticScene(Scene):
         return np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
 
     def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> AnalyticScene:
-        """See `Scene.moved`.
-
-        Raises `InvalidArgument` if `rotation` is not a rotation, or a number is not finite.
-        """
+        """See `Scene.moved`; `InvalidArgument` if `rotation` is not a rotation, or a number is not finite."""
         other = copy.copy(self)
         other.shapes = tuple(moved(shape, rotation, shift_m) for shape in self.shapes)
         return other
@@ -124,39 +96,19 @@ class AnalyticScene(Scene):
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` does not matter."""
-        return field_of_points(grid, self._candidates(grid, profile), lambda points: self.forces_n(points, profile))
+        acting = [piece for piece in profile.pieces if piece[2] or piece[3]]
 
-    def _candidates(self, grid: Grid, profile: ForceProfile) -> NDArray[np.int32]:
-        """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may."""
-        size = 1 << max(grid.brick_shape).bit_length()
-        blocks = np.zeros((1, 3), np.int64)
-        spacing = np.asarray(grid.spacing_m)
-        octants = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(1, 8, 3)
-        while True:
-            half = (size * BRICK - 1) / 2
-            centres = grid.to_m(blocks * (size * BRICK) + half)
-            blocks = blocks[self._may_act(centres, float(np.linalg.norm(spacing * half)), profile)]
-            if size == 1:
-                break
-            size //= 2
-            blocks = (blocks[:, None] * 2 + octants).reshape(-1, 3)
-            blocks = blocks[(blocks * size < grid.brick_shape).all(axis=1)]
-        ordered = np.argsort(brick_keys(grid, blocks))
-        return blocks[ordered].astype(np.int32)
-
-    def _may_act(self, centres: NDArray[np.float64], radius_m: float, profile: ForceProfile) -> NDArray[np.bool_]:
-        met = np.zeros(len(centres), np.bool_)
-        for shape in self.shapes:
-            low, high = shape.distance_range(centres, radius_m)
-            for piece_low, piece_high, intercept, slope in profile.pieces:
-                if intercept or slope:
+        def may_act(centres: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
+            met = np.zeros(len(centres), np.bool_)
+            for low, high in (shape.distance_range(centres, radius_m) for shape in self.shapes):
+                for piece_low, piece_high, *_ in acting:
                     met |= (low <= piece_high) & (high > piece_low)
-        return met
+            return met
+
+        return field_of_points(grid, bricks_that(may_act, grid), lambda points: self.forces_n(points, profile))
 
 
 # -- from a file ---------------------------------------------------------------------------------------------
-
-
 def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
     """Read a scene of shapes; `rate_hz` stands in where the file gives none.
 
@@ -172,10 +124,8 @@ def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
         for name, default in (("axes", UP_Y_AXES), ("combine", "sum"))
     )
     rate = number(f"{path}: rate_hz", table["rate_hz"]) if "rate_hz" in table else rate_hz or 30.0
-    try:
+    with blamed_on(f"{path}: "):
         return AnalyticScene(shapes, combine, axes, rate)
-    except InvalidArgument as error:
-        raise SourceError(f"{path}: {error.where}", error.found, error.expected) from error
 
 
 def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
@@ -197,9 +147,8 @@ def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
         elif f.default is dataclasses.MISSING:
             raise SourceError(f"{where}: {f.name}", "nothing", f"a value; a {kind} needs it")
     try:
-        return shape_type(**values)
-    except InvalidArgument as error:
-        raise SourceError(f"{where}: {error.where}", error.found, error.expected) from error
+        with blamed_on(f"{where}: "):
+            return shape_type(**values)
     except (TypeError, ValueError) as error:
         raise SourceError(where, "a number for a list, or a list for a number", f"the keys of a {kind}") from error
 

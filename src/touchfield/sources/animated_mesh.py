@@ -13,57 +13,46 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid, PoseTrack
 from touchfield.medium.pose_track import checked_rotation
+from touchfield.sources.camera import require_frame
 from touchfield.sources.gltf.document import members_of
 from touchfield.sources.gltf.model import Model, Poses
-from touchfield.sources.mesh_holes import HOLES, Mended, mended
+from touchfield.sources.mesh_holes import Mended, mended
 from touchfield.sources.mesh_scene import MeshScene, union_of
 from touchfield.sources.mesh_surface import Surface, welded_in_motion
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.rigid_parts import RigidPart, rigid_parts
-from touchfield.sources.scene import UP_Y_AXES, Body, Scene
+from touchfield.sources.scene import UP_Y_AXES, Body, MovingScene, size_note
 
 Floats = NDArray[np.float64]
 
 _RATE_HZ: Final = 60.0
 _MOST_FRAMES: Final = 100_000
 _BLOCK: Final = 64
-_NODE_POSES: Final = 1 << 17
-"""Node matrices of a block of times: about 50 MB with all that makes them."""
-
-_LOOKS: Final = 16
-"""Times at which vertices must be together to be one."""
-
-_OVERLAP_LOOKS: Final = 5
-"""Times at which bodies must not overlap."""
-
+_NODE_POSES: Final = 1 << 17  # node matrices of a block of times: about 50 MB with all that makes them
+_LOOKS: Final = 16  # times at which vertices must be together to be one
+_OVERLAP_LOOKS: Final = 5  # times at which bodies must not overlap
 _LARGEST: Final = 1e15
 
 
-class AnimatedMeshScene(Scene):
+class AnimatedMeshScene(MovingScene):
     """A glTF model with one of its animations.
 
-    Parameters
-    ----------
     animation : str or None; Its name or its number; None for the first.
     rate_hz : float; Frames a second.
     unit_m : float or None; Metres of one unit of the coordinates; None for 1, as glTF has it.
     shell, holes : str; Of an open mesh, as `MeshScene` takes them; holes are closed as they are at rest.
-
-    Attributes
-    ----------
-    frame_count : int; Times i / rate_hz before the end, one at least.
 
     Raises `SourceError` if the file or what it holds is at fault; `InvalidArgument` if there is no such animation,
     or it has too many frames.
@@ -82,14 +71,11 @@ class AnimatedMeshScene(Scene):
         shell: str = "auto",
         holes: str = "small",
     ) -> None:
-        if not (rate_hz > 0 and math.isfinite(rate_hz)):
-            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
-        if holes not in HOLES:
-            raise InvalidArgument("holes", repr(holes), " or ".join(HOLES))
+        require_positive(rate_hz=rate_hz)
         self.name, self.rate_hz, self.shell = str(path), float(rate_hz), shell
         self._unit_m = 1.0 if unit_m is None else unit_m
         self._placed: tuple[Floats, Floats] | None = None
-        self._blocks: dict[int, Poses] = {}
+        self._block = lru_cache(maxsize=2)(self._poses)  # a frame may lie at the edge of its block
         self._latest: tuple[int, MeshScene] | None = None
         with np.errstate(all="ignore"):
             model = Model(path)
@@ -102,21 +88,15 @@ class AnimatedMeshScene(Scene):
         self._surface = self._whole.surface
         scene = MeshScene.of_surface(self._whole, shell=shell, name=self.name)
         self.is_closed = scene.is_closed
-        extent = " x ".join(f"{side:.4g}" for side in np.ptp(self.vertices_m(0), axis=0))
-        wording = f"Coordinates taken as metres: {extent} m in the first frame; say --unit-m if they are not."
-        if unit_m is not None:
-            wording = f"One unit is {unit_m:g} m: {extent} m in the first frame."
-        self.notes = (wording, self._wording(number, model.animation_names), *scene.notes)
+        size = size_note(np.ptp(self.vertices_m(0), axis=0), unit_m, " in the first frame")
+        self.notes = (size, self._wording(number, model.animation_names), *scene.notes)
 
     def _count_frames(self) -> int:
         # a duration in float32 may lie a little behind its frame
         count = self.duration_s * self.rate_hz * (1 - 1e-6)
         if count > _MOST_FRAMES:
-            raise InvalidArgument(
-                f"{self.name}, rate_hz",
-                f"{self.rate_hz:g} for an animation of {self.duration_s:g} s",
-                f"at most {_MOST_FRAMES} frames",
-            )
+            found = f"{self.rate_hz:g} for an animation of {self.duration_s:g} s"
+            raise InvalidArgument(f"{self.name}, rate_hz", found, f"at most {_MOST_FRAMES} frames")
         return max(1, math.ceil(count))
 
     def _weld(self, model: Model) -> Surface:
@@ -135,13 +115,13 @@ class AnimatedMeshScene(Scene):
         return f"{text}; there are also {others}." if others else f"{text}."
 
     # -- the surface -----------------------------------------------------------------------------------------------
-
     def vertices_m(self, frame: int) -> Floats:
         """The vertices of a frame in metres, float64 [n, 3].
 
         Raises `InvalidArgument` if there is no such frame; `SourceError` if a coordinate is not finite there.
         """
-        return self._at_step(2 * self._checked(frame))
+        require_frame(frame, self.frame_count, self.name)
+        return self._at_step(2 * frame)
 
     def velocities_m_s(self, frame: int) -> Floats:
         """The velocities of the vertices of a frame in metres a second, float64 [n, 3].
@@ -151,7 +131,8 @@ class AnimatedMeshScene(Scene):
 
         Raises `InvalidArgument` if there is no such frame; `SourceError` if a coordinate is not finite there.
         """
-        step = 2 * self._checked(frame)
+        require_frame(frame, self.frame_count, self.name)
+        step = 2 * frame
         before, after = self._time_s(step - 1), self._time_s(step + 1)
         if after <= before:
             return np.zeros_like(self._surface.vertices_m)
@@ -162,49 +143,27 @@ class AnimatedMeshScene(Scene):
         """The surface of a frame: the triangles are the same in all, but each begins with its longest edge."""
         return self._scene(frame).surface
 
-    def bounds_m(self) -> Floats:
-        """See `Scene.bounds_m`."""
-        return self._bounds_m
-
-    @cached_property
-    def _bounds_m(self) -> Floats:
-        return self._box_m(0, self.frame_count)
-
-    def bounds_between_m(self, start: int, stop: int) -> Floats:
-        """See `Scene.bounds_between_m`."""
-        return self._bounds_m if (start, stop) == (0, self.frame_count) else self._box_m(start, stop)
-
     def _box_m(self, start: int, stop: int) -> Floats:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         used = np.unique(self._surface.triangles)
         for frame in range(start, stop):
             vertices = self.vertices_m(frame)[used]
             low, high = np.minimum(low, vertices.min(axis=0)), np.maximum(high, vertices.max(axis=0))
-        box = np.stack([low, high])
-        box.flags.writeable = False
-        return box
-
-    def _checked(self, frame: int) -> int:
-        if not 0 <= frame < self.frame_count:
-            raise InvalidArgument(f"{self.name}, frame", str(frame), f"0 to {self.frame_count - 1}")
-        return frame
+        return np.stack([low, high])
 
     def _time_s(self, step: int) -> float:
         """The time of a step, half a frame; what is outside the animation is its end."""
         return min(max(step / (2 * self.rate_hz), 0.0), self.duration_s)
 
+    def _poses(self, block: int) -> Poses:
+        first = block * self._steps_in_block - 1
+        times = np.array([self._time_s(first + i) for i in range(self._steps_in_block)])
+        return self._model.poses(self._animation, times)
+
     def _at_step(self, step: int) -> Floats:
         block, place = divmod(step + 1, self._steps_in_block)  # step -1 is the first: before frame 0
-        poses = self._blocks.get(block)
-        if poses is None:
-            first = block * self._steps_in_block - 1
-            times = np.array([self._time_s(first + i) for i in range(self._steps_in_block)])
-            with np.errstate(all="ignore"):
-                poses = self._model.poses(self._animation, times)
-            beside = (block - 1, block + 1)  # a frame may lie at the edge of its block
-            self._blocks = {block: poses} | {b: old for b, old in self._blocks.items() if b in beside}
         with np.errstate(all="ignore"):
-            vertices = self._model.vertices(poses, place)
+            vertices = self._model.vertices(self._block(block), place)
         return self._in_metres(vertices, f"at {self._time_s(step):.4g} s")
 
     def _in_metres(self, vertices: Floats, when: str) -> Floats:
@@ -219,14 +178,15 @@ class AnimatedMeshScene(Scene):
         return vertices
 
     # -- the field -------------------------------------------------------------------------------------------------
-
     def _scene(self, frame: int) -> MeshScene:
         latest = self._latest
         if latest is None or latest[0] != frame:
             surface = self._surface.with_vertices(self.vertices_m(frame))
-            whole = replace(self._whole, surface=surface, notes=())
-            self._latest = latest = frame, MeshScene.of_surface(whole, **self._asked)
+            self._latest = latest = frame, self._standing(replace(self._whole, surface=surface, notes=()))
         return latest[1]
+
+    def _standing(self, whole: Mended) -> MeshScene:
+        return MeshScene.of_surface(whole, shell=self.shell, name=self.name)
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; with the damping of a moving surface where `profile` asks for it.
@@ -240,7 +200,6 @@ class AnimatedMeshScene(Scene):
         return scene.field(0, grid, profile)
 
     # -- bodies ----------------------------------------------------------------------------------------------------
-
     @cached_property
     def _parts(self) -> tuple[list[RigidPart], NDArray[np.bool_]]:
         return rigid_parts(self._surface, self.vertices_m, self.frame_count)
@@ -260,23 +219,22 @@ class AnimatedMeshScene(Scene):
             return super().bodies()
         start = self.vertices_m(0)
         bodies = [
-            Body(f"part {n}", MeshScene.of_surface(self._cut(each.has_vertex, start - each.origin_m), **self._asked),
-                 each.track)
+            Body(f"part {n}", self._standing(self._cut(each.has_vertex, start - each.origin_m)), each.track)
             for n, each in enumerate(parts, 1)
-        ]  # fmt: skip
+        ]
         if deforms.any():
-            rest = copy.copy(self)
-            rest.__dict__.pop("_bounds_m", None)
-            rest.__dict__.pop("_parts", None)
-            rest._latest = None
+            rest = self._copy()
             rest._whole = self._cut(deforms, start, keep_all=True)
             rest._surface = rest._whole.surface
             bodies.append(Body("what deforms", rest, PoseTrack.still(self.frame_count)))
         return tuple(bodies)
 
-    @property
-    def _asked(self) -> dict[str, str]:
-        return {"shell": self.shell, "name": self.name}
+    def _copy(self) -> AnimatedMeshScene:
+        """This scene without what is kept of where its vertices are."""
+        other = copy.copy(self)
+        other._latest = other._box = None
+        other.__dict__.pop("_parts", None)
+        return other
 
     def _cut(self, has_vertex: NDArray[np.bool_], vertices_m: Floats, keep_all: bool = False) -> Mended:
         """The surface of some vertices only."""
@@ -290,14 +248,8 @@ class AnimatedMeshScene(Scene):
         return replace(whole, surface=surface, lids=lids, rim=rim, notes=())
 
     def moved(self, rotation: Floats, shift_m: Floats) -> AnimatedMeshScene:
-        """See `Scene.moved`.
-
-        Raises `InvalidArgument` if `rotation` is not a rotation.
-        """
-        other, more = copy.copy(self), checked_rotation(rotation)
-        for name in ("_bounds_m", "_parts"):
-            other.__dict__.pop(name, None)
-        other._latest = None
+        """See `Scene.moved`; `InvalidArgument` if `rotation` is not a rotation."""
+        other, more = self._copy(), checked_rotation(rotation)
         turn, shift = self._placed or (np.eye(3), np.zeros(3))
         other._placed = more @ turn, more @ shift + np.asarray(shift_m, np.float64)
         return other

@@ -5,23 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_positive
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
+from touchfield.parallel import for_chunks
 from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.camera import require_frame
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.profile import ForceProfile
-from touchfield.sources.scene import UP_Z_AXES, Body, Scene
+from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
 from touchfield.sources.shapes import Plane
 
 Float64s = NDArray[np.float64]
-
 
 _AT_REST = (0.0,) * 9
 
@@ -35,14 +35,12 @@ class _Part:
     motion: tuple[float, ...] = _AT_REST
 
 
-class BodyScene(Scene):
+class BodyScene(MovingScene):
     """Bodies in motion; where they overlap their forces are added (the device filter clips the sum to F_max).
 
     With `ForceProfile.surface_damping_n_s_per_m` b, b (v + omega x r) is added wherever a body has a force: its
     velocity there, r from its origin.
 
-    Parameters
-    ----------
     bodies : sequence of Body; One or more; their tracks have one length.
 
     Raises `InvalidArgument` if there is no body, the tracks differ in length, a body that deforms has not a frame
@@ -54,8 +52,7 @@ class BodyScene(Scene):
     ) -> None:
         if not bodies:
             raise InvalidArgument("bodies", "none", "at least one")
-        if not (rate_hz > 0 and math.isfinite(rate_hz)):
-            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        require_positive(rate_hz=rate_hz)
         count = len(bodies[0].track)
         for body in bodies:
             if len(body.track) != count:
@@ -71,29 +68,16 @@ class BodyScene(Scene):
         self._kept: tuple[Grid, ForceProfile, ForceField] | None = None
 
     def bodies(self) -> tuple[Body, ...]:
-        """See `Scene.bodies`."""
         return self._bodies
 
-    def bounds_m(self) -> NDArray[np.float64]:
-        """The box that holds the box of every body in every frame, metres, float64 [2, 3].
-
-        A body of planes counts with their points, unless all bodies are planes.
-        """
-        return self._bounds_m.copy()
-
-    @cached_property
-    def _bounds_m(self) -> Float64s:
-        return self._box_m(0, self.frame_count)
-
-    def bounds_between_m(self, start: int, stop: int) -> Float64s:
-        """See `bounds_m`, of frames start to stop - 1."""
-        return self._bounds_m.copy() if (start, stop) == (0, self.frame_count) else self._box_m(start, stop)
-
     def _box_m(self, start: int, stop: int) -> Float64s:
-        of_planes = [_is_of_planes(body.scene) for body in self._bodies]
+        """The box that holds that of every body; planes count with their points, unless there is nothing else."""
+        planes = [_planes_of(body.scene) for body in self._bodies]
         lows, highs = [], []
-        for body, still, flat in zip(self._bodies, self._still, of_planes):
-            box = _points_box(body.scene) if flat and not all(of_planes) else body.scene.bounds_m()
+        for body, still, points in zip(self._bodies, self._still, planes):
+            box = body.scene.bounds_m()
+            if points is not None and any(each is None for each in planes):
+                box = np.stack([points.min(axis=0), points.max(axis=0)])
             frames = slice(start, start + 1 if still else stop)
             low, high = _moved_boxes(box, body.track.rotations(frames), body.track.positions_m[frames])
             lows.append(low.min(axis=0))
@@ -108,8 +92,7 @@ class BodyScene(Scene):
         Raises `InvalidArgument` if `frame` is not one of the scene's, or a body that is not at rest in the scene's
         own frame cannot be moved (`Scene.moved`).
         """
-        if not 0 <= frame < self.frame_count:
-            raise InvalidArgument("frame", str(frame), f"0 to {self.frame_count - 1}")
+        require_frame(frame, self.frame_count)
         parts = [_Part(self._field_at_rest(grid, profile), (0, 0, 0))] if any(self._still) else []
         moving = (n for n, still in enumerate(self._still) if not still)
         return _sum(grid, [*parts, *self._parts(moving, frame, grid, profile)])
@@ -161,7 +144,9 @@ def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
     keys = np.unique(np.concatenate([np.zeros(0, np.int64), *places]))
     total = zero_forces(len(keys))
     for part, place in zip(parts, places):
-        add_body(part.field, np.searchsorted(keys, place), part.field.grid, part.motion, total)
+        field, lattice = part.field, (*part.field.grid.origin_m, *part.field.grid.spacing_m)
+        work = field.bricks, field.forces_n, np.searchsorted(keys, place), lattice, part.motion, total
+        for_chunks(add_body, len(place), *work, chunk=32)
     bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
     holds = total.any(axis=(1, 2, 3, 4))
     return ForceField(grid, bricks, total) if holds.all() else ForceField(grid, bricks[holds], total[holds])
@@ -202,12 +187,8 @@ def _moved_boxes(box_m: Float64s, turns: Float64s, shifts_m: Float64s) -> tuple[
     return centre - reach, centre + reach
 
 
-def _is_of_planes(scene: Scene) -> bool:
-    return isinstance(scene, AnalyticScene) and all(isinstance(shape, Plane) for shape in scene.shapes)
-
-
-def _points_box(scene: Scene) -> Float64s:
-    """The box of the points of planes."""
+def _planes_of(scene: Scene) -> Float64s | None:
+    """A point of each plane, float64 [n, 3], where a scene is of nothing but planes."""
     shapes = scene.shapes if isinstance(scene, AnalyticScene) else ()
-    points = np.array([shape.point_m for shape in shapes if isinstance(shape, Plane)])
-    return np.stack([points.min(axis=0), points.max(axis=0)])
+    points = [shape.point_m for shape in shapes if isinstance(shape, Plane)]
+    return np.array(points, np.float64) if points and len(points) == len(shapes) else None

@@ -17,19 +17,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_positive
 from touchfield.medium.pose_track import quaternions_of, rotation_matrices
 from touchfield.sources.poses import checked_poses, poses_between
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float32s = NDArray[np.float32]
-    Float64s = NDArray[np.float64]
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
 
 __all__ = ["CodedSequence", "DepthCode", "DepthSequence", "Frames", "InterpolatedSequence", "Intrinsics", "at_rate"]
 
@@ -41,12 +39,8 @@ EDGE_STEP: Final = 0.05
 """Of "edges": depths of one pixel in two frames belong together up to 5 % of the nearer one, as `HeightScene` takes
 neighbouring pixels to. The noise of depth cameras stays below it (a Kinect: 1 % at 4 m)."""
 
-STEP_RANGE_PER_M: Final = (5e-4, 2e-2)
-"""Bounds of the noise step g, 1/m: 0.5 mm to 2 cm at a depth of 1 m."""
-
-MAX_FRAMES: Final = 1 << 20
-"""Frames of the longest interpolated sequence: 17 minutes at 1 kHz."""
-
+STEP_RANGE_PER_M: Final = (5e-4, 2e-2)  # bounds of the noise step g, 1/m: 0.5 mm to 2 cm at a depth of 1 m
+MAX_FRAMES: Final = 1 << 20  # frames of the longest interpolated sequence: 17 minutes at 1 kHz
 _SNAP_FRAMES: Final = 1e-6  # times this close to a source frame, in frames, show that frame and no mixture
 _KEPT = 3  # decoded source frames: two neighbours, and one more for a pass backwards
 
@@ -203,7 +197,6 @@ class CodedSequence(DepthSequence):
         self.width, self.height = frames.size
 
     def depth_m(self, frame: int) -> Float32s:
-        """See `DepthSequence.depth_m`."""
         require_frame(frame, self.frame_count, self.name)
         return self.metres(self.frames.values(frame))
 
@@ -220,8 +213,7 @@ class InterpolatedSequence(DepthSequence):
     def __init__(self, source: DepthSequence, rate_hz: float, interpolation: str = "linear") -> None:
         if interpolation not in INTERPOLATIONS:
             raise InvalidArgument("interpolation", repr(interpolation), " or ".join(INTERPOLATIONS))
-        if not (rate_hz > 0 and np.isfinite(rate_hz)):
-            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        require_positive(rate_hz=rate_hz)
         frames = 1.0 if source.frame_count == 1 else source.frame_count / source.rate_hz * rate_hz
         if frames > MAX_FRAMES:
             found = f"{rate_hz:g} Hz: {frames:.3g} frames of {source.frame_count} at {source.rate_hz:.4g} Hz"
@@ -237,7 +229,6 @@ class InterpolatedSequence(DepthSequence):
         self.notes = (*source.notes, *self._note())
 
     def depth_m(self, frame: int) -> NDArray[np.float32]:
-        """See `DepthSequence.depth_m`."""
         require_frame(frame, self.frame_count, self.name)
         before, share = divmod(float(self.positions[frame]), 1.0)
         if share == 0.0:

@@ -19,7 +19,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import exactly, standard_input
 from touchfield.sources.camera import DepthCode, DepthSequence
 from touchfield.sources.depth_reader import list_files, source_rate, with_suffix
@@ -41,12 +41,8 @@ if TYPE_CHECKING:
 
 __all__ = ["CaptureEnd", "CapturedSequence", "Pictures", "captured"]
 
-MOST_FRAMES: Final = 1 << 20
-"""Frames of a captured sequence: nine hours at 30 Hz."""
-
-PATIENCE_S: Final = 10.0
-"""Where no picture comes for so long, the sequence is over."""
-
+MOST_FRAMES: Final = 1 << 20  # frames of a captured sequence: nine hours at 30 Hz
+PATIENCE_S: Final = 10.0  # where no picture comes for so long, the sequence is over
 _KEPT: Final = 4
 _LOOK_S: Final = 0.005
 _UNFINISHED_S: Final = 1.0
@@ -123,7 +119,6 @@ class PipedPictures(Pictures):
         self._folder = TemporaryDirectory(prefix="touchfield-")
 
     def next(self) -> NDArray[Any]:
-        """See `Pictures.next`."""
         data = bytearray(exactly(self._stream, len(_PNG)))
         if not data:
             raise CaptureEnd(self.name, "its end", "a picture")
@@ -147,7 +142,6 @@ class PipedPictures(Pictures):
         return data
 
     def close(self) -> None:
-        """See `Pictures.close`."""
         self._folder.cleanup()
 
 
@@ -155,10 +149,7 @@ class OpencvCamera(Pictures):
     """A depth camera that OpenCV opens: by number, or by whatever else `cv2.VideoCapture` takes."""
 
     def __init__(self, which: str) -> None:
-        try:
-            import cv2
-        except ImportError:
-            raise MissingExtra("a camera", "opencv-python-headless", "camera") from None
+        cv2 = import_extra("cv2", "a camera", "opencv-python-headless", "camera")
         self.name = f"camera:{which}"
         way = cv2.CAP_IMAGES if "%" in which else cv2.CAP_ANY  # a row of pictures is read with all its bits
         self._camera = cv2.VideoCapture(int(which) if which.isdigit() else which, way)
@@ -168,7 +159,6 @@ class OpencvCamera(Pictures):
         self._depth_map = cv2.CAP_OPENNI_DEPTH_MAP  # 0, which is the main picture where there is but one
 
     def next(self) -> NDArray[Any]:
-        """See `Pictures.next`."""
         is_there = self._camera.grab()
         found, picture = self._camera.retrieve(None, self._depth_map) if is_there else (False, None)
         if not found:
@@ -176,7 +166,6 @@ class OpencvCamera(Pictures):
         return np.asarray(picture)
 
     def close(self) -> None:
-        """See `Pictures.close`."""
         self._camera.release()
 
 

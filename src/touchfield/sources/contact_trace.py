@@ -17,31 +17,30 @@ import json
 import math
 import struct
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
-from touchfield.files import require_plain
-from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.errors import InvalidArgument, SourceError, import_extra
+from touchfield.files import readable, require_plain
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_contacts
 from touchfield.parallel import for_chunks
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Z_AXES, Scene, field_of_points
+from touchfield.sources.scene import UP_Z_AXES, Scene, bricks_that, field_of_points
 
 Float64s = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
-
 _POSITIONS: Final = ("pose.position", "position", "point", "transform.translation", "translation")
 _FORCES: Final = ("wrench.force", "force")
+# schemas of geometry_msgs -> 0 for a position, 1 for a force
 _CDR: Final = {"PoseStamped": 0, "PointStamped": 0, "TransformStamped": 0, "WrenchStamped": 1}
-"""Schemas of geometry_msgs -> 0 for a position, 1 for a force."""
-
 _WHAT: Final = "an MCAP file of positions and forces"
 
 MOST_POINTS: Final = 350
@@ -49,9 +48,7 @@ _LENGTHS: Final = (1.0, 1.5, 2.25, 3.5, 5.0)
 _NOISES: Final = (1e-4, 1e-2, 0.1, 0.5)
 _AT_ONCE: Final = 1024
 
-REACH: Final = 1.0
-"""Lengths of the kernel: a sample so far off still tells 60 % of the potential."""
-
+REACH: Final = 1.0  # lengths of the kernel: a sample so far off still tells 60 % of the potential
 _LEAST: Final = 4
 _FARTHEST_M: Final = 1e4
 _STRONGEST_N: Final = 1e6
@@ -76,22 +73,17 @@ class CurlFree:
         """
         size = float(np.sqrt(np.mean(forces_n**2)))
         target = forces_n.reshape(-1) / size
-        best: CurlFree | None = None
-        for length in _LENGTHS:
-            length_m = length * spacing_m
+        count, fits = len(points_m), []
+        for length_m in (length * spacing_m for length in _LENGTHS):
             kernel = _covariances(points_m / length_m)
             for noise in _NOISES:
                 inverse = np.linalg.inv(kernel + noise * np.eye(len(target)))
                 solved = inverse @ target
-                own = inverse.reshape(len(points_m), 3, len(points_m), 3)[
-                    np.arange(len(points_m)), :, np.arange(len(points_m))
-                ]
+                own = inverse.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
                 left = np.linalg.solve(own, solved.reshape(-1, 3, 1))
-                missed = float(np.sqrt(np.mean(left**2)))
-                if best is None or missed < best.missed:
-                    best = cls(points_m, size * solved.reshape(-1, 3), length_m, missed)
-        assert best is not None
-        return best
+                fits.append((float(np.sqrt(np.mean(left**2))), length_m, solved))
+        missed, length_m, solved = min(fits, key=itemgetter(0))
+        return cls(points_m, size * solved.reshape(-1, 3), length_m, missed)
 
     def forces_n(self, at_m: Float64s, reach_m: float = math.inf) -> Float64s:
         """Newtons, float64 [n, 3], at points, float64 [n, 3]; 0 where no point of the field is within reach."""
@@ -128,19 +120,13 @@ def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, 
         if len(counts) <= MOST_POINTS:
             break
         side *= 1.15
-    of = of.reshape(-1)
-    sums = (np.zeros((len(counts), 3)), np.zeros((len(counts), 3)))
-    for total, values in zip(sums, (points_m, forces_n)):
-        np.add.at(total, of, values)
-    means = tuple(total / counts[:, None] for total in sums)
-    return means[0], means[1], side
+    sums = [np.stack([np.bincount(of.reshape(-1), c) for c in values.T], axis=1) for values in (points_m, forces_n)]
+    return sums[0] / counts[:, None], sums[1] / counts[:, None], side
 
 
 class ContactScene(Scene):
     """Forces that were recorded, as a field that stands still.
 
-    Parameters
-    ----------
     where : str; Of the trace, for messages.
 
     Raises `SourceError` if there are too few places, all in one, or no force at all.
@@ -185,13 +171,13 @@ class ContactScene(Scene):
         from scipy.spatial import KDTree
 
         tree = KDTree(self.interpolant.points_m)
-        shape = np.array(grid.brick_shape)
-        bricks = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1).reshape(-1, 3)
-        half = float(np.linalg.norm((BRICK - 1) / 2 * np.asarray(grid.spacing_m)))
-        centres = grid.to_m(bricks * BRICK + (BRICK - 1) / 2)
-        bricks = bricks[tree.query(centres, distance_upper_bound=self.reach_m + half)[0] < np.inf]
-        near = bricks.astype(np.int32)
-        return field_of_points(grid, near, lambda points: self.interpolant.forces_n(points, self.reach_m))
+
+        def may_hold(centres: Float64s, radius_m: float) -> NDArray[np.bool_]:
+            near: NDArray[np.bool_] = tree.query(centres, distance_upper_bound=self.reach_m + radius_m)[0] < np.inf
+            return near
+
+        bricks = bricks_that(may_hold, grid)
+        return field_of_points(grid, bricks, lambda points: self.interpolant.forces_n(points, self.reach_m))
 
 
 # -- MCAP, the container of robotics recordings (extra: mcap) ------------------------------------------------
@@ -207,18 +193,14 @@ def read_mcap(path: Path) -> ContactTrace:
     Raises `MissingExtra` if the library mcap is not installed; `SourceError` if the file cannot be read, a message
     is damaged, or there are no positions or no forces.
     """
-    try:
-        from mcap.exceptions import McapError
-        from mcap.reader import make_reader
-    except ImportError as error:
-        raise MissingExtra(str(path), "mcap", "mcap") from error
+    faults, reader = (import_extra(f"mcap.{part}", str(path), "mcap", "mcap") for part in ("exceptions", "reader"))
     require_plain(path, _WHAT)
     rows_of: tuple[dict[int, list[tuple[float, ...]]], ...] = ({}, {})
     names: dict[str, None] = {}
     count = 0
     try:
-        with path.open("rb") as file:
-            for schema, channel, message in make_reader(file).iter_messages():
+        with readable(path, _WHAT, "Check path and rights."), path.open("rb") as file:
+            for schema, channel, message in reader.make_reader(file).iter_messages():
                 name = schema.name if schema is not None else ""
                 names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
                 for kind, values in _told(name, channel.message_encoding, message.data, f"{path}: {channel.topic}"):
@@ -226,9 +208,7 @@ def read_mcap(path: Path) -> ContactTrace:
                     count += 1
                 if count > 2 * MAX_SAMPLES:
                     raise SourceError(str(path), f"more than {2 * MAX_SAMPLES} messages", _WHAT, "Cut it in parts.")
-    except OSError as error:
-        raise SourceError(str(path), error.strerror or str(error), _WHAT, "Check path and rights.") from error
-    except (McapError, struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
+    except (faults.McapError, struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
         raise SourceError(str(path), f"no sound MCAP ({error})", _WHAT) from error
     for rows, what in zip(rows_of, ("positions", "forces")):
         if not rows:

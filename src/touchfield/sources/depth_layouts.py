@@ -26,9 +26,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import MissingExtra, SourceError
 from touchfield.medium.npz import read_npy_header
@@ -48,10 +49,7 @@ from touchfield.sources.placed_frames import POSE_TOLERANCE_S, PlacedFrames, pos
 from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text
 from touchfield.sources.registry import kinds
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
+Float64s = NDArray[np.float64]
 
 __all__ = ["KINDS", "LAYOUTS"]
 
@@ -171,12 +169,9 @@ def _extrinsics(path: Path, paths: tuple[Path, ...]) -> PlacedFrames | None:
         return posed_frames(str(file), taken, "no posed colour frame within 20 ms")
     if len(poses) == len(paths):
         return PlacedFrames(tuple(range(len(paths))), poses, ())
-    raise SourceError(
-        str(file),
-        f"{len(poses)} poses for {len(paths)} depth and {len(colour)} colour frames",
-        "one for each frame",
-        "Copy all frames of the sequence, or ignore the poses with --frame camera.",
-    )
+    found = f"{len(poses)} poses for {len(paths)} depth and {len(colour)} colour frames"
+    mend = "Copy all frames of the sequence, or ignore the poses with --frame camera."
+    raise SourceError(str(file), found, "one for each frame", mend)
 
 
 def _redwood(path: Path) -> Shots:

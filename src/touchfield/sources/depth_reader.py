@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.errors import SourceError
+from touchfield.files import readable
 from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, DepthSequence, at_rate
 from touchfield.sources.intrinsics_file import CameraFile, camera_of
 from touchfield.sources.pictures import PICTURE_SUFFIXES, PictureFrames, picture_header
@@ -39,10 +40,8 @@ _MOST_KINDS: Final = 5
 def list_files(folder: Path, pattern: str) -> list[Path]:
     """The files of a folder whose whole name matches a regular expression, in the order of their numbers."""
     form = re.compile(pattern, re.IGNORECASE)
-    try:
+    with readable(folder, "a folder that can be read"):
         files = [p for p in folder.iterdir() if form.fullmatch(p.name) and not p.name.startswith(".")]
-    except OSError as error:
-        raise SourceError(str(folder), error.strerror or str(error), "a folder that can be read") from error
     return sorted(files, key=lambda p: _natural(p.name))
 
 
@@ -109,8 +108,6 @@ class Shots(NamedTuple):
 class Layout:
     """One way to lay a depth sequence out on disk.
 
-    Parameters
-    ----------
     name, summary, recognise : As of `SourceKind`; of what a path that cannot be read would raise, `kind` takes care.
         A folder, unless `is_file`.
     shots : callable; ``shots(path) -> Shots``.
@@ -218,10 +215,8 @@ def depth_kind(
     """A source kind of depth sequences; what cannot be read is a `SourceError` when it is opened."""
 
     def open_scene(path: Path, options: SourceOptions) -> Scene:
-        try:
+        with readable(path, "files that can be read"):
             sequence = read_sequence(path, options)
-        except OSError as error:
-            raise SourceError(str(path), error.strerror or str(error), "files that can be read") from error
         return depth_scene(sequence, options)
 
     return SourceKind(name, summary, is_known(recognise), open_scene)

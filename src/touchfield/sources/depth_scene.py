@@ -37,28 +37,24 @@ A step edge thus ends the support and never tilts a normal, as long as it is hig
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.sources.camera import noise_step_per_m, require_frame
+from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m, require_frame
 from touchfield.sources.kernels import depth as kernels
 from touchfield.sources.kernels.depth import Query
 from touchfield.sources.kernels.planes import SurfacePlanes, fit_planes
 from touchfield.sources.poses import checked_poses
-from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, Scene
+from touchfield.sources.profile import ForceProfile
+from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.sources.camera import DepthSequence, Intrinsics
-    from touchfield.sources.profile import ForceProfile
-
-    Float32s = NDArray[np.float32]
-    Float64s = NDArray[np.float64]
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
 
 __all__ = [
     "RAY_LIMIT",
@@ -88,11 +84,9 @@ def surface_planes(depth_m: Float32s, intrinsics: Intrinsics, step_per_m: float)
     return fit_planes(depth_m, camera, step_per_m, SLOPE_LIMIT_PX)
 
 
-class DepthScene(Scene):
+class DepthScene(MovingScene):
     """A depth sequence as a scene of thin walls, in metres.
 
-    Parameters
-    ----------
     frame : str; "world": in the coordinates of the first camera, where the sequence has poses; "camera": each frame
         in its own camera.
     segment : str, optional; The rule by which `bodies` are told apart (`segments.SegmentRule.parse`).
@@ -119,33 +113,26 @@ class DepthScene(Scene):
         self._poses = None
         if frame == "world" and sequence.poses is not None:
             self._poses = _relative_poses(sequence.poses, sequence.frame_count, f"{sequence.name}, poses")
-        self._bounds_m: tuple[tuple[int, int], Float64s] | None = None
         self._step_per_m = step_per_m
         self._frame_of_reference, self._rule = frame, SegmentRule.parse(segment)
         self._bodies: tuple[Body, ...] = ()
         self._latest: tuple[int, SurfacePlanes] | None = None
 
-    def bounds_m(self) -> NDArray[np.float64]:
-        """The box of the surface over all frames, metres, float64 [2, 3].
+    def _box_m(self, start: int, stop: int) -> NDArray[np.float64]:
+        """From the 0.5th to the 99.5th percentile along each axis of every eighth pixel of every eighth row.
 
-        From the 0.5th to the 99.5th percentile along each axis of every eighth pixel of every eighth row (fewer,
-        if that would be more than four million points in all), so that stray readings do not count. Reads every
-        frame once that is not interpolated; the answer is kept. Raises `SourceError` if no frame holds any depth.
+        Fewer, if that would be more than four million points in all; so stray readings do not count. Reads every
+        frame once that is not interpolated, or else the first. Raises `SourceError` if no frame holds any depth.
         """
-        return self.bounds_between_m(0, self.frame_count)
-
-    def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
-        """See `bounds_m`, of frames start to stop - 1; of these those that are not interpolated, or the first."""
-        if self._bounds_m is None or self._bounds_m[0] != (start, stop):
-            keys = () if self.sequence.is_captured else self.sequence.key_frames()
-            frames = [i for i in keys if start <= i < stop] or [start]
-            count = self.sequence.width * self.sequence.height * len(frames)
-            stride = max(_BOX_STRIDE_PX, int(np.ceil(np.sqrt(count / _BOX_POINTS))))
-            points = np.concatenate([self._points_m(i, stride) for i in frames])
-            if not len(points):
-                raise SourceError(self.sequence.name, "no depth in any frame", "at least one pixel with depth")
-            self._bounds_m = (start, stop), np.percentile(points, _BOX_PERCENTILES, axis=0)
-        return self._bounds_m[1].copy()
+        keys = () if self.sequence.is_captured else self.sequence.key_frames()
+        frames = [i for i in keys if start <= i < stop] or [start]
+        count = self.sequence.width * self.sequence.height * len(frames)
+        stride = max(_BOX_STRIDE_PX, int(np.ceil(np.sqrt(count / _BOX_POINTS))))
+        points = np.concatenate([self._points_m(i, stride) for i in frames])
+        if not len(points):
+            raise SourceError(self.sequence.name, "no depth in any frame", "at least one pixel with depth")
+        box: Float64s = np.percentile(points, _BOX_PERCENTILES, axis=0)
+        return box
 
     def pose(self, frame: int) -> NDArray[np.float64]:
         """The camera's pose in the scene: scene from camera, float64 [4, 4]."""

@@ -70,17 +70,14 @@ CHANGING: Final = 8
 PATCH_SHARE: Final = 1 / 12
 """What moves is seen as a patch at least so high and wide, of the picture's height; a pose that is off by a degree or
 two makes seams along edges, which are narrower."""
-PATCH_DENSITY: Final = 0.7
-"""Of the pixels of a patch, so many see a sample that changed."""
+PATCH_DENSITY: Final = 0.7  # of the pixels of a patch, so many see a sample that changed
 STANDS_SHARE: Final = 0.7
 """Of the pixels that are seen in two frames, so many must agree for a camera without poses to stand."""
 DRIFT_TIMES: Final = 2.0
 """Poses drift if the residual of the last quarter is so many times that of the first, and above the noise."""
 SLACK: Final = 3.0
 """A neighbourhood is at least so many times the mean residual of a view: poses are off by more than the sensor."""
-OFF_TIMES: Final = 1.5
-"""A view is off whose residual is so many times the median of those so far."""
-
+OFF_TIMES: Final = 1.5  # a view is off whose residual is so many times the median of those so far
 _BYTES_PER_BRICK = 512 * (5 * 4 + 4)
 _KEPT_PLANES_BYTES = 256 << 20
 _KEPT_WORLDS = 16  # an array asks for its depth in slabs
@@ -89,8 +86,6 @@ _KEPT_WORLDS = 16  # an array asks for its depth in slabs
 class FusedVolume:
     """All that a depth sequence has told the samples of a lattice so far, in bricks int32 [n, 3] as they were added.
 
-    Parameters
-    ----------
     grid, profile : In scene metres; how far before and behind a surface there is a force.
     step_per_m : float; Noise of the sensor, of inverse depth, 1/m.
     first : float; How much more the first look at a surface counts than a later one. Above 1 what is felt early

@@ -12,14 +12,15 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import SourceError, blamed_on, import_extra
 from touchfield.medium.npz import NpzArchive, map_npy, read_npy_header
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
@@ -27,21 +28,12 @@ from touchfield.sources.pictures import opened
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Scene
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["KIND", "degree_m", "jacksboro_scene"]
-
 HEIGHT_KEYS: Final = ("elevation", "height", "heights", "heights_m", "z")
 PLACE_KEYS: Final = ("dx", "dy", "xmin", "xmax", "ymin", "ymax")
 COORDINATE_KEYS: Final = (("latitude", "longitude"), ("lat", "lon"), ("y", "x"))
-UNEVEN: Final = 0.1
-"""Steps between coordinates may differ by this share: rows of a Mercator map do, by little."""
-
+UNEVEN: Final = 0.1  # steps between coordinates may differ by this share: rows of a Mercator map do, by little
 PICTURES: Final = (".png", ".tif", ".tiff")
-LATITUDE_LIMIT_DEG: Final = 89.0
-"""Nearer to a pole the degrees of longitude are no cells of one width."""
-
+LATITUDE_LIMIT_DEG: Final = 89.0  # nearer to a pole the degrees of longitude are no cells of one width
 PICTURE_RELIEF: Final = 0.2
 """Relief of a picture without a scale, of its shorter side: as a landscape under the hand, not a wall."""
 
@@ -56,6 +48,10 @@ _WGS84_AXIS_M: Final = 6378137.0
 _WGS84_E2: Final = 0.00669437999014
 
 
+Floats = NDArray[np.float64]
+Pair = tuple[float, float]
+
+
 @dataclass(frozen=True)
 class GeoTags:
     """Place and units of samples, as a file says; None where it does not.
@@ -64,8 +60,8 @@ class GeoTags:
     metres where they are not degrees; `vertical_unit_m` are the metres of one unit of height.
     """
 
-    cell: tuple[float, float] | None = None
-    middle: tuple[float, float] | None = None
+    cell: Pair | None = None
+    middle: Pair | None = None
     is_degrees: bool | None = None
     unit_m: float = 1.0
     vertical_unit_m: float | None = 1.0
@@ -89,19 +85,16 @@ def _scene(path: Path, stored: _Map, options: SourceOptions) -> HeightScene:
     if _is_in_degrees(place) and place.middle is not None and abs(place.middle[0]) > LATITUDE_LIMIT_DEG:
         expected = f"at most {LATITUDE_LIMIT_DEG} either way"
         raise SourceError(str(path), f"the latitude {place.middle[0]:.4g}", expected)
-    cell_m, notes = _cell_m(place, options)
+    cell_m, told = _cell_m(place, options)
     unit_m, more = _height_unit_m(stored, cell_m, options)
     heights = stored.heights if unit_m == 1 else stored.heights.astype(np.float64) * unit_m
     rate_hz, factor = options.rate_hz or 30.0, options.exaggeration
-    try:
-        return HeightScene(
-            heights, cell_m, exaggeration=factor, rate_hz=rate_hz, notes=(*notes, *more), name=str(path)
-        )
-    except InvalidArgument as error:
-        raise SourceError(f"{path}, {error.where}", error.found, error.expected) from error
+    notes = (*told, *more)
+    with blamed_on(f"{path}, "):
+        return HeightScene(heights, cell_m, exaggeration=factor, rate_hz=rate_hz, notes=notes, name=str(path))
 
 
-def _cell_m(place: GeoTags, options: SourceOptions) -> tuple[tuple[float, float], list[str]]:
+def _cell_m(place: GeoTags, options: SourceOptions) -> tuple[Pair, list[str]]:
     """(dy, dx) in metres."""
     if options.cell_size_m is not None:
         return (options.cell_size_m, options.cell_size_m), []
@@ -126,7 +119,7 @@ def _is_in_degrees(place: GeoTags) -> bool:
     return abs(latitude) <= 90 and abs(longitude) <= 180 and max(place.cell) < 0.1
 
 
-def _height_unit_m(stored: _Map, cell_m: tuple[float, float], options: SourceOptions) -> tuple[float, list[str]]:
+def _height_unit_m(stored: _Map, cell_m: Pair, options: SourceOptions) -> tuple[float, list[str]]:
     unit_m = stored.place.vertical_unit_m if options.height_scale is None else options.height_scale
     if unit_m is not None:
         return unit_m, []
@@ -169,9 +162,7 @@ def _from_npz(path: Path) -> _Map:
     return _Map(heights, GeoTags((dy, dx), middle, is_degrees))
 
 
-def _coordinates(
-    archive: NpzArchive, shape: tuple[int, ...]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], bool | None] | None:
+def _coordinates(archive: NpzArchive, shape: tuple[int, ...]) -> tuple[Floats, Floats, bool | None] | None:
     """Coordinates of the rows and columns, and whether they are degrees, where the archive holds them as arrays."""
     for y_name, x_name in COORDINATE_KEYS:
         if not {y_name, x_name} <= set(archive.names):
@@ -189,10 +180,6 @@ def _coordinates(
             axes.append(values)
         return axes[0], axes[1], True if y_name.startswith("lat") else None
     return None
-
-
-def _from_npy(path: Path) -> _Map:
-    return _Map(_known(map_npy(path)))
 
 
 def _from_picture(path: Path) -> _Map:
@@ -216,12 +203,6 @@ def _from_picture(path: Path) -> _Map:
     return _Map(_known(values), tags if is_elevation else replace(tags, vertical_unit_m=None))
 
 
-def _is_grey_picture(path: Path) -> bool:
-    """True if Pillow knows the picture and it has one grey channel; reads the head only."""
-    with opened(path) as picture:
-        return picture.mode in _GREY_MODES
-
-
 def _known(values: NDArray[Any]) -> NDArray[np.floating[Any]]:
     """As floating point, NaN where not finite."""
     heights: NDArray[np.floating[Any]] = values.astype(np.float64 if values.dtype.itemsize > 2 else np.float32)
@@ -230,7 +211,7 @@ def _known(values: NDArray[Any]) -> NDArray[np.floating[Any]]:
 
 
 # -- GeoTIFF ------------------------------------------------------------------------------------------------
-def degree_m(latitude_deg: float) -> tuple[float, float]:
+def degree_m(latitude_deg: float) -> Pair:
     """Metres of one degree of latitude and of one degree of longitude, on WGS 84."""
     sine2 = math.sin(math.radians(latitude_deg)) ** 2
     across = _WGS84_AXIS_M / math.sqrt(1 - _WGS84_E2 * sine2)
@@ -241,22 +222,20 @@ def degree_m(latitude_deg: float) -> tuple[float, float]:
 def _geo_tags(tags: Mapping[int, Any], rows: int, cols: int) -> GeoTags:
     """Read the tags of a picture of `rows` x `cols`; what is missing or malformed is left out."""
     cell, middle = _placement(tags, rows, cols)
-    keys = _geo_keys(_numbers(tags, _GEO_KEYS))
+    directory = _numbers(tags, _GEO_KEYS)
+    entries = (directory[i : i + 4] for i in range(4, len(directory) - 3, 4))
+    keys = {int(key): int(value) for key, location, _, value in entries if location == 0}  # which stand here
     model = keys.get(_MODEL_TYPE_KEY)
     nodata = str(tags.get(_GDAL_NODATA, "")).strip(" \0")
     try:
         missing = float(nodata)
     except ValueError:
         missing = None
-    unit_m, vertical_unit_m = (
-        _UNITS_M.get(keys.get(key, 9001), 1.0) for key in (_LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY)
-    )
-    return GeoTags(cell, middle, None if model is None else model == _GEOGRAPHIC, unit_m, vertical_unit_m, missing)
+    unit_m, vertical_m = (_UNITS_M.get(keys.get(key, 9001), 1.0) for key in (_LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY))
+    return GeoTags(cell, middle, None if model is None else model == _GEOGRAPHIC, unit_m, vertical_m, missing)
 
 
-def _placement(
-    tags: Mapping[int, Any], rows: int, cols: int
-) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+def _placement(tags: Mapping[int, Any], rows: int, cols: int) -> tuple[Pair | None, Pair | None]:
     scale, tie = _numbers(tags, _PIXEL_SCALE), _numbers(tags, _TIEPOINT)
     matrix = _numbers(tags, _TRANSFORMATION)
     if len(scale) >= 2 and scale[0] > 0 and scale[1] > 0:
@@ -281,22 +260,13 @@ def _numbers(tags: Mapping[int, Any], tag: int) -> list[float]:
     return numbers if all(map(math.isfinite, numbers)) else []
 
 
-def _geo_keys(directory: list[float]) -> dict[int, int]:
-    """The keys whose value stands in the directory itself (location 0)."""
-    entries = [directory[i : i + 4] for i in range(4, len(directory) - 3, 4)]
-    return {int(key): int(value) for key, location, _, value in entries if location == 0}
-
-
 # -- the kind -----------------------------------------------------------------------------------------------
 def jacksboro_scene(exaggeration: float = 1.0) -> HeightScene:
     """The Jacksboro fault, Tennessee, from matplotlib's sample data; `MissingExtra` if that is not installed.
 
     344 x 403 samples of about 93 m by 74 m, heights 236 to 1076 m (int16; USGS, by way of matplotlib).
     """
-    try:
-        from matplotlib import cbook
-    except ImportError as error:
-        raise MissingExtra("the bundled elevation model", "matplotlib", "report") from error
+    cbook = import_extra("matplotlib.cbook", "the bundled elevation model", "matplotlib", "report")
     sample = Path(cbook.get_sample_data("jacksboro_fault_dem.npz", asfileobj=False))
     return _scene(sample, _from_npz(sample), SourceOptions(exaggeration=exaggeration))
 
@@ -315,14 +285,18 @@ def _recognise(path: Path) -> bool:
         if suffix == ".npy":
             with path.open("rb") as stream:
                 return len(read_npy_header(stream, str(path)).shape) == 2
-        return suffix in PICTURES and _is_grey_picture(path)
+        if suffix not in PICTURES:
+            return False
+        with opened(path) as picture:  # reads the head only
+            return picture.mode in _GREY_MODES
     except (SourceError, OSError):
         return False
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:
     suffix = path.suffix.lower()
-    readers = {".npz": _from_npz, ".npy": _from_npy, **dict.fromkeys(PICTURES, _from_picture)}
+    readers: dict[str, Callable[[Path], _Map]] = {".npz": _from_npz, **dict.fromkeys(PICTURES, _from_picture)}
+    readers[".npy"] = lambda file: _Map(_known(map_npy(file)))
     if suffix not in readers:
         raise SourceError(str(path), f"a file named {suffix or 'without suffix'}", ", ".join(readers))
     return _scene(path, readers[suffix](path), options)

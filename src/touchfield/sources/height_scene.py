@@ -12,34 +12,25 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.camera import noise_step_per_m
+from touchfield.sources.camera import DepthSequence, noise_step_per_m
 from touchfield.sources.profile import ForceProfile
-from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, Scene
+from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, MovingScene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from touchfield.sources.camera import DepthSequence
-
-__all__ = ["HeightLattice", "HeightScene"]
-
-DEPTH_STEP: Final = 0.05
-"""Of a depth map read as heights: a jump of 5 % of the median depth between neighbours is an edge."""
+DEPTH_STEP: Final = 0.05  # of the median depth: a larger jump between neighbours is an edge
 
 
 @dataclass(frozen=True)
 class HeightLattice:
     """Places of the samples of a height map, and its solid side.
 
-    Attributes
-    ----------
     x0_m, dx_m, y0_m, dy_m : float; Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are
         signed.
     facing : int; 1: solid below the surface; -1: solid beyond it, where z points away from the viewer.
@@ -64,11 +55,9 @@ class HeightLattice:
             raise InvalidArgument("facing, step_m", f"{self.facing}, {self.step_m}", "1 or -1, a positive height")
 
 
-class HeightScene(Scene):
+class HeightScene(MovingScene):
     """One height map, or several over time; beyond its rim and where it is unknown there is no force.
 
-    Parameters
-    ----------
     heights_m : array [rows, cols], array [frames, rows, cols], sequence of arrays, or callable; Heights, metres, NaN
         where unknown. A callable ``heights(frame) -> [rows, cols]`` is asked when a frame is needed, and needs
         `frame_count`.
@@ -93,9 +82,7 @@ class HeightScene(Scene):
         notes: tuple[str, ...] = (),
         name: str = "height map",
     ) -> None:
-        for what, value in (("exaggeration", exaggeration), ("rate_hz", rate_hz), ("frame_count", frame_count)):
-            if not (value > 0 and math.isfinite(value)):
-                raise InvalidArgument(what, repr(value), "a positive number")
+        require_positive(exaggeration=exaggeration, rate_hz=rate_hz, frame_count=frame_count)
         if callable(heights_m):
             self._frames: Callable[[int], ArrayLike] = heights_m
             self.frame_count = int(frame_count)
@@ -106,8 +93,7 @@ class HeightScene(Scene):
         self._exaggeration = float(exaggeration)
         self._cell_m = cell_m
         self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter asks for one frame many times
-        self._bounds: tuple[tuple[int, int], NDArray[np.float64]] | None = None
-        self._of_depth: tuple[DepthSequence, SegmentRule] | None = None
+        self._segmented: Callable[[], tuple[tuple[Body, ...], str]] | None = None
         self._bodies: tuple[Body, ...] = ()
 
     @classmethod
@@ -128,13 +114,15 @@ class HeightScene(Scene):
         else:
             raise SourceError(sequence.name, "no depth in any frame", "at least one known pixel")
         z, k = float(np.median(known)), sequence.intrinsics
-        lattice = HeightLattice(
-            -k.cx / k.fx * z, z / k.fx, -k.cy / k.fy * z, z / k.fy, -1, DEPTH_STEP * z * exaggeration
-        )
-
+        dx_m, dy_m = z / k.fx, z / k.fy
+        lattice = HeightLattice(-k.cx / k.fx * z, dx_m, -k.cy / k.fy * z, dy_m, -1, DEPTH_STEP * z * exaggeration)
         note = f"Depth is read as a height map: pixels are spaced as at {z:.3g} m, perspective is not undone."
-        scene = cls._of_heights(sequence, lattice, exaggeration, (*sequence.notes, note))
-        scene._of_depth = sequence, SegmentRule.parse(segment)
+        notes, rule = (*sequence.notes, note), SegmentRule.parse(segment)
+        scene = cls._of_heights(sequence, lattice, exaggeration, notes)
+        scene._segmented = lambda: segmented_bodies(
+            lambda part: cls._of_heights(part, lattice, exaggeration, notes), sequence, rule,
+            noise_step_per_m(sequence.depth_m(0)),
+        )  # fmt: skip
         return scene
 
     @classmethod
@@ -157,47 +145,30 @@ class HeightScene(Scene):
 
     def bodies(self) -> tuple[Body, ...]:
         """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene."""
-        if self._of_depth is None:
+        if self._segmented is None:
             return super().bodies()
         if not self._bodies:
-            (sequence, rule), lattice = self._of_depth, self._cell_m
-            assert isinstance(lattice, HeightLattice)
-            exaggeration, notes = self._exaggeration, self.notes
-            self._bodies, note = segmented_bodies(
-                lambda part: HeightScene._of_heights(part, lattice, exaggeration, notes),
-                sequence,
-                rule,
-                noise_step_per_m(sequence.depth_m(0)),
-            )
+            self._bodies, note = self._segmented()
             self.notes = (*self.notes, note)
         return self._bodies
 
-    def bounds_m(self) -> NDArray[np.float64]:
-        """See `Scene.bounds_m`; reads every frame once."""
-        return self.bounds_between_m(0, self.frame_count)
-
-    def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
-        """See `bounds_m`, of frames start to stop - 1."""
-        if self._bounds is None or self._bounds[0] != (start, stop):
-            low, high, shape = math.inf, -math.inf, (2, 2)
-            for frame in range(start, stop):
-                heights = self._heights(frame)
-                known = heights[np.isfinite(heights)]
-                shape = heights.shape
-                if known.size:
-                    low, high = min(low, float(known.min())), max(high, float(known.max()))
-            if low > high:
-                raise SourceError(self.name, "no known height", "at least one")
-            at = self._lattice(shape)
-            xs = sorted((at.x0_m, at.x0_m + at.dx_m * (shape[1] - 1)))
-            ys = sorted((at.y0_m, at.y0_m + at.dy_m * (shape[0] - 1)))
-            box = np.array([[xs[0], ys[0], low], [xs[1], ys[1], high]])
-            box.flags.writeable = False
-            self._bounds = (start, stop), box
-        return self._bounds[1]
+    def _box_m(self, start: int, stop: int) -> NDArray[np.float64]:
+        """Reads every frame."""
+        low, high, shape = math.inf, -math.inf, (2, 2)
+        for frame in range(start, stop):
+            heights = self._heights(frame)
+            known = heights[np.isfinite(heights)]
+            shape = heights.shape
+            if known.size:
+                low, high = min(low, float(known.min())), max(high, float(known.max()))
+        if low > high:
+            raise SourceError(self.name, "no known height", "at least one")
+        at = self._lattice(shape)
+        xs = sorted((at.x0_m, at.x0_m + at.dx_m * (shape[1] - 1)))
+        ys = sorted((at.y0_m, at.y0_m + at.dy_m * (shape[0] - 1)))
+        return np.array([[xs[0], ys[0], low], [xs[1], ys[1], high]])
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """See `Scene.field`."""
         from touchfield.sources.kernels import height
 
         heights, slopes = self._surface(frame)

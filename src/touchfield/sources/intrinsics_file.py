@@ -13,16 +13,14 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.poses import read_text
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 __all__ = ["INTRINSICS_NAMES", "CameraFile", "camera_of", "named_like_intrinsics", "parse_intrinsics"]
 
@@ -35,9 +33,7 @@ INTRINSICS_NAMES: Final = (
 )  # fmt: skip
 """Names under which an intrinsics file is looked for, the first one found being used."""
 
-_LOOSE: Final = ("info.txt", "_info.txt", "calibration.txt")
-"""Of these those that may hold something else."""
-
+_LOOSE: Final = ("info.txt", "_info.txt", "calibration.txt")  # of these those that may hold something else
 _FORMS: Final = '"fx,fy,cx,cy", a 3x3 matrix, JSON with fx, fy, cx, cy or a matrix, or COLMAP\'s cameras.txt'
 _NESTED: Final = ("intrinsic", "intrinsics", "camera", "depth_intrinsics", "camera_intrinsics", "depth")
 _MATRICES: Final = ("intrinsic_matrix", "camera_matrix", "K", "k", "intrinsics", "intrinsic")

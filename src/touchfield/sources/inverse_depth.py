@@ -21,46 +21,28 @@ import math
 import re
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra
 from touchfield.medium.npz import NpzArchive
+from touchfield.sources import pictures
 from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics, StoredFrame
 from touchfield.sources.depth_reader import depth_kind, list_files, source_rate, with_suffix
 from touchfield.sources.intrinsics_file import CameraFile, camera_of, parse_intrinsics
 from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo
-from touchfield.sources.pictures import (
-    PHOTO_SUFFIXES,
-    PICTURE_SUFFIXES,
-    PictureFrames,
-    bound_pixels,
-    opened,
-    photo_size,
-    read_map,
-    read_picture,
-)
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.poses import read_text
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.sources.options import SourceOptions
-
-__all__ = ["KINDS", "InverseDepth", "StereoRig", "depth_of_disparity", "find_map", "motorcycle_sequence"]
 
 _SUFFIXES: Final = (".npy", ".npz", ".pfm", ".png")
 _KITTI_UNITS_PER_PX: Final = 256.0
 
 NEAR_M: Final = 1.0
-FIELD_OF_VIEW_DEG: Final = 60.0
-"""Across the width, where no camera is known: between a phone's main camera (about 65) and a webcam (about 55)."""
-
-SHAPE_TOLERANCE: Final = 0.03
-"""Width to height of map and picture may differ by this share: estimators round to multiples of 14 or 32 pixels."""
+FIELD_OF_VIEW_DEG: Final = 60.0  # across the width: between a phone's main camera (about 65) and a webcam (about 55)
+SHAPE_TOLERANCE: Final = 0.03  # of width to height of map and picture: estimators round to multiples of 14 or 32 px
 
 
 # -- disparity -----------------------------------------------------------------------------------------------
@@ -104,12 +86,9 @@ def _of_disparity(
 
 def motorcycle_sequence() -> CodedSequence:
     """scikit-image's disparity map "motorcycle" (Middlebury 2014), 741 x 500, 2 to 5 m; `MissingExtra` without it."""
+    data = import_extra("skimage.data", "the motorcycle scene", "scikit-image", "motorcycle")
     try:
-        pictures: Any = import_module("skimage.data")
-    except ImportError as error:
-        raise MissingExtra("the motorcycle scene", "scikit-image", "motorcycle") from error
-    try:
-        disparity = pictures.stereo_motorcycle()[2]
+        disparity = data.stereo_motorcycle()[2]
     except (OSError, ImportError) as error:  # a repackaged scikit-image may have to download its pictures
         raise SourceError("stereo_motorcycle", str(error), "scikit-image with its pictures") from error
     rig = StereoRig(Intrinsics(994.978, 994.978, 311.193, 254.877), 0.193001, 31.086)
@@ -137,9 +116,9 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
 
 
 def _disparity_px(path: Path, options: SourceOptions) -> NDArray[np.float64]:
-    """The disparities of a file, pixels, float64 [height, width]."""
+    """Float64 [height, width]."""
     suffix, units_per_px = path.suffix.lower(), options.depth_scale
-    values = {".pfm": _pfm, ".npz": _npz}.get(suffix, read_picture)(path)
+    values = {".pfm": _pfm, ".npz": _npz}.get(suffix, pictures.read_picture)(path)
     if values.dtype == np.uint8:
         raise SourceError(str(path), "an 8-bit picture", "16-bit PNG, PFM or NPY", "Give the disparity map itself.")
     if units_per_px is None:
@@ -150,8 +129,8 @@ def _disparity_px(path: Path, options: SourceOptions) -> NDArray[np.float64]:
 
 def _pfm(path: Path) -> NDArray[np.float32]:
     """A grey PFM picture, of any byte order."""
-    with opened(path, ("PPM",), "a grey PFM picture, which begins with Pf") as image:
-        bound_pixels(path, image.width, image.height)
+    with pictures.opened(path, ("PPM",), "a grey PFM picture, which begins with Pf") as image:
+        pictures.bound_pixels(path, image.width, image.height)
         if image.mode != "F":
             raise SourceError(str(path), "another picture", "a grey PFM picture, which begins with Pf")
         return np.array(image, np.float32)
@@ -167,7 +146,7 @@ def _npz(path: Path) -> NDArray[Any]:
     header = archive.header(names[0])
     if len(header.shape) != 2 or header.dtype.kind not in "iuf":
         raise SourceError(str(path), f"an array of shape {header.shape}, {header.dtype}", "numbers [height, width]")
-    bound_pixels(path, header.shape[1], header.shape[0])
+    pictures.bound_pixels(path, header.shape[1], header.shape[0])
     return archive.read(names[0])
 
 
@@ -187,10 +166,8 @@ def _calibration(path: Path, size: tuple[int, int]) -> StereoRig | None:
         raise SourceError(str(file), f"no or another {error}", "Middlebury's cam0=, baseline=, doffs=") from error
     if stated != size:
         raise SourceError(str(file), f"a camera of {stated[0]} x {stated[1]} pixels", f"{size[0]} x {size[1]}")
-    try:
+    with blamed_on(f"{file}: "):
         return StereoRig(parse_intrinsics(matrix, f"{file}: {camera}").intrinsics, baseline_m, offset_px)
-    except InvalidArgument as error:
-        raise SourceError(f"{file}: {error.where}", error.found, error.expected) from error
 
 
 def _is_disparity(path: Path) -> bool:
@@ -217,7 +194,7 @@ class InverseDepth:
 
 def find_map(path: Path) -> Path | None:
     """The relative depth beside a picture or video, by its name; None where there is none."""
-    suffixes = "|".join(suffix[1:] for suffix in (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
+    suffixes = "|".join(suffix[1:] for suffix in (*pictures.PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
     files = list_files(path.absolute().parent, re.escape(path.stem) + rf"[._-]depth([^a-z0-9].*)?\.({suffixes})")
     return files[0] if files else None
 
@@ -235,7 +212,7 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
         video = GreyVideo(path)
         size, rate_hz, count = video.size, video.header.rate_hz or source_rate(options), video.frame_count
     else:
-        size, rate_hz, count = photo_size(path), source_rate(options), 1
+        size, rate_hz, count = pictures.photo_size(path), source_rate(options), 1
     if maps.frame_count != count:
         raise SourceError(str(where), f"{maps.frame_count} maps", f"{count}, one for each frame of {path.name}")
     intrinsics, more = _camera(path, options, size, maps.size, str(where))
@@ -283,10 +260,10 @@ def _maps(path: Path, options: SourceOptions) -> tuple[Frames, Path]:
         raise SourceError(str(path), found, f"{path.stem}_depth.png (or .npy, ...)", mend)
     if where.suffix.lower() in VIDEO_SUFFIXES and where.is_file():
         return GreyVideo(where), where
-    files = list_files(where, with_suffix(*PICTURE_SUFFIXES)) if where.is_dir() else [where]
+    files = list_files(where, with_suffix(*pictures.PICTURE_SUFFIXES)) if where.is_dir() else [where]
     if not files:
         raise SourceError(str(where), "no map", "a folder of PNG, TIFF or NPY maps")
-    return PictureFrames(files, read_map), where
+    return pictures.PictureFrames(files, pictures.read_map), where
 
 
 def _camera(
@@ -307,7 +284,7 @@ def _camera(
 
 
 def _is_relative(path: Path) -> bool:
-    is_known = path.suffix.lower() in (*PHOTO_SUFFIXES, *VIDEO_SUFFIXES)
+    is_known = path.suffix.lower() in (*pictures.PHOTO_SUFFIXES, *VIDEO_SUFFIXES)
     return is_known and path.is_file() and find_map(path) is not None
 
 

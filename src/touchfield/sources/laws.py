@@ -7,11 +7,10 @@ the outward normal. Laws may be summed: ``penalty+proximity``.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_positive
 from touchfield.sources.profile import ForceProfile
 
 __all__ = ["LAWS", "LawSpec", "magnetic", "penalty", "profile_of", "proximity"]
@@ -43,10 +42,7 @@ class LawSpec:
         for name in self.names:
             if name not in LAWS:
                 raise InvalidArgument("force law", repr(name), f"one of {', '.join(LAWS)}, joined by +")
-        for field in ("stiffness_n_per_m", "force_max_n", "band_m"):
-            value = getattr(self, field)
-            if not (value > 0 and math.isfinite(value)):
-                raise InvalidArgument(field, repr(value), "a positive number")
+        require_positive(**{name: getattr(self, name) for name in ("stiffness_n_per_m", "force_max_n", "band_m")})
         if self.thickness_m is not None and not self.thickness_m > 0:
             raise InvalidArgument("thickness_m", repr(self.thickness_m), "a positive length, or inf for a solid")
 

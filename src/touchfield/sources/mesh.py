@@ -22,11 +22,10 @@ from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import welded
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
+from touchfield.sources.scene import size_note
 
 _SUFFIXES: Final = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
-_MOST_TRIANGLES: Final = 30_000_000
-"""A scene graph may use one geometry many times; this many fill about 5 GB."""
-
+_MOST_TRIANGLES: Final = 30_000_000  # a scene graph may use one geometry many times; this many fill about 5 GB
 _EMPTY_PER_BYTE: Final = 16
 """glTF lets an accessor be of zeros without any bytes; more than this for each byte of the file are refused."""
 
@@ -120,14 +119,9 @@ def _open(path: Path, options: SourceOptions) -> MeshScene:
     vertices, triangles, notes = read_triangles(path)
     unit_m = 1.0 if options.unit_m is None else options.unit_m
     with np.errstate(over="ignore", invalid="ignore"):
-        scene = MeshScene(
-            vertices * unit_m, triangles, shell=options.shell, holes=options.holes, name=str(path), notes=notes
-        )
-    extent = " x ".join(f"{side:.4g}" for side in np.ptp(scene.bounds_m(), axis=0))
-    wording = f"Coordinates taken as metres: {extent} m; say --unit-m if they are not."
-    if options.unit_m is not None:
-        wording = f"One unit is {unit_m:g} m: {extent} m."
-    scene.notes = (wording, *scene.notes)
+        asked = {"shell": options.shell, "holes": options.holes, "name": str(path)}
+        scene = MeshScene(vertices * unit_m, triangles, **asked, notes=notes)
+    scene.notes = (size_note(np.ptp(scene.bounds_m(), axis=0), options.unit_m), *scene.notes)
     return scene
 
 

@@ -18,16 +18,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.errors import InvalidArgument
 from touchfield.sources.mesh_surface import Edges, Surface
 
 Int32s = NDArray[np.int32]
 
-
-HOLES: Final = ("small", "close", "leave")
-
-_SMALL: Final = 0.05
+HOLES: Final = {"small": 0.05, "close": np.inf, "leave": -1.0}  # of its part: the largest hole that is closed
+# a part with more of its area missing is a sheet: its wall lies behind its faces, not within what they enclose
 _NEARLY_CLOSED: Final = 0.75
-"""A part with more of its area missing is a sheet: its wall lies behind its faces, not within what they enclose."""
 
 _MOST_EDGES: Final = 1 << 18
 _LONGEST, _LONGEST_OF_MANY, _MANY = 128, 24, 100
@@ -39,9 +37,7 @@ class Mended:
     """A surface with holes closed, and what is left open."""
 
     surface: Surface
-    # int32 [l, 3]; triangles that would close what is left open, where the mesh is nearly closed: they tell inside
-    # from outside, and are not felt. Empty for sheets and for closed meshes
-    lids: Int32s
+    lids: Int32s  # int32 [l, 3]; would close what is left open of a nearly closed mesh: tell inside, and are not felt
     rim: Int32s  # int32 [r, 2]; edges at the holes that are left
     is_oriented: bool  # whether neighbouring triangles face alike
     notes: tuple[str, ...]
@@ -51,13 +47,16 @@ class Mended:
 class _Hole:
     loop: NDArray[np.int64]
     patch: Int32s
+    part: int  # connected part of the surface that it lies in
     area_m2: float
-    share: float
+    share: float  # of the area of that part
     across_m: float
 
 
 def mended(surface: Surface, holes: str) -> Mended:
-    """Close the holes of a surface by the rule `holes`, one of `HOLES`."""
+    """Close the holes of a surface by a rule: "small", "close" or "leave"; `InvalidArgument` for another word."""
+    if holes not in HOLES:
+        raise InvalidArgument("holes", repr(holes), " or ".join(HOLES))
     none = np.zeros((0, 3), np.int32)
     if surface.is_closed:
         return Mended(surface, none, none[:, :2], True, ())
@@ -68,11 +67,11 @@ def mended(surface: Surface, holes: str) -> Mended:
         start = surface.with_triangles(faces)
         if count:
             notes = (f"{count} triangles turned to face as their neighbours do",)
-    loops = _loops(start.triangles) if not surface.edges.repeated_count or is_two_sided else None
+    loops = _loops(start) if not surface.edges.repeated_count or is_two_sided else None
     if loops is None:  # no side is known, or there are too many
         return Mended(surface, none, none[:, :2], not surface.edges.repeated_count, ())
     gaps = _measured(start, loops)
-    share = {"small": _SMALL, "close": np.inf, "leave": -1.0}[holes]
+    share = HOLES[holes]
     taken, left = [h for h in gaps if h.share <= share], [h for h in gaps if h.share > share]
     done = start
     if taken:
@@ -83,7 +82,7 @@ def mended(surface: Surface, holes: str) -> Mended:
         return Mended(done, none, none[:, :2], True, (*notes, *_told(taken, [])))
     lids = none
     rim = np.concatenate([np.stack([h.loop, np.roll(h.loop, -1)], axis=1) for h in left]).astype(np.int32)
-    if _part_shares(done, left).max() <= _NEARLY_CLOSED:
+    if np.bincount([h.part for h in left], [h.share for h in left]).max() <= _NEARLY_CLOSED:
         lids = np.concatenate([h.patch for h in left])
         if done.with_triangles(np.concatenate([done.triangles, lids])).volume_m3() < 0:
             done, lids = done.with_triangles(done.triangles[:, ::-1]), lids[:, ::-1]
@@ -107,24 +106,21 @@ def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
 
 
 # -- loops ---------------------------------------------------------------------------------------------------
-
-
-def _loops(triangles: Int32s) -> list[NDArray[np.int64]] | None:
+def _loops(surface: Surface) -> list[NDArray[np.int64]] | None:
     """The loops of the edges that lack a partner, each in the direction of the triangles that would close it.
 
     None if they are too many.
     """
-    begin, end = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1).astype(np.int64)
-    key = np.minimum(begin, end) << 32 | np.maximum(begin, end)
-    edges, number = np.unique(key, return_inverse=True)
-    net = np.bincount(number, np.where(begin < end, 1, -1), len(edges)).astype(np.int64)
+    faces, of = surface.triangles, surface.edges.edge_of.reshape(-1)
+    begin, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    net = np.bincount(of, np.where(begin < end, 1, -1)).astype(np.int64)
     open_ = np.flatnonzero(net)
     if np.abs(net[open_]).sum() > _MOST_EDGES:
         return None
+    ends = np.zeros((len(net), 2), np.int64)
+    ends[of] = np.sort(np.stack([begin, end], axis=1), axis=1)
     after: dict[int, list[int]] = {}
-    for low, high, much in zip(
-        (edges[open_] >> 32).tolist(), (edges[open_] & 0xFFFFFFFF).tolist(), net[open_].tolist()
-    ):
+    for (low, high), much in zip(ends[open_].tolist(), net[open_].tolist()):
         u, v = (high, low) if much > 0 else (low, high)  # against the triangle that is there
         after.setdefault(u, []).extend([v] * abs(much))
     loops = []
@@ -146,33 +142,16 @@ def _loops(triangles: Int32s) -> list[NDArray[np.int64]] | None:
 
 
 def _measured(surface: Surface, loops: list[NDArray[np.int64]]) -> list[_Hole]:
-    areas, part_of = _part_areas(surface)
+    part_of, vertices = surface.part_of_vertex(), surface.vertices_m
+    areas = np.bincount(part_of[surface.triangles[:, 0]], _areas(vertices, surface.triangles))
     most = _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY
     gaps = []
     for loop in loops:
-        patch = _patch(loop, surface.vertices_m, most)
-        area = float(_areas(surface.vertices_m, patch).sum())
-        whole = float(areas[part_of[loop[0]]])
-        points = surface.vertices_m[loop]
-        across = float(np.linalg.norm(np.ptp(points, axis=0)))
-        gaps.append(_Hole(loop, patch, area, area / whole if whole > 0 else np.inf, across))
+        patch, part = _patch(loop, vertices, most), int(part_of[loop[0]])
+        area, whole = float(_areas(vertices, patch).sum()), float(areas[part])
+        across = float(np.linalg.norm(np.ptp(vertices[loop], axis=0)))
+        gaps.append(_Hole(loop, patch, part, area, area / whole if whole > 0 else np.inf, across))
     return gaps
-
-
-def _part_areas(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """The area of each connected part, and the part of each vertex."""
-    part_of = surface.part_of_vertex()
-    areas = np.bincount(part_of[surface.triangles[:, 0]], _areas(surface.vertices_m, surface.triangles))
-    return areas.astype(np.float64), part_of
-
-
-def _part_shares(surface: Surface, left: list[_Hole]) -> NDArray[np.float64]:
-    """Of each part with holes, how much of its area is missing."""
-    part_of = surface.part_of_vertex()
-    missing = np.zeros(part_of.max() + 1)
-    for hole in left:
-        missing[part_of[hole.loop[0]]] += hole.share
-    return missing
 
 
 def _areas(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> NDArray[np.float64]:
@@ -182,8 +161,6 @@ def _areas(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> NDArray[np
 
 
 # -- patches -------------------------------------------------------------------------------------------------
-
-
 def _patch(loop: NDArray[np.int64], vertices: NDArray[np.float64], most: int) -> Int32s:
     """Triangles that close a loop, int32 [len(loop) - 2, 3]."""
     triangles = []
@@ -220,8 +197,6 @@ def _least_area(points: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 # -- facing --------------------------------------------------------------------------------------------------
-
-
 def _turned(triangles: Int32s, edges: Edges) -> tuple[Int32s, int, bool]:
     """The triangles turned so that neighbours face alike, most of each part as they were; how many; whether all can.
 

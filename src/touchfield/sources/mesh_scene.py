@@ -18,38 +18,28 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from touchfield.errors import InvalidArgument
-from touchfield.medium import ForceField
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.pose_track import checked_rotation
-from touchfield.sources.mesh_holes import HOLES, Mended, mended
-from touchfield.sources.mesh_surface import Surface
+from touchfield.sources.mesh_holes import Mended, mended
+from touchfield.sources.mesh_surface import Surface, from_longest
+from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from touchfield.medium import Grid
     from touchfield.sources.kernels.mesh import Band, Motion
-    from touchfield.sources.profile import ForceProfile
 
 
-_UNSURE = 2e-9
-"""Closer than this to the mesh, of the largest coordinate, rounding spoils the direction to the nearest point."""
-
-_TOUCHING: Final = 1e-9
-_BESIDE: Final = 1e-7
-"""Of the extent: heights that count as 0, and how far beside a triangle one looks."""
-
-_LARGEST_IN_SPACINGS = 1e12
-"""Extent of mesh and grid: beyond, float64 has no digits left for a sample."""
+_UNSURE: Final = 2e-9  # of the largest coordinate: so near, rounding spoils the direction to the nearest point
+_TOUCHING, _BESIDE = 1e-9, 1e-7  # of the extent: heights that count as 0, and how far beside a triangle one looks
+_LARGEST_IN_SPACINGS: Final = 1e12  # extent of mesh and grid: beyond, float64 has no digits left for a sample
 
 
 class MeshScene(Scene):
     """A mesh that stands still.
 
-    Parameters
-    ----------
     vertices_m : float array [n, 3]; Metres. Vertices at one place must be one
         (`touchfield.sources.mesh_surface.joined`).
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
@@ -81,8 +71,6 @@ class MeshScene(Scene):
         name: str = "mesh",
         notes: tuple[str, ...] = (),
     ) -> None:
-        if holes not in HOLES:
-            raise InvalidArgument("holes", repr(holes), " or ".join(HOLES))
         self._hold(mended(Surface(vertices_m, triangles, name), holes), shell, name, notes)
 
     @classmethod
@@ -121,13 +109,11 @@ class MeshScene(Scene):
         if edges.boundary_count:
             return f"open with {edges.boundary_count} boundary edges"
         if edges.unbalanced_count:
-            return (
-                f"without a boundary but not closed, as at {edges.unbalanced_count} edges triangles do not pair off"
-            )
+            count = edges.unbalanced_count
+            return f"without a boundary but not closed, as at {count} edges triangles do not pair off"
         return "a sheet laid double"
 
     def bounds_m(self) -> NDArray[np.float64]:
-        """See `Scene.bounds_m`."""
         return self.surface.bounds_m
 
     def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> MeshScene:
@@ -163,11 +149,8 @@ class MeshScene(Scene):
         low, high = grid.box_m
         reach = float(np.abs([low, high, *self.surface.bounds_m]).max())
         if reach > _LARGEST_IN_SPACINGS * min(grid.spacing_m):
-            raise InvalidArgument(
-                "grid spacing_m",
-                f"{min(grid.spacing_m):g} m for a mesh and grid that reach to {reach:g} m",
-                "a coarser grid, or both nearer to the origin",
-            )
+            found = f"{min(grid.spacing_m):g} m for a mesh and grid that reach to {reach:g} m"
+            raise InvalidArgument("grid spacing_m", found, "a coarser grid, or both nearer to the origin")
         if max(band.inner_m, band.outer_m) < 0:
             return ForceField.empty(grid)
         events = np.zeros(0, np.int64)
@@ -190,12 +173,9 @@ class MeshScene(Scene):
         pieces = profile.table()
         low, high = profile.low_m, profile.high_m
         if not self.is_closed and math.isinf(low):
-            raise InvalidArgument(
-                f"{self.name}, thickness_m",
-                f"a solid asked of a mesh that is {self._opening()}",
-                "the thickness of a shell",
-                "Give --thickness-m or --holes close, or close the mesh.",
-            )
+            found = f"a solid asked of a mesh that is {self._opening()}"
+            mend = "Give --thickness-m or --holes close, or close the mesh."
+            raise InvalidArgument(f"{self.name}, thickness_m", found, "the thickness of a shell", mend)
         # a sample on the surface may count as outside
         outer = high if high > 0 or (high == 0 and float(profile(0.0)) != 0) else -1.0
         if self.is_closed:
@@ -208,7 +188,6 @@ class MeshScene(Scene):
         return Band(TWO_SIDED, high + half, high + half, half, pieces)
 
     # -- what is felt: the triangles, or the outer surface of those that overlap -------------------------------------
-
     @cached_property
     def _union(self) -> Union | None:
         return union_of(self.surface) if self.is_closed else None
@@ -240,9 +219,8 @@ class MeshScene(Scene):
         shares = np.concatenate([1 - shares.sum(axis=1, keepdims=True), shares], axis=1)
         at_corners = np.einsum("pkc,pkv->pcv", shares, velocities_m_s[faces[union.parents]]).reshape(-1, 3)
         more = np.arange(len(at_corners), dtype=np.int32).reshape(-1, 3) + np.int32(len(velocities_m_s))
-        return Motion(
-            np.concatenate([faces[union.kept], more]), np.concatenate([velocities_m_s, at_corners]), damping_n_s_per_m
-        )
+        faces = np.concatenate([faces[union.kept], more])
+        return Motion(faces, np.concatenate([velocities_m_s, at_corners]), damping_n_s_per_m)
 
     @cached_property
     def _rim_table(self) -> NDArray[np.float64]:
@@ -259,15 +237,12 @@ class MeshScene(Scene):
 
 
 # -- the outer surface of closed parts that overlap ----------------------------------------------------------
-
-
 class Union(NamedTuple):
     """The boundary of a union."""
 
     kept: NDArray[np.int64]  # int64 [k]; triangles that are whole in it
     corners_m: NDArray[np.float64]  # float64 [p, 3, 3]; pieces of others, each beginning with its longest edge
     parents: NDArray[np.int32]  # int32 [p]; the triangle that each is a piece of
-    dropped_count: int  # triangles of which nothing is left
 
 
 def union_of(surface: Surface) -> Union | None:
@@ -288,15 +263,13 @@ def union_of(surface: Surface) -> Union | None:
     is_cut = np.zeros(len(faces), bool)
     is_cut[parents] = True
     whole = np.flatnonzero(~is_cut)
-    pieces = kernel.Pieces(
-        np.concatenate([corners[whole], cut_corners]), np.concatenate([whole.astype(np.int32), parents])
-    )
-    is_outer = kernel.inner_and_outer(pieces, normals, bins, surface.vertices_m, faces, _BESIDE * extent)
+    pieces = np.concatenate([corners[whole], cut_corners]), np.concatenate([whole.astype(np.int32), parents])
+    is_outer = kernel.bounds_union(*pieces, normals, bins, (surface.vertices_m, faces), _BESIDE * extent)
     if is_outer.all():
         return None
     kept, ours = whole[is_outer[: len(whole)]], is_outer[len(whole) :]
-    dropped = len(faces) - len(kept) - len(np.unique(parents[ours]))
-    return Union(kept, _from_longest(cut_corners[ours]), parents[ours], dropped)
+    mine = cut_corners[ours]
+    return Union(kept, np.take_along_axis(mine, from_longest(mine)[:, :, None], axis=1), parents[ours])
 
 
 def _parts_meet(surface: Surface, boxes: NDArray[np.float64]) -> bool:
@@ -315,10 +288,3 @@ def _parts_meet(surface: Surface, boxes: NDArray[np.float64]) -> bool:
         if ((low[i + 1 : until] <= high[i]) & (high[i + 1 : until] >= low[i])).all(axis=1).any():
             return True
     return False
-
-
-def _from_longest(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-    order = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
-    turned: NDArray[np.float64] = np.take_along_axis(corners, order[:, :, None], axis=1)
-    return turned

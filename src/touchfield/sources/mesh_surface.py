@@ -16,13 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchfield.errors import SourceError
 
-_LARGEST_M = 1e15
-
-_WELD: Final = 1e-7
-"""Vertices this near, of the extent, are joined where that closes the mesh: the digits of float32."""
-
-_TOGETHER: Final = 1e-3
-"""And in a mesh that moves, if they never part farther than this, of the extent: the digits of 8-bit weights."""
+_LARGEST_M: Final = 1e15
+# of the extent: vertices this near are joined where that closes the mesh (the digits of float32), in a mesh that
+# moves only if they never part farther than the second (those of 8-bit weights)
+_WELD, _TOGETHER = 1e-7, 1e-3
 
 
 @dataclass(frozen=True)
@@ -32,8 +29,7 @@ class Edges:
     edge_of: NDArray[np.int64]  # int64 [m, 3]; the edge from vertex i to vertex i + 1 of each triangle
     boundary_count: int  # edges of one triangle only
     unbalanced_count: int  # edges that are not run through as often in one direction as in the other
-    # edges that are run through twice in the same direction: neighbours that face opposite ways, or fans
-    repeated_count: int
+    repeated_count: int  # edges run through twice in one direction: neighbours that face opposite ways, or fans
 
     @classmethod
     def of(cls, triangles: NDArray[np.int32], vertex_count: int) -> Edges:
@@ -59,8 +55,6 @@ class Edges:
 class Surface:
     """A checked triangle mesh, in metres.
 
-    Parameters
-    ----------
     vertices_m : float array [n, 3]
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
     name : str; What to call it in messages.
@@ -80,7 +74,7 @@ class Surface:
         if not len(faces):
             raise SourceError(name, "no triangle with three different corners", "at least one triangle")
         self._name, self._used = name, np.unique(faces)
-        self.triangles = np.take_along_axis(faces, _from_longest(vertices, faces), axis=1)
+        self.triangles = np.take_along_axis(faces, from_longest(vertices[faces]), axis=1)
         self.edges = Edges.of(self.triangles, len(vertices))
         self.is_closed = self.edges.unbalanced_count == 0 and not _is_double_sheet(self.triangles)
         self._hold(vertices)
@@ -104,12 +98,11 @@ class Surface:
         """
         vertices = np.array(vertices_m, np.float64)
         if vertices.shape != self.vertices_m.shape:
-            raise SourceError(
-                self._name, f"vertices of shape {vertices.shape}", f"{self.vertices_m.shape}, as before"
-            )
+            found = f"vertices of shape {vertices.shape}"
+            raise SourceError(self._name, found, f"{self.vertices_m.shape}, as before")
         _check_finite(vertices[self._used], self._name)
         other = copy.copy(self)
-        turn = _from_longest(vertices, self.triangles)
+        turn = from_longest(vertices[self.triangles])
         other.triangles = np.take_along_axis(self.triangles, turn, axis=1)
         other.edges = replace(self.edges, edge_of=np.take_along_axis(self.edges.edge_of, turn, axis=1))
         other._hold(vertices)
@@ -138,9 +131,7 @@ class Surface:
     def face_normals(self) -> NDArray[np.float64]:
         """Unit normals of the triangles, float64 [m, 3]; 0 for one without area."""
         a, b, c = (self.vertices_m[self.triangles[:, i]] for i in range(3))
-        along = np.cross(b - a, c - a)
-        normals: NDArray[np.float64] = along / np.maximum(np.sqrt((along * along).sum(axis=1)), 1e-300)[:, None]
-        return normals
+        return _unit(np.cross(b - a, c - a))
 
     def pseudo_normals(self) -> NDArray[np.float64]:
         """Unit normals of each triangle's face, vertices 0 to 2 and edges 01, 12, 20, float64 [m, 7, 3].
@@ -185,9 +176,8 @@ def _check_finite(vertices: NDArray[np.float64], name: str) -> None:
         raise SourceError(name, f"{bad} vertices with a coordinate that is NaN or infinite", "finite metres")
 
 
-def _from_longest(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The corners 0 to 2 of each triangle in the order that begins with its longest edge, int64 [m, 3]."""
-    corners = vertices[triangles]
+def from_longest(corners: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The order of the corners of triangles, [m, 3, 3], that begins with the longest edge of each, int64 [m, 3]."""
     sides = _lengths(np.roll(corners, -1, axis=1) - corners)
     order: NDArray[np.int64] = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
     return order
@@ -238,8 +228,6 @@ def places(points: NDArray[np.float64], tolerance: float = 0.0) -> tuple[NDArray
 
 
 # -- which vertices are one: those at one place, and in a mesh that moves only if they stay together ---------
-
-
 def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """The mesh with equal vertices made one; nearly equal ones too, if that closes it."""
     if triangles.min() < 0 or triangles.max() >= len(vertices):

@@ -16,26 +16,20 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, Final
 from xml.parsers import expat
 
 from touchfield.errors import SourceError
-from touchfield.files import plain_size, require_beside, require_plain
+from touchfield.files import plain_size, readable, require_beside, require_plain
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.mujoco_bodies import pieces_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Body
-from touchfield.sources.simulation import (
-    FRAME_RATE_HZ,
-    frames_of,
-    load_mujoco,
-    mujoco_faults,
-    simulated,
-    warnings_heard,
-)
+from touchfield.sources.simulation import FRAME_RATE_HZ, compiled, frames_of, load_mujoco, simulated
 
 _SECONDS: Final = 2.0
 _SECONDS_NAME: Final = "touchfield_seconds"
@@ -53,7 +47,8 @@ _MOST: Final = {("count",): 1 << 16, ("nkey",): 1 << 16, ("nrow", "ncol"): 1 << 
 def _open(path: Path, options: SourceOptions) -> BodyScene:
     mujoco = load_mujoco()
     check_files(path, anywhere=options.allow_outside)
-    model, notes = _compiled(mujoco, path)
+    read = partial(mujoco.MjModel.from_xml_path, str(path))
+    model, notes = compiled(read, str(path), "a model that MuJoCo cannot read", "a whole MJCF model")
     pieces, more = pieces_of(mujoco, model, str(path), options.shell)
     seconds, rate = _seconds(mujoco, model, path, options), options.rate_hz or FRAME_RATE_HZ
     bodies = sorted({piece.body_id for piece in pieces})
@@ -62,16 +57,6 @@ def _open(path: Path, options: SourceOptions) -> BodyScene:
     track_of = dict(zip(bodies, tracks, strict=True))
     posed = [Body(piece.name, piece.scene, track_of[piece.body_id]) for piece in pieces]
     return BodyScene(posed, rate, notes=(*notes, *more, *told))
-
-
-def _compiled(mujoco: Any, path: Path) -> tuple[Any, tuple[str, ...]]:
-    """The model, and what MuJoCo warned of."""
-    try:
-        with warnings_heard(mujoco) as heard:
-            model = mujoco.MjModel.from_xml_path(str(path))
-    except mujoco_faults(mujoco) as error:
-        raise SourceError(str(path), f"a model that MuJoCo cannot read ({error})", "a whole MJCF model") from error
-    return model, tuple(f"MuJoCo warns: {' '.join(said.split())[:200]}" for said in heard)
 
 
 def _seconds(mujoco: Any, model: Any, path: Path, options: SourceOptions) -> float:
@@ -102,8 +87,6 @@ def _recognise(path: Path) -> bool:
 
 
 # -- the files that a model names, before MuJoCo opens them --------------------------------------------------
-
-
 @dataclass
 class _Named:
     """Names in the files of a model: files with their place in the text, folders, and where they are looked for."""
@@ -116,9 +99,7 @@ class _Named:
 def check_files(path: Path, *, anywhere: bool = False) -> None:
     """Refuse a model that names what lies outside its folder, or is no plain file, or asks for counts beyond reason.
 
-    `anywhere` bool: whether the user allows files outside the folder.
-
-    Raises `SourceError`: It names the file, the element and the attribute.
+    `anywhere`: the user allows files outside the folder. `SourceError` names file, element and attribute.
     """
     named, waiting, met = _Named(), [path], set()
     while waiting:
@@ -196,11 +177,10 @@ def _elements(model: Path) -> Iterator[tuple[str, dict[str, str]]]:
     parser.StartElementHandler = lambda tag, attributes: elements.append((tag, attributes))
     parser.StartDoctypeDeclHandler = refuse
     try:
-        parser.Parse(model.read_bytes(), True)
+        with readable(model, "a model that can be read"):
+            parser.Parse(model.read_bytes(), True)
     except expat.ExpatError as error:
         raise SourceError(str(model), f"no XML ({error})", "a whole MJCF model") from error
-    except OSError as error:
-        raise SourceError(str(model), error.strerror or str(error), "a model that can be read") from error
     if elements[0][0] not in ("mujoco", "mujocoinclude"):
         raise SourceError(str(model), f"the element {elements[0][0][:40]!r}", "mujoco")
     yield from elements

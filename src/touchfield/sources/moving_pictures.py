@@ -18,30 +18,24 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.errors import MissingExtra, SourceError, TouchfieldError
+from touchfield.errors import SourceError, TouchfieldError, import_extra
 from touchfield.sources.camera import MAX_FRAMES, require_frame
 from touchfield.sources.pictures import InOrder, bound_pixels, opened, require_size
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Colours = NDArray[np.uint8]
 
-    Colours = NDArray[np.uint8]
-
-__all__ = ["ColourVideo", "GreyVideo", "PictureFiles", "Pictures", "StillOrAnimated", "map_size", "reduced"]
 
 ANIMATED_SUFFIXES: Final = (".gif",)
 """Of animations that are told by their name; animated WebP and PNG look like pictures."""
 
-LONGER_SIDE_PX: Final = 64
-"""Of the reduced picture, as Hou & Zhang have it."""
-
+LONGER_SIDE_PX: Final = 64  # of the reduced picture, as Hou & Zhang have it
 _STILL_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 _SHALLOW_MODES: Final = (
     "1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "LAB", "HSV",
@@ -52,7 +46,6 @@ VIDEO_SUFFIXES: Final = (".mkv", ".avi", ".mov", ".mp4")
 
 DEEP_GREY: Final = re.compile(r"gray(9|10|12|14|16)(le|be)")
 """FFmpeg's names of the pixel formats with one number of 9 to 16 bits a pixel."""
-
 
 _FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mov"}
 _STRICT: Final = {"err_detect": "crccheck+explode"}  # a damaged frame is an error where the codec can tell
@@ -179,10 +172,7 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     """The container and its first video stream; what FFmpeg raises is a `SourceError`."""
-    try:
-        av: Any = import_module("av")
-    except ImportError as error:
-        raise MissingExtra("a video", "PyAV", "video") from error
+    av = import_extra("av", "a video", "PyAV", "video")
     form = _FORMATS.get(path.suffix.lower())
     if form is None:
         raise SourceError(str(path), f"the suffix {path.suffix!r}", " ".join(VIDEO_SUFFIXES))
@@ -237,7 +227,6 @@ class ColourVideo(GreyVideo):
     """The frames of an ordinary video, in colour; see `GreyVideo`."""
 
     def picture(self, frame: int) -> Colours:
-        """See `Pictures`."""
         return self.values(frame)
 
     def _values(self, picture: Any) -> Colours:
@@ -250,10 +239,9 @@ class PictureFiles:
     def __init__(self, paths: tuple[Path, ...]) -> None:
         self.paths, self.frame_count = paths, len(paths)
         with _shallow(paths[0]) as image:
-            self.size = _size_of(_as_shown(image))
+            self.size = _as_shown(image).shape[1::-1]
 
     def picture(self, frame: int) -> Colours:
-        """See `Pictures`."""
         require_frame(frame, self.frame_count)
         with _shallow(self.paths[frame]) as image:
             return _small(image, str(self.paths[frame]), self.size)
@@ -278,7 +266,7 @@ class StillOrAnimated(InOrder):
                     image.load()
                 total_ms += float(image.info.get("duration") or 0) or _UNSAID_MS
             image.seek(0)
-            self.size = _size_of(_as_shown(image))
+            self.size = _as_shown(image).shape[1::-1]
         self.rate_hz = 1000 * frame_count / total_ms if frame_count > 1 else None
         super().__init__(str(path), frame_count)
 
@@ -304,14 +292,10 @@ def _as_shown(image: Any) -> Colours:
     return np.asarray(upright.convert("RGB"))
 
 
-def _size_of(colours: Colours) -> tuple[int, int]:
-    return colours.shape[1], colours.shape[0]
-
-
 def _small(image: Any, where: str, size: tuple[int, int]) -> Colours:
     """The small map of an open picture, which must be of this size."""
     colours = _as_shown(image)
-    require_size(where, _size_of(colours), size, "as before")
+    require_size(where, colours.shape[1::-1], size, "as before")
     return reduced(colours)
 
 

@@ -10,22 +10,22 @@ geoms too is a body of its own, "body/geom", with the same track: where they ove
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from itertools import chain, count
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import SourceError, blamed_on
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import joined
 from touchfield.sources.scene import UP_Z_AXES, Scene
-from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Plane, Shape, Sphere, moved
+from touchfield.sources.shapes import SHAPES, Shape, moved
 
 Float64s = NDArray[np.float64]
-
 
 _SHOWN_GROUPS: Final = 3
 _HERE: Final = (0.0, 0.0, 0.0)
@@ -40,39 +40,38 @@ class Piece:
     scene: Scene
 
 
-@dataclass
-class _Parts:
-    """The geoms of a body, sorted by how they are evaluated."""
-
-    shapes: list[Shape] = field(default_factory=list)
-    meshes: list[tuple[int, Float64s, NDArray[np.int32]]] = field(default_factory=list)
-
-
 def pieces_of(mujoco: Any, model: Any, where: str, shell: str = "auto") -> tuple[list[Piece], tuple[str, ...]]:
     """Touchable pieces of a compiled model, in the order of its bodies, and notes.
 
     Raises `SourceError` if nothing of it can be touched, or a mesh is at fault.
     """
     chosen, notes = _touchable(model)
-    parts: dict[int, _Parts] = {}
+    # of each body: its shapes, and geom, vertices and triangles of its meshes
+    parts: defaultdict[int, tuple[list[Shape], list[tuple[int, Float64s, NDArray[np.int32]]]]]
+    parts = defaultdict(lambda: ([], []))
     left_out = int(model.nflex) + int(model.nskin)
     for geom in chosen:
-        own = parts.setdefault(int(model.geom_bodyid[geom]), _Parts())
-        try:
+        shapes, meshes = parts[int(model.geom_bodyid[geom])]
+        with blamed_on(f"{where}: {_name(model.geom(geom), 'geom')}: "):
             shape = _shape(mujoco, model, geom)
-        except InvalidArgument as error:
-            name = _name(mujoco, model, mujoco.mjtObj.mjOBJ_GEOM, geom, "geom")
-            raise SourceError(f"{where}: {name}: {error.where}", error.found, error.expected) from error
         triangles = None if shape else _triangles(mujoco, model, geom)
         if shape:
-            own.shapes.append(shape)
+            shapes.append(shape)
         elif triangles:
-            own.meshes.append((geom, *triangles))
+            meshes.append((geom, *triangles))
         else:
             left_out += 1
     if left_out:
         notes += (f"Left out, as neither a rigid shape nor a mesh (SDF, flex, skin): {left_out}.",)
-    pieces = [piece for body, own in sorted(parts.items()) for piece in _pieces(mujoco, model, body, own, shell)]
+    pieces: list[Piece] = []
+    for body, (shapes, meshes) in sorted(parts.items()):
+        name = _name(model.body(body), "body")
+        if shapes:
+            pieces.append(Piece(name, body, AnalyticScene(shapes, "union", UP_Z_AXES)))
+        is_alone = not shapes and len(meshes) == 1
+        for geom, vertices, faces in meshes:
+            part = name if is_alone else f"{name}/{_name(model.geom(geom), 'geom')}"
+            pieces.append(Piece(part, body, MeshScene(vertices, faces, shell=shell, name=part)))
     if not pieces:
         expected = "a rigid geom: sphere, capsule, ellipsoid, cylinder, box, plane, mesh or hfield"
         raise SourceError(where, "nothing that can be touched", expected)
@@ -84,9 +83,9 @@ def _touchable(model: Any) -> tuple[list[int], tuple[str, ...]]:
     collides[np.array(model.pair_geom1, int)] = True
     collides[np.array(model.pair_geom2, int)] = True
     if collides.any():
-        count = int((~collides).sum())
-        note = f"Left out, as they only look (contype and conaffinity 0): {count} geoms."
-        return [int(g) for g in np.flatnonzero(collides)], (note,) if count else ()
+        left_out = int((~collides).sum())
+        note = f"Left out, as they only look (contype and conaffinity 0): {left_out} geoms."
+        return [int(g) for g in np.flatnonzero(collides)], (note,) if left_out else ()
     shown = np.array(model.geom_group) < _SHOWN_GROUPS
     note = "No geom collides: those that the viewers show (groups 0 to 2) are touched."
     return [int(g) for g in np.flatnonzero(shown)], (note,) if shown.any() else ()
@@ -94,19 +93,15 @@ def _touchable(model: Any) -> tuple[list[int], tuple[str, ...]]:
 
 def _shape(mujoco: Any, model: Any, geom: int) -> Shape | None:
     """The shape of a geom in its body's frame; None where it has no formula."""
-    kinds, (a, b, c) = mujoco.mjtGeom, (float(s) for s in model.geom_size[geom])
-    makers: dict[Any, Callable[[], Shape]] = {
-        kinds.mjGEOM_SPHERE: lambda: Sphere(_HERE, a),
-        kinds.mjGEOM_CAPSULE: lambda: Capsule(_HERE, a, b),
-        kinds.mjGEOM_CYLINDER: lambda: Cylinder(_HERE, a, b),
-        kinds.mjGEOM_ELLIPSOID: lambda: Ellipsoid(_HERE, (a, b, c)),
-        kinds.mjGEOM_BOX: lambda: Box(_HERE, (a, b, c)),
-        kinds.mjGEOM_PLANE: lambda: Plane(_HERE, (0.0, 0.0, 1.0)),
-    }
-    make = makers.get(kinds(int(model.geom_type[geom])))
-    if make is None:
+    name = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+    a, b, c = (float(s) for s in model.geom_size[geom])
+    sizes: dict[str, tuple[Any, ...]] = {
+        "sphere": (a,), "capsule": (a, b), "cylinder": (a, b), "plane": ((0.0, 0.0, 1.0),),
+        "ellipsoid": ((a, b, c),), "box": ((a, b, c),),
+    }  # fmt: skip
+    if name not in sizes:
         return None
-    shape = make()
+    shape = SHAPES[name](_HERE, *sizes[name])  # type: ignore[call-arg]
     rotation, shift = _frame(mujoco, model, geom)
     is_placed = shift.any() or not np.array_equal(rotation, np.eye(3))
     return moved(shape, rotation, shift) if is_placed else shape
@@ -133,9 +128,9 @@ def _frame(mujoco: Any, model: Any, geom: int) -> tuple[Float64s, Float64s]:
 
 
 def _mesh(model: Any, which: int) -> tuple[Float64s, NDArray[np.int32]]:
-    first, count = int(model.mesh_vertadr[which]), int(model.mesh_vertnum[which])
+    first, number = int(model.mesh_vertadr[which]), int(model.mesh_vertnum[which])
     begin, faces = int(model.mesh_faceadr[which]), int(model.mesh_facenum[which])
-    vertices = np.array(model.mesh_vert[first : first + count], np.float64)
+    vertices = np.array(model.mesh_vert[first : first + number], np.float64)
     return joined(vertices, np.array(model.mesh_face[begin : begin + faces], np.int32))
 
 
@@ -164,29 +159,13 @@ def _height_field(model: Any, which: int) -> tuple[Float64s, NDArray[np.int32]]:
     return np.concatenate([surface, foot, [[0.0, 0.0, -base]]]), faces.astype(np.int32)
 
 
-def _pieces(mujoco: Any, model: Any, body: int, parts: _Parts, shell: str) -> list[Piece]:
-    name = _name(mujoco, model, mujoco.mjtObj.mjOBJ_BODY, body, "body")
-    pieces: list[Piece] = []
-    if parts.shapes:
-        pieces.append(Piece(name, body, AnalyticScene(parts.shapes, "union", UP_Z_AXES)))
-    is_alone = not parts.shapes and len(parts.meshes) == 1
-    for geom, vertices, triangles in parts.meshes:
-        part = name if is_alone else f"{name}/{_name(mujoco, model, mujoco.mjtObj.mjOBJ_GEOM, geom, 'geom')}"
-        pieces.append(Piece(part, body, MeshScene(vertices, triangles, shell=shell, name=part)))
-    return pieces
-
-
-def _name(mujoco: Any, model: Any, kind: Any, number: int, word: str) -> str:
-    return mujoco.mj_id2name(model, kind, number) or f"{word} {number}"
+def _name(element: Any, word: str) -> str:
+    return str(element.name or f"{word} {element.id}")
 
 
 def _with_names_apart(pieces: list[Piece]) -> list[Piece]:
-    taken: set[str] = set()
-    apart = []
+    names: dict[str, None] = {}
     for piece in pieces:
-        name, number = piece.name, 2
-        while name in taken:
-            name, number = f"{piece.name} ({number})", number + 1
-        taken.add(name)
-        apart.append(Piece(name, piece.body_id, piece.scene))
-    return apart
+        tries = chain([piece.name], (f"{piece.name} ({number})" for number in count(2)))
+        names[next(name for name in tries if name not in names)] = None
+    return [replace(piece, name=name) for piece, name in zip(pieces, names, strict=True)]

@@ -62,7 +62,6 @@ from touchfield.sources.toml_values import read_toml
 
 Poses = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
-
 _SECONDS: Final = 2.0
 
 
@@ -79,7 +78,10 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     posed = {name: track_at_rate(*rows, rate, frames) for name, rows in poses.items()}
     notes: tuple[str, ...] = ()
     if any(body.is_simulated for body in table.bodies):
-        tracks, notes = _simulated(path, table, posed, frames, rate)
+        model, ids, told = model_of(load_mujoco(), table, posed, str(path))
+        driven = {body_id: posed[body.name] for body, body_id in zip(table.bodies, ids, strict=True) if body.poses}
+        tracks, notes = simulated(model, ids, frames, rate, str(path), driven)
+        notes = (*told, *notes)
     else:
         tracks = [posed[body.name] if body.poses else _still(body, frames) for body in table.bodies]
     bodies = [Body(one.name, one.scene, track) for one, track in zip(table.bodies, tracks, strict=True)]
@@ -119,16 +121,6 @@ def _frame_count(
             found = f"poses that begin at {first_s:.6g} s"
             raise InvalidArgument(str(path), found, error.expected, "Let their times begin at 0.") from error
     return frames_of(str(path), _SECONDS if seconds is None else seconds, rate_hz, count)
-
-
-def _simulated(
-    path: Path, table: PhysicsTable, posed: dict[str, PoseTrack], frames: int, rate_hz: float
-) -> tuple[list[PoseTrack], tuple[str, ...]]:
-    mujoco = load_mujoco()
-    model, ids, notes = model_of(mujoco, table, posed, str(path))
-    driven = {body_id: posed[body.name] for body, body_id in zip(table.bodies, ids, strict=True) if body.poses}
-    tracks, told = simulated(model, ids, frames, rate_hz, str(path), driven)
-    return tracks, (*notes, *told)
 
 
 def _still(body: RigidBody, frames: int) -> PoseTrack:

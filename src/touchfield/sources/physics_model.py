@@ -21,22 +21,17 @@ from touchfield.medium.pose_track import PoseTrack
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.physics_table import PhysicsTable, RigidBody, World
 from touchfield.sources.poses import quaternion_of_turns
-from touchfield.sources.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere, Superquadric, rotation_matrix
-from touchfield.sources.simulation import START, mujoco_faults, warnings_heard
+from touchfield.sources.shapes import Superquadric, rotation_matrix
+from touchfield.sources.simulation import START, compiled
 
 Float64s = NDArray[np.float64]
-
 
 _HARD: Final = (0.99, 0.99, 0.001, 0.5, 2.0)
 """Impedance: nearly all of the acceleration at a contact is the spring's and damper's."""
 
 _LEAST_RESTITUTION: Final = 0.02
-_MOST_DAMPED: Final = 10.0
-"""A damping ratio beyond that of the least restitution."""
-
-_POSED_KG_M3: Final = 1e8
-"""Density of a body that a file poses: nothing that it meets within a frame moves it."""
-
+_MOST_DAMPED: Final = 10.0  # a damping ratio beyond that of the least restitution
+_POSED_KG_M3: Final = 1e8  # density of a body that a file poses: nothing that it meets within a frame moves it
 _HULL_ROWS: Final = 16
 _THINNEST: Final = 1e-5
 """Thickness of a mesh, as a share of its length, below which no hull is made of it that could be trusted."""
@@ -67,29 +62,26 @@ def model_of(
         position, turn = list(body.position_m), quaternion_of_turns(body.rotation_deg)
         if body.name in posed:
             position, turn = list(posed[body.name].positions_m[0]), posed[body.name].quaternions[0]
-        in_model = spec.worldbody.add_body(
-            name=f"b{number}", pos=position, quat=turn, gravcomp=float(body.name in posed)
-        )
+        is_posed = body.name in posed
+        in_model = spec.worldbody.add_body(name=f"b{number}", pos=position, quat=turn, gravcomp=float(is_posed))
         if not body.is_fixed:
             in_model.add_freejoint()
             start["qpos"] += [*position, *turn]
             spin = np.radians(body.spin_deg_s) @ rotation_matrix(body.rotation_deg)  # in the body's own frame
             start["qvel"] += [*body.velocity_m_s, *spin]
         matter = {"density": body.density_kg_m3} if body.mass_kg is None else {"mass": body.mass_kg}
-        if body.name in posed:
+        if is_posed:
             matter = {"density": _POSED_KG_M3}
-        # what is not simulated meets only what is
-        notes += _add_geom(
-            mujoco, spec, in_model, f"m{number}", body, {**touch, **matter, "contype": int(body.is_simulated)}
-        )
+        own = {**touch, **matter, "contype": int(body.is_simulated)}  # what is not simulated meets only what is
+        notes += _add_geom(mujoco, spec, in_model, f"m{number}", body, own)
     spec.add_key(name=START, **start)
-    try:
-        with warnings_heard(mujoco) as heard:
-            model = spec.compile()
-            deepest = _overlaps(mujoco, model)
-    except mujoco_faults(mujoco) as error:
-        raise SourceError(where, f"bodies that MuJoCo refuses ({error})", "bodies with a volume") from error
-    notes += tuple(f"MuJoCo warns: {' '.join(said.split())[:200]}" for said in heard)
+
+    def make() -> tuple[Any, dict[tuple[int, int], float]]:
+        model = spec.compile()
+        return model, _overlaps(mujoco, model)
+
+    (model, deepest), told = compiled(make, where, "bodies that MuJoCo refuses", "bodies with a volume")
+    notes += told
     kind = mujoco.mjtObj.mjOBJ_BODY
     ids = [mujoco.mj_name2id(model, kind, f"b{number}") for number in range(len(table.bodies))]
     name_of = {0: "the floor", **{body_id: body.name for body_id, body in zip(ids, table.bodies, strict=True)}}
@@ -151,36 +143,28 @@ def _add_geom(
 ) -> tuple[str, ...]:
     """Add what collides for the scene of a body."""
     kinds, scene = mujoco.mjtGeom, body.scene
+    mesh: dict[str, Any] = {}
+    notes: tuple[str, ...] = ()
     if isinstance(scene, MeshScene):
-        vertices, triangles, exact = _solid(scene)
-        _check_thick(body, vertices)
-        inertia = mujoco.mjtMeshInertia
-        spec.add_mesh(
-            name=mesh_name,
-            uservert=vertices.reshape(-1),
-            userface=triangles.reshape(-1),
-            inertia=inertia.mjMESH_INERTIA_EXACT if exact else inertia.mjMESH_INERTIA_CONVEX,
-        )
-        made.add_geom(type=kinds.mjGEOM_MESH, meshname=mesh_name, **properties)
-        return () if _is_convex(scene) else (f"{body.name} is not convex: it collides as its convex hull.",)
-    (shape,) = scene.shapes
-    if isinstance(shape, Superquadric):
-        points = _hull_points(shape)
-        _check_thick(body, points)
-        spec.add_mesh(name=mesh_name, uservert=points.reshape(-1))
-        made.add_geom(type=kinds.mjGEOM_MESH, meshname=mesh_name, **properties)
-    elif isinstance(shape, Sphere):
-        made.add_geom(type=kinds.mjGEOM_SPHERE, size=[shape.radius_m, 0, 0], **properties)
-    elif isinstance(shape, Capsule):
-        made.add_geom(type=kinds.mjGEOM_CAPSULE, size=[shape.radius_m, shape.half_length_m, 0], **properties)
-    elif isinstance(shape, Cylinder):
-        made.add_geom(type=kinds.mjGEOM_CYLINDER, size=[shape.radius_m, shape.half_length_m, 0], **properties)
-    elif isinstance(shape, Ellipsoid | Box):
-        kind = kinds.mjGEOM_BOX if isinstance(shape, Box) else kinds.mjGEOM_ELLIPSOID
-        made.add_geom(type=kind, size=list(shape.half_extents_m), **properties)
+        points, triangles, exact = _solid(scene)
+        mesh = {"userface": triangles.reshape(-1), "inertia": mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX}
+        if exact:
+            mesh["inertia"] = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
+        if not _is_convex(scene):
+            notes = (f"{body.name} is not convex: it collides as its convex hull.",)
     else:
-        raise SourceError(body.where, f"a {type(shape).__name__.lower()}", "a shape that can fall")
-    return ()
+        (shape,) = scene.shapes
+        if not isinstance(shape, Superquadric):
+            size = getattr(shape, "half_extents_m", None)
+            size = size or (shape.radius_m, getattr(shape, "half_length_m", 0.0), 0.0)  # type: ignore[attr-defined]
+            kind = getattr(kinds, f"mjGEOM_{type(shape).__name__.upper()}")
+            made.add_geom(type=kind, size=list(size), **properties)
+            return ()
+        points = _hull_points(shape)
+    _check_thick(body, points)
+    spec.add_mesh(name=mesh_name, uservert=points.reshape(-1), **mesh)
+    made.add_geom(type=kinds.mjGEOM_MESH, meshname=mesh_name, **properties)
+    return notes
 
 
 def _check_thick(body: RigidBody, points: Float64s) -> None:
@@ -188,9 +172,8 @@ def _check_thick(body: RigidBody, points: Float64s) -> None:
     sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if not sizes[-1] > _THINNEST * sizes[0]:
         share = sizes[-1] / max(sizes[0], 1e-300)
-        raise SourceError(
-            f"{body.where}: size", f"a body {share:.1g} as thick as it is long", f"{_THINNEST:g} or more"
-        )
+        found = f"a body {share:.1g} as thick as it is long"
+        raise SourceError(f"{body.where}: size", found, f"{_THINNEST:g} or more")
 
 
 def _solid(scene: MeshScene) -> tuple[Float64s, NDArray[np.int32], bool]:
@@ -216,9 +199,8 @@ def _is_convex(scene: MeshScene) -> bool:
 
 def _hull_points(shape: Superquadric) -> Float64s:
     """Points of a superquadric's surface by its angles, float64 [n, 3]; closest where it is most curved."""
-    along, around = np.meshgrid(
-        np.linspace(-math.pi / 2, math.pi / 2, _HULL_ROWS + 1), np.arange(2 * _HULL_ROWS) * (math.pi / _HULL_ROWS)
-    )
+    turns = np.arange(2 * _HULL_ROWS) * (math.pi / _HULL_ROWS)
+    along, around = np.meshgrid(np.linspace(-math.pi / 2, math.pi / 2, _HULL_ROWS + 1), turns)
     e1, e2 = shape.exponents
 
     def power(value: Float64s, exponent: float) -> Float64s:
@@ -226,8 +208,6 @@ def _hull_points(shape: Superquadric) -> Float64s:
         return raised
 
     ring = power(np.cos(along), e1)
-    unit = np.stack(
-        [ring * power(np.cos(around), e2), ring * power(np.sin(around), e2), power(np.sin(along), e1)], axis=-1
-    )
-    points: Float64s = np.unique(unit.reshape(-1, 3), axis=0) * np.asarray(shape.half_extents_m)
+    unit = ring * power(np.cos(around), e2), ring * power(np.sin(around), e2), power(np.sin(along), e1)
+    points: Float64s = np.unique(np.stack(unit, axis=-1).reshape(-1, 3), axis=0) * np.asarray(shape.half_extents_m)
     return points

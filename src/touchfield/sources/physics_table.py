@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -11,10 +12,10 @@ from numpy.typing import NDArray
 
 from touchfield.errors import SourceError
 from touchfield.files import require_beside
-from touchfield.sources.analytic_scene import SHAPES, AnalyticScene, shape_of_table
+from touchfield.sources.analytic_scene import AnalyticScene, shape_of_table
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.scene import UP_Z_AXES
-from touchfield.sources.shapes import Triple
+from touchfield.sources.shapes import SHAPES, Triple
 from touchfield.sources.simulation import FRAME_RATE_HZ
 from touchfield.sources.toml_values import known, number, read_toml, tables, text
 
@@ -24,16 +25,77 @@ _KINDS: Final = (*(kind for kind in SHAPES if kind != "plane"), "mesh")
 _PLACE: Final = ("position_m", "rotation_deg")
 _MOTION: Final = ("velocity_m_s", "spin_deg_s", "density_kg_m3", "mass_kg")
 _MESH: Final = ("file", "unit_m", "vertices_m", "triangles")
-_HELD: Final = ("center_m", "rotation_deg")
-"""Of a shape: its frame is the body's."""
-
+_HELD: Final = ("center_m", "rotation_deg")  # of a shape: its frame is the body's
 _FEWEST_STEPS: Final = 7
-_WORLD: Final = {
-    **dict.fromkeys(("seconds", "rate_hz", "step_s", "contact_s"), (1e-9, 1e9)),
-    **dict.fromkeys(("friction", "torsional_friction_m", "rolling_friction_m"), (0.0, 1e6)),
-    "restitution": (0.0, 1.0),
+
+
+def _within(least: float, most: float) -> Callable[[str, Any], float]:
+    """A reader of numbers in a range."""
+
+    def read(where: str, value: Any) -> float:
+        given = number(where, value)
+        if not least <= given <= most:
+            raise SourceError(where, f"{given:g}", f"a number from {least:g} to {most:g}")
+        return given
+
+    return read
+
+
+_coordinate = _within(-1e9, 1e9)
+
+
+def _triple(where: str, value: Any) -> Triple:
+    if not isinstance(value, list) or len(value) != 3:
+        raise SourceError(where, repr(value)[:60], "a list of three numbers")
+    x, y, z = (_coordinate(where, item) for item in value)
+    return x, y, z
+
+
+def _rows(where: str, value: Any) -> NDArray[np.float64]:
+    if not isinstance(value, list) or not value:
+        raise SourceError(where, repr(value)[:60], "a list of lists of three numbers")
+    return np.array([_triple(where, row) for row in value], np.float64)
+
+
+def _flag(where: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise SourceError(where, repr(value)[:60], "true or false")
+    return value
+
+
+_READERS: Final[dict[str, Callable[[str, Any], Any]]] = {
+    **dict.fromkeys(("seconds", "rate_hz", "step_s", "contact_s"), _within(1e-9, 1e9)),
+    **dict.fromkeys(("friction", "torsional_friction_m", "rolling_friction_m"), _within(0.0, 1e6)),
+    "restitution": _within(0.0, 1.0),
+    **dict.fromkeys(("density_kg_m3", "mass_kg", "unit_m"), _within(1e-12, 1e12)),
+    "height_m": _coordinate,
+    **dict.fromkeys(("gravity_m_s2", *_PLACE, "velocity_m_s", "spin_deg_s"), _triple),
+    **dict.fromkeys(("vertices_m", "triangles"), _rows),
+    **dict.fromkeys(("touchable", "fixed"), _flag),
+    **dict.fromkeys(("name", "poses", "file"), text),
 }
-"""The numbers of ``[physics]`` and their ranges."""
+_ALONE: Final = {
+    "poses": (*_PLACE, *_MOTION, "fixed"),
+    "fixed": _MOTION,
+    "mass_kg": ("density_kg_m3",),
+    "file": ("vertices_m", "triangles"),
+    "vertices_m": ("unit_m",),
+}
+"""Keys of a body, and those that must not stand beside them."""
+
+
+def _read(where: str, table: dict[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    """The values of those keys that are there."""
+    return {name: _READERS[name](f"{where}: {name}", table[name]) for name in names if name in table}
+
+
+def _filled(kind: type[Any], where: str, table: Any) -> Any:
+    """The dataclass of that kind with the values of a table, which has no other keys."""
+    if not isinstance(table, dict):
+        raise SourceError(where, repr(table)[:60], "a table")
+    names = tuple(f.name for f in fields(kind))
+    known(where, table, names)
+    return kind(**_read(where, table, names))
 
 
 @dataclass(frozen=True)
@@ -45,7 +107,7 @@ class World:
     step_s: float = 0.001  # time step of the simulation
     gravity_m_s2: Triple = (0.0, 0.0, -9.81)
     friction: float = 0.6  # coefficient of sliding friction of every contact
-    # torque in newton metres for each newton of normal force, against turning about the normal and rolling
+    # torque for each newton of normal force, newton metres, against turning about the normal and rolling
     torsional_friction_m: float = 0.0
     rolling_friction_m: float = 0.0
     restitution: float = 0.3  # speed after a bounce over speed before it, 0 to 1; below 0.02 it is 0.02
@@ -111,30 +173,18 @@ def read_physics(path: Path, *, anywhere: bool = False) -> PhysicsTable:
             found = f"{body.name!r}, as {taken[body.name]} is called"
             raise SourceError(f"{body.where}: name", found, "a name of its own")
         taken[body.name] = "another body"
-    floor = _floor(f"{path}: floor", table["floor"]) if "floor" in table else None
+    floor = _filled(Floor, f"{path}: floor", table["floor"]) if "floor" in table else None
     return PhysicsTable(_world(f"{path}: physics", table.get("physics", {})), floor, bodies)
 
 
 def _world(where: str, table: Any) -> World:
-    _keys(where, table, World)
-    given: dict[str, Any] = {
-        name: _number(f"{where}: {name}", table[name], *span) for name, span in _WORLD.items() if name in table
-    }
-    if "gravity_m_s2" in table:
-        given["gravity_m_s2"] = _triple(f"{where}: gravity_m_s2", table["gravity_m_s2"])
-    world = World(**given)
+    world: World = _filled(World, where, table)
     if world.contact_s is None:
         return replace(world, contact_s=8 * world.step_s)
     if world.contact_s < _FEWEST_STEPS * world.step_s * (1 - 1e-9):
         found, expected = f"{world.contact_s:g}", f"at least {_FEWEST_STEPS} steps of {world.step_s:g} s"
         raise SourceError(f"{where}: contact_s", found, expected)
     return world
-
-
-def _floor(where: str, table: Any) -> Floor:
-    _keys(where, table, Floor)
-    height = _number(f"{where}: height_m", table.get("height_m", 0.0), -1e9, 1e9)
-    return Floor(height, _flag(f"{where}: touchable", table.get("touchable", True)))
 
 
 def _body(path: Path, count: int, entry: dict[str, Any], anywhere: bool) -> RigidBody:
@@ -146,25 +196,16 @@ def _body(path: Path, count: int, entry: dict[str, Any], anywhere: bool) -> Rigi
     known(where, entry, ("kind", "name", "poses", "fixed", *own, *_PLACE, *_MOTION))
     of_kind = {key: entry[key] for key in own if key in entry}
     scene = _mesh(path, where, of_kind, anywhere) if kind == "mesh" else _shape(where, kind, of_kind)
-    body = RigidBody(where, text(f"{where}: name", entry.get("name", f"body {count}")), scene)
-    if "poses" in entry:
-        _alone(where, entry, "poses", (*_PLACE, *_MOTION, "fixed"))
-        name = text(f"{where}: poses", entry["poses"])
-        return replace(body, poses=require_beside(path.parent, name, f"{where}: poses", anywhere=anywhere))
-    if "position_m" not in entry:
+    given = {"name": f"body {count}", **_read(where, entry, ("name", "poses", "fixed", *_PLACE, *_MOTION))}
+    for name in _ALONE:
+        for other in _ALONE[name] if {**entry, **given}.get(name) else ():
+            if other in entry:
+                raise SourceError(f"{where}: {other}", f"it beside {name}", "one of the two")
+    if "poses" in given:
+        given["poses"] = require_beside(path.parent, given["poses"], f"{where}: poses", anywhere=anywhere)
+    elif "position_m" not in given:
         raise SourceError(f"{where}: position_m", "nothing", "where the body begins: position_m, or poses")
-    given: dict[str, Any] = {
-        name: _triple(f"{where}: {name}", entry[name]) for name in (*_PLACE, *_MOTION[:2]) if name in entry
-    }
-    given["is_fixed"] = _flag(f"{where}: fixed", entry.get("fixed", False))
-    if given["is_fixed"]:
-        _alone(where, entry, "fixed", _MOTION)
-    for name in ("density_kg_m3", "mass_kg"):
-        if name in entry:
-            given[name] = _number(f"{where}: {name}", entry[name], 1e-12, 1e12)
-    if "mass_kg" in entry:
-        _alone(where, entry, "mass_kg", ("density_kg_m3",))
-    return replace(body, **given)
+    return RigidBody(where, scene=scene, is_fixed=given.pop("fixed", False), **given)
 
 
 def _shape(where: str, kind: str, of_kind: dict[str, Any]) -> AnalyticScene:
@@ -173,65 +214,20 @@ def _shape(where: str, kind: str, of_kind: dict[str, Any]) -> AnalyticScene:
 
 
 def _mesh(path: Path, where: str, of_kind: dict[str, Any], anywhere: bool) -> MeshScene:
-    if "file" in of_kind:
+    given = _read(where, of_kind, _MESH)
+    if "file" in given:
         from touchfield.sources.mesh import read_triangles
 
-        _alone(where, of_kind, "file", ("vertices_m", "triangles"))
-        unit_m = _number(f"{where}: unit_m", of_kind.get("unit_m", 1.0), 1e-12, 1e12)
-        name = text(f"{where}: file", of_kind["file"])
-        file = require_beside(path.parent, name, f"{where}: file", anywhere=anywhere)
+        file = require_beside(path.parent, given["file"], f"{where}: file", anywhere=anywhere)
         if not file.exists():
             raise SourceError(f"{where}: file", f"nothing at {file}", "a mesh file", "Check the path.")
         vertices, triangles, notes = read_triangles(file)
-        return MeshScene(vertices * unit_m, triangles, name=str(file), notes=notes)
+        return MeshScene(vertices * given.get("unit_m", 1.0), triangles, name=str(file), notes=notes)
     for name in ("vertices_m", "triangles"):
-        if name not in of_kind:
+        if name not in given:
             raise SourceError(f"{where}: {name}", "nothing", "a mesh: file, or vertices_m and triangles")
-    if "unit_m" in of_kind:
-        _alone(where, of_kind, "vertices_m", ("unit_m",))
-    corners = _rows(f"{where}: vertices_m", of_kind["vertices_m"])
-    numbers = _rows(f"{where}: triangles", of_kind["triangles"])
+    corners, numbers = given["vertices_m"], given["triangles"]
     if not ((numbers % 1 == 0) & (numbers >= 0) & (numbers < len(corners))).all():
-        raise SourceError(
-            f"{where}: triangles", "a number of no vertex", f"whole numbers from 0 to {len(corners) - 1}"
-        )
+        expected = f"whole numbers from 0 to {len(corners) - 1}"
+        raise SourceError(f"{where}: triangles", "a number of no vertex", expected)
     return MeshScene(corners, numbers.astype(np.int32), name=where)
-
-
-def _rows(where: str, value: Any) -> NDArray[np.float64]:
-    if not isinstance(value, list) or not value:
-        raise SourceError(where, repr(value)[:60], "a list of lists of three numbers")
-    return np.array([_triple(where, row) for row in value], np.float64)
-
-
-def _triple(where: str, value: Any) -> Triple:
-    if not isinstance(value, list) or len(value) != 3:
-        raise SourceError(where, repr(value)[:60], "a list of three numbers")
-    x, y, z = (_number(where, item, -1e9, 1e9) for item in value)
-    return x, y, z
-
-
-def _number(where: str, value: Any, least: float, most: float) -> float:
-    given = number(where, value)
-    if not least <= given <= most:
-        raise SourceError(where, f"{given:g}", f"a number from {least:g} to {most:g}")
-    return given
-
-
-def _flag(where: str, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise SourceError(where, repr(value)[:60], "true or false")
-    return value
-
-
-def _keys(where: str, value: Any, kind: type[Any]) -> None:
-    """A table with no other keys than the fields of its dataclass."""
-    if not isinstance(value, dict):
-        raise SourceError(where, repr(value)[:60], "a table")
-    known(where, value, (f.name for f in fields(kind)))
-
-
-def _alone(where: str, entry: dict[str, Any], name: str, others: tuple[str, ...]) -> None:
-    for other in others:
-        if other in entry:
-            raise SourceError(f"{where}: {other}", f"it beside {name}", "one of the two")

@@ -16,31 +16,23 @@ from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
 from threading import Lock
-from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple
+from typing import IO, Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import SourceError, TouchfieldError
-from touchfield.files import require_plain
+from touchfield.files import readable, require_plain
 from touchfield.medium.npz import map_npy, read_npy_header
 from touchfield.sources.camera import require_frame
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 __all__ = ["MAX_PIXELS", "PICTURE_SUFFIXES", "PictureHeader", "bound_pixels", "picture_header", "read_picture"]
 
-MAX_PIXELS: Final = 1 << 26
-"""Pixels of the largest picture that is decoded (8192 x 8192)."""
-
+MAX_PIXELS: Final = 1 << 26  # pixels of the largest picture that is decoded (8192 x 8192)
 PICTURE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy")
 PHOTO_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-MAX_PAGES: Final = 1 << 16
-"""Of a TIFF, whose pages can name each other in a ring."""
-
-_MAX_EXPANSION: Final = 1400
-"""Bytes out of one byte in: deflate reaches 1032, LZW of TIFF about 1366."""
-
+MAX_PAGES: Final = 1 << 16  # of a TIFF, whose pages can name each other in a ring
+_MAX_EXPANSION: Final = 1400  # bytes out of one byte in: deflate reaches 1032, LZW of TIFF about 1366
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # the numbers of a palette are no grey levels
 _PIL_SAMPLES: Final = {
@@ -117,25 +109,22 @@ def opened(path: Path, formats: tuple[str, ...] | None = None, expected: str = "
 def picture_header(path: Path) -> PictureHeader:
     """Size and samples of a PNG, TIFF, PGM or NPY picture, from its header."""
     require_plain(path, "a picture")
-    try:
-        with path.open("rb") as stream:
-            start = stream.read(33)
-            stream.seek(0)
-            if start.startswith(_PNG_SIGNATURE):
-                header = _png_header(path, start)
-            elif start.startswith(_NPY_MAGIC):
-                header = _npy_header(path, stream)
-            elif start.startswith(b"P5"):
-                header, _ = _pgm_header(path, stream)
-            elif start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-                with opened(path, ("TIFF",)) as image:
-                    sample = _PIL_SAMPLES.get(image.mode, "")
-                    header = PictureHeader(image.width, image.height, sample, len(image.getbands()))
-            else:
-                raise SourceError(str(path), "no PNG, TIFF, PGM or NPY file", "one of these", "Check the file.")
-            bound_pixels(path, header.width, header.height)
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    with readable(path, mend="Check path and rights."), path.open("rb") as stream:
+        start = stream.read(33)
+        stream.seek(0)
+        if start.startswith(_PNG_SIGNATURE):
+            header = _png_header(path, start)
+        elif start.startswith(_NPY_MAGIC):
+            header = _npy_header(path, stream)
+        elif start.startswith(b"P5"):
+            header, _ = _pgm_header(path, stream)
+        elif start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+            with opened(path, ("TIFF",)) as image:
+                sample = _PIL_SAMPLES.get(image.mode, "")
+                header = PictureHeader(image.width, image.height, sample, len(image.getbands()))
+        else:
+            raise SourceError(str(path), "no PNG, TIFF, PGM or NPY file", "one of these", "Check the file.")
+        bound_pixels(path, header.width, header.height)
     return header
 
 
@@ -149,16 +138,13 @@ def read_picture(path: Path) -> NDArray[Any]:
     if header.channels != 1 or not header.sample:
         raise SourceError(str(path), header.wording, "one number a pixel, of 8 or 16 bits or float")
     size = (header.height, header.width)
-    try:
-        with path.open("rb") as stream:
-            start = stream.read(6)
-            stream.seek(0)
-            if start == _NPY_MAGIC:
-                return _native(map_npy(path)).reshape(size)
-            if start.startswith(b"P5"):
-                return _pgm_samples(path, stream)
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    with readable(path, mend="Check path and rights."), path.open("rb") as stream:
+        start = stream.read(6)
+        stream.seek(0)
+        if start == _NPY_MAGIC:
+            return _native(map_npy(path)).reshape(size)
+        if start.startswith(b"P5"):
+            return _pgm_samples(path, stream)
     bound_pixels(path, header.width, header.height, np.dtype(header.sample).itemsize)
     with opened(path, ("PNG", "TIFF")) as image:
         values = np.array(image)
@@ -193,10 +179,6 @@ def photo_size(path: Path) -> tuple[int, int]:
 
 def _native(values: NDArray[Any]) -> NDArray[Any]:
     return np.array(values, values.dtype.newbyteorder("="), order="C")
-
-
-def _unreadable(path: Path, error: OSError) -> SourceError:
-    return SourceError(str(path), error.strerror or str(error), "a file that can be read", "Check path and rights.")
 
 
 def _png_header(path: Path, start: bytes) -> PictureHeader:

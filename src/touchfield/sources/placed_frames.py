@@ -11,11 +11,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.poses import (
     IGNORE_POSES,
     PoseList,
@@ -26,16 +28,9 @@ from touchfield.sources.poses import (
     seconds,
 )
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from touchfield.sources.options import SourceOptions
-
 __all__ = ["POSE_TOLERANCE_S", "PlacedFrames", "placed_frames", "posed_frames"]
 
-POSE_TOLERANCE_S: Final = 0.020
-"""A frame takes a pose at most this far from it in time."""
-
+POSE_TOLERANCE_S: Final = 0.020  # a frame takes a pose at most this far from it in time
 _LISTS: Final = tuple(
     re.compile(form, re.IGNORECASE)
     for form in (
@@ -47,9 +42,7 @@ _LIKE_POSES: Final = re.compile(
     r".*(pose|traj|groundtruth|odometry|extrinsic).*|images\.(txt|bin)|transforms.*\.json|.*\.freiburg", re.I
 )
 _PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ply", ".mp4")
-_MODELS: Final = ("sparse/0", "sparse", "colmap", "colmap/sparse/0")
-"""Places of a COLMAP model in a folder."""
-
+_MODELS: Final = ("sparse/0", "sparse", "colmap", "colmap/sparse/0")  # places of a COLMAP model in a folder
 _LOOSE: Final = 4  # of `_LISTS`: from here on only named like poses, so that it may be something else
 _MOST_NOTES: Final = 4
 

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.errors import SourceError
-from touchfield.files import plain_size
+from touchfield.files import plain_size, readable
 from touchfield.medium.pose_track import PoseTrack, rotation_matrices, slerp
 
 if TYPE_CHECKING:
@@ -40,19 +40,13 @@ if TYPE_CHECKING:
 
 __all__ = ["PoseList", "checked_poses", "parse_poses", "poses_between", "read_pose_csv", "read_text", "track_at_rate"]
 
-MAX_TIME_S: Final = 1e12
-"""Time stamps stay below this: 32 thousand years."""
-
+MAX_TIME_S: Final = 1e12  # time stamps stay below this: 32 thousand years
 COLUMNS: Final = ("t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
-IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."
-"""The way on from a pose at fault."""
-
+IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."  # the way on from a pose at fault
 _MAX_TEXT_BYTES: Final = 1 << 26
 _ROTATION_TOLERANCE: Final = 0.01
-_UNIT: Final = 1e-3
-"""How far from one the length of a body's quaternion may be: what three digits give."""
-
+_UNIT: Final = 1e-3  # how far from one the length of a body's quaternion may be: what three digits give
 _FORMS: Final = (
     "12 or 16 numbers a line (3x4, 4x4), 8 or 7 ([time] tx ty tz qx qy qz qw), a Redwood log, or COLMAP's images.txt"
 )
@@ -76,12 +70,11 @@ class PoseList:
 def read_text(path: Path) -> str:
     """A text file; `SourceError` if it cannot be read, is longer than 64 MiB or is not text."""
     try:
-        size = plain_size(path, "a text file")
-        if size > _MAX_TEXT_BYTES:
-            raise SourceError(str(path), f"{size} bytes", f"a text file up to {_MAX_TEXT_BYTES} bytes")
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise SourceError(str(path), error.strerror or str(error), "a text file", "Check path and rights.") from error
+        with readable(path, "a text file", "Check path and rights."):
+            size = plain_size(path, "a text file")
+            if size > _MAX_TEXT_BYTES:
+                raise SourceError(str(path), f"{size} bytes", f"a text file up to {_MAX_TEXT_BYTES} bytes")
+            return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SourceError(str(path), f"bytes that are no text at offset {error.start}", "a text file") from error
 

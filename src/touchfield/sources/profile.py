@@ -19,8 +19,6 @@ from touchfield.errors import InvalidArgument
 class ForceProfile:
     """f(phi), piecewise linear: on each piece f = intercept + slope * phi; zero elsewhere.
 
-    Parameters
-    ----------
     pieces : tuple of (low_m, high_m, intercept_n, slope_n_per_m); A piece holds for low_m < phi <= high_m. The
         pieces are in ascending order and do not overlap; the first low_m may be -inf.
     surface_damping_n_s_per_m : float; b of a moving surface: where f acts, b times the velocity of the surface is

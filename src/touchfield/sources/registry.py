@@ -55,14 +55,10 @@ class SourceKind:
 
     Parameters
     ----------
-    name : str
-        What ``--as`` takes.
-    summary : str
-        One line for the user: what it is and which files it takes; ``--as`` takes its words, too.
-    recognise : callable
-        ``recognise(path) -> bool``: by names and a few bytes only; never raises for a readable path.
-    open : callable
-        ``open(path, options) -> Scene``; raises `SourceError` for data at fault.
+    name : str; What ``--as`` takes.
+    summary : str; One line for the user: what it is and which files it takes; ``--as`` takes its words, too.
+    recognise : callable; ``recognise(path) -> bool``: by names and a few bytes; never raises for a readable path.
+    open : callable; ``open(path, options) -> Scene``; raises `SourceError` for data at fault.
     """
 
     name: str
@@ -88,12 +84,8 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
 
     Of a folder that is no source itself, the one folder in it that is a source is opened, and a note says so.
 
-    Raises
-    ------
-    SourceError
-        If there is no file or folder at `path`, no kind recognises it, or its data are at fault.
-    InvalidArgument
-        If ``options.kind`` names no kind.
+    Raises `SourceError` if there is no file or folder at `path`, no kind recognises it, or its data are at fault;
+    `InvalidArgument` if ``options.kind`` names no kind.
     """
     path, options = Path(path), options or SourceOptions()
     asked = _named(options.kind or ("relative-depth" if options.relative_depth else None))
@@ -142,12 +134,9 @@ def _open_inner(path: Path, options: SourceOptions) -> Scene:
         scene.notes = (f"{folder.name}/ is read, the one folder here that is a source ({kind.name}).", *scene.notes)
         return scene
     if found:
-        told = ", ".join(f"{p.name}/ ({kind.name})" for p, kind in found[:_MOST_TOLD]) + ", ..." * (
-            len(found) > _MOST_TOLD
-        )
-        raise SourceError(
-            str(path), f"{len(found)} folders that are sources: {told}", "one", f"Name one: {found[0][0]}"
-        )
+        told = ", ".join(f"{p.name}/ ({kind.name})" for p, kind in found[:_MOST_TOLD])
+        told = f"{len(found)} folders that are sources: {told}{', ...' * (len(found) > _MOST_TOLD)}"
+        raise SourceError(str(path), told, "one", f"Name one: {found[0][0]}")
     from touchfield.sources.depth_reader import contents
 
     held = f"no kind of source that is known, but {contents(path)}"

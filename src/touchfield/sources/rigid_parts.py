@@ -21,7 +21,6 @@ from touchfield.sources.mesh_surface import Surface
 
 Floats = NDArray[np.float64]
 
-
 _RIGID: Final = 1e-5
 _LOOKS: Final = 16
 
@@ -56,14 +55,12 @@ def rigid_parts(
     for names, rotations, shifts in _alike(np.unique(part_of[order]), poses, start[order]):
         has_vertex = np.isin(part_of, names) & ~deforms
         has_vertex[np.setdiff1d(np.arange(len(part_of)), used)] = False
-        origin = start[has_vertex].mean(axis=0)
-        moved = np.abs(rotations - np.eye(3)).max() * np.ptp(start[has_vertex], axis=0).max() + np.abs(
-            rotations @ origin + shifts - origin
-        ).max(initial=0.0)
-        if moved <= _RIGID * np.ptp(start[has_vertex], axis=0).max():
-            track = PoseTrack.still(frame_count, origin)
-        else:
-            track = PoseTrack(quaternions_of(rotations), rotations @ origin + shifts)
+        origin, extent = start[has_vertex].mean(axis=0), np.ptp(start[has_vertex], axis=0).max()
+        places = rotations @ origin + shifts
+        moved = np.abs(rotations - np.eye(3)).max() * extent + np.abs(places - origin).max(initial=0.0)
+        track = PoseTrack.still(frame_count, origin)
+        if moved > _RIGID * extent:
+            track = PoseTrack(quaternions_of(rotations), places)
         parts.append(RigidPart(has_vertex, origin, track))
     return parts, deforms
 

@@ -33,56 +33,36 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError, require_positive
+from touchfield.files import readable
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
+from touchfield.sources import moving_pictures as moving
 from touchfield.sources.camera import MAX_FRAMES, require_frame
 from touchfield.sources.depth_reader import is_known, list_files, source_rate, with_suffix
-from touchfield.sources.moving_pictures import (
-    ANIMATED_SUFFIXES,
-    VIDEO_SUFFIXES,
-    ColourVideo,
-    PictureFiles,
-    Pictures,
-    StillOrAnimated,
-    map_size,
-    reduced,
-    video_header,
-)
+from touchfield.sources.moving_pictures import Pictures
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder
+from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Float32s = NDArray[np.float32]
 
-    from touchfield.sources.options import SourceOptions
-    from touchfield.sources.profile import ForceProfile
-
-    Float32s = NDArray[np.float32]
-
-__all__ = ["KIND", "THICKNESS", "SaliencyMaps", "SaliencyModel", "SaliencyScene", "open_saliency"]
 
 LONGER_SIDE_M: Final = 1.0
-THICKNESS: Final = 0.05
-"""Of the plate, as a share of its longer side."""
-
-MEMORY_S: Final = 0.3
-"""Of the mean against which movement is seen: a few frames of a film."""
-
-FADE_S: Final = 2.0
-"""In which a peak of the past fades to 1/e."""
-
+THICKNESS: Final = 0.05  # of the plate, as a share of its longer side
+MEMORY_S: Final = 0.3  # of the mean against which movement is seen: a few frames of a film
+FADE_S: Final = 2.0  # in which a peak of the past fades to 1/e
 FLOORS: Final = (0.02, 0.15, 0.15)
 """Least peaks of spectral residual, centre-surround and temporal contrast; 1 is the step from black to white."""
 
-NOISE_LEVEL: Final = 0.02
-"""Standard deviation of white noise that is not worth attention, of 1: 5 of 255 grey levels."""
-
+NOISE_LEVEL: Final = 0.02  # standard deviation of white noise that is not worth attention, of 1: 5 of 255 grey levels
 _LEAST_TOTAL: Final = 1 / 3  # of the averaged parts: one part alone at its peak
 _CENTRE_PX, _SURROUND_PX, _RESIDUAL_PX = 1.5, 8.0, 2.0  # standard deviations
 _LEAST: Final = 1e-6  # saliency that is none
@@ -102,8 +82,7 @@ class SaliencyModel:
     peaks: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if not (self.rate_hz > 0 and math.isfinite(self.rate_hz)):
-            raise InvalidArgument("rate_hz", repr(self.rate_hz), "a positive number")
+        require_positive(rate_hz=self.rate_hz)
 
     def update(self, colours: NDArray[np.uint8]) -> tuple[Float32s, SaliencyModel]:
         """The saliency of the next picture, sRGB, uint8 [height, width, 3], and the model that has seen it.
@@ -111,7 +90,7 @@ class SaliencyModel:
         The saliency is float32 [map height, map width], 0 to 1, of `map_size`, row 0 at the top. Raises
         `InvalidArgument` if the picture is of another size than the one before it.
         """
-        now = _opponents(reduced(colours))
+        now = _opponents(moving.reduced(colours))
         mean = now if self.mean is None else self.mean
         if mean.shape != now.shape:
             raise InvalidArgument("picture", f"size {now.shape[1:]} of the map", f"{mean.shape[1:]}, as before")
@@ -205,8 +184,7 @@ class SaliencyScene(Scene):
         self.maps = SaliencyMaps(pictures, source_rate_hz)
         self.axes, self.notes = UP_Y_AXES, notes
         self.rate_hz = float(source_rate_hz if rate_hz is None else rate_hz)
-        if not (self.rate_hz > 0 and np.isfinite(self.rate_hz)):
-            raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number")
+        require_positive(rate_hz=self.rate_hz)
         count = pictures.frame_count
         self._step = source_rate_hz / self.rate_hz  # pictures in a frame
         if count > 1 and count / self._step > MAX_FRAMES:
@@ -217,7 +195,7 @@ class SaliencyScene(Scene):
         longer = max(width, height)
         self._size_m = LONGER_SIDE_M * width / longer, LONGER_SIDE_M * height / longer
         self._depth_m = THICKNESS * LONGER_SIDE_M
-        columns, rows = map_size(width, height)
+        columns, rows = moving.map_size(width, height)
         self._cell_m = self._size_m[0] / columns, self._size_m[1] / rows
         self.finest_m = (*self._cell_m, self._depth_m)
 
@@ -240,7 +218,8 @@ class SaliencyScene(Scene):
         down = _weights(rows / 2 - ys / self._cell_m[1], rows)
         image = (across @ (down @ saliency).T).astype(np.float32)  # [x, y]
         image[image < _LEAST] = 0
-        tiles = _in_bricks(image * np.float32(_largest_n(profile)))
+        largest_n = max(abs(c + s * x) for a, b, c, s in profile.pieces for x in (a, b) if np.isfinite(x))
+        tiles = _in_bricks(image * np.float32(largest_n))
         slab = _in_bricks((np.abs(zs) <= self._depth_m / 2).astype(np.float32)[:, None])[:, 0, :, 0]
         flat = np.argwhere(tiles.any(axis=(2, 3)))
         deep = np.flatnonzero(slab.any(axis=1))
@@ -274,50 +253,42 @@ def _in_bricks(image: Float32s) -> Float32s:
     return padded.reshape(n // BRICK, BRICK, m // BRICK, BRICK).transpose(0, 2, 1, 3)
 
 
-def _largest_n(profile: ForceProfile) -> float:
-    """The largest amplitude of a force law, newtons."""
-    ends = [(x, c + s * x) for a, b, c, s in profile.pieces for x in (a, b) if np.isfinite(x)]
-    return max(abs(value) for _, value in ends)
-
-
 def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
     """A video, an animation, a folder of pictures in the order of their numbers, or a picture."""
     if options.kind is None and options.depth_scale is not None:
         found, mend = "an ordinary picture or video of 8 bits", "Name its kind with --as saliency if that is meant."
         raise SourceError(str(path), found, "16-bit grey depth, as --depth-scale says", mend)
-    try:
+    with readable(path, "files that can be read"):
         pictures, rate_hz = _pictures(path, options)
-    except OSError as error:
-        raise SourceError(str(path), error.strerror or str(error), "files that can be read") from error
     note = "Symbolic: forces tell where the picture catches the eye, and no surface; a point device feels a slab."
     return SaliencyScene(pictures, rate_hz, options.rate_hz, (note,))
 
 
 def _pictures(path: Path, options: SourceOptions) -> tuple[Pictures, float]:
     if path.is_dir():
-        files = list_files(path, with_suffix(*PHOTO_SUFFIXES, *ANIMATED_SUFFIXES))
+        files = list_files(path, with_suffix(*PHOTO_SUFFIXES, *moving.ANIMATED_SUFFIXES))
         if not files:
             raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP, TIFF or GIF pictures")
-        return PictureFiles(tuple(files)), source_rate(options)
-    if path.suffix.lower() in VIDEO_SUFFIXES:
-        header = video_header(path)
+        return moving.PictureFiles(tuple(files)), source_rate(options)
+    if path.suffix.lower() in moving.VIDEO_SUFFIXES:
+        header = moving.video_header(path)
         if header.is_deep_grey:
             mend = "Deep grey is depth: --as depth-video."
             raise SourceError(str(path), f"a video of {header.pixels} pixels", "8 bits a colour", mend)
-        return ColourVideo(path), header.rate_hz or source_rate(options)
-    picture = StillOrAnimated(path)
+        return moving.ColourVideo(path), header.rate_hz or source_rate(options)
+    picture = moving.StillOrAnimated(path)
     return picture, picture.rate_hz or source_rate(options)
 
 
 def _recognise(path: Path) -> bool:
     if not path.is_file():
         return False
-    if path.suffix.lower() in VIDEO_SUFFIXES:
+    if path.suffix.lower() in moving.VIDEO_SUFFIXES:
         try:
-            return not video_header(path).is_deep_grey
+            return not moving.video_header(path).is_deep_grey
         except MissingExtra:
             return True  # so that the user is told which extra reads videos
-    return path.suffix.lower() in ANIMATED_SUFFIXES
+    return path.suffix.lower() in moving.ANIMATED_SUFFIXES
 
 
 KIND = SourceKind(

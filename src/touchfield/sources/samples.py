@@ -26,10 +26,7 @@ def sample(name: str, options: SourceOptions | None = None) -> Scene:
     of low complexity that fall on the ground, 2000 frames in 2 s: four as its text has it, seven as its figure 5. The
     ground itself is not felt. The shapes and their places are not the paper's, which gives none.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no such sample, or the library that carries or simulates it is not installed.
+    Raises `InvalidArgument` if there is no such sample, or the library that carries or simulates it is not installed.
     """
     options = options or SourceOptions()
     if name == "terrain":

@@ -17,10 +17,16 @@ from numpy.typing import NDArray
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid, PoseTrack
 from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import brick_keys, frozen
 from touchfield.parallel import for_chunks
 from touchfield.sources.profile import ForceProfile
 
-__all__ = ["CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "Scene", "field_of_points"]
+__all__ = [
+    "CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "MovingScene", "Scene", "bricks_that",
+    "field_of_points",
+]  # fmt: skip
+
+Float64s = NDArray[np.float64]
 
 CAMERA_AXES: Final = "x right, y down, z forward"
 UP_Y_AXES: Final = "x right, y up, z towards the viewer"
@@ -32,8 +38,27 @@ DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
 _BRICKS_AT_ONCE: Final = 64
 
 
+def bricks_that(may_hold: Callable[[Float64s, float], NDArray[np.bool_]], grid: Grid) -> NDArray[np.int32]:
+    """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may.
+
+    ``may_hold(centres, radius_m)``, bool [n]: whether there may be a force so near to points, float64 [n, 3].
+    """
+    size = 1 << max(grid.brick_shape).bit_length()
+    blocks = np.zeros((1, 3), np.int64)
+    octants = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(1, 8, 3)
+    while True:
+        half = (size * BRICK - 1) / 2
+        radius_m = float(np.linalg.norm(np.asarray(grid.spacing_m) * half))
+        blocks = blocks[may_hold(grid.to_m(blocks * (size * BRICK) + half), radius_m)]
+        if size == 1:
+            return blocks[np.argsort(brick_keys(grid, blocks))].astype(np.int32)
+        size //= 2
+        blocks = (blocks[:, None] * 2 + octants).reshape(-1, 3)
+        blocks = blocks[(blocks * size < grid.brick_shape).all(axis=1)]
+
+
 def field_of_points(
-    grid: Grid, bricks: NDArray[np.int32], forces_n: Callable[[NDArray[np.float64]], NDArray[np.floating[Any]]]
+    grid: Grid, bricks: NDArray[np.int32], forces_n: Callable[[Float64s], NDArray[np.floating[Any]]]
 ) -> ForceField:
     """The forces of a function of points in metres, float64 [n, 3], at the samples of bricks, int32 [m, 3] ascending.
 
@@ -89,10 +114,10 @@ class Scene(ABC):
     report: Callable[[int, int], None] = staticmethod(lambda done, total: None)
 
     @abstractmethod
-    def bounds_m(self) -> NDArray[np.float64]:
+    def bounds_m(self) -> Float64s:
         """The box of the surface over all frames, metres, float64 [2, 3]: low and high corner."""
 
-    def bounds_between_m(self, start: int, stop: int) -> NDArray[np.float64]:
+    def bounds_between_m(self, start: int, stop: int) -> Float64s:
         """The box over frames start to stop - 1, as `bounds_m` has it over all; by default that one."""
         return self.bounds_m()
 
@@ -114,12 +139,40 @@ class Scene(ABC):
         """Notes that are known only once fields have been made; by default none."""
         return ()
 
-    def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Scene:
+    def moved(self, rotation: Float64s, shift_m: Float64s) -> Scene:
         """This scene after x -> R x + t, a rigid motion; where it cannot be turned, `InvalidArgument`.
 
         `rotation` float64 [3, 3]; `shift_m` float64 [3].
         """
         raise InvalidArgument(type(self).__name__, "a rigid motion asked of it", "a mesh or shapes with a formula")
+
+
+class MovingScene(Scene):
+    """A scene whose surface is another one in each frame; the latest box that was asked for is kept."""
+
+    _box: tuple[tuple[int, int], Float64s] | None = None
+
+    @abstractmethod
+    def _box_m(self, start: int, stop: int) -> Float64s:
+        """The box over frames start to stop - 1, float64 [2, 3]; `bounds_between_m` keeps it."""
+
+    def bounds_m(self) -> Float64s:
+        """The box of the surface over all frames, metres, float64 [2, 3], read-only."""
+        return self.bounds_between_m(0, self.frame_count)
+
+    def bounds_between_m(self, start: int, stop: int) -> Float64s:
+        """The box over frames start to stop - 1, as `bounds_m` has it over all."""
+        if self._box is None or self._box[0] != (start, stop):
+            self._box = (start, stop), frozen(self._box_m(start, stop))
+        return self._box[1]
+
+
+def size_note(extent_m: NDArray[np.floating[Any]], unit_m: float | None, when: str = "") -> str:
+    """What a mesh measures, metres [3], in the unit that was asked for, or in metres where none was."""
+    extent = " x ".join(f"{side:.4g}" for side in extent_m)
+    if unit_m is not None:
+        return f"One unit is {unit_m:g} m: {extent} m{when}."
+    return f"Coordinates taken as metres: {extent} m{when}; say --unit-m if they are not."
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,6 @@ from touchfield.sources.scene import Body, Scene
 Float32s = NDArray[np.float32]
 Labels = NDArray[np.int32]
 
-
 LARGEST_AT_MOST: Final = 254
 BACKGROUND: Final = 0
 
@@ -50,8 +49,6 @@ _EXPECTED: Final = "such as step=0.03,least=500px,at-most=16 (least also as a sh
 class SegmentRule:
     """A rule of what belongs together, and what is an object; see the module.
 
-    Parameters
-    ----------
     step : float; Largest difference in depth between neighbouring pixels of one surface, as a share of the nearer.
     least_px : int or None; Pixels of the smallest object; None takes `least_share`, a share of the picture.
     at_most : int; Objects beside the background, in a frame and in all, 1 to 254.
@@ -241,7 +238,6 @@ class MaskedSequence(DepthSequence):
         self.poses, self.notes = source.poses, source.notes
 
     def depth_m(self, frame: int) -> NDArray[np.float32]:
-        """See `DepthSequence.depth_m`."""
         require_frame(frame, self.frame_count, self.name)
         return self.segmentation.depth_m(frame, self.number)
 

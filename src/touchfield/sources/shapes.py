@@ -31,8 +31,7 @@ Triple = tuple[float, float, float]
 _LEAST_M, _MOST_M = 1e-9, 1e9
 """Lengths that squares and products of them can be made of, and that a simulation can go on with."""
 
-_NOTHING: Final = 1e-100
-"""A coordinate below this share of the half extent moves no nearest point of an ellipsoid."""
+_NOTHING: Final = 1e-100  # a coordinate below this share of the half extent moves no nearest point of an ellipsoid
 
 
 class Shape(ABC):
@@ -75,7 +74,6 @@ class Plane(Shape):
             raise InvalidArgument("normal", repr(self.normal), "a direction, not zero")
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
-        """See `Shape`."""
         normal = self._unit()
         phi = (points - np.asarray(self.point_m)) @ normal
         return phi, np.broadcast_to(normal, points.shape)
@@ -102,7 +100,6 @@ class Sphere(Shape):
     radius_m: float
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
-        """See `Shape`."""
         offset = points - np.asarray(self.center_m)
         length = np.sqrt((offset * offset).sum(axis=-1))
         normal = np.divide(offset, length[:, None], out=np.zeros_like(offset), where=length[:, None] > 0)
@@ -110,7 +107,6 @@ class Sphere(Shape):
         return length - self.radius_m, normal
 
     def box_m(self) -> Float64s:
-        """See `Shape`."""
         return _around(self.center_m, self.radius_m)
 
 
@@ -122,7 +118,6 @@ class _Turned(Shape):
     rotation_deg: Triple
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
-        """See `Shape`."""
         phi, normal = self._in_own_frame(self._local(points))
         return phi, normal @ rotation_matrix(self.rotation_deg).T
 
@@ -316,12 +311,10 @@ class Moved(Shape):
         object.__setattr__(self, "shift_m", _as_triple(shift))
 
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
-        """See `Shape`."""
         phi, normal = self.shape.signed_distance_and_normal(self._back(points))
         return phi, normal @ np.asarray(self.rotation, np.float64).T
 
     def distance_range(self, centres: Float64s, radius_m: float) -> tuple[Float64s, Float64s]:
-        """See `Shape`."""
         return self.shape.distance_range(self._back(centres), radius_m)
 
     def box_m(self) -> Float64s:
@@ -332,6 +325,12 @@ class Moved(Shape):
     def _back(self, points: Float64s) -> Float64s:
         local: Float64s = (points - np.asarray(self.shift_m)) @ np.asarray(self.rotation)
         return local
+
+
+SHAPES: Final[dict[str, type[Shape]]] = {
+    kind.__name__.lower(): kind for kind in (Plane, Sphere, Box, Superquadric, Capsule, Cylinder, Ellipsoid)
+}
+"""The kinds of shape; a new one is a dataclass with a signed distance."""
 
 
 def moved(shape: Shape, rotation: ArrayLike, shift_m: ArrayLike) -> Shape:

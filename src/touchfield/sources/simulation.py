@@ -9,42 +9,27 @@ from __future__ import annotations
 import math
 import threading
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.medium.pose_track import PoseTrack
 
-FRAME_RATE_HZ: Final = 1000.0
-"""Frames a second where none are asked for: the rate of haptic rendering."""
-
-START: Final = "touchfield"
-"""Name of the keyframe from which a simulation begins, where the model has it."""
-
-_MAX_POSES: Final = 1 << 22
-"""Bodies times frames; 28 doubles of 8 bytes and their copies are kept for each."""
-
-_MAX_STEPS: Final = 20_000_000
-"""Steps times bodies: up to half a minute of one core."""
-
+FRAME_RATE_HZ: Final = 1000.0  # frames a second where none are asked for: the rate of haptic rendering
+START: Final = "touchfield"  # name of the keyframe from which a simulation begins, where the model has it
+_MAX_POSES: Final = 1 << 22  # bodies times frames; 28 doubles of 8 bytes and their copies are kept for each
+_MAX_STEPS: Final = 20_000_000  # steps times bodies: up to half a minute of one core
 _STEPS_S: Final = (1e-9, 1e9)
 
 _one_at_a_time = threading.Lock()
 
 
 def load_mujoco() -> Any:
-    """The module, imported when it is first needed.
-
-    Raises `MissingExtra` if it is not installed.
-    """
-    try:
-        return import_module("mujoco")
-    except ImportError as error:
-        raise MissingExtra("a simulation of rigid bodies", "mujoco", "physics") from error
+    """The module, imported when it is first needed; `MissingExtra` if it is not installed."""
+    return import_extra("mujoco", "a simulation of rigid bodies", "mujoco", "physics")
 
 
 def mujoco_faults(mujoco: Any) -> tuple[type[Exception], ...]:
@@ -68,11 +53,19 @@ def warnings_heard(mujoco: Any) -> Iterator[list[str]]:
             heard += [str(one.message) for one in told]
 
 
-def frames_of(where: str, seconds: float, rate_hz: float, body_count: int = 1) -> int:
-    """Frames of a duration, at least one.
+def compiled(make: Callable[[], Any], where: str, found: str, expected: str) -> tuple[Any, tuple[str, ...]]:
+    """What `make` gives, and what MuJoCo warned of; `SourceError` in these words where it refuses."""
+    mujoco = load_mujoco()
+    try:
+        with warnings_heard(mujoco) as heard:
+            made = make()
+    except mujoco_faults(mujoco) as error:
+        raise SourceError(where, f"{found} ({error})", expected) from error
+    return made, tuple(f"MuJoCo warns: {' '.join(said.split())[:200]}" for said in heard)
 
-    Raises `InvalidArgument` if that many poses of that many bodies are beyond what is kept.
-    """
+
+def frames_of(where: str, seconds: float, rate_hz: float, body_count: int = 1) -> int:
+    """Frames of a duration, at least one; `InvalidArgument` for more poses of so many bodies than are kept."""
     frames = seconds * rate_hz
     if not frames * body_count <= _MAX_POSES:
         found = f"{seconds:g} s at {rate_hz:g} Hz for {body_count} bodies"
@@ -91,19 +84,10 @@ def simulated(
     """Step a model and record its bodies.
 
     The model's time step must divide the time between frames; where it does not, the nearest that does is set, and a
-    note says so. A keyframe of the name `START` is the state it begins from. Controls are 0.
+    note says so. A keyframe of the name `START` is the state it begins from. Controls are 0. `where` is what to call
+    the model in messages; `posed` are the poses, and so velocities, that bodies with a free joint are given.
 
-    Parameters
-    ----------
-    model : mujoco.MjModel; Its time step may be changed.
-    where : str; What to call the model in messages.
-    posed : mapping of int to PoseTrack, optional; Of bodies with a free joint: the pose and velocity that they are
-        given in each frame.
-
-    Returns
-    -------
-    tracks : list of PoseTrack; One for each of `body_ids`, scene from body frame.
-    notes : tuple of str
+    Gives a track for each of `body_ids`, scene from body frame, and notes.
 
     Raises `SourceError` if the simulation diverges, MuJoCo cannot go on, or the time step is none; `InvalidArgument`
     if it would take more than 20 million steps of a body.

@@ -21,15 +21,12 @@ from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Scene, field_of_points
 
-_RETIRED: Final = (".vti", ".pvd")
-"""Written for ParaView, and read no more."""
+_RETIRED: Final = (".vti", ".pvd")  # written for ParaView, and read no more
 
 
 class StoredScene(Scene):
     """A medium as a scene: looked up by trilinear interpolation wherever it is asked.
 
-    Parameters
-    ----------
     to_the_bit : callable, optional; ``to_the_bit() -> HapticMedium``: the same with bricks of nothing but -0.0,
         which are no forces.
 

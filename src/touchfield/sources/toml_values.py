@@ -14,13 +14,7 @@ _MAX_BYTES: Final = 1 << 24
 
 
 def read_toml(path: Path, expected: str) -> dict[str, Any]:
-    """The table of a TOML file of up to 16 MiB.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, is longer, or is no TOML.
-    """
+    """The table of a TOML file of up to 16 MiB; `SourceError` if it cannot be read, is longer, or is no TOML."""
     try:
         size = plain_size(path, expected)
         if size > _MAX_BYTES:

@@ -11,20 +11,11 @@ from touchfield.sources.scene import Scene
 _FACTORS: Final = (1000.0, 100.0, 1e4, 1e6, 10.0)
 """Between units that are mistaken for each other, the usual first: metres and millimetres."""
 
-_LIKELY_M: Final = (0.01, 20.0)
-"""Usual sizes of things and rooms."""
+_LIKELY_M: Final = (0.01, 20.0)  # usual sizes of things and rooms
 
 
 def unit_notes(scene: Scene, start: int, stop: int) -> tuple[str, ...]:
-    """A warning where the size of a scene is out of all proportion, with the factor that would mend it.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its `unit` tells which option says its unit, and which sizes are usual.
-    start, stop : int
-        The frames whose box counts.
-    """
+    """A warning where frames start to stop - 1 are out of all proportion, with the factor that would mend it."""
     if scene.unit is None:
         return ()
     option, (low, high), is_divided = scene.unit

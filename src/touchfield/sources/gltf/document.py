@@ -21,15 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.errors import SourceError
+from touchfield.files import readable
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _SPARE: Final = 1 << 20
 _PER_BYTE: Final = 16
 """A document may ask for this many elements for each of its bytes, and `_SPARE` more (zeros need no bytes)."""
 
-_LARGEST: Final = 1 << 53
-"""Beyond this a JSON number need not be a whole one any more."""
-
+_LARGEST: Final = 1 << 53  # beyond this a JSON number need not be a whole one any more
 _LISTS: Final = ("accessors", "animations", "bufferViews", "buffers", "meshes", "nodes", "scenes", "skins")
 _COMPONENTS: Final = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -177,11 +176,8 @@ class Document:
             raise self.root.fault(f"glTF version {version[:20]!r}", "version 2", "Convert it to glTF 2.0.")
         for name in self.root.texts("extensionsRequired"):
             if not name.startswith(_HARMLESS):
-                found, mend = (
-                    f"the required extension {name[:60]!r}",
-                    "Export it without extensions.",
-                )
-                raise self.root.fault(found, "a mesh without it", mend)
+                found = f"the required extension {name[:60]!r}"
+                raise self.root.fault(found, "a mesh without it", "Export it without extensions.")
 
     def all(self, key: str) -> list[Element]:
         """The objects of a top-level list: accessors, nodes, ..."""
@@ -194,9 +190,7 @@ class Document:
             raise asker.fault(f"{self._asked} elements asked of {self._bytes} bytes", "elements with their data")
 
     # -- accessors ---------------------------------------------------------------------------------------------------
-
     def floats(self, index: int, kind: str) -> NDArray[np.float64]:
-        """See `Element.floats`."""
         element = self._checked(index, kind)
         if index not in self._floats:
             stored = self._data(element, _WIDTHS[kind])
@@ -211,7 +205,6 @@ class Document:
         return self._floats[index]
 
     def whole(self, index: int, kind: str, below: int) -> NDArray[np.int64]:
-        """See `Element.whole`."""
         element = self._checked(index, kind)
         if index not in self._whole:
             stored = self._data(element, _WIDTHS[kind])
@@ -271,7 +264,6 @@ class Document:
         return np.ndarray((count, width), component, data, begin, strides).copy()
 
     # -- buffers -----------------------------------------------------------------------------------------------------
-
     def _view(self, element: Element) -> memoryview:
         buffer = element.index("buffer", "buffers")
         if buffer is None:
@@ -333,7 +325,7 @@ def members_of(path: Path) -> dict[str, Any] | None:
 
 def _contents(path: Path, *, needs_bytes: bool) -> tuple[dict[str, Any], bytes]:
     """The JSON object of a file, and the binary chunk of a GLB (empty if there is none or it is not needed)."""
-    try:
+    with readable(path):
         if path.exists() and not path.is_file():
             raise SourceError(str(path), "a folder or a device", "one glTF file", "Name the file in it.")
         size = path.stat().st_size
@@ -345,8 +337,6 @@ def _contents(path: Path, *, needs_bytes: bool) -> tuple[dict[str, Any], bytes]:
             else:
                 stream.seek(0)
                 text = stream.read(size)
-    except OSError as error:
-        raise SourceError(str(path), error.strerror or str(error), "a file that can be read") from error
     try:
         members = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -368,9 +358,8 @@ def _chunk_of(path: Path, stream: BinaryIO, size: int, kind: int) -> bytes:
     while len(head := stream.read(8)) == 8:
         length, found = struct.unpack("<II", head)
         if length > size - stream.tell():
-            raise SourceError(
-                str(path), f"a chunk of {length} bytes that is cut short", "whole chunks", "Copy it again."
-            )
+            text = f"a chunk of {length} bytes that is cut short"
+            raise SourceError(str(path), text, "whole chunks", "Copy it again.")
         if found == kind:
             return stream.read(length)
         stream.seek(length, 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -37,11 +38,7 @@ class _Piece:
 
 
 class Model:
-    """The triangles of the scene of a glTF document.
-
-    Attributes
-    ----------
-    triangles : int64 [m, 3]; Vertex numbers over all pieces; those of mirrored pieces are turned over.
+    """The triangles of the scene of a glTF document: `triangles` int64 [m, 3], vertex numbers over all pieces.
 
     Raises `SourceError` if the document is at fault, or holds no triangle.
     """
@@ -49,36 +46,25 @@ class Model:
     def __init__(self, path: Path) -> None:
         self._document = Document(path)
         self._nodes = Nodes(self._document)
+        self.node_count = len(self._nodes)
         self._skins: dict[int, Skin] = {}
         self._targets = [0] * len(self._nodes)
         self._rest_weights: dict[int, Floats] = {}
         self._pieces: list[_Piece] = []
         self.animation_names = animation_names(self._document)
-        geometries: dict[int, list[Geometry]] = {}
-        shares: dict[tuple[int, int, int], Any] = {}
+        geometries = cache(self._read_mesh)
+        shares = cache(lambda mesh, n, skin: joint_shares(geometries(mesh)[n], len(self._skin(skin).joints)))
         total = 0
-        for node in range(len(self._nodes)):
-            element = self._document.all("nodes")[node]
+        for node, element in enumerate(self._document.all("nodes")):
             mesh, skin = element.index("mesh", "meshes"), element.index("skin", "skins")
             if mesh is None:
                 continue
-            if mesh not in geometries:
-                geometries[mesh] = self._read_mesh(mesh)
-            self._take_weights(node, mesh, geometries[mesh])
-            if node not in self._nodes.shown:
-                continue
-            for number, geometry in enumerate(geometries[mesh]):
+            self._take_weights(node, mesh, geometries(mesh))
+            for number, geometry in enumerate(geometries(mesh) if node in self._nodes.shown else ()):
                 total += len(geometry.triangles)
                 if total > MOST_TRIANGLES:
                     raise element.fault("too many triangles", f"at most {MOST_TRIANGLES}", "Simplify the mesh.")
-                share = None
-                if skin is not None:
-                    key = (mesh, number, skin)
-                    if key not in shares:
-                        if skin not in self._skins:
-                            self._skins[skin] = Skin(self._document.all("skins")[skin])
-                        shares[key] = joint_shares(geometry, len(self._skins[skin].joints))
-                    share = shares[key]
+                share = None if skin is None else shares(mesh, number, skin)
                 self._document.charge(geometry.targets.size // 3 + (0 if share is None else share.nnz), element)
                 self._pieces.append(_Piece(node, geometry, skin, share))
         if not self._pieces:
@@ -88,6 +74,11 @@ class Model:
     def _read_mesh(self, mesh: int) -> list[Geometry]:
         primitives = self._document.all("meshes")[mesh].children("primitives")
         return [geometry for geometry in map(read_geometry, primitives) if geometry is not None]
+
+    def _skin(self, number: int) -> Skin:
+        if number not in self._skins:
+            self._skins[number] = Skin(self._document.all("skins")[number])
+        return self._skins[number]
 
     def _take_weights(self, node: int, mesh: int, geometries: list[Geometry]) -> None:
         """The morph weights of a node at rest: its own, or those of its mesh, or zeros."""
@@ -108,31 +99,22 @@ class Model:
         for piece in self._pieces:
             faces = piece.geometry.triangles + first
             is_mirrored = np.linalg.det(world[piece.node, :3, :3]) < 0 if piece.skin is None else turned[piece.skin]
-            found.append(faces[:, ::-1] if is_mirrored else faces)
+            found.append(faces[:, ::-1] if is_mirrored else faces)  # turned over
             first += len(piece.geometry.vertices)
         self.triangles, self.vertex_count = np.concatenate(found), first
 
     def animation(self, index: int) -> Animation:
-        """Read one of the animations.
-
-        Raises `SourceError` if its data are at fault.
-        """
+        """Read one of the animations; `SourceError` if its data are at fault."""
         return read_animation(self._document, index, self._targets)
 
     def poses(self, animation: Animation | None, times_s: Floats) -> Poses:
         """The poses at times in seconds; without an animation, at rest."""
-        weights = {
-            node: np.broadcast_to(rest, (len(times_s), rest.shape[1])) for node, rest in self._rest_weights.items()
-        }
+        count = len(times_s)
+        weights = {n: np.broadcast_to(rest, (count, rest.shape[1])) for n, rest in self._rest_weights.items()}
         for channel in animation.channels if animation is not None else ():
             if channel.path == "weights":
                 weights[channel.node] = channel.sampler.at(times_s)
         return Poses(self._nodes.world(animation, times_s), weights)
-
-    @property
-    def node_count(self) -> int:
-        """Nodes of the document."""
-        return len(self._nodes)
 
     def reduced(self, kept: NDArray[np.int64]) -> Model:
         """This model with only these vertices, ascending numbers, and no triangle."""
@@ -142,13 +124,9 @@ class Model:
             mine = kept[np.searchsorted(kept, first) : np.searchsorted(kept, first + count)] - first
             first += count
             if len(mine):
-                whole = piece.geometry
-                few = replace(
-                    whole, vertices=whole.vertices[mine], targets=whole.targets[:, mine], used=whole.used[mine]
-                )
-                pieces.append(
-                    replace(piece, geometry=few, shares=None if piece.shares is None else piece.shares[mine])
-                )
+                all_, shares = piece.geometry, None if piece.shares is None else piece.shares[mine]
+                few = replace(all_, vertices=all_.vertices[mine], targets=all_.targets[:, mine], used=all_.used[mine])
+                pieces.append(replace(piece, geometry=few, shares=shares))
         fewer = copy.copy(self)
         fewer._pieces, fewer.vertex_count = pieces, len(kept)
         fewer.triangles = np.zeros((0, 3), np.int64)

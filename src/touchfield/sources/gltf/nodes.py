@@ -25,11 +25,7 @@ _INTERPOLATIONS: Final = ("LINEAR", "STEP", "CUBICSPLINE")
 
 
 class Nodes:
-    """The nodes of a document.
-
-    Attributes
-    ----------
-    shown : frozenset of int; The nodes of the scene that is shown; all of them where the document has no scene.
+    """The nodes of a document; `shown` are those of the scene that is shown, all where the document has no scene.
 
     Raises `SourceError` if a node has two parents, is its own ancestor, or has numbers at fault.
     """
@@ -61,15 +57,12 @@ class Nodes:
     def _by_level(self, children: list[list[int]]) -> list[NDArray[np.int64]]:
         """The nodes by their distance from the root; those of a cycle are reached from none."""
         levels, level = [], [node for node in range(len(self)) if self._parents[node] < 0]
-        seen = 0
         while level:
-            seen += len(level)
             levels.append(np.array(level, np.int64))
             level = [child for node in level for child in children[node]]
-        if seen < len(self):
-            reached = np.zeros(len(self), np.bool_)
-            reached[np.concatenate([np.zeros(0, np.int64), *levels])] = True
-            raise self._elements[int(reached.argmin())].fault("a node that is its own ancestor", "a tree of nodes")
+        lost = set(range(len(self))).difference(*(level.tolist() for level in levels))
+        if lost:
+            raise self._elements[min(lost)].fault("a node that is its own ancestor", "a tree of nodes")
         return levels
 
     def _shown(self, document: Document, children: list[list[int]]) -> frozenset[int]:
@@ -124,8 +117,6 @@ class Nodes:
 
 
 # -- animations -----------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Sampler:
     """A value over time."""

@@ -17,9 +17,7 @@ from touchfield.sources.gltf.document import Element
 
 Floats = NDArray[np.float64]
 
-MOST_TRIANGLES: Final = 10_000_000
-"""A node tree may use one mesh many times; a frame of this many takes about 3 GB."""
-
+MOST_TRIANGLES: Final = 10_000_000  # a node tree may use one mesh many times; a frame of this many takes about 3 GB
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _COMPRESSIONS: Final = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 

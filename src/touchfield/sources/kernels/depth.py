@@ -24,8 +24,7 @@ __all__ = ["B3", "Query", "all_nodes", "brick_forces", "brick_offsets", "holds_f
 
 _0, _1, _HALF, _BIG = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e30)
 
-B3 = 512
-"""Samples of a brick."""
+B3 = 512  # samples of a brick
 _NX, _NY, _NZ, _C, _PHI, _FORCE, _SCRATCH = (B3 * q for q in range(7))
 
 

@@ -5,19 +5,17 @@ What a sample remembers and why is told in `touchfield.sources.fused_scene`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels.depth import B3, gather, pixels_of
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float32s = NDArray[np.float32]
+Float32s = NDArray[np.float32]
 
 __all__ = ["Rules", "Samples", "View", "brick_forces", "integrate", "is_free", "mark", "surfaces_in"]
 

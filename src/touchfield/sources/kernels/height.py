@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from touchfield.sources.profile import ForceProfile
 
-__all__ = ["bricks_and_forces", "gradients"]
 
 _WEIGHTS = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
 _NEAR = 2

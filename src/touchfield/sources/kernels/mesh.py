@@ -19,25 +19,14 @@ from numpy.typing import NDArray
 from touchfield.medium import Grid
 from touchfield.medium.kernels.placed import close_up
 from touchfield.parallel import for_chunks
-from touchfield.sources.kernels.mesh_samples import Motion, Rim, RimNear, add_motion, fade
+from touchfield.sources.kernels import mesh_triangle as tri
+from touchfield.sources.kernels.mesh_samples import Motion, Rim, add_motion, fade
 from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
-from touchfield.sources.kernels.mesh_triangle import (
-    ID,
-    D,
-    X,
-    Y,
-    Z,
-    feature,
-    least_of,
-    nearest,
-    place_centres,
-    see_all,
-    square_of,
-    sweep_block,
-    tiles_for,
-)
 
 __all__ = ["CLOSED", "LIDDED", "ONE_SIDED", "TWO_SIDED", "Band", "Motion", "Rim", "forces_near"]
+
+Floats = NDArray[np.float64]
+Int64s = NDArray[np.int64]
 
 CLOSED, ONE_SIDED, TWO_SIDED, LIDDED = 0, 1, 2, 3
 """Signs of a distance: by winding number; by the pseudo-normal; by the wall's half thickness; by the
@@ -60,8 +49,6 @@ class Band:
 
 
 # -- from the grid down to its bricks ------------------------------------------------------------------------------
-
-
 @njit(cache=True, nogil=True)
 def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits, events, keep, counts):
     """Triangles of each cell that its eight children keep: a bit for each child, and their numbers."""
@@ -69,21 +56,21 @@ def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits,
     steps = lattice[3:] * scale
     half = size // 2
     block = np.empty(320, np.float32)
-    radius = place_centres(block, half, steps)
+    radius = tri.place_centres(block, half, steps)
     reach = 2.0 * radius * size / max(half - 1, 1)
-    tiles = tiles_for(begin, end, start[:-1], start[1:])
+    tiles = tri.tiles_for(begin, end, start[:-1], start[1:])
     limit = max(limits[0], limits[1])
     for cell in range(begin, end):
         first, count = start[cell], start[cell + 1] - start[cell]
         i, j, k = cells[cell, 0] * size, cells[cell, 1] * size, cells[cell, 2] * size
         x, y, z = lattice[0] + i * lattice[3], lattice[1] + j * lattice[4], lattice[2] + k * lattice[5]
-        see_all(ids[first : first + count], table, x, y, z, scale, reach, block, tiles)
+        tri.see_all(ids[first : first + count], table, x, y, z, scale, reach, block, tiles)
         keep[first : first + count] = 0
         for s in range(8):
             ci, cj, ck = i + (s >> 2) * half, j + ((s >> 1) & 1) * half, k + (s & 1) * half
             if ci >= shape[0] or cj >= shape[1] or ck >= shape[2]:
                 continue
-            least = np.sqrt(least_of(tiles, count, s)[1])
+            least = np.sqrt(tri.least_of(tiles, count, s)[1])
             span = limit
             if limits[2] > _0 and least > radius + _SLACK + least * np.float32(1e-5):  # all of one sign
                 is_outside = winding_at(events, ci, cj, ck, (shape[2] + 7) // 8) == 0
@@ -94,7 +81,7 @@ def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits,
             far = far * far
             kept = 0
             for c in range(count):
-                if square_of(tiles, c, s) <= far:
+                if tri.square_of(tiles, c, s) <= far:
                     keep[first + c] |= 1 << s
                     kept += 1
             counts[cell, s] = kept
@@ -112,8 +99,6 @@ def _hand_down(begin, end, start, ids, keep, offsets, out):
 
 
 # -- a brick --------------------------------------------------------------------------------------------------------
-
-
 @njit(nogil=True, forceinline=True)
 def _amplitude(pieces, phi):
     for i in range(pieces.shape[0]):
@@ -126,10 +111,10 @@ def _amplitude(pieces, phi):
 def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     """The force at (x, y, z), given its nearest triangle t."""
     sidedness, half_wall, tiny = rule
-    dx, dy, dz, edge, along = nearest(table, t, x, y, z)
+    dx, dy, dz, edge, along = tri.nearest(table, t, x, y, z)
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     if sidedness in (ONE_SIDED, LIDDED):
-        f = feature(table, t, edge, along)
+        f = tri.feature(table, t, edge, along)
         is_enclosed = is_inside or sidedness == ONE_SIDED
         is_inside = dx * normals[t, f, 0] + dy * normals[t, f, 1] + dz * normals[t, f, 2] < 0.0
         if is_inside and not is_enclosed:
@@ -137,7 +122,7 @@ def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     is_inside = is_inside and sidedness != TWO_SIDED
     amplitude = _amplitude(pieces, -distance if is_inside else distance - half_wall)
     if distance <= tiny:
-        f = feature(table, t, edge, along)
+        f = tri.feature(table, t, edge, along)
         return amplitude * normals[t, f, 0], amplitude * normals[t, f, 1], amplitude * normals[t, f, 2]
     share = amplitude / (-distance if is_inside else distance)
     return share * dx, share * dy, share * dz
@@ -149,15 +134,15 @@ def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
     far = np.float32(-1.0)
     for s in range(64):
         i, j, k = local[0] + (s >> 4), local[1] + ((s >> 2) & 3), local[2] + (s & 3)
-        block[X + s], block[Y + s], block[Z + s] = i * steps[0], j * steps[1], k * steps[2]
+        block[tri.X + s], block[tri.Y + s], block[tri.Z + s] = i * steps[0], j * steps[1], k * steps[2]
         span = limits[0]
         if is_closed and winding[(i << 6) | (j << 3) | k] == 0:
             span = limits[1]
         if corner[0] + i >= shape[0] or corner[1] + j >= shape[1] or corner[2] + k >= shape[2]:
             span = np.float32(-1.0)
         span = span * span * np.float32(1 + 1e-4) + _SLACK * _SLACK if span >= _0 else span
-        block[D + s] = span
-        block[ID + s] = np.float32(-1.0)
+        block[tri.D + s] = span
+        block[tri.ID + s] = np.float32(-1.0)
         far = max(far, span)
     return far
 
@@ -165,20 +150,20 @@ def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
 @njit(nogil=True)
 def _search_block(block, s, far, count, tiles, radius):
     """Find the nearest triangle of each sample of a block; False if none is near enough."""
-    best, least = least_of(tiles, count, s)
+    best, least = tri.least_of(tiles, count, s)
     least = np.sqrt(least)
     grown = np.float32(1 + 1e-5)
     if least > (np.sqrt(far) + radius) * grown + _SLACK:
         return False
-    sweep_block(tiles, best, block)
+    tri.sweep_block(tiles, best, block)
     far = _0
     for q in range(64):
-        far = max(far, block[D + q])
+        far = max(far, block[tri.D + q])
     reach = min(np.sqrt(far) + radius, least + 2 * radius) * grown + _SLACK
     reach = reach * reach
     for c in range(count):
-        if square_of(tiles, c, s) <= reach and c != best:
-            sweep_block(tiles, c, block)
+        if tri.square_of(tiles, c, s) <= reach and c != best:
+            tri.sweep_block(tiles, c, block)
     return True
 
 
@@ -197,9 +182,9 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
     is_closed = rule[0] == CLOSED
     has_inside = is_closed or rule[0] == LIDDED
     centres, block = np.empty(320, np.float32), np.empty(320, np.float32)
-    radius = place_centres(centres, 4, steps)
+    radius = tri.place_centres(centres, 4, steps)
     reach = 7.0 * math.sqrt(steps[0] ** 2 + steps[1] ** 2 + steps[2] ** 2)
-    tiles = tiles_for(begin, end, spans[:, 0], spans[:, 1])
+    tiles = tri.tiles_for(begin, end, spans[:, 0], spans[:, 1])
     winding = np.zeros(512, np.int32)
     corner, local = np.empty(3, np.int64), np.empty(3, np.int64)
     low = np.empty(3)
@@ -210,20 +195,20 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
             low[c] = lattice[c] + corner[c] * lattice[3 + c]
         if has_inside:
             winding_of_brick(events, columns[b, 0], columns[b, 1], corner[0], winding)
-        see_all(ids[first : first + count], table, low[0], low[1], low[2], scale, reach, centres, tiles)
+        tri.see_all(ids[first : first + count], table, low[0], low[1], low[2], scale, reach, centres, tiles)
         for s in range(8):
             local[0], local[1], local[2] = (s >> 2) * 4, ((s >> 1) & 1) * 4, (s & 1) * 4
             far = _open_block(block, corner, local, shape, steps32, limits, is_closed, winding)
             if far < _0 or not _search_block(block, s, far, count, tiles, radius):
                 continue
             for q in range(64):
-                if block[ID + q] < _0:
+                if block[tri.ID + q] < _0:
                     continue
                 i, j, k = local[0] + (q >> 4), local[1] + ((q >> 2) & 3), local[2] + (q & 3)
                 x = lattice[0] + (corner[0] + i) * lattice[3]
                 y = lattice[1] + (corner[1] + j) * lattice[4]
                 z = lattice[2] + (corner[2] + k) * lattice[5]
-                t = ids[first + int(block[ID + q])]
+                t = ids[first + int(block[tri.ID + q])]
                 is_inside = winding[(i << 6) | (j << 3) | k] != 0
                 x, y, z = _force(table, normals, t, x, y, z, is_inside, rule, pieces)
                 if x != 0.0 or y != 0.0 or z != 0.0:
@@ -234,15 +219,9 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
 
 
 # -- all of it -----------------------------------------------------------------------------------------------------
-
-
 def _bricks_near(
-    table: NDArray[np.float64],
-    lattice: NDArray[np.float64],
-    shape: NDArray[np.int64],
-    limits: NDArray[np.float32],
-    events: NDArray[np.int64],
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
+    table: Floats, lattice: Floats, shape: Int64s, limits: NDArray[np.float32], events: Int64s
+) -> tuple[NDArray[np.int32], Int64s, NDArray[np.int32]]:
     """The bricks near a mesh in any order, where the triangles of each begin, and the triangles."""
     size = 8 << int(-(-int(shape.max()) // 8) - 1).bit_length()
     cells = np.zeros((1, 3), np.int32)
@@ -251,8 +230,8 @@ def _bricks_near(
     while size > 8 and len(cells):
         keep = np.empty(len(ids), np.uint8)
         counts = np.zeros((len(cells), 8), np.int64)
-        arguments = (cells, start, ids, table, lattice, shape, size, limits, events, keep, counts)
-        for_chunks(_descend, len(cells), *arguments)
+        work = (cells, start, ids, table, lattice, shape, size, limits, events, keep, counts)
+        for_chunks(_descend, len(cells), *work)
         ends = np.cumsum(counts)
         children = np.empty(ends[-1], np.int32)
         offsets = (ends - counts.reshape(-1)).reshape(-1, 8)
@@ -267,8 +246,8 @@ def _bricks_near(
 
 
 def _rim_near(
-    rim: Rim, lattice: NDArray[np.float64], shape: NDArray[np.int64], reach_m: float, keys: NDArray[np.int64]
-) -> RimNear:
+    rim: Rim, lattice: Floats, shape: Int64s, reach_m: float, keys: Int64s
+) -> tuple[Int64s, Int64s, NDArray[np.int32]]:
     """Edges of a rim that may be within `reach_m` of the bricks with these keys, ascending."""
     limits = np.array([reach_m / lattice[3:].max()] * 2 + [0], np.float32)
     bricks, start, ids = _bricks_near(rim.table, lattice, shape, limits, np.zeros(0, np.int64))
@@ -278,12 +257,12 @@ def _rim_near(
     first, last = np.zeros((2, len(keys)), np.int64)
     is_there = np.flatnonzero(np.append(keys, -1)[place] == own)
     first[place[is_there]], last[place[is_there]] = start[:-1][is_there], start[1:][is_there]
-    return RimNear(first, last, ids)
+    return first, last, ids
 
 
 def forces_near(
-    surface: tuple[NDArray[np.float64], NDArray[np.float64]],
-    events: NDArray[np.int64],
+    surface: tuple[Floats, Floats],
+    events: Int64s,
     grid: Grid,
     band: Band,
     tiny_m: float,
@@ -312,16 +291,17 @@ def forces_near(
     columns = np.stack([np.searchsorted(events, columns + e) for e in (0, 1 << COLUMN_SHIFT)], axis=1)
     forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
     held = np.zeros(len(bricks), np.bool_)
-    rule = (band.sidedness, band.half_wall_m, tiny_m)
-    near = (bricks, spans, ids, columns)
-    frame = (lattice, shape, limits)
     owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
-    arguments = (near, surface, frame, events, rule, band.pieces, forces, held, owners)
-    for_chunks(_fill_bricks, len(bricks), *arguments)
+    near, frame = (bricks, spans, ids, columns), (lattice, shape, limits)
+    rule = (band.sidedness, band.half_wall_m, tiny_m)
+    for_chunks(_fill_bricks, len(bricks), near, surface, frame, events, rule, band.pieces, forces, held, owners)
     if motion is not None:
-        add_motion(bricks, owners, surface[0], lattice, motion, forces)
+        velocities = np.ascontiguousarray(motion.velocities_m_s, np.float64)
+        moves = motion.triangles, velocities, motion.damping_n_s_per_m
+        for_chunks(add_motion, len(bricks), bricks, owners, surface[0], lattice, *moves, forces)
     if rim is not None:
-        rim_near = _rim_near(rim, lattice, shape, max(band.inner_m, band.outer_m) + rim.width_m, keys)
-        fade(bricks, owners, surface[0], lattice, rim, rim_near, forces, held)
+        near_rim = _rim_near(rim, lattice, shape, max(band.inner_m, band.outer_m) + rim.width_m, keys)
+        beside = rim.table, near_rim, rim.width_m
+        for_chunks(fade, len(bricks), bricks, owners, surface[0], lattice, *beside, forces, held)
     count = close_up(bricks, forces, held)
     return bricks[:count], forces[:count]

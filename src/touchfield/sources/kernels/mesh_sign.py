@@ -1,10 +1,10 @@
 """Winding numbers of a lattice within a closed mesh: signed crossings of rays along x, sorted by column.
 
 Source: the winding number of a closed mesh at a point is the signed number of crossings of a ray from it. Each
-triangle is drawn in the plane (y, z) as scan lines, as a rasteriser does. An edge says from which column on it counts
-(`_edge_crossing`), and says the same to both of its triangles because its ends are taken in the order of their
-indices. Hence edges and vertices that lie on a column are counted once, and all crossings of a ray add up to zero,
-whatever the rounding.
+triangle is drawn in the plane (y, z) as scan lines, as a rasteriser does. An edge says from which column on it
+counts, and says the same to both of its triangles because its ends are taken in the order of their indices. Hence
+edges and vertices that lie on a column are counted once, and all crossings of a ray add up to zero, whatever the
+rounding.
 
 An event is one int64: column of bricks, y and z within it (3 bits each), first sample along x behind the crossing
 (20 bits), and 1 for +1 or 0 for -1. Sorted, the events of a column lie together.
@@ -25,14 +25,26 @@ _ROW_SHIFT = 21
 _DROPPED = np.iinfo(np.int64).max
 
 
-@njit(nogil=True)
-def _edge_crossing(vertices, u, v, z):
-    """y and x where the edge between vertices u and v crosses the height z."""
-    low, high = (u, v) if u < v else (v, u)
-    share = (z - vertices[low, 2]) / (vertices[high, 2] - vertices[low, 2])
-    y = vertices[low, 1] + share * (vertices[high, 1] - vertices[low, 1])
-    x = vertices[low, 0] + share * (vertices[high, 0] - vertices[low, 0])
-    return y, x
+@njit(nogil=True, forceinline=True, error_model="numpy")  # no divisor is zero
+def line_at(vertices, triangle, z):
+    """True if a triangle crosses the height z; y and x there on its edge that goes up, and on the one going down."""
+    y0 = x0 = y1 = x1 = 0.0
+    held = False
+    for corner in range(3):
+        u, v = triangle[corner], triangle[(corner + 1) % 3]
+        is_up = vertices[v, 2] > z
+        if (vertices[u, 2] > z) == is_up:
+            continue
+        held = True
+        low, high = (u, v) if u < v else (v, u)
+        share = (z - vertices[low, 2]) / (vertices[high, 2] - vertices[low, 2])
+        y = vertices[low, 1] + share * (vertices[high, 1] - vertices[low, 1])
+        x = vertices[low, 0] + share * (vertices[high, 0] - vertices[low, 0])
+        if is_up:
+            y0, x0 = y, x
+        else:
+            y1, x1 = y, x
+    return held, y0, x0, y1, x1
 
 
 @njit(nogil=True)
@@ -45,22 +57,10 @@ def _index_from(position, origin, step, count):
 @njit(nogil=True)
 def _scan_line(vertices, triangle, z, lattice, ny):
     """The part of the line at height z that a triangle covers: columns from, to; y and x at both ends; sign."""
-    first = last = 0
-    y0 = y1 = x0 = x1 = 0.0
-    held = False
-    for corner in range(3):
-        u, v = triangle[corner], triangle[(corner + 1) % 3]
-        is_up = vertices[v, 2] > z
-        if (vertices[u, 2] > z) != is_up:
-            held = True
-            y, x = _edge_crossing(vertices, u, v, z)
-            j = _index_from(y, lattice[1], lattice[4], ny)
-            if is_up:
-                first, y0, x0 = j, y, x
-            else:
-                last, y1, x1 = j, y, x
+    held, y0, x0, y1, x1 = line_at(vertices, triangle, z)
     if not held:
         return 0, 0, 0.0, 0.0, 0.0, 0.0, 0
+    first, last = _index_from(y0, lattice[1], lattice[4], ny), _index_from(y1, lattice[1], lattice[4], ny)
     if first <= last:
         return first, last, y0, y1, x0, x1, 1
     return last, first, y1, y0, x1, x0, 0

@@ -18,26 +18,21 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchfield.parallel import for_chunks
+from touchfield.sources.kernels.mesh_sign import line_at
+
+Floats = NDArray[np.float64]
+Int32s = NDArray[np.int32]
 
 _MOST_CORNERS, _MOST_PIECES = 24, 96
-_PER_TRIANGLE = 32
-"""Bins a triangle may lie in on average."""
+_PER_TRIANGLE = 32  # bins a triangle may lie in on average
 
 
 class Bins(NamedTuple):
     """Triangles by squares of the plane (y, z): those of square s are `ids[start[s]:start[s + 1]]`."""
 
-    frame: NDArray[np.float64]
-    """y and z where they begin, their width along both, and how many there are along each."""
+    frame: Floats  # y and z where they begin, their width along both, and how many there are along each
     start: NDArray[np.int64]
-    ids: NDArray[np.int32]
-
-
-class Pieces(NamedTuple):
-    """Pieces of triangles that were cut: corners float64 [k, 3, 3], and the triangle of each, int32 [k]."""
-
-    corners: NDArray[np.float64]
-    parents: NDArray[np.int32]
+    ids: Int32s
 
 
 @njit(nogil=True)
@@ -46,35 +41,27 @@ def _bin(frame, value, axis):
 
 
 @njit(cache=True, nogil=True)
-def _bin_counts(boxes, frame, counts):
-    for t in range(len(boxes)):
-        y0, y1 = _bin(frame, boxes[t, 2], 0), _bin(frame, boxes[t, 3], 0)
-        z0, z1 = _bin(frame, boxes[t, 4], 1), _bin(frame, boxes[t, 5], 1)
-        for y in range(y0, y1 + 1):
-            for z in range(z0, z1 + 1):
-                counts[y * int(frame[4]) + z] += 1
-
-
-@njit(cache=True, nogil=True)
-def _bin_fill(boxes, frame, place, ids):
+def _put_in_bins(boxes, frame, place, ids):
+    """Put each triangle at the next place of every bin that its box meets; without `ids` the places are counted."""
     for t in range(len(boxes)):
         y0, y1 = _bin(frame, boxes[t, 2], 0), _bin(frame, boxes[t, 3], 0)
         z0, z1 = _bin(frame, boxes[t, 4], 1), _bin(frame, boxes[t, 5], 1)
         for y in range(y0, y1 + 1):
             for z in range(z0, z1 + 1):
                 s = y * int(frame[4]) + z
-                ids[place[s]] = t
+                if len(ids):
+                    ids[place[s]] = t
                 place[s] += 1
 
 
-def boxes_of(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def boxes_of(corners: Floats) -> Floats:
     """The boxes of triangles with these corners, float64 [m, 3, 3]: low and high x, y, z, float64 [m, 6]."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     return np.stack([low, high], axis=2).reshape(-1, 6)
 
 
-def sorted_into_bins(boxes: NDArray[np.float64]) -> Bins:
+def sorted_into_bins(boxes: Floats) -> Bins:
     """The triangles with these boxes, float64 [m, 6], in bins."""
     low, high = boxes[:, 0::2].min(axis=0), boxes[:, 1::2].max(axis=0)
     span = np.maximum((high - low)[1:], 1e-12 * max(float((high - low).max()), 1e-300))
@@ -84,16 +71,14 @@ def sorted_into_bins(boxes: NDArray[np.float64]) -> Bins:
         count //= 2
     frame = np.array([low[1], low[2], span[0] / count, span[1] / count, count])
     counts = np.zeros(count * count, np.int64)
-    _bin_counts(boxes, frame, counts)
+    _put_in_bins(boxes, frame, counts, np.empty(0, np.int32))
     start = np.append(0, np.cumsum(counts))
     ids = np.empty(int(start[-1]), np.int32)
-    _bin_fill(boxes, frame, start[:-1].copy(), ids)
+    _put_in_bins(boxes, frame, start[:-1].copy(), ids)
     return Bins(frame, start, ids)
 
 
 # -- which triangles cross -----------------------------------------------------------------------------------------
-
-
 @njit(nogil=True)
 def _heights(points, count, normal, base, out):
     """Heights of points over a plane; least and greatest."""
@@ -145,11 +130,6 @@ def _meet(piece, count, normal, other, its_normal, tiny, h, g):
 
 
 @njit(nogil=True, forceinline=True)
-def _box(boxes, t):
-    return boxes[t, 0], boxes[t, 1], boxes[t, 2], boxes[t, 3], boxes[t, 4], boxes[t, 5]
-
-
-@njit(nogil=True, forceinline=True)
 def _share_a_vertex(triangles, t, u):
     for c in range(3):
         for d in range(3):
@@ -168,7 +148,8 @@ def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
     for s in range(begin, end):
         first, last = start[s], start[s + 1]
         for a in range(first, last):
-            x0, x1, y0, y1, z0, z1 = _box(boxes, ids[a])
+            box = boxes[ids[a]]
+            x0, x1, y0, y1, z0, z1 = box[0], box[1], box[2], box[3], box[4], box[5]
             for b in range(a + 1, last):
                 t, u = ids[a], ids[b]
                 if boxes[u, 0] > x1 + tiny or boxes[u, 1] < x0 - tiny or boxes[u, 2] > y1 + tiny:
@@ -191,28 +172,20 @@ def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
 
 
 def crossing_pairs(
-    bins: Bins,
-    boxes: NDArray[np.float64],
-    corners: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    triangles: NDArray[np.int32],
-    tiny_m: float,
-) -> NDArray[np.int32]:
+    bins: Bins, boxes: Floats, corners: Floats, normals: Floats, triangles: Int32s, tiny_m: float
+) -> Int32s:
     """Pairs (t, u) of triangles that share no vertex, of which u cuts t, int32 [p, 2], by t.
 
     `boxes` float64 [m, 6], `corners` float64 [m, 3, 3] in metres, `normals` float64 [m, 3] of unit length. Nearer
     than `tiny_m` is touching. Beyond about eight pairs a triangle the others are left out: those walls stay felt.
     """
     most = 8 * len(triangles) + 4096
-    arguments = (tuple(bins), boxes, corners, normals, triangles, tiny_m, most)
-    results = for_chunks(_pairs, len(bins.start) - 1, *arguments, chunk=64)
-    pairs = np.concatenate(results)
+    work = (tuple(bins), boxes, corners, normals, triangles, tiny_m, most)
+    pairs = np.concatenate(for_chunks(_pairs, len(bins.start) - 1, *work, chunk=64))
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
 # -- cutting -------------------------------------------------------------------------------------------------------
-
-
 @njit(nogil=True)
 def _split(piece, count, h, tiny, above, below):
     """Cut a convex polygon at height 0; corners above and below."""
@@ -272,8 +245,6 @@ def cut(starts, pairs, corners, normals, tiny):
 
 
 # -- inside and outside --------------------------------------------------------------------------------------------
-
-
 @njit(nogil=True)
 def _winding(x, y, z, bins, vertices, triangles):
     """The winding number of a closed mesh at a point, up to its sign."""
@@ -283,23 +254,7 @@ def _winding(x, y, z, bins, vertices, triangles):
     s = _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1)
     total = 0
     for e in range(start[s], start[s + 1]):
-        triangle = triangles[ids[e]]
-        y0 = y1 = x0 = x1 = 0.0
-        held = False
-        for corner in range(3):
-            u, v = triangle[corner], triangle[(corner + 1) % 3]
-            is_up = vertices[v, 2] > z
-            if (vertices[u, 2] > z) == is_up:
-                continue
-            held = True
-            low, high = (u, v) if u < v else (v, u)  # the same to both triangles of the edge
-            share = (z - vertices[low, 2]) / (vertices[high, 2] - vertices[low, 2])
-            at_y = vertices[low, 1] + share * (vertices[high, 1] - vertices[low, 1])
-            at_x = vertices[low, 0] + share * (vertices[high, 0] - vertices[low, 0])
-            if is_up:
-                y0, x0 = at_y, at_x
-            else:
-                y1, x1 = at_y, at_x
+        held, y0, x0, y1, x1 = line_at(vertices, triangles[ids[e]], z)
         if not held or (y < y0) == (y < y1):
             continue
         share = (y - y0) / (y1 - y0)
@@ -319,16 +274,14 @@ def _classify(begin, end, corners, normals, parents, bins, vertices, triangles, 
         is_outer[t] = (front == 0) != (back == 0)
 
 
-def inner_and_outer(
-    pieces: Pieces,
-    normals: NDArray[np.float64],
-    bins: Bins,
-    vertices_m: NDArray[np.float64],
-    triangles: NDArray[np.int32],
-    tiny_m: float,
+def bounds_union(
+    corners: Floats, parents: Int32s, normals: Floats, bins: Bins, surface: tuple[Floats, Int32s], tiny_m: float
 ) -> NDArray[np.bool_]:
-    """The pieces that bound the union, bool [k]: on just one side of them, `tiny_m` away, nothing is inside."""
-    is_outer = np.empty(len(pieces.corners), np.bool_)
-    arguments = (pieces.corners, normals, pieces.parents, tuple(bins), vertices_m, triangles, tiny_m, is_outer)
-    for_chunks(_classify, len(is_outer), *arguments, chunk=256)
+    """The pieces that bound the union, bool [k]: on just one side of them, `tiny_m` away, nothing is inside.
+
+    `corners` float64 [k, 3, 3] and `parents` int32 [k]: of pieces, and the triangle that each is one of; `surface`:
+    vertices in metres and triangles.
+    """
+    is_outer = np.empty(len(corners), np.bool_)
+    for_chunks(_classify, len(corners), corners, normals, parents, tuple(bins), *surface, tiny_m, is_outer, chunk=256)
     return is_outer

@@ -8,17 +8,15 @@ division by zero, so that numpy's rule is asked for.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from touchfield.parallel import for_chunks
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float32s = NDArray[np.float32]
+Float32s = NDArray[np.float32]
 
 __all__ = ["SurfacePlanes", "fit_planes"]
 

@@ -7,15 +7,10 @@ from typing import Final
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchfield.lean import entry
-from touchfield.medium import ForceField, Grid
-from touchfield.parallel import for_chunks
 
-_MOST_STEPS: Final = 60
-"""Of Newton's iteration; where it is slowest, beside the focal ellipse, about ten are needed."""
-
+_MOST_STEPS: Final = 60  # of Newton's iteration; where it is slowest, beside the focal ellipse, about ten are needed
 _FAR = 50.0  # of r^2 / l^2, where exp(-r^2 / 2 l^2) is 1e-11
 
 
@@ -71,7 +66,11 @@ def add_forces(begin, end, at, points, weights, reach, out):
 
 
 @njit(cache=True, nogil=True)
-def _add(begin, end, bricks, forces, slots, lattice, motion, total):
+def add_body(begin, end, bricks, forces, slots, lattice, motion, total):
+    """Add a body's forces, on a lattice of origin and spacing, to the bricks `slots` of a sum.
+
+    Wherever it has a force, b (v + omega x r) too: `motion` is its origin, metres; b v, newtons; b omega, N/m.
+    """
     ox, oy, oz, vx, vy, vz, wx, wy, wz = motion
     for s in range(begin, end):
         for i in range(8):
@@ -85,20 +84,3 @@ def _add(begin, end, bricks, forces, slots, lattice, motion, total):
                         t[0] += f[0] + (vx + wy * dz - wz * dy)
                         t[1] += f[1] + (vy + wz * dx - wx * dz)
                         t[2] += f[2] + (vz + wx * dy - wy * dx)
-
-
-def add_body(
-    field: ForceField,
-    slots: NDArray[np.int64],
-    grid: Grid,
-    motion: tuple[float, ...],
-    total_n: NDArray[np.float32],
-) -> None:
-    """Add a body's forces to the bricks `slots` of a sum, and b (v + omega x r) wherever it has a force.
-
-    `field` ForceField: on the lattice, or a part of it whose bricks are bricks of it; `slots` int64 [n]: where each
-    of the field's bricks lies in `total_n`; `grid` Grid: the lattice of `field`; `motion` nine numbers: the body's
-    origin, metres; b v and b omega, newtons and newtons a metre; `total_n` float32 [m, 8, 8, 8, 3].
-    """
-    lattice = (*grid.origin_m, *grid.spacing_m)
-    for_chunks(_add, len(slots), field.bricks, field.forces_n, slots, lattice, motion, total_n, chunk=32)
