@@ -32,7 +32,13 @@ def sources() -> list[str]:
     """As build.mjs names them."""
     own = ["../c/touch.h", "build.mjs", "build_wasm.sh", "package-lock.json", "page.css", "page.html", "surface.h"]
     folders = [f"{p.parent.name}/{p.name}" for p in sorted((WEB / "freestanding").iterdir())]
-    return [*own, "touch_wasm.c", *folders, *(f"src/{p.name}" for p in sorted((WEB / "src").glob("*.ts")))]
+    return [
+        *own,
+        "three_core.mjs",
+        "touch_wasm.c",
+        *folders,
+        *(f"src/{p.name}" for p in sorted((WEB / "src").glob("*.ts"))),
+    ]
 
 
 def test_the_page_is_made_from_the_sources_that_are_here() -> None:
