@@ -180,6 +180,65 @@ def test_a_file_of_its_own_opens_without_a_request(tmp_path: Path) -> None:
     assert told.errors == []
 
 
+def test_the_difference_is_that_between_the_file_and_its_source(tmp_path: Path) -> None:
+    """At samples of the lattice, in units of the mask, within what the source beside it is coded to."""
+    medium, rng = _waves(), np.random.default_rng(3)
+    tf.encode(medium, tmp_path / "waves.touch", tf.EncodeSpec(touch=tf.TouchSpec(k=0.3, f0_n=0.05)))
+    page = tf.view(tmp_path / "waves.touch", against=medium)
+    page.save(tmp_path / "page.html")
+    field, grid = medium[0], medium.grid
+    support = field.support().positions
+    places = support[rng.integers(0, len(support), 300)]
+    points = (np.asarray(grid.origin_m) + places * np.asarray(grid.spacing_m)).reshape(-1).tolist()
+    felt = step("feel", points=points)
+    told = drive(tmp_path, step("goto", url=(tmp_path / "page.html").as_uri()), felt, step("press", key="e"),
+                 step("wait", ms=500), felt, step("text", id="unit"),
+                 step("click", id="beside [data-what=difference]"), step("wait", ms=900), felt,
+                 step("text", id="unit"), step("state"), step("text", id="caption"),
+                 step("open", file=SOLID), step("state"), step("place", selector="#beside"))  # fmt: skip
+    assert told.errors == []
+    decoded, source, between = (np.array(told.answers[n]).reshape(-1, 5) for n in (1, 4, 8))
+    true = field.sample_n(np.array(points).reshape(-1, 3))
+    allowed = np.maximum(0.05, 0.3 * np.linalg.norm(true, axis=1))
+    assert (np.linalg.norm(source[:, :3] - true, axis=1) <= 0.1 * allowed * (1 + 1e-6)).all()
+    expected = (decoded[:, :3] - true) / allowed[:, None]
+    assert np.linalg.norm(expected, axis=1).max() > 0.5  # there is something to see
+    np.testing.assert_allclose(between[:, :3], expected, atol=0.15)
+    np.testing.assert_allclose(between[:, 3], allowed, rtol=0.04)
+    assert (told.answers[5], told.answers[9]) == ("N", "of what is allowed") and "0.1" in told.answers[11]
+    assert told.answers[10]["triangles"] > 0 and told.answers[10]["cones"] > 0
+    assert told.answers[13]["state"] == "ready" and told.answers[13]["what"] == "decoded" and told.answers[14] is None
+
+
+def test_a_difference_of_bodies_and_of_an_array_is_shown(tmp_path: Path) -> None:
+    """Every kind of medium: bodies at an instant between two frames, and actuators."""
+    grid = tf.Grid((6, 5, 1), (0.01, 0.01, 0.01), (0, 0, 0))
+    drives = np.zeros((6, 5, 1, 3), np.float32)
+    drives[..., 0, 2] = np.linspace(0.1, 3, 30).reshape(6, 5)
+    tf.encode(drives, tmp_path / "array.touch", tf.EncodeSpec(device="tshirt-32x32"), grid=grid)
+    for name, source in (("array", tf.HapticMedium.from_array(drives, grid)), ("bodies", MOVING)):
+        file = tmp_path / f"{name}.touch" if name == "array" else _again(MOVING, tmp_path / "bodies.touch")
+        tf.view(file, against=source).save(tmp_path / f"{name}.html")
+        told = drive(tmp_path, step("goto", url=(tmp_path / f"{name}.html").as_uri()),
+                     step("click", id="beside [data-what=difference]"), step("wait", ms=600),
+                     step("seek", time=0.0004), step("feel", points=[0, 0, 0]), step("state"))  # fmt: skip
+        assert told.errors == [] and told.answers[5]["state"] == "ready", name
+        assert told.answers[5]["what"] == "difference" and told.answers[4][3] > 0
+
+
+def _again(stream: Path, out: Path) -> Path:
+    tf.encode(stream, out)
+    return out
+
+
+def _waves() -> tf.HapticMedium:
+    grid = tf.Grid((32, 32, 16), (0.004,) * 3, (-0.062, -0.062, -0.03))
+    x, y, z = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
+    force = np.stack([np.sin(x / 3), np.cos(y / 4), 1.5 + np.sin(z / 2)], axis=-1).astype(np.float32)
+    force[z > 6 + 2 * np.sin(x / 5)] = 0
+    return tf.HapticMedium.from_array(force, grid)
+
+
 def test_words_in_a_file_are_shown_and_not_run(page: str, tmp_path: Path) -> None:
     grid = tf.Grid((16, 16, 8), (0.005, 0.005, 0.005), (-0.0375, -0.0375, -0.0175))
     force = np.zeros((16, 16, 8, 3), np.float32)

@@ -110,6 +110,25 @@ def test_the_command_writes_and_opens(tmp_path: Path, monkeypatch: pytest.Monkey
     assert _exit_code(["view", stream, "--no-open"]) == 2
 
 
+def test_a_page_with_the_source_tells_its_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    grid = tf.Grid((16, 16, 8), (0.005, 0.005, 0.005), (-0.0375, -0.0375, -0.0175))
+    force = np.zeros((16, 16, 8, 3), np.float32)
+    force[4:12, 4:12, 2:6, 2] = 1.0
+    source, stream, out = (str(tmp_path / name) for name in ("field.npz", "block.touch", "page.html"))
+    tf.write_field(source, tf.HapticMedium.from_array(force, grid))
+    tf.encode(source, stream)
+    assert _exit_code(["export", stream, out, "--source", source, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    within = re.search(r'id="given-source">([^<]+)<', Path(out).read_text(encoding="utf-8"))
+    assert within and len(base64.b64decode(within[1])) == told["source_bytes"] > 0
+    assert _exit_code(["export", stream, str(tmp_path / "drives.hjif"), "--source", source]) == 2
+    assert _exit_code(["view", stream, "--source", source, "--out", source, "--no-open"]) == 2
+    other = str(tmp_path / "other.npz")
+    tf.write_field(other, tf.HapticMedium.from_array(force[:8], tf.Grid((8, 16, 8), grid.spacing_m, grid.origin_m)))
+    assert _exit_code(["view", stream, "--source", other, "--out", out, "--no-open"]) == 2
+    assert "Name its own source" in capsys.readouterr().err
+
+
 def test_the_coder_paper_is_refused_with_what_to_do() -> None:
     with pytest.raises(InvalidArgument, match=r"touchfield encode .* NEW\.touch"):
         tf.view(GOLDEN / "paper-dct.touch")

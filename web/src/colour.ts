@@ -15,5 +15,5 @@ export function colourOf(share: number): Colour {
   return [part(16), part(8), part(0)];
 }
 
-/** 256 colours, red, green and blue in turn. */
-export const TABLE: Uint8Array = Uint8Array.from({ length: 768 }, (_, n) => colourOf(Math.floor(n / 3) / 255)[n % 3]!);
+/** Red beyond what is allowed, where colours tell of an error. */
+export const BEYOND: Colour = [214, 31, 38];

@@ -1,5 +1,6 @@
 // The decoder of touch.h in WebAssembly, and what the page asks of it. Runs in a worker, or beside the page.
 import { Fault, faultOf, readRecords, type Records } from "./container";
+import { Difference } from "./difference";
 
 interface Exports {
   memory: WebAssembly.Memory;
@@ -91,9 +92,9 @@ export class Engine {
   private head: Head | null = null;
   private keys: string[] = [];
 
-  constructor(bytes: BufferSource) {
+  constructor(module: WebAssembly.Module) {
     const page = { sin: Math.sin, cos: Math.cos, atan: Math.atan, atan2: Math.atan2 };
-    this.wasm = new WebAssembly.Instance(new WebAssembly.Module(bytes), { page }).exports as unknown as Exports;
+    this.wasm = new WebAssembly.Instance(module, { page }).exports as unknown as Exports;
   }
 
   open(data: Uint8Array): Opened {
@@ -192,10 +193,21 @@ export class Engine {
       const most = new Float64Array(wasm.memory.buffer, wasm.largest(n), 4);
       if (most[0]! >= largest[0]!) largest = most.slice();
     }
-    const grid = head.type === 2 ? this.forces(head.origin, 0, 1, head.spacing, head.shape) : null;
+    const grid = head.type === 2 ? this.grid() : null;
     const at = cutAt ?? this.middling(cutAxis, meshes, poses);
     const cut = head.type === 1 ? this.cut(cutAxis, at) : null;
     return { time, parts, poses, meshes, cut, grid, largest, ms: performance.now() - begin };
+  }
+
+  /** Send all meshes again with the next frame. */
+  forget(): void {
+    this.keys = [];
+  }
+
+  /** Forces of all actuators of an array. */
+  grid(): Float32Array {
+    const { origin, spacing, shape } = this.opened();
+    return this.forces(origin, 0, 1, spacing, shape);
   }
 
   /** A place for a first slice: three quarters of the way along what there is to feel, towards the viewer's right. */
@@ -254,7 +266,7 @@ export class Engine {
     };
   }
 
-  private opened(): Head {
+  opened(): Head {
     if (!this.head) throw new Fault("argument", "no file is open", null);
     return this.head;
   }
@@ -269,24 +281,53 @@ export class Engine {
 
 // -- messages -----------------------------------------------------------------------------------------------------
 
+/** What is shown and felt. */
+export type What = "decoded" | "source" | "difference";
+
 export type Ask =
   | { do: "start"; wasm: ArrayBuffer }
   | { do: "warm"; data: Uint8Array; times: number }
-  | { do: "open"; data: Uint8Array }
+  | { do: "open"; data: Uint8Array; source: Uint8Array | null }
+  | { do: "of"; what: What }
   | { do: "show"; time: number; axis: number; at: number | null; depth: number }
   | { do: "cut"; axis: number; at: number }
   | { do: "feel"; points: number[] }
   | { do: "contact"; time: number | null; rays: Ray[]; depth: number; away: Away | null };
 
-let engine: Engine | null = null;
+let module: WebAssembly.Module;
+let decoded: Engine | null = null;
+let fields: Partial<Record<What, Engine | Difference>> = {};
+let engine: Engine | Difference;
+
+/** Open a file, and beside it its source. */
+function open(data: Uint8Array, source: Uint8Array | null): Opened {
+  const opened = decoded!.open(data);
+  engine = decoded!;
+  fields = { decoded: decoded! };
+  if (source) {
+    const beside = new Engine(module);
+    beside.open(source);
+    fields = { ...fields, source: beside, difference: new Difference(decoded!, beside) };
+  }
+  return opened;
+}
 
 /** The answer to a question; what goes wrong is an answer, too. */
 export function answer(ask: Ask): unknown {
   try {
-    if (ask.do === "start") return ((engine = new Engine(ask.wasm)), true);
-    if (!engine) throw new Fault("fault", "the decoder has not started", null);
-    if (ask.do === "warm") return engine.warm(ask.data, ask.times);
-    if (ask.do === "open") return engine.open(ask.data);
+    if (ask.do === "start") {
+      module = new WebAssembly.Module(ask.wasm);
+      engine = decoded = new Engine(module);
+      return true;
+    }
+    if (!decoded) throw new Fault("fault", "the decoder has not started", null);
+    if (ask.do === "warm") return decoded.warm(ask.data, ask.times);
+    if (ask.do === "open") return open(ask.data, ask.source);
+    if (ask.do === "of") {
+      engine = fields[ask.what] ?? decoded;
+      if (engine instanceof Engine) engine.forget();
+      return true;
+    }
     if (ask.do === "show") return engine.show(ask.time, ask.axis, ask.at, ask.depth);
     if (ask.do === "cut") return engine.cut(ask.axis, ask.at);
     if (ask.do === "feel") return engine.feel(ask.points);

@@ -24,9 +24,16 @@ const KNOWN: [string, string, (n: number) => string][] = [
   ["nmse_db", "NMSE", (n) => `${n.toFixed(1)} dB`],
   ["entropy_voxel_bits", "entropy of a voxel", (n) => `${short(n)} bit`],
   ["bits_per_supported_voxel", "a voxel with force", (n) => `${short(n)} bit`],
-  ["hand_vibration_mn", "coding felt as vibration", (n) => `${short(n)} mN`],
+  ["hand_vibration_mn", "vibration of coding", (n) => `${short(n)} mN`],
   ["capacity_bits", "capacity of the device", (n) => `${Math.round(n).toLocaleString("en")} bit/frame`],
 ];
+
+/** What a picture of the difference shows. */
+export function differenceWords(given: Given, hasBodies: boolean): string {
+  const place = hasBodies && typeof given?.place_tolerance_um === "number" ? ` Bodies may lie ${short(given.place_tolerance_um)} µm elsewhere, which counts here too.` : "";
+  const none = given?.mode === "nmse" ? " (this file gives no such promise)" : "";
+  return `|decoded − source| as a share of what is allowed, max(F₀, k |F|): 1 is the promise${none}, red is beyond it. Cones point where the decoded field pushes more. The source is told to ± ${short(Number(given?.source_share ?? 0))} on this scale.${place}`;
+}
 
 export function figuresOf(list: HTMLElement, story: HTMLElement, opened: Opened, given: Given): void {
   const { head, records } = opened;
@@ -39,6 +46,7 @@ export function figuresOf(list: HTMLElement, story: HTMLElement, opened: Opened,
   if (typeof given?.frames_of === "number") row(list, "shown", `the first of ${given.frames_of} frames`);
   if (given?.promise_kept !== undefined && given.promise_kept !== null) row(list, "promise holds", given.promise_kept ? "yes" : "no");
   for (const [key, name, words] of KNOWN) if (typeof given?.[key] === "number") row(list, name, words(given[key] as number));
+  if (typeof given?.source_bytes === "number") row(list, "source beside it", bytes(given.source_bytes));
   row(list, "device", records.device || "–");
   row(list, "largest force", `${short(head.peak)} N`);
   row(list, "lattice", head.shape.join(" × "));
@@ -62,6 +70,7 @@ const KEYS: [string, string][] = [
   ["< and >", "press less or more deeply"],
   ["j, k", "to the strongest place, to the worst voxel"],
   ["m, v", "force as sound, as rumble and vibration"],
+  ["e", "decoded, source, difference, where the source is there"],
   ["s", "scan: reads a line of the field through the probe, left to right, as sound"],
   ["t", "tell what is under the probe again"],
   ["a, d, w, q, +, -, r", "turn the view, nearer, farther, back to the begin"],

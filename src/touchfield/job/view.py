@@ -17,6 +17,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.job.compare import compare
 from touchfield.job.encode import encode
+from touchfield.job.fine_source import fine_source
 from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream_scene import Source
 from touchfield.medium import HapticMedium
@@ -41,7 +42,8 @@ _HEIGHT_PX: Final = 640
 _MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
 _FIGURES: Final = ("mode", "promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
 _COMPARED: Final = (
-    "nmse_db", "worst_mask_ratio", "bits_per_supported_voxel", "entropy_voxel_bits", "hand_vibration_mn"
+    "nmse_db", "worst_mask_ratio", "bits_per_supported_voxel", "entropy_voxel_bits", "hand_vibration_mn",
+    "place_tolerance_um",
 )  # fmt: skip
 
 
@@ -75,8 +77,9 @@ class Page:
 def view(medium: str | Path | HapticMedium, against: Source | None = None, report: Report = silent) -> Page:
     """The page of a ``.touch`` file, of a movie with touch, or of the first frames of a medium.
 
-    `against` is what was encoded, a path, Scene, medium or field: the page then tells NMSE, entropy and the vibration
-    of the coding, too. TouchfieldError if the file cannot be read, or is of a coder that the page does not know.
+    `against` is what was encoded, a path, Scene, medium or field: the page then tells NMSE, entropy and the
+    vibration of the coding, and shows the source, and the difference, too; it holds both. TouchfieldError if the
+    file cannot be read, or is of a coder that the page does not know.
     """
     if isinstance(medium, HapticMedium):
         return page_of_medium(medium)
@@ -98,10 +101,13 @@ def _page(
             found, mend = "a file of coder paper", f"Code it again: touchfield encode {path} NEW.touch."
             raise InvalidArgument(str(path), found, "coder touch, or objects of it, for the page", mend)
         figures, data, name = _figures(opened), opened.reader.read_all(), PurePath(opened.reader.name).name
-    if against is not None:
-        told = compare(against, path, report=report).summary()
-        figures |= {key: told[key] for key in _COMPARED if told.get(key) is not None}
-    return Page(page_of(data, name, figures, movie), figures)
+        fine = None if against is None else fine_source(against, opened, report)
+    if against is None or fine is None:
+        return Page(page_of(data, name, figures, movie), figures)
+    told = compare(against, path, report=report).summary()
+    figures |= {key: told[key] for key in _COMPARED if told.get(key) is not None}
+    figures |= {"source_bytes": len(fine.data), "source_share": fine.share}
+    return Page(page_of(data, name, figures, movie, fine.data), figures)
 
 
 def page_of_medium(medium: HapticMedium) -> Page:
