@@ -110,6 +110,28 @@ def test_the_command_writes_and_opens(tmp_path: Path, monkeypatch: pytest.Monkey
     assert _exit_code(["view", stream, "--no-open"]) == 2
 
 
+def test_a_page_tells_what_devices_render(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The figures are those of the command `measure`; of a file alone, none is computed."""
+    stream, out = GOLDEN / "touch-solid.touch", tmp_path / "page.html"
+    names = ("phantom-omni", "tshirt-32x32")
+    asked = [word for name in names for word in ("--device", name)]
+    assert _exit_code(["view", str(stream), *asked, "--out", str(out), "--no-open", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert _exit_code(["measure", str(stream), *asked, "--no-limits", "--json"]) == 0
+    expected = json.loads(capsys.readouterr().out)
+    assert told["entropy_voxel_bits"] == expected["entropy_voxel"]["value"]
+    assert told["entropy_frame_bits"] == expected["entropy_frame"]["value"]
+    for name in names:
+        own, found = told["capacity"][name], expected["capacity"][name]
+        assert [own["capacity_bits"], own["wmr"], own["hil"]] == [
+            found[key]["value"] for key in ("capacity", "wmr", "hil")
+        ]
+    within = re.search(r'id="given-figures">(.*?)</script>', out.read_text(encoding="utf-8"))
+    assert within and json.loads(within[1])["capacity"] == told["capacity"]
+    assert "capacity" not in tf.view(stream).figures
+    assert _exit_code(["view", str(GOLDEN / "touch-empty.touch"), *asked, "--out", str(out), "--no-open"]) == 2
+
+
 def test_a_page_with_the_source_tells_its_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     grid = tf.Grid((16, 16, 8), (0.005, 0.005, 0.005), (-0.0375, -0.0375, -0.0175))
     force = np.zeros((16, 16, 8, 3), np.float32)

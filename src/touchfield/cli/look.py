@@ -45,6 +45,9 @@ def view(
             "--source", "--against", help="SOURCE of the file: shown too, and the difference; NMSE, vibration."
         ),
     ] = None,
+    device: Annotated[
+        list[str] | None, typer.Option(help="Tell its capacity, WMR and HIL, and the entropy; may be repeated.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="HTML file to write; default: a temporary one.")] = None,
     no_open: Annotated[bool, typer.Option("--no-open", help="Open no browser.")] = False,
     as_json: Json = False,
@@ -55,7 +58,7 @@ def view(
     for read in (stream, source or stream):
         check_picture(read, out)
     with progress("view") as report:
-        page = run(stream, source, report)
+        page = run(stream, source, report, tuple(device or ()))
     path = page.save(out) if out else None
     if not no_open:
         path = page.open(path)
