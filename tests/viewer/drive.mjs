@@ -57,6 +57,7 @@ const asked = {
   text: ({ id }) => page.textContent(`#${id}`),
   count: ({ selector }) => page.locator(selector).count(),
   run: ({ code }) => page.evaluate(code),
+  within: ({ code }) => page.frames()[1].evaluate(code),
   shot: async ({ path }) => { await page.screenshot({ path }); },
   state,
 };

@@ -260,13 +260,31 @@ def test_memory_does_not_grow_while_it_plays(page: str, tmp_path: Path) -> None:
     assert told.answers[42]["memory"] == told.answers[-1]["memory"]
 
 
-def test_a_notebook_shows_it_in_a_frame(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "policy",
+    [
+        "",  # Jupyter and marimo
+        "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
+        "img-src https: data:; child-src https: data: blob:",  # as an editor's view may have it
+        "worker-src 'none'",  # no threads: the decoder runs beside the page
+    ],
+)
+def test_a_notebook_shows_it_in_a_frame_of_its_own(tmp_path: Path, policy: str) -> None:
     out = tmp_path / "notebook.html"
-    page = tf.view(MOVING)._repr_html_()
-    out.write_text(f'<!doctype html><html data-state="ready"><body>{page}</body></html>', encoding="utf-8")
-    state = "document.querySelector('iframe').contentDocument.documentElement.dataset.state"
-    told = drive(tmp_path, step("goto", url=out.as_uri()), step("wait", ms=2500), step("run", code=state))
-    assert told.answers[2] == "ready" and told.errors == []
+    head = f'<meta http-equiv="Content-Security-Policy" content="{policy}">' if policy else ""
+    cell = tf.view(MOVING)._repr_html_()
+    out.write_text(
+        f'<!doctype html><html data-state="ready"><head>{head}</head><body>{cell}</body></html>', encoding="utf-8"
+    )
+    around = "(() => { try { return parent.document.title; } catch { return 'closed'; } })()"
+    told = drive(tmp_path, step("goto", url=out.as_uri()), step("wait", ms=2500),
+                 step("within", code="window.touchfield.state()"), step("within", code=around),
+                 step("within", code="[...document.querySelectorAll('button')].find((b) => b.id == 'play').click()"),
+                 step("wait", ms=900), step("within", code="window.touchfield.state()"))  # fmt: skip
+    assert told.answers[2]["state"] == "ready" and told.answers[2]["triangles"] > 0, told.errors
+    assert told.answers[3] == "closed"
+    assert told.answers[6]["playing"] and told.answers[6]["time"] > 0
+    assert all("worker" in error.lower() for error in told.errors) and bool(told.errors) == ("worker-src" in policy)
 
 
 def test_memory_grows_with_what_a_file_needs(page: str, tmp_path: Path) -> None:

@@ -20,15 +20,20 @@ const press = (id: string, on: boolean): void => byId(id).setAttribute("aria-pre
 class Decoder {
   private worker: Worker | null = null;
   private next = 0;
-  private readonly waiting = new Map<number, (value: unknown) => void>();
+  private readonly waiting = new Map<number, { ask: Ask; done: (value: unknown) => void }>();
   private readonly ready: Promise<unknown>;
 
   constructor(wasm: Uint8Array<ArrayBuffer>, code: string) {
     try {
       this.worker = new Worker(URL.createObjectURL(new Blob([code], { type: "text/javascript" })));
       this.worker.onmessage = ({ data }: MessageEvent<{ id: number; answer: unknown }>): void => {
-        this.waiting.get(data.id)?.(data.answer);
+        this.waiting.get(data.id)?.done(data.answer);
         this.waiting.delete(data.id);
+      };
+      this.worker.onerror = (): void => { // a page around this one may forbid threads
+        this.worker = null;
+        for (const { ask, done } of this.waiting.values()) done(answer(ask));
+        this.waiting.clear();
       };
     } catch {
       this.worker = null;
@@ -40,7 +45,7 @@ class Decoder {
     if (ask.do !== "start") await this.ready;
     const told = this.worker
       ? await new Promise<unknown>((done) => {
-          this.waiting.set(++this.next, done);
+          this.waiting.set(++this.next, { ask, done });
           this.worker!.postMessage({ id: this.next, ask });
         })
       : await new Promise<unknown>((done) => setTimeout(() => done(answer(ask)), 0));

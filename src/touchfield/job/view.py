@@ -60,7 +60,8 @@ class Page:
 
     def _repr_html_(self) -> str:
         style = f"width: 100%; height: {_HEIGHT_PX}px; border: 1px solid #d9dee6; border-radius: 8px"
-        return f'<iframe srcdoc="{html.escape(self.html)}" style="{style}" title="touchfield"></iframe>'
+        may = 'sandbox="allow-scripts" allow="gamepad *; vibrate *; autoplay *"'  # nothing of the notebook around it
+        return f'<iframe srcdoc="{html.escape(self.html)}" {may} style="{style}" title="touchfield"></iframe>'
 
     def save(self, path: str | Path) -> Path:
         """Write the page as one file that opens from a file URL, whole or not at all."""
