@@ -58,6 +58,7 @@ const asked = {
   count: ({ selector }) => page.locator(selector).count(),
   run: ({ code }) => page.evaluate(code),
   within: ({ code }) => page.frames()[1].evaluate(code),
+  until: async ({ code, frame = 0 }) => { await page.frames()[frame].waitForFunction(code); },
   shot: async ({ path }) => { await page.screenshot({ path }); },
   state,
 };
