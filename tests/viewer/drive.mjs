@@ -58,7 +58,12 @@ const asked = {
   count: ({ selector }) => page.locator(selector).count(),
   run: ({ code }) => page.evaluate(code),
   within: ({ code }) => page.frames()[1].evaluate(code),
-  until: async ({ code, frame = 0 }) => { await page.frames()[frame].waitForFunction(code); },
+  until: async ({ code, frame = 0 }) => {
+    for (let left = 600; !(await page.frames()[frame].evaluate(code)); left--) {
+      if (!left) throw new Error(`it is not so after 60 s: ${code}`);
+      await page.waitForTimeout(100);
+    }
+  },
   shot: async ({ path }) => { await page.screenshot({ path }); },
   state,
 };
