@@ -78,7 +78,7 @@ EXPORT(number) double number_of(int n) {
                            file.grid.origin_m[2],   file.rate_hz,           file.frame_count,        file.segment_count,
                            file.object_count,       file.device_type,       file.force_max_n,        file.force_threshold_n,
                            file.weber_fraction,     file.friction,          file.damping_n_s_per_m,  file.mapping_scale,
-                           file.mapping_offset_m[0], file.mapping_offset_m[1], file.mapping_offset_m[2], place_of(4)};
+                           file.mapping_offset_m[0], file.mapping_offset_m[1], file.mapping_offset_m[2]};
     return n < 0 || n >= (int)(sizeof told / sizeof *told) ? 0 : told[n];
 }
 

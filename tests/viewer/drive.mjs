@@ -52,6 +52,11 @@ const asked = {
     await page.mouse.up();
     await page.waitForTimeout(300);
   },
+  pen: async ({ type, x, y, force }) => {
+    const tablet = await frame.newCDPSession(page);
+    await tablet.send("Input.dispatchMouseEvent", { type, x, y, force, button: "left", buttons: type === "mouseReleased" ? 0 : 1, clickCount: 1, pointerType: "pen" });
+    await page.waitForTimeout(300);
+  },
   place: ({ selector }) => page.locator(selector).boundingBox(),
   wait: ({ ms }) => page.waitForTimeout(ms),
   text: ({ id }) => page.textContent(`#${id}`),

@@ -253,11 +253,71 @@ def test_words_in_a_file_are_shown_and_not_run(page: str, tmp_path: Path) -> Non
     assert evil in told.answers[4]
 
 
-def test_memory_does_not_grow_while_it_plays(page: str, tmp_path: Path) -> None:
-    steps = [step("seek", time=t) for t in np.linspace(0, 0.2, 40).tolist() * 3]
-    told = drive(tmp_path, step("goto", url=page), step("open", file=MOVING), *steps[:40], step("state"), *steps[40:],
-                 step("state"))  # fmt: skip
-    assert told.answers[42]["memory"] == told.answers[-1]["memory"]
+def test_a_game_pad_rumbles_as_strongly_as_the_probe_is_pushed(page: str, tmp_path: Path) -> None:
+    pad = """window.played = []; Object.defineProperty(navigator, "getGamepads", { value: () => [null, {
+      vibrationActuator: { playEffect: (kind, effect) => {
+        played.push({ kind, ...effect });
+        return Promise.resolve("complete");
+      } } }] }); 0"""
+    told = drive(tmp_path, step("goto", url=page), step("run", code=pad), step("open", file=SOLID),
+                 step("run", code="played.length"), step("click", id="rumble"), step("press", key="j"), step("state"),
+                 step("run", code="played"), step("press", key="v"), step("press", key="ArrowUp"),
+                 step("run", code="played.length"))  # fmt: skip
+    silent, state, played, after = told.answers[3], told.answers[6], told.answers[7], told.answers[10]
+    size = np.linalg.norm(state["force"][:3])
+    assert told.errors == [] and silent == 0 and after == len(played) > 0
+    assert played[-1]["kind"] == "dual-rumble" and played[-1]["duration"] > 60
+    assert played[-1]["strongMagnitude"] == pytest.approx(size / state["head"]["peak"]) and size > 0
+
+
+def test_the_pressure_of_a_pen_is_depth(page: str, tmp_path: Path) -> None:
+    """At half its pressure the probe is as deep as that of a pointer, and it goes deeper in proportion."""
+    presses = [("mousePressed", 0.1), ("mouseMoved", 0.5), ("mouseMoved", 0.9), ("mouseReleased", 0.0)]
+    pens = [
+        one for kind, force in presses for one in (step("pen", type=kind, x=479, y=420, force=force), step("state"))
+    ]
+    told = drive(tmp_path, step("goto", url=page), step("open", file=SOLID), step("press", key="c"),
+                 step("move", x=479, y=420), step("state"), *pens)  # fmt: skip
+    assert told.errors == []
+    head, pointer = told.answers[4]["head"], np.array(told.answers[4]["point"])
+    light, half, hard = (np.array(told.answers[n]["point"]) for n in (6, 8, 10))
+    depth_m = 0.05 * min(n * h for n, h in zip(head["shape"], head["spacing"], strict=True))
+    np.testing.assert_allclose(half, pointer, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(half - light), 0.8 * depth_m, rtol=1e-3)
+    np.testing.assert_allclose(hard - half, half - light, atol=1e-6)
+
+
+def test_an_hour_of_a_medium_takes_no_more_memory_than_its_first_minutes(page: str, tmp_path: Path) -> None:
+    """Played as fast as a browser can: a minute of a floor that moves, again and again."""
+    dense = np.zeros((1200, 16, 16, 16, 3), np.float32)
+    for i in range(1200):
+        dense[i, :, : 4 + int(4 + 4 * np.sin(i / 9))] = (0, 1 + np.sin(i / 31), 0)
+    medium = tf.HapticMedium.from_array(dense, tf.Grid((16, 16, 16), (0.005,) * 3, (-0.0375,) * 3), 20.0)
+    tf.encode(medium, tmp_path / "minute.touch")
+    fast = """(() => {
+      const speed = document.getElementById("speed");
+      speed.add(new Option("fast", "240"));
+      speed.value = "240";
+      window.told = [];
+      let played = 0, last = 0;
+      setInterval(() => {
+        const now = touchfield.state();
+        played += (now.time - last + 60) % 60;
+        last = now.time;
+        gc();
+        told.push([played, performance.memory.usedJSHeapSize, now.memory, now.kept]);
+      }, 100);
+    })()"""
+    told = drive(tmp_path, step("goto", url=page), step("open", file=tmp_path / "minute.touch"),
+                 step("click", id="play"), step("run", code=fast), step("until", code="told.at(-1)?.[0] >= 3600"),
+                 step("run", code="told"), step("state"))  # fmt: skip
+    assert told.errors == [] and told.answers[6]["playing"]
+    played, heap, memory, kept = np.array(told.answers[5]).T
+    first, last = (played > 600) & (played < 1800), played > 2400
+    assert first.sum() > 10 and last.sum() > 10
+    assert np.median(heap[last]) - np.median(heap[first]) < 500_000
+    assert memory[last].max() == memory[first].max() > 1 << 20
+    assert kept[last].max() <= kept[first].max() < 50
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ export class Difference {
     }
     if (shown.cut) shown.cut = this.cut(shown.cut.axis, shown.cut.at);
     if (shown.grid) this.take(shown.grid, this.source.grid());
-    return { ...shown, ms: performance.now() - begin };
+    return { ...shown, memory: shown.memory + this.source.memory, ms: performance.now() - begin };
   }
 
   cut(axis: number, at: number): Cut {

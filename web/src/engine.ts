@@ -74,6 +74,8 @@ export interface Shown {
   cut: Cut | null;
   grid: Float32Array | null;
   largest: Float64Array;
+  /** Bytes of the decoder, which grow with what a file needs. */
+  memory: number;
   ms: number;
 }
 
@@ -113,7 +115,7 @@ export class Engine {
       type: n(13), peak: n(14), threshold: n(15), weber: n(16), friction: n(17), damping: n(18), scale: n(19),
       offset: three(20),
     };
-    return { head: this.head, records: readRecords(data), memory: n(23), ms: performance.now() - begin };
+    return { head: this.head, records: readRecords(data), memory: this.memory, ms: performance.now() - begin };
   }
 
   /** Decode a small file some times, so that the browser has made its code fast before a large one comes. */
@@ -196,7 +198,11 @@ export class Engine {
     const grid = head.type === 2 ? this.grid() : null;
     const at = cutAt ?? this.middling(cutAxis, meshes, poses);
     const cut = head.type === 1 ? this.cut(cutAxis, at) : null;
-    return { time, parts, poses, meshes, cut, grid, largest, ms: performance.now() - begin };
+    return { time, parts, poses, meshes, cut, grid, largest, memory: this.memory, ms: performance.now() - begin };
+  }
+
+  get memory(): number {
+    return this.wasm.memory.buffer.byteLength;
   }
 
   /** Send all meshes again with the next frame. */

@@ -63,6 +63,7 @@ interface State {
   time: number;
   point: Triple;
   force: Float64Array;
+  memory: number;
   axis: number;
   cut: number;
   /** Whether the source is there, and which of both, or what lies between them, is shown. */
@@ -136,7 +137,7 @@ async function openBytes(data: Uint8Array, name: string, figures: Given = null, 
     const ways = waysOf(opened.records.axes, isArray);
     const middle = opened.head.origin.map((o, n) => o + 0.5 * opened.head.spacing[n]! * (opened.head.shape[n]! - 1)) as Triple;
     const axis = [0, 1, 2].find((n) => ways.right[n]) ?? 0;
-    state = { name, opened, ways, time: 0, point: middle, force: new Float64Array(5), axis, cut: middle[axis]!, hasSource: !!source, what: "decoded" };
+    state = { name, opened, ways, time: 0, point: middle, force: new Float64Array(5), memory: opened.memory, axis, cut: middle[axis]!, hasSource: !!source, what: "decoded" };
     given = figures;
     text("name", name);
     begin();
@@ -262,6 +263,7 @@ async function showNow(time: number, isFirst = false): Promise<void> {
   const shown = await decoder.ask<Shown>({ do: "show", time: own.time, axis: own.axis, at: isFirst ? null : own.cut, depth: depth() });
   if (own !== state) return;
   if (shown.cut) own.cut = shown.cut.at;
+  own.memory = shown.memory;
   const part = shown.poses;
   if (shown.largest[0]! > 0) {
     const [x, y, z] = [shown.largest[1]!, shown.largest[2]!, shown.largest[3]!];
@@ -701,7 +703,7 @@ Object.assign(window, {
     state: () => ({
       state: document.documentElement.dataset.state, name: state?.name, time: state?.time, point: state?.point, force: state && [...state.force],
       axis: state?.axis, cut: state?.cut, playing, movie: movie?.currentTime, triangles: view.triangles, cones: view.cones, bodies: view.bodies, marks, sound: sound.told,
-      head: state?.opened.head, memory: state?.opened.memory, what: state?.what,
+      head: state?.opened.head, memory: state?.memory, kept: view.kept, what: state?.what,
     }),
   },
 });

@@ -60,6 +60,12 @@ export class View {
     this.resize();
   }
 
+  /** Geometries, textures and programs that the graphics card keeps. */
+  get kept(): number {
+    const { memory, programs } = this.renderer.info;
+    return memory.geometries + memory.textures + (programs?.length ?? 0);
+  }
+
   private resize(): void {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!width || !height) return;
