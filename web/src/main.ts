@@ -1,7 +1,8 @@
 // The page: opens a file, plays it, and lets it be felt by pointer, key, ear and pad.
 import { directionWords, waysOf, type Ways } from "./axes";
 import { colourOf } from "./colour";
-import { answer, type Ask, type Cut, type Opened, type Shown, type Triple, type What } from "./engine";
+import { firstSegment, indexOffset } from "./container";
+import { answer, type Ask, type Cut, type Opened, type Piece, type Shown, type Triple, type What } from "./engine";
 import { differenceWords, figuresOf, type Given, keyList, millimetres } from "./panel";
 import { Sound } from "./sound";
 import { Trace } from "./trace";
@@ -10,6 +11,7 @@ import { View } from "./view";
 const MOST_BYTES = 1 << 29;
 const SPOKEN_MS = 1200;
 const SCAN_MS = 3000;
+const AHEAD_S = 1;
 
 const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
 const text = (id: string, words: string): void => void (byId(id).textContent = words);
@@ -124,20 +126,30 @@ function tellFault(error: unknown, name = state?.name ?? "the file"): void {
 // -- opening ------------------------------------------------------------------------------------------------------------
 
 async function openBytes(data: Uint8Array, name: string, figures: Given = null, source: Uint8Array | null = null): Promise<void> {
+  await openAs(name, figures, !!source, null, async () => {
+    if (data.length > MOST_BYTES) throw TOO_LARGE;
+    return decoder.ask<Opened>({ do: "open", data, source });
+  });
+}
+
+const TOO_LARGE = { fault: "too large", words: `the page takes files up to ${MOST_BYTES >> 20} MiB`, byte: null };
+
+async function openAs(name: string, figures: Given, hasSource: boolean, read: Read | null, open: (own: number) => Promise<Opened | null>): Promise<void> {
   const own = ++opening;
   marks.open = performance.now();
   document.documentElement.dataset.state = "opening";
   setPlaying(false);
   byId("fault").hidden = true;
   try {
-    if (data.length > MOST_BYTES) throw { fault: "too large", words: `the page takes files up to ${MOST_BYTES >> 20} MiB`, byte: null };
-    const opened = await decoder.ask<Opened>({ do: "open", data, source });
-    if (own !== opening) return;
+    reading = null;
+    const opened = await open(own);
+    if (own !== opening || !opened) return;
+    reading = read;
     const isArray = opened.head.type === 2;
     const ways = waysOf(opened.records.axes, isArray);
     const middle = opened.head.origin.map((o, n) => o + 0.5 * opened.head.spacing[n]! * (opened.head.shape[n]! - 1)) as Triple;
     const axis = [0, 1, 2].find((n) => ways.right[n]) ?? 0;
-    state = { name, opened, ways, time: 0, point: middle, force: new Float64Array(5), memory: opened.memory, axis, cut: middle[axis]!, hasSource: !!source, what: "decoded" };
+    state = { name, opened, ways, time: 0, point: middle, force: new Float64Array(5), memory: opened.memory, axis, cut: middle[axis]!, hasSource, what: "decoded" };
     given = figures;
     text("name", name);
     begin();
@@ -147,6 +159,52 @@ async function openBytes(data: Uint8Array, name: string, figures: Given = null, 
     if (own === opening) tellFault(error, name);
   }
 }
+
+// -- a file elsewhere, of which only what is played is read -------------------------------------------------------------
+
+/** Bytes of a file, from one place to before another. */
+type Read = (from: number, to: number) => Promise<Uint8Array>;
+
+const LEAST_READ = 1 << 14;
+let reading: Read | null = null;
+const coming = new Map<number, Promise<void>>();
+
+/** Open a file in parts: its end with the index, its begin, and then the segments that are shown. */
+async function openParts(size: number, name: string, read: Read): Promise<void> {
+  coming.clear();
+  await openAs(name, null, false, read, async (own) => {
+    if (size > MOST_BYTES) throw TOO_LARGE;
+    await decoder.ask({ do: "room", size });
+    const bring = async (from: number, to: number): Promise<Uint8Array> => {
+      const data = await read(from, to);
+      if (own === opening) await decoder.ask({ do: "bring", at: from, data, segment: null });
+      return data;
+    };
+    const tail = await bring(Math.max(0, size - LEAST_READ), size);
+    const index = indexOffset(tail);
+    const within = tail.length - (size - index);
+    const told = within < 0 && index > 0 ? await bring(index, size) : tail.subarray(Math.max(within, 0));
+    const first = firstSegment(told);
+    if (!(first > 0 && first < size)) throw { fault: "cut short", words: "no index at its end", byte: null };
+    await bring(0, first);
+    return own === opening ? decoder.ask<Opened>({ do: "open-parts", first }) : null;
+  });
+}
+
+/** Fetch what is shown about a time. */
+async function fetched(time: number): Promise<void> {
+  const [own, read] = [opening, reading];
+  if (!read) return;
+  for (const { segment, from, to } of await decoder.ask<Piece[]>({ do: "missing", time })) {
+    if (!coming.has(segment))
+      coming.set(segment, read(from, to).then(async (data) => {
+        if (own === opening) await decoder.ask({ do: "bring", at: from, data, segment });
+      }).finally(() => coming.delete(segment)));
+    await coming.get(segment);
+  }
+}
+
+const fetchAhead = latest(fetched);
 
 /** What is told of a file before anything is decoded. */
 function begin(): void {
@@ -254,6 +312,8 @@ interface Met {
 async function showNow(time: number, isFirst = false): Promise<void> {
   const own = state!;
   own.time = Math.min(Math.max(time, 0), seconds());
+  if (reading) await fetched(own.time);
+  if (own !== state) return;
   if (isFirst) {
     const met = await decoder.ask<Met>({ do: "contact", time: 0, rays: view.raysFromMiddle(), depth: depth(), away: view.away() });
     marks.felt = performance.now();
@@ -338,6 +398,7 @@ function setPlaying(on: boolean): void {
     else if (time > seconds()) time = 0;
     try {
       await showNow(time);
+      if (reading) fetchAhead(Math.min(time + AHEAD_S * speed, seconds()));
     } catch (error) {
       return tellFault(error);
     }
@@ -653,6 +714,7 @@ async function followBytes(data: Uint8Array, name: string): Promise<void> {
   try {
     const opened = await decoder.ask<Opened>({ do: "open", data, source: null });
     if (own !== opening) return;
+    reading = null;
     state = { ...state, opened, name, time: 0 };
     text("name", name);
     await showNow(0, true);
@@ -663,7 +725,7 @@ async function followBytes(data: Uint8Array, name: string): Promise<void> {
 }
 
 async function openFile(file: File): Promise<void> {
-  if (file.size > MOST_BYTES) return tellFault({ fault: "too large", words: `the page takes files up to ${MOST_BYTES >> 20} MiB`, byte: null }, file.name);
+  if (file.size > MOST_BYTES) return tellFault(TOO_LARGE, file.name);
   await openBytes(new Uint8Array(await file.arrayBuffer()), file.name);
 }
 
@@ -696,6 +758,7 @@ async function start(): Promise<void> {
 Object.assign(window, {
   touchfield: {
     open: (data: ArrayLike<number>, name: string) => openBytes(Uint8Array.from(data), name),
+    read: (size: number, name: string, read: Read) => openParts(size, name, async (from, to) => Uint8Array.from(await read(from, to))),
     follow: (data: ArrayLike<number>, name: string) => followBytes(Uint8Array.from(data), name),
     hand: (at: Triple, time: number) => hand(at, time),
     feel: (points: number[]) => decoder.ask<Float64Array>({ do: "feel", points }).then((all) => [...all]),
