@@ -136,7 +136,7 @@ static void read_parts(touch_file *f, touch_cursor *c) {
     own = touch_crc(read_begin(f, c), crc, 4);
     if (c->code) return;
     touch_entry last = touch_entry_at(f, f->segment_count - 1);
-    touch_need(c, own == chain && last.first + last.count == f->frame_count, "HEAD, INDX or TEND of another file");
+    touch_need(c, own == chain && (uint64_t)last.first + last.count == f->frame_count, "HEAD, INDX or TEND of another file");
     touch_need(c, touch_is(f->coder, "objects") == (f->object_count > 0), "objects, or none where there are");
     if (!c->code && !touch_is(f->coder, "objects") && !touch_is(f->coder, "touch"))
         touch_fail(c, TOUCH_VERSION, "a coder that is not known here");

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import ROOT, drive, needs_browser
+from browser import ROOT, drive, hour_played, needs_browser
 
 import touchfield as tf
 from touchfield.cli.main import app
@@ -288,31 +288,7 @@ def test_the_pressure_of_a_pen_is_depth(page: str, tmp_path: Path) -> None:
 
 
 def test_an_hour_of_a_medium_takes_no_more_memory_than_its_first_minutes(page: str, tmp_path: Path) -> None:
-    """Played as fast as a browser can: a minute of a floor that moves, again and again."""
-    dense = np.zeros((1200, 16, 16, 16, 3), np.float32)
-    for i in range(1200):
-        dense[i, :, : 4 + int(4 + 4 * np.sin(i / 9))] = (0, 1 + np.sin(i / 31), 0)
-    medium = tf.HapticMedium.from_array(dense, tf.Grid((16, 16, 16), (0.005,) * 3, (-0.0375,) * 3), 20.0)
-    tf.encode(medium, tmp_path / "minute.touch")
-    fast = """(() => {
-      const speed = document.getElementById("speed");
-      speed.add(new Option("fast", "240"));
-      speed.value = "240";
-      window.told = [];
-      let played = 0, last = 0;
-      setInterval(() => {
-        const now = touchfield.state();
-        played += (now.time - last + 60) % 60;
-        last = now.time;
-        gc();
-        told.push([played, performance.memory.usedJSHeapSize, now.memory, now.kept]);
-      }, 100);
-    })()"""
-    told = drive(tmp_path, step("goto", url=page), step("open", file=tmp_path / "minute.touch"),
-                 step("click", id="play"), step("run", code=fast), step("until", code="told.at(-1)?.[0] >= 3600"),
-                 step("run", code="told"), step("state"))  # fmt: skip
-    assert told.errors == [] and told.answers[6]["playing"]
-    played, heap, memory, kept = np.array(told.answers[5]).T
+    played, heap, memory, kept = hour_played(tmp_path, page).T
     first, last = (played > 600) & (played < 1800), played > 2400
     assert first.sum() > 10 and last.sum() > 10
     assert np.median(heap[last]) - np.median(heap[first]) < 500_000
