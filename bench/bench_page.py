@@ -168,6 +168,10 @@ def bars(figures: Figures) -> list[Bar]:
         at_least("terrain, decoding over numba's", figure(figures, "terrain_decode_of_numba"), 0.6),
         at_least("motorcycle, decoding over numba's", figure(figures, "motorcycle_decode_of_numba"), 0.6),
         at_most("growth of the heap while it plays", figure(figures, "heap_growth_bytes"), 2_000_000, "bytes"),
+        at_most("growth of the decoder while it plays", figure(figures, "wasm_growth_bytes"), 0, "bytes"),
+        at_most("growth of the heap in an hour", figure(figures, "hour_heap_growth_bytes"), 500_000, "bytes"),
+        at_most("growth of the decoder in an hour", figure(figures, "hour_wasm_growth_bytes"), 0, "bytes"),
+        at_most("growth on the graphics card in an hour", figure(figures, "hour_graphics_growth"), 0, "things"),
     ]
 
 
