@@ -129,6 +129,7 @@ def test_a_page_tells_what_devices_render(tmp_path: Path, capsys: pytest.Capture
     within = re.search(r'id="given-figures">(.*?)</script>', out.read_text(encoding="utf-8"))
     assert within and json.loads(within[1])["capacity"] == told["capacity"]
     assert "capacity" not in tf.view(stream).figures
+    assert "capacity" in tf.view(tf.decode(stream), devices=names[:1]).figures
     assert _exit_code(["view", str(GOLDEN / "touch-empty.touch"), *asked, "--out", str(out), "--no-open"]) == 2
 
 

@@ -90,7 +90,7 @@ def view(
     stream. TouchfieldError if the file cannot be read, or is of a coder that the page does not know.
     """
     if isinstance(medium, HapticMedium):
-        return page_of_medium(medium)
+        return page_of_medium(medium, devices)
     movie = Path(str(medium))
     if movie.suffix.lower() in _MOVIES:
         with tempfile.TemporaryDirectory() as folder:
@@ -130,14 +130,14 @@ def _page(
     return Page(page_of(data, name, figures, movie, fine.data), figures)
 
 
-def page_of_medium(medium: HapticMedium) -> Page:
+def page_of_medium(medium: HapticMedium, devices: tuple[str, ...] = ()) -> Page:
     """The page of a medium in memory: its first 30 frames, coded by coder `touch` with its least effort."""
     shown = medium if len(medium) <= _MOST_FRAMES else medium[:_MOST_FRAMES]
     spec = replace(EncodeSpec(), touch=TouchSpec(effort="fast"))
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "medium.touch"
         encode(shown, out, spec)
-        page = view(out)
+        page = view(out, devices=devices)
     if shown is medium:
         return page
     return replace(page, figures={**page.figures, "frames_of": len(medium)})
