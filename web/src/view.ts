@@ -6,7 +6,7 @@ import {
   SphereGeometry, SRGBColorSpace, Vector3, WebGLRenderer, type Object3D,
 } from "three";
 import { type Ways } from "./axes";
-import { BEYOND, type Colour, colourOf } from "./colour";
+import { rowOf, TABLE } from "./colour";
 import type { Away, Cut, Head, Mesh as Surface, Ray, Shown, Triple } from "./engine";
 
 const ACCENT = 0xe8590c;
@@ -119,10 +119,6 @@ export class View {
     this.beyond = beyond;
   }
 
-  private colour(share: number): Colour {
-    return share > this.beyond ? BEYOND : colourOf(share);
-  }
-
   reset(): void {
     const isFront = this.ways?.words.some((word) => word === "forward"); // as a camera saw it
     const isPinned = this.isPins();
@@ -193,7 +189,8 @@ export class View {
         places[3 * i + k] = mesh.vertex[7 * i + k]!;
         normals[3 * i + k] = mesh.vertex[7 * i + 3 + k]!;
       }
-      colours.set(this.colour(mesh.vertex[7 * i + 6]! / this.top), 3 * i);
+      const at = rowOf(mesh.vertex[7 * i + 6]! / this.top, this.beyond);
+      for (let k = 0; k < 3; k++) colours[3 * i + k] = TABLE[at + k]!;
     }
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(places, 3));
@@ -236,8 +233,8 @@ export class View {
         const at = new Vector3(head.origin[0] + i * head.spacing[0], head.origin[1] + j * head.spacing[1], head.origin[2]);
         matrix.compose(at.addScaledVector(towards, height / 2), turn, new Vector3(wide, height, wide));
         this.array.setMatrixAt(n, matrix);
-        const [r, g, b] = size > 0 ? this.colour(size) : [148, 158, 174];
-        this.array.setColorAt(n, colour.setRGB(r / 255, g / 255, b / 255, SRGBColorSpace));
+        const [r, g, b] = size > 0 ? TABLE.subarray(rowOf(size, this.beyond)) : [148, 158, 174];
+        this.array.setColorAt(n, colour.setRGB(r! / 255, g! / 255, b! / 255, SRGBColorSpace));
       }
     this.array.instanceMatrix.needsUpdate = true;
     if (this.array.instanceColor) this.array.instanceColor.needsUpdate = true;
@@ -255,7 +252,8 @@ export class View {
         const n = 3 * (i * cut.up + j);
         const size = Math.hypot(cut.forces[n]!, cut.forces[n + 1]!, cut.forces[n + 2]!) / this.top;
         const at = 4 * (j * cut.across + i);
-        pixels.set(size > 1e-3 ? this.colour(size) : [255, 255, 255], at);
+        const row = rowOf(size, this.beyond);
+        for (let k = 0; k < 3; k++) pixels[at + k] = size > 1e-3 ? TABLE[row + k]! : 255;
         pixels[at + 3] = size > 1e-3 ? 255 : 18;
       }
     this.paint(pixels, cut.across, cut.up);
