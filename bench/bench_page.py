@@ -1,7 +1,8 @@
 """The page in headless Chromium: how soon a force is felt and a picture is there, its size, and its decoder's speed.
 
 The decoder is `c/touch.h` as WebAssembly, in node, against the compiled Python on one thread, on the same files. A
-file that moves plays for some time, and the memory before and after is told.
+file that moves plays for some time, and another for an hour of its own time, as fast as the browser draws; the memory
+before and after is told.
 
     python bench/bench_page.py [--quick] [--minutes N] [--rounds N]
 """
@@ -20,6 +21,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numpy as np
+
 from machine import Bar, Figures, at_least, at_most, bench, figure
 from touchfield.job import EncodeSpec, encode
 from touchfield.job.view import view
@@ -28,7 +31,7 @@ from touchfield.viewer.browser import empty_page
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "viewer"))
-from browser import drive, why_not  # noqa: E402
+from browser import drive, hour_played, why_not  # noqa: E402
 
 WASM_SPEED = """
 import fs from "node:fs";
@@ -115,6 +118,22 @@ def growth(folder: Path, minutes: float) -> dict[str, float]:
     }
 
 
+def hour(folder: Path) -> dict[str, float]:
+    """Memory of the page after an hour of a medium, against its first half hour without the first ten minutes."""
+    page = folder / "hour.html"
+    page.write_text(empty_page(), encoding="utf-8")
+    rows = hour_played(folder, page.as_uri())
+    played = rows[:, 0]
+    first, last = rows[(played > 600) & (played < 1800)], rows[played > 2400]
+    heap, wasm, kept = (np.median(last, axis=0) - np.median(first, axis=0))[1:]
+    return {
+        "hour_media_s": float(played[-1]),
+        "hour_heap_growth_bytes": float(heap),
+        "hour_wasm_growth_bytes": float(wasm),
+        "hour_graphics_growth": float(kept),
+    }
+
+
 def measure(minutes: float, rounds: int) -> Figures:
     """The page's size, its decoder, its waits and its memory."""
     if why_not():
@@ -132,7 +151,7 @@ def measure(minutes: float, rounds: int) -> Figures:
             ours, peer = decode_ms(folder, stream)
             figures |= {f"{scene}_wasm_ms": ours, f"{scene}_numba_ms": peer, f"{scene}_decode_of_numba": peer / ours}
             figures |= opened_ms(folder, scene, stream, rounds)
-        return figures | growth(folder, minutes)
+        return figures | growth(folder, minutes) | hour(folder)
 
 
 def bars(figures: Figures) -> list[Bar]:
@@ -149,6 +168,10 @@ def bars(figures: Figures) -> list[Bar]:
         at_least("terrain, decoding over numba's", figure(figures, "terrain_decode_of_numba"), 0.6),
         at_least("motorcycle, decoding over numba's", figure(figures, "motorcycle_decode_of_numba"), 0.6),
         at_most("growth of the heap while it plays", figure(figures, "heap_growth_bytes"), 2_000_000, "bytes"),
+        at_most("growth of the decoder while it plays", figure(figures, "wasm_growth_bytes"), 0, "bytes"),
+        at_most("growth of the heap in an hour", figure(figures, "hour_heap_growth_bytes"), 500_000, "bytes"),
+        at_most("growth of the decoder in an hour", figure(figures, "hour_wasm_growth_bytes"), 0, "bytes"),
+        at_most("growth on the graphics card in an hour", figure(figures, "hour_graphics_growth"), 0, "things"),
     ]
 
 

@@ -7,6 +7,7 @@ import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
+import { threeCore } from "./three_core.mjs";
 
 const here = dirname(fileURLToPath(import.meta.url));
 const out = process.argv[2] ?? join(here, "../src/touchfield/viewer/web");
@@ -16,7 +17,7 @@ const listed = (folder, ending) => readdirSync(join(here, folder)).filter((n) =>
 const SAMPLE = "../conformance/v1/touch-large.touch";
 
 /** Every file that the page is made from; tests/viewer/test_page.py hashes the same. */
-const SOURCES = ["../c/touch.h", "build.mjs", "build_wasm.sh", "package-lock.json", "page.css", "page.html", "surface.h", "touch_wasm.c",
+const SOURCES = ["../c/touch.h", "build.mjs", "build_wasm.sh", "package-lock.json", "page.css", "page.html", "surface.h", "three_core.mjs", "touch_wasm.c",
   ...listed("freestanding", ""), ...listed("src", ".ts")];
 const sources = createHash("sha256");
 for (const name of SOURCES) sources.update(name).update("\0").update(read(name)).update("\0");
@@ -24,7 +25,7 @@ for (const name of SOURCES) sources.update(name).update("\0").update(read(name))
 async function bundle(name) {
   const done = await build({
     entryPoints: [join(here, "src", name)], bundle: true, minify: true, write: false, format: "iife", target: "es2022",
-    legalComments: "none", charset: "utf8", absWorkingDir: here,
+    legalComments: "none", charset: "utf8", absWorkingDir: here, plugins: [threeCore],
   });
   return done.outputFiles[0].text.trim().replaceAll("</script", "<\\/script").replaceAll("<!--", "<\\!--");
 }

@@ -70,6 +70,119 @@ EXPORT(open) int open_file(void) {
     return code ? code : lay();
 }
 
+/* -- a file of which parts are there: its begin, its index and end, and the segments that are wanted -------------- */
+
+static void check_vibration(touch_record *r, const touch_entry *e, touch_cursor *c) {
+    uint32_t first = (uint32_t)touch_u(&r->payload, 4), count = (uint32_t)touch_u(&r->payload, 2);
+    touch_need(c, !r->payload.code && first == e->first && count == e->count, "a VIBR of other frames than its segment");
+}
+
+/* HEAD and what follows it before the first segment; the chain of their CRC-32. */
+static uint32_t read_begin(touch_file *f, touch_cursor *c) {
+    touch_entry e = touch_entry_at(f, 0);
+    touch_cursor at = touch_cursor_of(f->data + TOUCH_OPENING, e.offset - TOUCH_OPENING);
+    uint32_t chain = touch_crc(0, f->data, TOUCH_OPENING), records = 0, stories = 0, vibrations = 0;
+    while (at.at < at.end && !c->code) {
+        touch_record r = touch_read_record(&at, f->data, 1);
+        uint8_t crc[4];
+        if (at.code) touch_fail(c, at.code, at.what);
+        else if (!touch_need(c, (r.tag == TOUCH_HEAD) == !records++, "records in another order")) break;
+        else if (r.tag == TOUCH_HEAD) touch_read_head(f, &r.payload);
+        else if (r.tag == TOUCH_PROV && touch_need(c, !stories++, "PROV twice")) touch_read_story(&r.payload);
+        else if (r.tag == TOUCH_OBJT && touch_need(c, f->object_count++ < 4096, "too many OBJT")) touch_read_object(&r.payload);
+        else if (r.tag == TOUCH_VIBR && touch_need(c, !vibrations++, "VIBR twice")) check_vibration(&r, &e, c);
+        else if (touch_is_known(r.tag)) touch_fail(c, TOUCH_CORRUPT, "records in another order");
+        if (r.payload.code) touch_fail(c, r.payload.code, r.payload.what);
+        crc[0] = (uint8_t)r.crc, crc[1] = (uint8_t)(r.crc >> 8), crc[2] = (uint8_t)(r.crc >> 16), crc[3] = (uint8_t)(r.crc >> 24);
+        if (r.tag == TOUCH_HEAD || r.tag == TOUCH_OBJT) chain = touch_crc(chain, crc, 4);
+    }
+    touch_need(c, records > 0, "no HEAD");
+    return chain;
+}
+
+/* Entries follow each other, and hold every frame once; behind HEAD and before INDX. */
+static void check_entries(const touch_file *f, uint64_t end, touch_cursor *c) {
+    uint64_t place = TOUCH_OPENING, frames = 0;
+    uint32_t n;
+    for (n = 0; n < f->segment_count && !c->code; n++) {
+        touch_entry e = touch_entry_at(f, n);
+        touch_need(c, e.offset >= place && e.offset < end && e.length >= 26 && e.length <= end - e.offset && e.count > 0 &&
+                          e.first == frames, "an entry of INDX");
+        place = e.offset + e.length, frames += e.count;
+    }
+}
+
+static void read_parts(touch_file *f, touch_cursor *c) {
+    touch_cursor at;
+    touch_record r;
+    uint64_t place, size;
+    uint32_t chain, own;
+    uint8_t crc[4];
+    if (!touch_check_opening(c, f->data, f->size)) return;
+    if (f->size < TOUCH_OPENING + TOUCH_TEND_BYTES) return (void)touch_fail(c, TOUCH_CUT, "no end record");
+    at = touch_cursor_of(f->data + f->size - TOUCH_TEND_BYTES, TOUCH_TEND_BYTES), r = touch_read_record(&at, f->data, 1);
+    if (at.code || r.tag != TOUCH_TEND || r.length != 20) return (void)touch_fail(c, TOUCH_CUT, "no end record");
+    place = touch_u(&r.payload, 8), size = touch_u(&r.payload, 8), chain = (uint32_t)touch_u(&r.payload, 4);
+    if (!touch_need(c, size == f->size && place > TOUCH_OPENING && place < f->size - TOUCH_TEND_BYTES, "TEND of another file")) return;
+    at = touch_cursor_of(f->data + place, f->size - TOUCH_TEND_BYTES - place), r = touch_read_record(&at, f->data, 1);
+    if (at.code) return (void)touch_fail(c, at.code, at.what);
+    f->segment_count = (uint32_t)touch_u(&r.payload, 4);
+    if (!touch_need(c, r.tag == TOUCH_INDX && !r.payload.code && f->segment_count > 0 &&
+                           touch_left(&r.payload) == 26 * (uint64_t)f->segment_count, "INDX in another place")) return;
+    f->index.bytes = r.payload.at, f->index.size = touch_left(&r.payload);
+    check_entries(f, place, c);
+    if (c->code) return;
+    crc[0] = (uint8_t)r.crc, crc[1] = (uint8_t)(r.crc >> 8), crc[2] = (uint8_t)(r.crc >> 16), crc[3] = (uint8_t)(r.crc >> 24);
+    own = touch_crc(read_begin(f, c), crc, 4);
+    if (c->code) return;
+    touch_entry last = touch_entry_at(f, f->segment_count - 1);
+    touch_need(c, own == chain && (uint64_t)last.first + last.count == f->frame_count, "HEAD, INDX or TEND of another file");
+    touch_need(c, touch_is(f->coder, "objects") == (f->object_count > 0), "objects, or none where there are");
+    if (!c->code && !touch_is(f->coder, "objects") && !touch_is(f->coder, "touch"))
+        touch_fail(c, TOUCH_VERSION, "a coder that is not known here");
+}
+
+EXPORT(open_parts) int open_parts(void) {
+    touch_cursor c;
+    memset(&file, 0, sizeof file);
+    file.data = (const uint8_t *)(uintptr_t)file_at, file.size = file_size;
+    c = touch_cursor_of(file.data, file.size);
+    read_parts(&file, &c);
+    words = c.code ? c.what : "", each = LEAST, first = second = 0, share = 0;
+    return c.code ? c.code : lay();
+}
+
+/* The segment of a frame. */
+EXPORT(segment_of) uint32_t segment_of(uint32_t n) { return touch_segment_of(&file, n); }
+
+/* Where a segment begins, with what stands before it, and where it ends: two numbers. */
+EXPORT(span) const double *span(uint32_t n) {
+    touch_entry e = touch_entry_at(&file, n), before;
+    if (n) before = touch_entry_at(&file, n - 1);
+    out[0] = n ? (double)(before.offset + before.length) : (double)e.offset, out[1] = (double)(e.offset + e.length);
+    return out;
+}
+
+/* Hold a segment that is there now against its entry; 0: it is as it should be. */
+EXPORT(check) int check(uint32_t n) {
+    const double *own = span(n);
+    touch_cursor c = touch_cursor_of(file.data + (uint64_t)own[0], (uint64_t)(own[1] - own[0]));
+    touch_entry e = touch_entry_at(&file, n);
+    uint32_t vibrations = 0, segments = 0;
+    while (c.at < c.end && !c.code) {
+        touch_record r = touch_read_record(&c, file.data, 1);
+        if (c.code) break;
+        if (r.tag == TOUCH_SEGM) {
+            touch_need(&c, !segments++ && e.offset == r.offset && e.length == r.length + 20 && e.crc == r.crc &&
+                               e.first == touch_u(&r.payload, 4) && e.count == touch_u(&r.payload, 2), "an entry of INDX");
+        } else if (r.tag == TOUCH_VIBR && touch_need(&c, !vibrations++, "VIBR twice")) check_vibration(&r, &e, &c);
+        else if (touch_is_known(r.tag)) touch_fail(&c, TOUCH_CORRUPT, "records in another order");
+    }
+    if (!c.code) touch_need(&c, segments, "no segment where one is due");
+    words = c.code ? c.what : "";
+    return c.code;
+}
+
 EXPORT(words) const char *words_of(void) { return words; }
 
 EXPORT(number) double number_of(int n) {
@@ -78,7 +191,7 @@ EXPORT(number) double number_of(int n) {
                            file.grid.origin_m[2],   file.rate_hz,           file.frame_count,        file.segment_count,
                            file.object_count,       file.device_type,       file.force_max_n,        file.force_threshold_n,
                            file.weber_fraction,     file.friction,          file.damping_n_s_per_m,  file.mapping_scale,
-                           file.mapping_offset_m[0], file.mapping_offset_m[1], file.mapping_offset_m[2], place_of(4)};
+                           file.mapping_offset_m[0], file.mapping_offset_m[1], file.mapping_offset_m[2]};
     return n < 0 || n >= (int)(sizeof told / sizeof *told) ? 0 : told[n];
 }
 

@@ -8,7 +8,10 @@ import subprocess
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
+
+import touchfield as tf
 
 ROOT = Path(__file__).resolve().parents[2]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -45,3 +48,37 @@ def drive(folder: Path, *steps: dict[str, Any], **context: Any) -> Told:
     done = subprocess.run(command, cwd=ROOT / "web", capture_output=True, text=True, check=False, timeout=seconds)
     assert done.returncode == 0, done.stderr[-3000:]
     return Told(**json.loads(told.read_text()))
+
+
+FAST = """(() => {
+  const speed = document.getElementById("speed");
+  speed.add(new Option("fast", "240"));
+  speed.value = "240";
+  window.told = [];
+  let played = 0, last = 0;
+  setInterval(() => {
+    const now = touchfield.state();
+    played += (now.time - last + 60) % 60;
+    last = now.time;
+    gc();
+    told.push([played, performance.memory.usedJSHeapSize, now.memory, now.kept]);
+  }, 100);
+})()"""
+
+
+def hour_played(folder: Path, page: str) -> np.ndarray:
+    """A minute of a floor that moves, played sixty times, as fast as the browser draws.
+
+    Ten times a second: seconds of the medium, bytes of the page, bytes of its decoder, things on the graphics card.
+    """
+    dense = np.zeros((1200, 16, 16, 16, 3), np.float32)
+    for i in range(1200):
+        dense[i, :, : 4 + int(4 + 4 * np.sin(i / 9))] = (0, 1 + np.sin(i / 31), 0)
+    medium = tf.HapticMedium.from_array(dense, tf.Grid((16, 16, 16), (0.005,) * 3, (-0.0375,) * 3), 20.0)
+    tf.encode(medium, folder / "minute.touch")
+    steps = [{"do": "goto", "url": page}, {"do": "open", "file": str(folder / "minute.touch")}]
+    steps += [{"do": "click", "id": "play"}, {"do": "run", "code": FAST}]
+    steps += [{"do": "until", "code": "told.at(-1)?.[0] >= 3600"}, {"do": "run", "code": "told"}]
+    told = drive(folder, *steps)
+    assert told.errors == []
+    return np.array(told.answers[5])

@@ -52,11 +52,23 @@ const asked = {
     await page.mouse.up();
     await page.waitForTimeout(300);
   },
+  pen: async ({ type, x, y, force }) => {
+    const tablet = await frame.newCDPSession(page);
+    await tablet.send("Input.dispatchMouseEvent", { type, x, y, force, button: "left", buttons: type === "mouseReleased" ? 0 : 1, clickCount: 1, pointerType: "pen" });
+    await page.waitForTimeout(300);
+  },
   place: ({ selector }) => page.locator(selector).boundingBox(),
   wait: ({ ms }) => page.waitForTimeout(ms),
   text: ({ id }) => page.textContent(`#${id}`),
   count: ({ selector }) => page.locator(selector).count(),
   run: ({ code }) => page.evaluate(code),
+  within: ({ code }) => page.frames()[1].evaluate(code),
+  until: async ({ code, frame = 0 }) => {
+    for (let left = 600; !(await page.frames()[frame].evaluate(code)); left--) {
+      if (!left) throw new Error(`it is not so after 60 s: ${code}`);
+      await page.waitForTimeout(100);
+    }
+  },
   shot: async ({ path }) => { await page.screenshot({ path }); },
   state,
 };

@@ -32,7 +32,13 @@ def sources() -> list[str]:
     """As build.mjs names them."""
     own = ["../c/touch.h", "build.mjs", "build_wasm.sh", "package-lock.json", "page.css", "page.html", "surface.h"]
     folders = [f"{p.parent.name}/{p.name}" for p in sorted((WEB / "freestanding").iterdir())]
-    return [*own, "touch_wasm.c", *folders, *(f"src/{p.name}" for p in sorted((WEB / "src").glob("*.ts")))]
+    return [
+        *own,
+        "three_core.mjs",
+        "touch_wasm.c",
+        *folders,
+        *(f"src/{p.name}" for p in sorted((WEB / "src").glob("*.ts"))),
+    ]
 
 
 def test_the_page_is_made_from_the_sources_that_are_here() -> None:
@@ -102,6 +108,48 @@ def test_the_command_writes_and_opens(tmp_path: Path, monkeypatch: pytest.Monkey
     assert _exit_code(["view", stream]) == 0
     assert shown[1].endswith("/page.html")
     assert _exit_code(["view", stream, "--no-open"]) == 2
+
+
+def test_a_page_tells_what_devices_render(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The figures are those of the command `measure`; of a file alone, none is computed."""
+    stream, out = GOLDEN / "touch-solid.touch", tmp_path / "page.html"
+    names = ("phantom-omni", "tshirt-32x32")
+    asked = [word for name in names for word in ("--device", name)]
+    assert _exit_code(["view", str(stream), *asked, "--out", str(out), "--no-open", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert _exit_code(["measure", str(stream), *asked, "--no-limits", "--json"]) == 0
+    expected = json.loads(capsys.readouterr().out)
+    assert told["entropy_voxel_bits"] == expected["entropy_voxel"]["value"]
+    assert told["entropy_frame_bits"] == expected["entropy_frame"]["value"]
+    for name in names:
+        own, found = told["capacity"][name], expected["capacity"][name]
+        assert [own["capacity_bits"], own["wmr"], own["hil"]] == [
+            found[key]["value"] for key in ("capacity", "wmr", "hil")
+        ]
+    within = re.search(r'id="given-figures">(.*?)</script>', out.read_text(encoding="utf-8"))
+    assert within and json.loads(within[1])["capacity"] == told["capacity"]
+    assert "capacity" not in tf.view(stream).figures
+    assert "capacity" in tf.view(tf.decode(stream), devices=names[:1]).figures
+    assert _exit_code(["view", str(GOLDEN / "touch-empty.touch"), *asked, "--out", str(out), "--no-open"]) == 2
+
+
+def test_a_page_with_the_source_tells_its_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    grid = tf.Grid((16, 16, 8), (0.005, 0.005, 0.005), (-0.0375, -0.0375, -0.0175))
+    force = np.zeros((16, 16, 8, 3), np.float32)
+    force[4:12, 4:12, 2:6, 2] = 1.0
+    source, stream, out = (str(tmp_path / name) for name in ("field.npz", "block.touch", "page.html"))
+    tf.write_field(source, tf.HapticMedium.from_array(force, grid))
+    tf.encode(source, stream)
+    assert _exit_code(["export", stream, out, "--source", source, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    within = re.search(r'id="given-source">([^<]+)<', Path(out).read_text(encoding="utf-8"))
+    assert within and len(base64.b64decode(within[1])) == told["source_bytes"] > 0
+    assert _exit_code(["export", stream, str(tmp_path / "drives.hjif"), "--source", source]) == 2
+    assert _exit_code(["view", stream, "--source", source, "--out", source, "--no-open"]) == 2
+    other = str(tmp_path / "other.npz")
+    tf.write_field(other, tf.HapticMedium.from_array(force[:8], tf.Grid((8, 16, 8), grid.spacing_m, grid.origin_m)))
+    assert _exit_code(["view", stream, "--source", other, "--out", out, "--no-open"]) == 2
+    assert "Name its own source" in capsys.readouterr().err
 
 
 def test_the_coder_paper_is_refused_with_what_to_do() -> None:

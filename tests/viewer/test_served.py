@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 import pytest
-from browser import drive, needs_browser
+from browser import ROOT, drive, needs_browser
 
 import touchfield as tf
 from touchfield.cli.main import _exit_code
@@ -78,6 +81,176 @@ def test_a_file_of_a_folder_is_shown_by_its_name(tmp_path: Path) -> None:
     assert told.errors == [] and {url.split("/")[2] for url in told.requests if url.startswith("http")} == {address}
     assert told.answers[1]["state"] == "ready" and told.answers[1]["name"] == "a room/rise.touch"
     assert told.answers[2][1] == pytest.approx(0.5, abs=0.06)
+
+
+def noise(count: int) -> tf.HapticMedium:
+    """Frames that cost many bytes, each of them."""
+    rng = np.random.default_rng(7)
+    dense = rng.normal(0, 1, (count, 16, 16, 16, 3)).astype(np.float32)
+    dense[:, :, 12:] = 0
+    return tf.HapticMedium.from_array(dense, tf.Grid((16, 16, 16), (0.005,) * 3, (-0.0375,) * 3), 10.0)
+
+
+class _Ranges(ThreadingHTTPServer):
+    """One file by ranges, and the pages; every range that is asked for is noted, and `spoil` may change an answer."""
+
+    def __init__(self, data: bytes, spoil: Callable[[int, bytes], bytes] = lambda begin, data: data) -> None:
+        self.data, self.spoil, self.asked = data, spoil, list[tuple[int, int]]()
+        super().__init__(("127.0.0.1", 0), _Answers)
+
+    def __enter__(self) -> Self:
+        threading.Thread(target=self.serve_forever, daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.shutdown()
+        self.server_close()
+
+    @property
+    def view(self) -> str:
+        """The address of the page."""
+        return f"http://127.0.0.1:{self.server_address[1]}/view/a.touch"
+
+
+class _Answers(BaseHTTPRequestHandler):
+    server: _Ranges
+
+    def log_message(self, *_: object) -> None:
+        """Nothing."""
+
+    def do_GET(self) -> None:
+        """A page, or a range of the file."""
+        pages = {"/view/a.touch": PAGES.around, "/view-page.html": PAGES.within}
+        asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+        if self.path in pages:
+            self._send(200, pages[self.path].encode(), "text/html")
+        elif self.path == "/a.touch" and asked is not None:
+            begin, end = int(asked[1]), min(int(asked[2]) + 1, len(self.server.data))
+            self.server.asked.append((begin, end))
+            data = self.server.spoil(begin, self.server.data[begin:end])
+            self._send(206, data, "haptics/vnd.touchfield", f"bytes {begin}-{end - 1}/{len(self.server.data)}")
+        else:
+            self._send(404, b"no such file", "text/plain")
+
+    def _send(self, status: int, data: bytes, kind: str, content_range: str = "") -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(data)))
+        if content_range:
+            self.send_header("Content-Range", content_range)
+        self.end_headers()
+        with suppress(ConnectionError):
+            self.wfile.write(data)
+
+
+def _felt(medium: tf.HapticMedium, time_s: float, points: np.ndarray) -> np.ndarray:
+    return np.asarray(tf.FieldSampler(medium).force_n(time_s, points))
+
+
+@needs_browser
+def test_of_a_large_file_only_what_is_played_is_fetched(tmp_path: Path) -> None:
+    """Head and index, the first segment, and the one that is sought; forces are those of Python."""
+    tf.encode(noise(160), tmp_path / "a.touch", EncodeSpec(touch=tf.TouchSpec(segment_frames=8)))
+    data = (tmp_path / "a.touch").read_bytes()
+    assert len(data) > 1 << 20
+    points = np.random.default_rng(1).uniform(-0.035, 0.01, (40, 3))
+    feel = {"do": "run", "code": f"{INNER}.feel({points.reshape(-1).tolist()})"}
+    between = 7.95  # the last frame of a segment, and the first of the next one
+    with _Ranges(data) as server:
+        told = drive(tmp_path, {"do": "goto", "url": server.view}, {"do": "run", "code": f"{INNER}.state()"}, feel,
+                     {"do": "run", "code": f"{INNER}.seek({between})"}, feel, offline=False)  # fmt: skip
+        first_asked = list(server.asked)
+        played = drive(
+            tmp_path, {"do": "goto", "url": server.view},
+            {"do": "run", "code": f"{INNER}.seek(1).then(() => [...document.querySelector('iframe').contentDocument"
+             ".querySelectorAll('button')].find((b) => b.id == 'play').click())"},
+            {"do": "until", "code": f"{INNER}.state().time > 2"}, {"do": "run", "code": f"{INNER}.state()"},
+            offline=False,
+        )  # fmt: skip
+    assert told.errors == played.errors == []
+    assert told.answers[1]["state"] == played.answers[3]["state"] == "ready"
+    assert told.answers[1]["name"] == "a.touch" and told.answers[1]["head"]["frames"] == 160
+    assert len(set(first_asked)) == len(first_asked)
+    assert sum(end - begin for begin, end in first_asked) < 0.4 * len(data)
+    with tf.open_stream(tmp_path / "a.touch") as opened:
+        for answer, time_s in ((told.answers[2], 0.0), (told.answers[4], between)):
+            got = np.array(answer).reshape(-1, 5)[:, :3]
+            np.testing.assert_allclose(got, _felt(opened.medium, time_s, points), atol=1e-5)
+            assert np.abs(got).max() > 0.5
+        assert any(s.first_frame == 80 for s in opened.reader.segments)
+
+
+GOLDEN = ROOT / "conformance" / "v1"
+
+
+def _in_parts(data: str) -> str:
+    """What opens a file, base64, by reading parts of it."""
+    return (
+        f"(async () => {{ const all = Uint8Array.from(atob('{data}'), (c) => c.charCodeAt(0));"
+        "await touchfield.read(all.length, 'parts', async (from, to) => all.subarray(from, to)); return 0; })()"
+    )
+
+
+@needs_browser
+@pytest.mark.parametrize("name", ["objects-touch", "objects-touch-deforming", "vibration-touch", "touch-solid"])
+def test_files_in_parts_are_the_same_files(tmp_path: Path, name: str) -> None:
+    """Bodies and vibrations too, read in parts by the page itself, are what the whole file is."""
+    whole, parts = f"{name}.touch", base64.b64encode((GOLDEN / f"{name}.touch").read_bytes()).decode()
+    (tmp_path / "page.html").write_text(empty_page(), encoding="utf-8")
+    with tf.open_stream(GOLDEN / whole) as opened:
+        low, high = opened.grid.box_m
+    points = np.random.default_rng(2).uniform(low, high, (80, 3)).reshape(-1).tolist()
+    looks = [
+        one
+        for time_s in (0.0, 0.0004, 0.05, 9.0)
+        for one in ({"do": "seek", "time": time_s}, {"do": "feel", "points": points})
+    ]
+    told = drive(tmp_path, {"do": "goto", "url": (tmp_path / "page.html").as_uri()},
+                 {"do": "open", "file": GOLDEN / whole}, *looks, {"do": "run", "code": _in_parts(parts)}, *looks,
+                 {"do": "state"})  # fmt: skip
+    assert told.errors == [] and told.answers[-1]["name"] == "parts" and told.answers[-1]["state"] == "ready"
+    count = len(looks)
+    assert told.answers[3 : 2 + count : 2] == told.answers[4 + count : 3 + 2 * count : 2]
+    assert np.abs(told.answers[3]).max() > 0
+
+
+def _cut(begin: int, data: bytes) -> bytes:
+    return data[:-1] if begin else data
+
+
+def _flipped(begin: int, data: bytes) -> bytes:
+    return data[:-10] + bytes([data[-10] ^ 1]) + data[-9:] if begin else data
+
+
+def _longer(begin: int, data: bytes) -> bytes:
+    return data + b"0" if begin else data
+
+
+@needs_browser
+@pytest.mark.parametrize(("spoil", "words"), [(_cut, "other bytes"), (_flipped, "corrupt"), (_longer, "more than")])
+def test_what_a_server_answers_is_not_believed(
+    tmp_path: Path, spoil: Callable[[int, bytes], bytes], words: str
+) -> None:
+    tf.encode(noise(40), tmp_path / "a.touch", EncodeSpec(touch=tf.TouchSpec(segment_frames=8)))
+    with _Ranges((tmp_path / "a.touch").read_bytes(), spoil) as server:
+        fault = "document.querySelector('iframe').contentDocument.getElementById('fault').textContent"
+        told = drive(tmp_path, {"do": "goto", "url": server.view}, {"do": "run", "code": f"{INNER}.state().state"},
+                     {"do": "run", "code": fault}, offline=False)  # fmt: skip
+    assert told.answers[1] == "fault" and (words in told.answers[2] or "cut short" in told.answers[2]), told.answers
+
+
+@needs_browser
+def test_faulty_files_in_parts_are_refused(tmp_path: Path) -> None:
+    """None of the files that a reader must refuse opens and plays from its begin to its end in parts."""
+    (tmp_path / "page.html").write_text(empty_page(), encoding="utf-8")
+    steps: list[dict[str, Any]] = [{"do": "goto", "url": (tmp_path / "page.html").as_uri()}]
+    names = sorted(path.name for path in (ROOT / "conformance" / "faulty").glob("*.touch"))
+    for name in names:
+        data = base64.b64encode((ROOT / "conformance" / "faulty" / name).read_bytes()).decode()
+        steps += [{"do": "run", "code": _in_parts(data)}, {"do": "through"}, {"do": "state"}]
+    told = drive(tmp_path, *steps)
+    assert told.errors == []
+    assert [name for name, state in zip(names, told.answers[3::3], strict=True) if state["state"] != "fault"] == []
 
 
 @needs_browser

@@ -15,5 +15,10 @@ export function colourOf(share: number): Colour {
   return [part(16), part(8), part(0)];
 }
 
-/** 256 colours, red, green and blue in turn. */
-export const TABLE: Uint8Array = Uint8Array.from({ length: 768 }, (_, n) => colourOf(Math.floor(n / 3) / 255)[n % 3]!);
+const BEYOND: Colour = [214, 31, 38];
+
+/** 256 colours, and red for what is beyond what is allowed: red, green and blue in turn. */
+export const TABLE: Uint8Array = Uint8Array.from({ length: 771 }, (_, n) => (n < 768 ? colourOf(Math.floor(n / 3) / 255) : BEYOND)[n % 3]!);
+
+/** Where in the table a share stands, and one that is beyond. */
+export const rowOf = (share: number, beyond: number): number => 3 * (share > beyond ? 256 : Math.min(255, Math.floor(255 * share)));

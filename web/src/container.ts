@@ -55,9 +55,10 @@ function* rows(data: Uint8Array): Generator<Row> {
   }
 }
 
-export function readRecords(data: Uint8Array): Records {
+/** The records of a file, or of its begin; `size` is that of the whole file. */
+export function readRecords(data: Uint8Array, size = data.length): Records {
   const view = new DataView(data.buffer, data.byteOffset, data.length);
-  const out: Records = { axes: "", device: "", coder: "", tags: [], story: [], objects: [], bytes: [], size: data.length };
+  const out: Records = { axes: "", device: "", coder: "", tags: [], story: [], objects: [], bytes: [], size };
   const sizes = new Map<string, number>();
   for (const { tag, at, length } of rows(data)) {
     sizes.set(tag, (sizes.get(tag) ?? 0) + length + OVERHEAD);
@@ -75,6 +76,20 @@ export function readRecords(data: Uint8Array): Records {
   }
   out.bytes = [...sizes];
   return out;
+}
+
+const LAST = 40;
+
+/** The byte where the index begins, as the end of a file tells it; 0: it does not. */
+export function indexOffset(tail: Uint8Array): number {
+  if (tail.length < LAST) return 0;
+  return Number(new DataView(tail.buffer, tail.byteOffset + tail.length - LAST, LAST).getBigUint64(16, true));
+}
+
+/** The byte where the first segment begins, as an index tells it; 0: it does not. */
+export function firstSegment(index: Uint8Array): number {
+  if (index.length < OVERHEAD + 30) return 0;
+  return Number(new DataView(index.buffer, index.byteOffset, index.length).getBigUint64(26, true));
 }
 
 /** A fault with the byte of the first record that does not hold, where one does not. */

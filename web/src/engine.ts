@@ -1,10 +1,15 @@
 // The decoder of touch.h in WebAssembly, and what the page asks of it. Runs in a worker, or beside the page.
 import { Fault, faultOf, readRecords, type Records } from "./container";
+import { Difference } from "./difference";
 
 interface Exports {
   memory: WebAssembly.Memory;
   room(bytes: number): number;
   open(): number;
+  open_parts(): number;
+  segment_of(frame: number): number;
+  span(segment: number): number;
+  check(segment: number): number;
   words(): number;
   number(n: number): number;
   show(place: number): number;
@@ -64,6 +69,13 @@ export interface Away {
   side: number;
 }
 
+/** A segment, and the bytes of it, and of what stands before it, in the file. */
+export interface Piece {
+  segment: number;
+  from: number;
+  to: number;
+}
+
 /** What is to be drawn at an instant; meshes only where they differ from those sent before. */
 export interface Shown {
   time: number;
@@ -73,6 +85,8 @@ export interface Shown {
   cut: Cut | null;
   grid: Float32Array | null;
   largest: Float64Array;
+  /** Bytes of the decoder, which grow with what a file needs. */
+  memory: number;
   ms: number;
 }
 
@@ -90,21 +104,56 @@ export class Engine {
   private readonly wasm: Exports;
   private head: Head | null = null;
   private keys: string[] = [];
+  /** Of a file in parts: where it lies, its bytes, and the segments that are there. */
+  private parts: { at: number; size: number; there: Set<number> } | null = null;
 
-  constructor(bytes: BufferSource) {
+  constructor(module: WebAssembly.Module) {
     const page = { sin: Math.sin, cos: Math.cos, atan: Math.atan, atan2: Math.atan2 };
-    this.wasm = new WebAssembly.Instance(new WebAssembly.Module(bytes), { page }).exports as unknown as Exports;
+    this.wasm = new WebAssembly.Instance(module, { page }).exports as unknown as Exports;
   }
 
   open(data: Uint8Array): Opened {
     const begin = performance.now();
+    this.room(data.length);
+    this.bring(0, data, null);
+    const code = this.wasm.open();
+    this.parts = null;
+    if (code) throw faultOf(CODES[code] ?? "fault", this.words(), data);
+    return this.told(readRecords(data), begin);
+  }
+
+  /** Room for a file that comes in parts. */
+  room(size: number): boolean {
     this.head = null;
     this.keys = [];
-    const at = this.wasm.room(data.length);
+    const at = this.wasm.room(size);
     if (!at) throw new Fault("too large", "the file is larger than the memory that the page takes", null);
-    new Uint8Array(this.wasm.memory.buffer).set(data, at);
-    const code = this.wasm.open();
-    if (code) throw faultOf(CODES[code] ?? "fault", this.words(), data);
+    this.parts = { at, size, there: new Set() };
+    return true;
+  }
+
+  /** Bytes of the file, where they lie in it; those of a segment are held against what the index tells of it. */
+  bring(at: number, data: Uint8Array, segment: number | null): boolean {
+    const { parts } = this;
+    if (!parts || at < 0 || at + data.length > parts.size) throw new Fault("argument", "bytes beyond the file", null);
+    new Uint8Array(this.wasm.memory.buffer).set(data, parts.at + at);
+    if (segment === null) return true;
+    const code = this.wasm.check(segment);
+    if (code) throw new Fault(CODES[code] ?? "fault", `${this.words()}, in segment ${segment}`, null);
+    parts.there.add(segment);
+    return true;
+  }
+
+  /** Open a file whose begin, up to the first segment, its index and its end are there. */
+  openParts(first: number): Opened {
+    const begin = performance.now();
+    const { at, size } = this.parts!;
+    const code = this.wasm.open_parts();
+    if (code) throw new Fault(CODES[code] ?? "fault", this.words(), null);
+    return this.told(readRecords(new Uint8Array(this.wasm.memory.buffer, at, first).slice(), size), begin);
+  }
+
+  private told(records: Records, begin: number): Opened {
     const n = (i: number): number => this.wasm.number(i);
     const three = (i: number): Triple => [n(i), n(i + 1), n(i + 2)];
     this.head = {
@@ -112,7 +161,28 @@ export class Engine {
       type: n(13), peak: n(14), threshold: n(15), weber: n(16), friction: n(17), damping: n(18), scale: n(19),
       offset: three(20),
     };
-    return { head: this.head, records: readRecords(data), memory: n(23), ms: performance.now() - begin };
+    return { head: this.head, records, memory: this.memory, ms: performance.now() - begin };
+  }
+
+  private needed(time: number): number[] {
+    const { frames, rate, objects, segments } = this.opened();
+    const at = Math.min(Math.max(time * rate, 0), frames - 1);
+    const own = new Set<number>();
+    for (const frame of [Math.floor(at + 1e-9), Math.ceil(at)]) {
+      const n = this.wasm.segment_of(frame);
+      for (let k = objects ? -1 : 0; k <= (objects ? 1 : 0); k++) if (n + k >= 0 && n + k < segments) own.add(n + k); // bodies look beyond
+    }
+    return [...own];
+  }
+
+  /** What a file in parts lacks of what is shown about a time. */
+  missing(time: number): Piece[] {
+    const { parts } = this;
+    if (!parts) return [];
+    return this.needed(time).filter((n) => !parts.there.has(n)).map((segment) => {
+      const [from, to] = new Float64Array(this.wasm.memory.buffer, this.wasm.span(segment), 2);
+      return { segment, from: from!, to: to! };
+    });
   }
 
   /** Decode a small file some times, so that the browser has made its code fast before a large one comes. */
@@ -128,6 +198,7 @@ export class Engine {
   /** Decode what is about a time, seconds. */
   seek(time: number): void {
     const head = this.opened();
+    if (this.missing(time).length) throw new Fault("argument", "a segment that is not there", null);
     const code = this.wasm.show(time * head.rate);
     if (!code) return;
     throw faultOf(CODES[code] ?? "fault", this.words(), null, `in frame ${Math.floor(time * head.rate)}`);
@@ -192,10 +263,25 @@ export class Engine {
       const most = new Float64Array(wasm.memory.buffer, wasm.largest(n), 4);
       if (most[0]! >= largest[0]!) largest = most.slice();
     }
-    const grid = head.type === 2 ? this.forces(head.origin, 0, 1, head.spacing, head.shape) : null;
+    const grid = head.type === 2 ? this.grid() : null;
     const at = cutAt ?? this.middling(cutAxis, meshes, poses);
     const cut = head.type === 1 ? this.cut(cutAxis, at) : null;
-    return { time, parts, poses, meshes, cut, grid, largest, ms: performance.now() - begin };
+    return { time, parts, poses, meshes, cut, grid, largest, memory: this.memory, ms: performance.now() - begin };
+  }
+
+  get memory(): number {
+    return this.wasm.memory.buffer.byteLength;
+  }
+
+  /** Send all meshes again with the next frame. */
+  forget(): void {
+    this.keys = [];
+  }
+
+  /** Forces of all actuators of an array. */
+  grid(): Float32Array {
+    const { origin, spacing, shape } = this.opened();
+    return this.forces(origin, 0, 1, spacing, shape);
   }
 
   /** A place for a first slice: three quarters of the way along what there is to feel, towards the viewer's right. */
@@ -254,7 +340,7 @@ export class Engine {
     };
   }
 
-  private opened(): Head {
+  opened(): Head {
     if (!this.head) throw new Fault("argument", "no file is open", null);
     return this.head;
   }
@@ -269,24 +355,65 @@ export class Engine {
 
 // -- messages -----------------------------------------------------------------------------------------------------
 
+/** What is shown and felt. */
+export type What = "decoded" | "source" | "difference";
+
 export type Ask =
   | { do: "start"; wasm: ArrayBuffer }
   | { do: "warm"; data: Uint8Array; times: number }
-  | { do: "open"; data: Uint8Array }
+  | { do: "open"; data: Uint8Array; source: Uint8Array | null }
+  | { do: "room"; size: number }
+  | { do: "bring"; at: number; data: Uint8Array; segment: number | null }
+  | { do: "open-parts"; first: number }
+  | { do: "missing"; time: number }
+  | { do: "of"; what: What }
   | { do: "show"; time: number; axis: number; at: number | null; depth: number }
   | { do: "cut"; axis: number; at: number }
   | { do: "feel"; points: number[] }
   | { do: "contact"; time: number | null; rays: Ray[]; depth: number; away: Away | null };
 
-let engine: Engine | null = null;
+let module: WebAssembly.Module;
+let decoded: Engine | null = null;
+let fields: Partial<Record<What, Engine | Difference>> = {};
+let engine: Engine | Difference;
+
+/** Open a file, and beside it its source. */
+function open(data: Uint8Array, source: Uint8Array | null): Opened {
+  const opened = decoded!.open(data);
+  engine = decoded!;
+  fields = { decoded: decoded! };
+  if (source) {
+    const beside = new Engine(module);
+    beside.open(source);
+    fields = { ...fields, source: beside, difference: new Difference(decoded!, beside) };
+  }
+  return opened;
+}
 
 /** The answer to a question; what goes wrong is an answer, too. */
 export function answer(ask: Ask): unknown {
   try {
-    if (ask.do === "start") return ((engine = new Engine(ask.wasm)), true);
-    if (!engine) throw new Fault("fault", "the decoder has not started", null);
-    if (ask.do === "warm") return engine.warm(ask.data, ask.times);
-    if (ask.do === "open") return engine.open(ask.data);
+    if (ask.do === "start") {
+      module = new WebAssembly.Module(ask.wasm);
+      engine = decoded = new Engine(module);
+      return true;
+    }
+    if (!decoded) throw new Fault("fault", "the decoder has not started", null);
+    if (ask.do === "warm") return decoded.warm(ask.data, ask.times);
+    if (ask.do === "open") return open(ask.data, ask.source);
+    if (ask.do === "room") {
+      engine = decoded;
+      fields = { decoded };
+      return decoded.room(ask.size);
+    }
+    if (ask.do === "bring") return decoded.bring(ask.at, ask.data, ask.segment);
+    if (ask.do === "open-parts") return decoded.openParts(ask.first);
+    if (ask.do === "missing") return decoded.missing(ask.time);
+    if (ask.do === "of") {
+      engine = fields[ask.what] ?? decoded;
+      if (engine instanceof Engine) engine.forget();
+      return true;
+    }
     if (ask.do === "show") return engine.show(ask.time, ask.axis, ask.at, ask.depth);
     if (ask.do === "cut") return engine.cut(ask.axis, ask.at);
     if (ask.do === "feel") return engine.feel(ask.points);

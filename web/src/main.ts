@@ -1,8 +1,9 @@
 // The page: opens a file, plays it, and lets it be felt by pointer, key, ear and pad.
 import { directionWords, waysOf, type Ways } from "./axes";
-import { TABLE } from "./colour";
-import { answer, type Ask, type Cut, type Opened, type Shown, type Triple } from "./engine";
-import { figuresOf, type Given, keyList, millimetres } from "./panel";
+import { colourOf } from "./colour";
+import { firstSegment, indexOffset } from "./container";
+import { answer, type Ask, type Cut, type Opened, type Piece, type Shown, type Triple, type What } from "./engine";
+import { differenceWords, figuresOf, type Given, keyList, millimetres } from "./panel";
 import { Sound } from "./sound";
 import { Trace } from "./trace";
 import { View } from "./view";
@@ -10,6 +11,7 @@ import { View } from "./view";
 const MOST_BYTES = 1 << 29;
 const SPOKEN_MS = 1200;
 const SCAN_MS = 3000;
+const AHEAD_S = 1;
 
 const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
 const text = (id: string, words: string): void => void (byId(id).textContent = words);
@@ -20,15 +22,20 @@ const press = (id: string, on: boolean): void => byId(id).setAttribute("aria-pre
 class Decoder {
   private worker: Worker | null = null;
   private next = 0;
-  private readonly waiting = new Map<number, (value: unknown) => void>();
+  private readonly waiting = new Map<number, { ask: Ask; done: (value: unknown) => void }>();
   private readonly ready: Promise<unknown>;
 
   constructor(wasm: Uint8Array<ArrayBuffer>, code: string) {
     try {
       this.worker = new Worker(URL.createObjectURL(new Blob([code], { type: "text/javascript" })));
       this.worker.onmessage = ({ data }: MessageEvent<{ id: number; answer: unknown }>): void => {
-        this.waiting.get(data.id)?.(data.answer);
+        this.waiting.get(data.id)?.done(data.answer);
         this.waiting.delete(data.id);
+      };
+      this.worker.onerror = (): void => { // a page around this one may forbid threads
+        this.worker = null;
+        for (const { ask, done } of this.waiting.values()) done(answer(ask));
+        this.waiting.clear();
       };
     } catch {
       this.worker = null;
@@ -40,7 +47,7 @@ class Decoder {
     if (ask.do !== "start") await this.ready;
     const told = this.worker
       ? await new Promise<unknown>((done) => {
-          this.waiting.set(++this.next, done);
+          this.waiting.set(++this.next, { ask, done });
           this.worker!.postMessage({ id: this.next, ask });
         })
       : await new Promise<unknown>((done) => setTimeout(() => done(answer(ask)), 0));
@@ -58,8 +65,12 @@ interface State {
   time: number;
   point: Triple;
   force: Float64Array;
+  memory: number;
   axis: number;
   cut: number;
+  /** Whether the source is there, and which of both, or what lies between them, is shown. */
+  hasSource: boolean;
+  what: What;
 }
 
 const sound = new Sound();
@@ -114,21 +125,31 @@ function tellFault(error: unknown, name = state?.name ?? "the file"): void {
 
 // -- opening ------------------------------------------------------------------------------------------------------------
 
-async function openBytes(data: Uint8Array, name: string, figures: Given = null): Promise<void> {
+async function openBytes(data: Uint8Array, name: string, figures: Given = null, source: Uint8Array | null = null): Promise<void> {
+  await openAs(name, figures, !!source, null, async () => {
+    if (data.length > MOST_BYTES) throw TOO_LARGE;
+    return decoder.ask<Opened>({ do: "open", data, source });
+  });
+}
+
+const TOO_LARGE = { fault: "too large", words: `the page takes files up to ${MOST_BYTES >> 20} MiB`, byte: null };
+
+async function openAs(name: string, figures: Given, hasSource: boolean, read: Read | null, open: (own: number) => Promise<Opened | null>): Promise<void> {
   const own = ++opening;
   marks.open = performance.now();
   document.documentElement.dataset.state = "opening";
   setPlaying(false);
   byId("fault").hidden = true;
   try {
-    if (data.length > MOST_BYTES) throw { fault: "too large", words: `the page takes files up to ${MOST_BYTES >> 20} MiB`, byte: null };
-    const opened = await decoder.ask<Opened>({ do: "open", data });
-    if (own !== opening) return;
+    reading = null;
+    const opened = await open(own);
+    if (own !== opening || !opened) return;
+    reading = read;
     const isArray = opened.head.type === 2;
     const ways = waysOf(opened.records.axes, isArray);
     const middle = opened.head.origin.map((o, n) => o + 0.5 * opened.head.spacing[n]! * (opened.head.shape[n]! - 1)) as Triple;
     const axis = [0, 1, 2].find((n) => ways.right[n]) ?? 0;
-    state = { name, opened, ways, time: 0, point: middle, force: new Float64Array(5), axis, cut: middle[axis]! };
+    state = { name, opened, ways, time: 0, point: middle, force: new Float64Array(5), memory: opened.memory, axis, cut: middle[axis]!, hasSource, what: "decoded" };
     given = figures;
     text("name", name);
     begin();
@@ -138,6 +159,52 @@ async function openBytes(data: Uint8Array, name: string, figures: Given = null):
     if (own === opening) tellFault(error, name);
   }
 }
+
+// -- a file elsewhere, of which only what is played is read -------------------------------------------------------------
+
+/** Bytes of a file, from one place to before another. */
+type Read = (from: number, to: number) => Promise<Uint8Array>;
+
+const LEAST_READ = 1 << 14;
+let reading: Read | null = null;
+const coming = new Map<number, Promise<void>>();
+
+/** Open a file in parts: its end with the index, its begin, and then the segments that are shown. */
+async function openParts(size: number, name: string, read: Read): Promise<void> {
+  coming.clear();
+  await openAs(name, null, false, read, async (own) => {
+    if (size > MOST_BYTES) throw TOO_LARGE;
+    await decoder.ask({ do: "room", size });
+    const bring = async (from: number, to: number): Promise<Uint8Array> => {
+      const data = await read(from, to);
+      if (own === opening) await decoder.ask({ do: "bring", at: from, data, segment: null });
+      return data;
+    };
+    const tail = await bring(Math.max(0, size - LEAST_READ), size);
+    const index = indexOffset(tail);
+    const within = tail.length - (size - index);
+    const told = within < 0 && index > 0 ? await bring(index, size) : tail.subarray(Math.max(within, 0));
+    const first = firstSegment(told);
+    if (!(first > 0 && first < size)) throw { fault: "cut short", words: "no index at its end", byte: null };
+    await bring(0, first);
+    return own === opening ? decoder.ask<Opened>({ do: "open-parts", first }) : null;
+  });
+}
+
+/** Fetch what is shown about a time. */
+async function fetched(time: number): Promise<void> {
+  const [own, read] = [opening, reading];
+  if (!read) return;
+  for (const { segment, from, to } of await decoder.ask<Piece[]>({ do: "missing", time })) {
+    if (!coming.has(segment))
+      coming.set(segment, read(from, to).then(async (data) => {
+        if (own === opening) await decoder.ask({ do: "bring", at: from, data, segment });
+      }).finally(() => coming.delete(segment)));
+    await coming.get(segment);
+  }
+}
+
+const fetchAhead = latest(fetched);
 
 /** What is told of a file before anything is decoded. */
 function begin(): void {
@@ -154,10 +221,8 @@ function begin(): void {
   view.begin(head, ways, { box: `${head.type === 2 ? "actuators" : "workspace"} of ${records.device || "the device"}`, axes });
   const what = head.type === 2 ? `${head.shape[0]} × ${head.shape[1]} actuators` : head.objects ? `${head.objects} bodies` : "a force field";
   text("told", `${what}${head.frames > 1 ? ` over ${((head.frames / head.rate)).toPrecision(2)} s` : ""}, for ${records.device || "a device"}`);
-  text("caption", head.type === 2
-    ? `Each disc or pin is an actuator: the higher and the brighter it is, the stronger it pushes.`
-    : `Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length set on the right. Slice: the force inside, with cones that point where it pushes. Orange: your probe.`);
-  legend(head.peak);
+  byId("beside").hidden = !state!.hasSource;
+  scaleNow();
   figuresOf(byId("figures"), byId("story"), opened, given);
   jumps();
   for (const [n, button] of [...document.querySelectorAll<HTMLButtonElement>("[data-axis]")].entries())
@@ -166,15 +231,42 @@ function begin(): void {
   byId<HTMLSelectElement>("speed").value = whole < 0.1 ? "0.01" : whole < 0.6 ? "0.1" : "1";
   byId<HTMLInputElement>("at").max = String(seconds());
   text("depth-told", millimetres(depth()));
-  trace.begin(head.peak);
 }
+
+const isError = (): boolean => state?.what === "difference";
+/** What the brightest colour stands for: newtons, or in a difference what the promise allows. */
+const top = (): number => (isError() ? 1 : state!.opened.head.peak);
+
+/** The scale of what is shown, and the words that belong to it. */
+function scaleNow(): void {
+  const { opened, what } = state!;
+  const isArray = opened.head.type === 2;
+  view.scale(top(), isError() ? 1 + Number(given?.source_share ?? 0) : Infinity);
+  trace.begin(top());
+  legend(top());
+  for (const button of document.querySelectorAll<HTMLElement>("[data-what]")) button.setAttribute("aria-pressed", String(button.dataset.what === what));
+  text("scale", isError() ? "Error / allowed" : "Force, newtons");
+  text("unit", isError() ? "of what is allowed" : "N");
+  text("traced", isError() ? "2 s of it" : "2 s of |F|");
+  if (isError()) return text("caption", differenceWords(given, !!opened.head.objects));
+  text("caption", isArray
+    ? "Each disc or pin is an actuator: the higher and the brighter it is, the stronger it pushes."
+    : "Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length set on the right. Slice: the force inside, with cones that point where it pushes. Orange: your probe.");
+}
+
+const setWhat = latest(async (what: What) => {
+  if (!state?.hasSource) return;
+  state.what = what;
+  await decoder.ask({ do: "of", what });
+  scaleNow();
+  await showNow(state.time);
+});
 
 function legend(peak: number): void {
   const canvas = byId<HTMLCanvasElement>("bar");
   const paint = canvas.getContext("2d")!;
   for (let y = 0; y < canvas.height; y++) {
-    const at = 3 * Math.floor((255 * (canvas.height - 1 - y)) / (canvas.height - 1));
-    paint.fillStyle = `rgb(${TABLE[at]}, ${TABLE[at + 1]}, ${TABLE[at + 2]})`;
+    paint.fillStyle = `rgb(${colourOf(1 - y / (canvas.height - 1)).join()})`;
     paint.fillRect(0, y, canvas.width, 1);
   }
   byId("ticks").replaceChildren(...[4, 3, 2, 1, 0].map((n) => {
@@ -220,6 +312,8 @@ interface Met {
 async function showNow(time: number, isFirst = false): Promise<void> {
   const own = state!;
   own.time = Math.min(Math.max(time, 0), seconds());
+  if (reading) await fetched(own.time);
+  if (own !== state) return;
   if (isFirst) {
     const met = await decoder.ask<Met>({ do: "contact", time: 0, rays: view.raysFromMiddle(), depth: depth(), away: view.away() });
     marks.felt = performance.now();
@@ -229,6 +323,7 @@ async function showNow(time: number, isFirst = false): Promise<void> {
   const shown = await decoder.ask<Shown>({ do: "show", time: own.time, axis: own.axis, at: isFirst ? null : own.cut, depth: depth() });
   if (own !== state) return;
   if (shown.cut) own.cut = shown.cut.at;
+  own.memory = shown.memory;
   const part = shown.poses;
   if (shown.largest[0]! > 0) {
     const [x, y, z] = [shown.largest[1]!, shown.largest[2]!, shown.largest[3]!];
@@ -303,6 +398,7 @@ function setPlaying(on: boolean): void {
     else if (time > seconds()) time = 0;
     try {
       await showNow(time);
+      if (reading) fetchAhead(Math.min(time + AHEAD_S * speed, seconds()));
     } catch (error) {
       return tellFault(error);
     }
@@ -325,14 +421,15 @@ function felt(point: Triple, force: Float64Array): void {
   own.point = point;
   own.force = force;
   const size = Math.hypot(force[0]!, force[1]!, force[2]!);
-  const { peak } = own.opened.head;
+  const vibration = isError() ? 0 : force[3]!;
   text("size", size.toFixed(2));
-  text("parts", `x ${force[0]!.toFixed(2)}   y ${force[1]!.toFixed(2)}   z ${force[2]!.toFixed(2)} N`);
-  text("vibrates", force[3]! > 0 ? `vibrates ${force[3]!.toFixed(2)} N at ${force[4]!.toFixed(0)} Hz` : "");
-  view.setProbe(point, force);
+  if (isError()) text("parts", `${(1000 * size * force[3]!).toFixed(1)} of ${(1000 * force[3]!).toFixed(1)} mN`);
+  else text("parts", `x ${force[0]!.toFixed(2)}   y ${force[1]!.toFixed(2)}   z ${force[2]!.toFixed(2)} N`);
+  text("vibrates", vibration > 0 ? `vibrates ${vibration.toFixed(2)} N at ${force[4]!.toFixed(0)} Hz` : "");
+  view.setProbe(point, force, `${size.toFixed(2)} ${isError() ? "of allowed" : "N"}`);
   trace.add(size);
   const side = own.ways.right.reduce((sum, way, n) => sum + way * force[n]!, 0) / (size || 1);
-  sound.tell(size / peak, side, force[3]! / peak, force[4]!);
+  sound.tell(size / top(), side, vibration / top(), force[4]!);
   const wait = SPOKEN_MS - (performance.now() - spokenAt);
   window.clearTimeout(spokenLater);
   spokenLater = window.setTimeout(speak, Math.max(wait, 250));
@@ -342,14 +439,15 @@ function felt(point: Triple, force: Float64Array): void {
 function speak(): void {
   if (!state || playing) return;
   spokenAt = performance.now();
-  const { point, force, ways, opened } = state;
+  const { point, force, ways } = state;
   const size = Math.hypot(force[0]!, force[1]!, force[2]!);
   const place = point.map((m, n) => {
     const [low, high] = range(n);
     return `${"xyz"[n]} ${Math.round(1000 * (m - (low + high) / 2))}`;
   });
-  const what = size > 0.002 * opened.head.peak ? `${size.toFixed(2)} newtons, ${directionWords(force, ways)}` : "no force";
-  const beside = force[3]! > 0 ? `, vibrates at ${force[4]!.toFixed(0)} hertz` : "";
+  const unit = isError() ? "of the difference that is allowed" : "newtons";
+  const what = size > 0.002 * top() ? `${size.toFixed(2)} ${unit}, ${directionWords(force, ways)}` : isError() ? "no difference" : "no force";
+  const beside = !isError() && force[3]! > 0 ? `, vibrates at ${force[4]!.toFixed(0)} hertz` : "";
   text("spoken", `${what}${beside}; ${place.join(", ")} millimetres from the middle`);
 }
 
@@ -475,6 +573,8 @@ function setContrast(on: boolean): void {
   press("contrast", on);
 }
 
+const WHATS: What[] = ["decoded", "source", "difference"];
+
 const ACTS: Record<string, (event: KeyboardEvent) => void> = {
   " ": () => setPlaying(!playing && !!state && state.opened.head.frames > 1),
   ",": () => state && show(state.time - 1 / state.opened.head.rate),
@@ -500,6 +600,7 @@ const ACTS: Record<string, (event: KeyboardEvent) => void> = {
   m: () => void setSound(!sound.isOn),
   v: () => byId("rumble").click(),
   s: scan,
+  e: () => setWhat(WHATS[(WHATS.indexOf(state?.what ?? "decoded") + 1) % 3]!),
   h: () => setContrast(!document.documentElement.classList.contains("contrast")),
   o: () => byId("file").click(),
   t: () => ((spokenAt = 0), speak()),
@@ -563,6 +664,7 @@ function wireControls(): void {
     press("rumble", sound.isRumbling);
   };
   byId("scan").onclick = scan;
+  for (const button of document.querySelectorAll<HTMLButtonElement>("[data-what]")) button.onclick = (): void => setWhat(button.dataset.what as What);
   byId("open-cut").onclick = (): void => {
     view.isOpen = !view.isOpen;
     press("open-cut", view.isOpen);
@@ -610,8 +712,9 @@ async function followBytes(data: Uint8Array, name: string): Promise<void> {
   }
   const own = ++opening;
   try {
-    const opened = await decoder.ask<Opened>({ do: "open", data });
+    const opened = await decoder.ask<Opened>({ do: "open", data, source: null });
     if (own !== opening) return;
+    reading = null;
     state = { ...state, opened, name, time: 0 };
     text("name", name);
     await showNow(0, true);
@@ -622,7 +725,7 @@ async function followBytes(data: Uint8Array, name: string): Promise<void> {
 }
 
 async function openFile(file: File): Promise<void> {
-  if (file.size > MOST_BYTES) return tellFault({ fault: "too large", words: `the page takes files up to ${MOST_BYTES >> 20} MiB`, byte: null }, file.name);
+  if (file.size > MOST_BYTES) return tellFault(TOO_LARGE, file.name);
   await openBytes(new Uint8Array(await file.arrayBuffer()), file.name);
 }
 
@@ -647,13 +750,15 @@ async function start(): Promise<void> {
   if (!medium.textContent!.trim()) return void (await decoder.ask({ do: "warm", data: bytesOf("sample"), times: 14 }));
   openMovie();
   const figures = JSON.parse(byId("given-figures").textContent!) as Given;
-  await openBytes(bytesOf("given-medium"), medium.dataset.name ?? "medium.touch", figures);
+  const source = byId("given-source").textContent!.trim() ? bytesOf("given-source") : null;
+  await openBytes(bytesOf("given-medium"), medium.dataset.name ?? "medium.touch", figures, source);
 }
 
 /** For tests, and for a page that has this one in a frame: what is open, and forces at points, newtons. */
 Object.assign(window, {
   touchfield: {
     open: (data: ArrayLike<number>, name: string) => openBytes(Uint8Array.from(data), name),
+    read: (size: number, name: string, read: Read) => openParts(size, name, async (from, to) => Uint8Array.from(await read(from, to))),
     follow: (data: ArrayLike<number>, name: string) => followBytes(Uint8Array.from(data), name),
     hand: (at: Triple, time: number) => hand(at, time),
     feel: (points: number[]) => decoder.ask<Float64Array>({ do: "feel", points }).then((all) => [...all]),
@@ -661,7 +766,7 @@ Object.assign(window, {
     state: () => ({
       state: document.documentElement.dataset.state, name: state?.name, time: state?.time, point: state?.point, force: state && [...state.force],
       axis: state?.axis, cut: state?.cut, playing, movie: movie?.currentTime, triangles: view.triangles, cones: view.cones, bodies: view.bodies, marks, sound: sound.told,
-      head: state?.opened.head, memory: state?.opened.memory,
+      head: state?.opened.head, memory: state?.memory, kept: view.kept, what: state?.what,
     }),
   },
 });

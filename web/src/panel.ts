@@ -22,11 +22,30 @@ function row(list: HTMLElement, name: string, value: string): void {
 const KNOWN: [string, string, (n: number) => string][] = [
   ["worst_mask_ratio", "worst error / allowed", short],
   ["nmse_db", "NMSE", (n) => `${n.toFixed(1)} dB`],
-  ["entropy_voxel_bits", "entropy of a voxel", (n) => `${short(n)} bit`],
   ["bits_per_supported_voxel", "a voxel with force", (n) => `${short(n)} bit`],
-  ["hand_vibration_mn", "coding felt as vibration", (n) => `${short(n)} mN`],
-  ["capacity_bits", "capacity of the device", (n) => `${Math.round(n).toLocaleString("en")} bit/frame`],
+  ["hand_vibration_mn", "vibration of coding", (n) => `${short(n)} mN`],
 ];
+
+const bits = (n: number): string => (n < 1e4 ? `${Math.round(n)} bit` : n < 1e7 ? `${+(n / 1e3).toPrecision(4)} kbit` : `${+(n / 1e6).toPrecision(4)} Mbit`);
+const percent = (share: number, digits: number): string => `${+(100 * share).toPrecision(digits)} %`;
+
+/** What the medium holds in bits, and what each device renders of it. */
+function information(list: HTMLElement, given: Record<string, unknown>): void {
+  if (typeof given.entropy_voxel_bits !== "number") return row(list, "entropy, capacity", "not computed");
+  row(list, "entropy of a voxel", `${short(given.entropy_voxel_bits)} bit`);
+  row(list, "entropy of a frame", bits(given.entropy_frame_bits as number));
+  for (const [name, own] of Object.entries(given.capacity as Record<string, Record<string, number>>)) {
+    row(list, `capacity, ${name}`, `${bits(own.capacity_bits!)} a frame`);
+    row(list, "rendered, lost", `${percent(own.wmr!, 3)}, ${percent(own.hil!, 5)}`);
+  }
+}
+
+/** What a picture of the difference shows. */
+export function differenceWords(given: Given, hasBodies: boolean): string {
+  const place = hasBodies && typeof given?.place_tolerance_um === "number" ? ` Bodies may lie ${short(given.place_tolerance_um)} µm elsewhere, which counts here too.` : "";
+  const none = given?.mode === "nmse" ? " (this file gives no such promise)" : "";
+  return `|decoded − source| as a share of what is allowed, max(F₀, k |F|): 1 is the promise${none}, red is beyond it. Cones point where the decoded field pushes more. The source is told to ± ${short(Number(given?.source_share ?? 0))} on this scale.${place}`;
+}
 
 export function figuresOf(list: HTMLElement, story: HTMLElement, opened: Opened, given: Given): void {
   const { head, records } = opened;
@@ -39,6 +58,8 @@ export function figuresOf(list: HTMLElement, story: HTMLElement, opened: Opened,
   if (typeof given?.frames_of === "number") row(list, "shown", `the first of ${given.frames_of} frames`);
   if (given?.promise_kept !== undefined && given.promise_kept !== null) row(list, "promise holds", given.promise_kept ? "yes" : "no");
   for (const [key, name, words] of KNOWN) if (typeof given?.[key] === "number") row(list, name, words(given[key] as number));
+  if (given) information(list, given);
+  if (typeof given?.source_bytes === "number") row(list, "source beside it", bytes(given.source_bytes));
   row(list, "device", records.device || "–");
   row(list, "largest force", `${short(head.peak)} N`);
   row(list, "lattice", head.shape.join(" × "));
@@ -62,6 +83,7 @@ const KEYS: [string, string][] = [
   ["< and >", "press less or more deeply"],
   ["j, k", "to the strongest place, to the worst voxel"],
   ["m, v", "force as sound, as rumble and vibration"],
+  ["e", "decoded, source, difference, where the source is there"],
   ["s", "scan: reads a line of the field through the probe, left to right, as sound"],
   ["t", "tell what is under the probe again"],
   ["a, d, w, q, +, -, r", "turn the view, nearer, farther, back to the begin"],

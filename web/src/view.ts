@@ -6,7 +6,7 @@ import {
   SphereGeometry, SRGBColorSpace, Vector3, WebGLRenderer, type Object3D,
 } from "three";
 import { type Ways } from "./axes";
-import { colourOf, TABLE } from "./colour";
+import { rowOf, TABLE } from "./colour";
 import type { Away, Cut, Head, Mesh as Surface, Ray, Shown, Triple } from "./engine";
 
 const ACCENT = 0xe8590c;
@@ -39,6 +39,7 @@ export class View {
   private side = new Vector3(1, 1, 1);
   private unit = 1;
   private top = 1;
+  private beyond = Infinity;
   private turn = { across: 0, height: 0, distance: 4 };
   private labels: Label[] = [];
   private isDue = false;
@@ -57,6 +58,12 @@ export class View {
     this.scene.add(new AmbientLight(0xffffff, 0.9), this.light, this.root);
     new ResizeObserver(() => this.resize()).observe(canvas);
     this.resize();
+  }
+
+  /** Geometries, textures and programs that the graphics card keeps. */
+  get kept(): number {
+    const { memory, programs } = this.renderer.info;
+    return memory.geometries + memory.textures + (programs?.length ?? 0);
   }
 
   private resize(): void {
@@ -87,7 +94,7 @@ export class View {
     this.array = null;
     this.head = head;
     this.ways = ways;
-    this.top = head.peak;
+    this.scale(head.peak);
     this.low.fromArray(head.origin.map((o, n) => o - head.spacing[n]! / 2));
     this.side.fromArray(head.shape.map((count, n) => count * head.spacing[n]!));
     this.unit = 2 / this.side.length();
@@ -104,6 +111,12 @@ export class View {
     edges.visible = head.type === 1;
     this.label(names.box, () => this.corner());
     this.reset();
+  }
+
+  /** What the brightest colour stands for, and the share of it beyond which it is red. */
+  scale(top: number, beyond = Infinity): void {
+    this.top = top;
+    this.beyond = beyond;
   }
 
   reset(): void {
@@ -176,7 +189,7 @@ export class View {
         places[3 * i + k] = mesh.vertex[7 * i + k]!;
         normals[3 * i + k] = mesh.vertex[7 * i + 3 + k]!;
       }
-      const at = 3 * Math.min(255, Math.floor((255 * mesh.vertex[7 * i + 6]!) / this.top));
+      const at = rowOf(mesh.vertex[7 * i + 6]! / this.top, this.beyond);
       for (let k = 0; k < 3; k++) colours[3 * i + k] = TABLE[at + k]!;
     }
     const geometry = new BufferGeometry();
@@ -214,13 +227,14 @@ export class View {
       for (let j = 0; j < ny; j++) {
         const n = i * ny + j;
         const size = Math.hypot(forces[3 * n]!, forces[3 * n + 1]!, forces[3 * n + 2]!) / this.top;
-        const height = (0.1 + (isPins ? 1.6 : 0.9) * size) * pitch;
-        const wide = (isPins ? 1 : 0.55 + 0.6 * size) * pitch;
+        const raised = Math.min(size, 1.2);
+        const height = (0.1 + (isPins ? 1.6 : 0.9) * raised) * pitch;
+        const wide = (isPins ? 1 : 0.55 + 0.6 * raised) * pitch;
         const at = new Vector3(head.origin[0] + i * head.spacing[0], head.origin[1] + j * head.spacing[1], head.origin[2]);
         matrix.compose(at.addScaledVector(towards, height / 2), turn, new Vector3(wide, height, wide));
         this.array.setMatrixAt(n, matrix);
-        const [r, g, b] = size > 0 ? colourOf(size) : [148, 158, 174];
-        this.array.setColorAt(n, colour.setRGB(r / 255, g / 255, b / 255, SRGBColorSpace));
+        const [r, g, b] = size > 0 ? TABLE.subarray(rowOf(size, this.beyond)) : [148, 158, 174];
+        this.array.setColorAt(n, colour.setRGB(r! / 255, g! / 255, b! / 255, SRGBColorSpace));
       }
     this.array.instanceMatrix.needsUpdate = true;
     if (this.array.instanceColor) this.array.instanceColor.needsUpdate = true;
@@ -238,7 +252,8 @@ export class View {
         const n = 3 * (i * cut.up + j);
         const size = Math.hypot(cut.forces[n]!, cut.forces[n + 1]!, cut.forces[n + 2]!) / this.top;
         const at = 4 * (j * cut.across + i);
-        for (let k = 0; k < 3; k++) pixels[at + k] = size > 1e-3 ? TABLE[3 * Math.min(255, Math.floor(255 * size)) + k]! : 255;
+        const row = rowOf(size, this.beyond);
+        for (let k = 0; k < 3; k++) pixels[at + k] = size > 1e-3 ? TABLE[row + k]! : 255;
         pixels[at + 3] = size > 1e-3 ? 255 : 18;
       }
     this.paint(pixels, cut.across, cut.up);
@@ -345,7 +360,7 @@ export class View {
   }
 
   /** The probe at a point with the force that it feels; the force's arrow is as long as a fifth of the box at the peak. */
-  setProbe(point: Triple, force: ArrayLike<number>): void {
+  setProbe(point: Triple, force: ArrayLike<number>, words: string): void {
     const [, , shaft, tip] = this.probe.children as [Object3D, Object3D, Object3D, Object3D];
     const vector = new Vector3(force[0], force[1], force[2]);
     const size = vector.length();
@@ -361,7 +376,7 @@ export class View {
       tip.position.copy(vector).multiplyScalar(length);
     }
     const label = this.labels.find((l) => l.element.classList.contains("probe"));
-    if (label) label.element.textContent = size > 0 ? `${size.toFixed(2)} N` : "";
+    if (label) label.element.textContent = size > 0 ? words : "";
     this.due();
   }
 

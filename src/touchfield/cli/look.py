@@ -36,11 +36,17 @@ if TYPE_CHECKING:
 __all__ = ["show_measurement"]
 
 
-@command("Look", "view room.touch", "view room.touch --against scan.ply --out room.html --no-open")
+@command("Look", "view room.touch", "view room.touch --source scan.ply --out room.html --no-open")
 def view(
     stream: Stream,
-    against: Annotated[
-        str | None, typer.Option(help="SOURCE of the file: tell NMSE, entropy, vibration, too.")
+    source: Annotated[
+        str | None,
+        typer.Option(
+            "--source", "--against", help="SOURCE of the file: shown too, and the difference; NMSE, vibration."
+        ),
+    ] = None,
+    device: Annotated[
+        list[str] | None, typer.Option(help="Tell its capacity, WMR and HIL, and the entropy; may be repeated.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="HTML file to write; default: a temporary one.")] = None,
     no_open: Annotated[bool, typer.Option("--no-open", help="Open no browser.")] = False,
@@ -49,9 +55,10 @@ def view(
     """Open STREAM in the browser: seen, played, probed and heard, without any network."""
     from touchfield.job.view import view as run
 
-    check_picture(stream, out)
+    for read in (stream, source or stream):
+        check_picture(read, out)
     with progress("view") as report:
-        page = run(stream, against, report)
+        page = run(stream, source, report, tuple(device or ()))
     path = page.save(out) if out else None
     if not no_open:
         path = page.open(path)

@@ -251,7 +251,7 @@ def _cells(plan: Plan, trial: Trial) -> tuple[str, ...]:
     "Make",
     "export vest.touch vest.tact",
     "export room.touch force.wav --trajectory hand.csv",
-    "export room.touch page.html",
+    "export room.touch page.html --source room.ply",
 )
 def export(
     stream: Stream,
@@ -268,16 +268,20 @@ def export(
         float,
         typer.Option("--full-scale-n", help="A force as .hjif: newtons told as 1, for readers that clip there."),
     ] = 1.0,
+    source: Annotated[
+        str | None, typer.Option(help="SOURCE of the file: the page shows it, and the difference, too.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write STREAM in another format: drives of an array, the force along --trajectory, or a page for any browser."""
     from touchfield.job.exchange import export as run
 
     keep_source(stream, out)
-    if trajectory is not None:
-        keep_source(trajectory, out)
+    for read in (trajectory, source):
+        if read is not None:
+            keep_source(read, out)
     with progress("export") as report:
-        done = run(stream, out, device, trajectory, panel, report, full_scale_n)
+        done = run(stream, out, device, trajectory, panel, report, full_scale_n, source)
     show(done.summary(), str(out), as_json, done.notes)
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from touchfield.job.prepare import Prepared
     from touchfield.perception.slides import Forces
 
-__all__ = ["Comparison", "HandMeter", "compare", "hand_motion"]
+__all__ = ["Comparison", "HandMeter", "Original", "compare", "hand_motion", "source_medium"]
 
 _SLIDE_FRAMES: Final = 4
 
@@ -135,7 +135,7 @@ def compare(
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
-        original, notes, scene, exact = _source_medium(source, opened, allow_outside)
+        original, notes, scene, exact = source_medium(source, opened, allow_outside)
         decoded = opened.medium
         drawn_frame = len(decoded) // 2 if frame is None else frame
         if not 0 <= drawn_frame < len(decoded):
@@ -189,8 +189,8 @@ def _measured(
     return counter, drawn, supported
 
 
-class _Original(NamedTuple):
-    """The source on the stream's lattice, and what is known of it beside."""
+class Original(NamedTuple):
+    """A source on the stream's lattice, and what is known of it beside."""
 
     medium: HapticMedium
     notes: tuple[str, ...]
@@ -198,7 +198,8 @@ class _Original(NamedTuple):
     exact: Forces | None = None
 
 
-def _source_medium(source: Source, opened: OpenStream, allow_outside: bool) -> _Original:
+def source_medium(source: Source, opened: OpenStream, allow_outside: bool = False) -> Original:
+    """The source of a stream, filtered again as its provenance says; InvalidArgument if it lies elsewhere."""
     head, provenance = opened.reader.head, opened.reader.provenance
     if "spec" not in provenance:
         raise InvalidArgument(
@@ -211,7 +212,7 @@ def _source_medium(source: Source, opened: OpenStream, allow_outside: bool) -> _
         scene = open_scene(source, replace(spec.source, kind=None))
         stored = getattr(scene, "medium", None)
         if isinstance(stored, HapticMedium) and stored.grid == opened.grid:
-            return _Original(_same_frames(stored, spec, head.frame_count), scene.notes)
+            return Original(_same_frames(stored, spec, head.frame_count), scene.notes)
     prepared = prepare(source, spec)
     ours, theirs = (_lattice_of(g) for g in (prepared.medium.grid, opened.grid))
     places = [prepared.placement.scale, *prepared.placement.offset_m], [head.mapping_scale, *head.mapping_offset_m]
@@ -220,7 +221,7 @@ def _source_medium(source: Source, opened: OpenStream, allow_outside: bool) -> _
             str(source), "a scene that lies elsewhere in the workspace than the stream's", mend="Name its own source."
         )
     told = ("compared with the objects before coding, not with the voxel representation",) if prepared.scene else ()
-    return _Original(prepared.medium, (*prepared.notes, *told), prepared.scene, prepared.exact)
+    return Original(prepared.medium, (*prepared.notes, *told), prepared.scene, prepared.exact)
 
 
 def _lattice_of(grid: Grid) -> list[float]:

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from touchfield.job.stream_scene import Source
     from touchfield.medium.trace import Trace
 
 
@@ -89,16 +90,17 @@ def export(
     panel: str = PANELS[0],
     report: Report = silent,
     full_scale_n: float = 1.0,
+    against: Source | None = None,
 ) -> Exported:
     """Write a stream in another format, by the ending of `out`.
 
     ``.hjif`` (ISO/IEC 23090-31) and ``.wav`` (a channel an actuator) hold the drives of an array, or with
-    `trajectory`, where the probe is over time (`touchfield.medium.trace.read_trace`), a force over time; ``.tact`` is
-    for a vest of bHaptics; ``.haptic`` (Meta) and ``.ahap`` (Apple) have one track; ``.html`` is the page, with the
-    stream within. `device_name` is a profile, of an array or with `trajectory` of a point: by default the device that
-    the stream was made for, and for ``.tact`` a TactSuit X40 where it was made for another. `panel` is that of an
-    array, "front" or "back"; `full_scale_n`, of a force as ``.hjif``, are the newtons that are told as 1; 1 tells
-    newtons.
+    `trajectory`, where the probe is over time (`touchfield.medium.trace.read_trace`), a force over time; ``.tact``
+    is for a vest of bHaptics; ``.haptic`` (Meta) and ``.ahap`` (Apple) have one track; ``.html`` is the page, with
+    the stream within. `device_name` is a profile, of an array or with `trajectory` of a point: by default the
+    device that the stream was made for, and for ``.tact`` a TactSuit X40 where it was made for another. `panel` is
+    that of an array, "front" or "back"; `against`, of the page, what was encoded; `full_scale_n`, of a force as
+    ``.hjif``, are the newtons that are told as 1; 1 tells newtons.
 
     TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
@@ -111,9 +113,11 @@ def export(
         raise InvalidArgument("trajectory", f"one for {kind}", expected, "A pattern has no forces.")
     if full_scale_n != 1 and (trajectory is None or kind != ".hjif"):
         raise InvalidArgument("--full-scale-n", repr(full_scale_n), "it for a force as .hjif only")
+    if against is not None and kind != ".html":
+        raise InvalidArgument("--source", f"one for {kind}", "one for .html only")
     with open_stream(stream) as opened:
         if kind == ".html":
-            return _export_page(opened, Path(stream), path)
+            return _export_page(opened, Path(stream), path, against, report)
         if trajectory is not None:
             return _export_force(opened, path, kind, device_name, trajectory, full_scale_n)
         return _export_array(opened, path, kind, device_name, panel, report)
@@ -174,12 +178,15 @@ def _reader(path: Path) -> Callable[[str | Path, float], ImportedEffect]:
 # -- arrays ---------------------------------------------------------------------------------------------------------
 
 
-def _export_page(opened: OpenStream, stream: Path, path: Path) -> Exported:
+def _export_page(opened: OpenStream, stream: Path, path: Path, against: Source | None, report: Report) -> Exported:
     """The page of a stream, one file."""
     head = opened.reader.head
-    page = view(stream)
+    page = view(stream, against, report)
     page.save(path)
-    return Exported(path, head.device_name, head.frame_count / head.rate_hz, {"frames": head.frame_count})
+    told = {"frames": head.frame_count}
+    if "source_bytes" in page.figures:
+        told["source_bytes"] = page.figures["source_bytes"]
+    return Exported(path, head.device_name, head.frame_count / head.rate_hz, told)
 
 
 def _export_array(

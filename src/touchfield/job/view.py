@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.devices import device_names
 from touchfield.errors import InvalidArgument
 from touchfield.job.compare import compare
 from touchfield.job.encode import encode
+from touchfield.job.fine_source import fine_source
 from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.stream_scene import Source
 from touchfield.medium import HapticMedium
@@ -41,7 +43,8 @@ _HEIGHT_PX: Final = 640
 _MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
 _FIGURES: Final = ("mode", "promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
 _COMPARED: Final = (
-    "nmse_db", "worst_mask_ratio", "bits_per_supported_voxel", "entropy_voxel_bits", "hand_vibration_mn"
+    "nmse_db", "worst_mask_ratio", "bits_per_supported_voxel", "hand_vibration_mn",
+    "place_tolerance_um",
 )  # fmt: skip
 
 
@@ -57,7 +60,8 @@ class Page:
 
     def _repr_html_(self) -> str:
         style = f"width: 100%; height: {_HEIGHT_PX}px; border: 1px solid #d9dee6; border-radius: 8px"
-        return f'<iframe srcdoc="{html.escape(self.html)}" style="{style}" title="touchfield"></iframe>'
+        may = 'sandbox="allow-scripts" allow="gamepad *; vibrate *; autoplay *"'  # nothing of the notebook around it
+        return f'<iframe srcdoc="{html.escape(self.html)}" {may} style="{style}" title="touchfield"></iframe>'
 
     def save(self, path: str | Path) -> Path:
         """Write the page as one file that opens from a file URL, whole or not at all."""
@@ -72,25 +76,37 @@ class Page:
         return shown
 
 
-def view(medium: str | Path | HapticMedium, against: Source | None = None, report: Report = silent) -> Page:
+def view(
+    medium: str | Path | HapticMedium,
+    against: Source | None = None,
+    report: Report = silent,
+    devices: tuple[str, ...] = (),
+) -> Page:
     """The page of a ``.touch`` file, of a movie with touch, or of the first frames of a medium.
 
-    `against` is what was encoded, a path, Scene, medium or field: the page then tells NMSE, entropy and the vibration
-    of the coding, too. TouchfieldError if the file cannot be read, or is of a coder that the page does not know.
+    `against` is what was encoded, a path, Scene, medium or field: the page then tells NMSE and the vibration of the
+    coding, and shows the source, and the difference, too; it holds both. `devices` are profiles whose capacity, WMR
+    and HIL are told beside the entropy of the medium; where there is none of these, but a source, that of the
+    stream. TouchfieldError if the file cannot be read, or is of a coder that the page does not know.
     """
     if isinstance(medium, HapticMedium):
-        return page_of_medium(medium)
+        return page_of_medium(medium, devices)
     movie = Path(str(medium))
     if movie.suffix.lower() in _MOVIES:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"{movie.stem}.touch"
             at_s = demux(movie, path).at_s
-            return _page(path, against, report, (movie.read_bytes(), _MOVIES[movie.suffix.lower()], at_s))
-    return _page(medium, against, report)
+            film = movie.read_bytes(), _MOVIES[movie.suffix.lower()], at_s
+            return _page(path, against, report, devices, film)
+    return _page(medium, against, report, devices)
 
 
 def _page(
-    path: str | Path, against: Source | None, report: Report, movie: tuple[bytes, str, float] | None = None
+    path: str | Path,
+    against: Source | None,
+    report: Report,
+    devices: tuple[str, ...],
+    movie: tuple[bytes, str, float] | None = None,
 ) -> Page:
     with open_stream(path) as opened:
         coders = {opened.reader.head.coder, *_field_coders(opened)}
@@ -98,20 +114,30 @@ def _page(
             found, mend = "a file of coder paper", f"Code it again: touchfield encode {path} NEW.touch."
             raise InvalidArgument(str(path), found, "coder touch, or objects of it, for the page", mend)
         figures, data, name = _figures(opened), opened.reader.read_all(), PurePath(opened.reader.name).name
-    if against is not None:
-        told = compare(against, path, report=report).summary()
-        figures |= {key: told[key] for key in _COMPARED if told.get(key) is not None}
-    return Page(page_of(data, name, figures, movie), figures)
+        fine = None if against is None else fine_source(against, opened, report)
+        own = _own_device(opened) if fine else ()
+    try:
+        if devices or own:
+            figures |= _measured(path, devices or own)
+    except InvalidArgument:  # such as a medium without any force
+        if devices:
+            raise
+    if against is None or fine is None:
+        return Page(page_of(data, name, figures, movie), figures)
+    told = compare(against, path, report=report).summary()
+    figures |= {key: told[key] for key in _COMPARED if told.get(key) is not None}
+    figures |= {"source_bytes": len(fine.data), "source_share": fine.share}
+    return Page(page_of(data, name, figures, movie, fine.data), figures)
 
 
-def page_of_medium(medium: HapticMedium) -> Page:
+def page_of_medium(medium: HapticMedium, devices: tuple[str, ...] = ()) -> Page:
     """The page of a medium in memory: its first 30 frames, coded by coder `touch` with its least effort."""
     shown = medium if len(medium) <= _MOST_FRAMES else medium[:_MOST_FRAMES]
     spec = replace(EncodeSpec(), touch=TouchSpec(effort="fast"))
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "medium.touch"
         encode(shown, out, spec)
-        page = view(out)
+        page = view(out, devices=devices)
     if shown is medium:
         return page
     return replace(page, figures={**page.figures, "frames_of": len(medium)})
@@ -121,6 +147,26 @@ def _figures(opened: OpenStream) -> dict[str, Any]:
     """Promises of the stream itself, without decoding it."""
     told = opened.summary()
     return {key: told[key] for key in _FIGURES if told.get(key) is not None}
+
+
+def _own_device(opened: OpenStream) -> tuple[str, ...]:
+    """The profile that the stream was made for, where it is known here."""
+    name = opened.reader.head.device_name
+    return (name,) if name in device_names() else ()
+
+
+def _measured(path: str | Path, devices: tuple[str, ...]) -> dict[str, Any]:
+    """Entropy, and capacity by device, as `touchfield measure` tells them."""
+    from touchfield.job.measure import MeasureSpec, measure_medium
+
+    found = measure_medium(path, MeasureSpec(devices=devices, limits=False))
+    rendered = {
+        name: {"capacity_bits": c.capacity.value, "wmr": c.wmr.value, "hil": c.hil.value}
+        for name, c in found.capacities.items()
+    }
+    return {
+        "entropy_voxel_bits": found.voxel.value, "entropy_frame_bits": found.per_frame.value, "capacity": rendered
+    }  # fmt: skip
 
 
 def _field_coders(opened: OpenStream) -> set[str]:

@@ -18,6 +18,7 @@ __all__ = ["empty_page", "page_of", "served_page"]
 
 _FIGURES: Final = '<script type="application/json" id="given-figures">null</script>'
 _MOVIE: Final = '<script type="text/plain" id="given-movie" data-type="" data-at="0"></script>'
+_SOURCE: Final = '<script type="text/plain" id="given-source"></script>'
 _MEDIUM: Final = '<script type="text/plain" id="given-medium" data-name=""></script>'
 
 
@@ -38,7 +39,11 @@ def served_page() -> str:
 
 
 def page_of(
-    data: bytes, name: str, figures: Mapping[str, Any] | None = None, movie: tuple[bytes, str, float] | None = None
+    data: bytes,
+    name: str,
+    figures: Mapping[str, Any] | None = None,
+    movie: tuple[bytes, str, float] | None = None,
+    source: bytes = b"",
 ) -> str:
     """The page with a ``.touch`` file within, and perhaps a movie beside it, on one clock.
 
@@ -52,6 +57,8 @@ def page_of(
         What is known beyond the file, by the keys of ``touchfield info --json`` and ``compare --json``.
     movie : (bytes, str, float), optional
         A file that browsers play, its media type, and its second at which the touch begins.
+    source : bytes, optional
+        What was encoded, as a file on the same lattice: the page shows it, and the difference, too.
     """
     told = json.dumps(figures, default=str).replace("<", "\\u003c")  # no word of a stranger's ends the element
     medium = base64.b64encode(data).decode("ascii")
@@ -61,5 +68,7 @@ def page_of(
         film, kind, at_s = movie
         shown = _MOVIE.replace('data-type="" data-at="0"', f'data-type="{html.escape(kind)}" data-at="{at_s:.6f}"')
         shown = shown.replace("><", f">{base64.b64encode(film).decode('ascii')}<")
+    beside = _SOURCE.replace("><", f">{base64.b64encode(source).decode('ascii')}<")
     page = empty_page().replace(_MOVIE, shown).replace(_FIGURES, _FIGURES.replace("null", told))
+    page = page.replace(_SOURCE, beside)
     return page.replace(_MEDIUM, named.replace("><", f">{medium}<"))
