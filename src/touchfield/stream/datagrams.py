@@ -24,7 +24,7 @@ try:
 except ImportError:
     raise MissingExtra("datagrams with parity", "raptorq", "broadcast") from None
 
-__all__ = ["MOST_DATAGRAM", "Datagrams", "Gathering"]
+__all__ = ["MOST_DATAGRAM", "MOST_OPEN", "Datagrams", "Gathering"]
 
 _MAGIC: Final = b"TF"
 _HEAD: Final = struct.Struct("<2sIIIHI")
@@ -35,7 +35,7 @@ _SYMBOLS: Final = 36
 _LEAST_REPAIR: Final = 3
 _LEAST_SYMBOL, _MOST_SYMBOL = 128, 1152
 MOST_DATAGRAM: Final = _HEAD.size + _PACKET + _MOST_SYMBOL
-_MOST_OPEN: Final = 24
+MOST_OPEN: Final = 24
 """Messages that are waited for at once."""
 
 _MOST_WAITING: Final = 1 << 27
@@ -66,8 +66,8 @@ class Datagrams:
     def __init__(self, stream: int, repair: float = 0.22, spread: int = 8) -> None:
         if not 0 <= repair <= 4:
             raise InvalidArgument("repair", f"{repair:g}", "0 to 4, such as 0.22")
-        if not 1 <= spread <= _MOST_OPEN // 2:
-            raise InvalidArgument("spread", f"{spread}", f"1 to {_MOST_OPEN // 2}")
+        if not 1 <= spread <= MOST_OPEN // 2:
+            raise InvalidArgument("spread", f"{spread}", f"1 to {MOST_OPEN // 2}")
         self._stream, self._repair, self._spread, self._number = stream, repair, spread, 0
         self._waiting: deque[list[list[bytes]]] = deque()
 
@@ -122,6 +122,8 @@ class Gathering:
     ----------
     stream : int, optional
         The stream that is wanted; by default the first that comes.
+    most_open : int
+        Messages that are waited for at once; fewer where something else is felt meanwhile, 1 to 24.
 
     Attributes
     ----------
@@ -131,8 +133,9 @@ class Gathering:
         Messages that were given up.
     """
 
-    def __init__(self, stream: int | None = None) -> None:
+    def __init__(self, stream: int | None = None, most_open: int = MOST_OPEN) -> None:
         self._stream, self._next, self._newest = stream, 0, -1
+        self._most_open = most_open
         self._parts: dict[int, _Part] = {}
         self._is_begun = False
         self.refused = self.lost = 0
@@ -185,7 +188,7 @@ class Gathering:
             if part is not None and part.message is not None:
                 messages.append(part.message)
             elif (
-                self._newest - self._next < _MOST_OPEN
+                self._newest - self._next < self._most_open
                 and sum(one.length for one in self._parts.values()) <= _MOST_WAITING
             ):
                 break

@@ -10,13 +10,21 @@ from contextlib import suppress
 from typing import Any, Final
 
 from touchfield.errors import InvalidArgument
-from touchfield.stream.datagrams import MOST_DATAGRAM, Datagrams, Gathering
+from touchfield.stream.datagrams import MOST_DATAGRAM, MOST_OPEN, Datagrams, Gathering
 from touchfield.stream.live import LiveSender
 
-__all__ = ["UdpSender", "listen", "place_of"]
+__all__ = ["LAYERED_REPAIR", "REPAIR", "UdpSender", "listen", "place_of"]
 
 _OPENED_EVERY: Final = 4
 """Segments, before which the opening is told again for those who come."""
+
+_COVERED_OPEN: Final = 11
+"""Messages that are waited for where a coarse layer is felt meanwhile: those over whose time one is spread (8), a
+second opening among them, and one for what is overtaken."""
+
+REPAIR: Final = 0.22
+LAYERED_REPAIR: Final = (0.15, 0.4)
+"""Of a stream beside its coarse layer, and of that layer, which is a seventh of it: together no more bytes."""
 
 
 def place_of(text: str) -> tuple[str, int]:
@@ -36,6 +44,8 @@ def place_of(text: str) -> tuple[str, int]:
 class UdpSender:
     """Sends a live stream's messages to an address, without ever waiting; a context manager.
 
+    `repair` is the share of parity.
+
     Attributes
     ----------
     sent_bytes : int
@@ -44,7 +54,7 @@ class UdpSender:
         Datagrams that the system did not take.
     """
 
-    def __init__(self, sender: LiveSender, address: str) -> None:
+    def __init__(self, sender: LiveSender, address: str, repair: float = REPAIR) -> None:
         host, port = place_of(address)
         self._to: Any
         try:
@@ -54,7 +64,7 @@ class UdpSender:
             raise InvalidArgument("address", found, "a host that is there") from None
         self._socket = socket.socket(family, kind)
         self._socket.setblocking(False)
-        self._sender, self._datagrams, self._count = sender, Datagrams(secrets.randbits(32)), 0
+        self._sender, self._datagrams, self._count = sender, Datagrams(secrets.randbits(32), repair), 0
         self.sent_bytes = self.left_out = 0
 
     def __enter__(self) -> UdpSender:
@@ -90,10 +100,13 @@ class _Protocol(asyncio.DatagramProtocol):
             self._take(data)
 
 
-async def listen(address: str, take: Callable[[bytes], bool]) -> Gathering:
-    """Receive datagrams at an address, until ``take(message)`` says that the stream is over."""
+async def listen(address: str, take: Callable[[bytes], bool], is_covered: bool = False) -> Gathering:
+    """Receive datagrams at an address, until ``take(message)`` says that the stream is over.
+
+    With `is_covered` something else is felt for what is lost: it is given up once it could have come.
+    """
     host, port = place_of(address)
-    gathering, coming = Gathering(), asyncio.Queue[bytes](1 << 14)
+    gathering, coming = Gathering(most_open=_COVERED_OPEN if is_covered else MOST_OPEN), asyncio.Queue[bytes](1 << 14)
 
     def queue(datagram: bytes) -> None:
         with suppress(asyncio.QueueFull):  # as if it had been lost on its way
