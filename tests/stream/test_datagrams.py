@@ -68,6 +68,25 @@ def test_repeated_mixed_up_damaged_and_foreign_datagrams() -> None:
     assert len(out) >= 7 and out == MESSAGES[-len(out) :] and gathering.refused >= len(bad) + len(foreign) > 20
 
 
+def test_an_opening_that_is_told_again_holds_up_no_short_segment() -> None:
+    """One datagram of it is enough; another message of its length is not taken for it."""
+    _, (opening, *_) = sender_of(0)
+    datagrams, gathering, out, late = Datagrams(7), Gathering(), list[bytes](), list[int]()
+    messages = [opening, *(bytes([i]) * 200 for i in range(20)), opening, *(bytes([i]) * 200 for i in range(20, 28))]
+    for message in messages:
+        out += [whole for one in datagrams.add(message) for whole in gathering.receive(one)]
+        late.append(len(late) + 1 - len(out))
+    assert max(late[12:]) <= 1 < late[3], "the first opening takes its time"
+    other = bytes(len(opening))
+    out += [
+        whole
+        for part in (datagrams.add(other), datagrams.flush())
+        for one in part
+        for whole in gathering.receive(one)
+    ]
+    assert out == [*messages, other] and gathering.lost == 0
+
+
 def test_what_is_lost_is_counted_and_the_rest_goes_on() -> None:
     datagrams = Datagrams(7, spread=1)
     parts = [datagrams.add(bytes([i]) * 3000) for i in range(60)]

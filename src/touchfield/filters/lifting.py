@@ -36,8 +36,8 @@ import numpy as np
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LowPass, interpolated, resample
-from touchfield.medium import ForceField, Grid
-from touchfield.medium.field import BRICK, blocks_around, brick_keys, dilated, frozen, neighbour_slots
+from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium.field import blocks_around, brick_keys, dilated, frozen, neighbour_slots
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -86,12 +86,15 @@ def rebuilt(level: ForceField, grid: Grid) -> ForceField:
 
 
 def _doubled(level: ForceField, grid: Grid) -> ForceField:
-    """The same at the samples of the next finer grid: 3/4 of the nearest sample and 1/4 of the next, axis by axis."""
+    """The same at the samples of the next finer grid: 3/4 of the nearest sample and 1/4 of the next, axis by axis.
+
+    The outermost sample stands for all of its cell.
+    """
     bricks = dilated(level.grid, level.bricks, (1, 1, 1))
     made = [np.empty((0, 8, BRICK, BRICK, BRICK, 3), np.float32)]
     for span, wide in blocks_around(level, level.forces_n, bricks, (1, 1, 1), (1, 1, 1)):
         for axis in range(3):
-            lane = np.moveaxis(wide, axis + 1, 1)  # a view: beyond the border the outermost sample stands for its cell
+            lane = np.moveaxis(wide, axis + 1, 1)  # a view, to be filled beyond the border
             first = bricks[span, axis] == 0
             last = level.grid.shape[axis] - BRICK * bricks[span, axis]
             lane[first, 0] = lane[first, 1]

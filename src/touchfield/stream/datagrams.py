@@ -16,6 +16,7 @@ from collections import deque
 from itertools import zip_longest
 from typing import Any, Final
 
+from touchfield.container.records import MAGIC
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.stream.live import MOST_BYTES
 
@@ -135,7 +136,7 @@ class Gathering:
 
     def __init__(self, stream: int | None = None, most_open: int = MOST_OPEN) -> None:
         self._stream, self._next, self._newest = stream, 0, -1
-        self._most_open = most_open
+        self._most_open, self._opening = most_open, b""
         self._parts: dict[int, _Part] = {}
         self._is_begun = False
         self.refused = self.lost = 0
@@ -164,7 +165,10 @@ class Gathering:
             self.refused += 1
         else:
             part.most -= 1
-            part.message = part.decoder.decode(packet)
+            is_told_again = length == len(self._opening) and packet[_PACKET:] in self._opening
+            part.message = self._opening if is_told_again else part.decoder.decode(packet)
+            if part.message is not None and part.message.startswith(MAGIC):
+                self._opening = part.message  # told again, it holds up no segment behind it
         return self._released()
 
     def _told(self, datagram: bytes) -> tuple[int, int, int, bytes] | None:

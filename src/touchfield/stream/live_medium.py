@@ -134,12 +134,13 @@ class LiveFrames:
             raise UnsupportedVersion("live stream", f"coder {head.coder}", "a coder of fields, such as touch")
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
         self._decoder: FieldDecoder = coder(head.coder).decoder_class(self.grid, head.coder_parameters)
+        self._rate_hz: float = head.rate_hz
         if under is not None and (under.grid, under._rate_hz) != (halved(self.grid), head.rate_hz):
             found = f"{under.grid.shape} samples at {under._rate_hz:g} Hz"
             raise SourceError("coarse layer", found, f"half of {self.grid.shape} at {head.rate_hz:g} Hz")
-        self._tell, self._clock_s, self._rate_hz = tell, clock_s, head.rate_hz
+        self._tell, self._clock_s = tell, clock_s
         self._under, self._rebuilt = under, (-1, ForceField.empty(self.grid))
-        self._news = Condition() if under is None else under._news
+        self._news: Condition = Condition() if under is None else under._news
         self._kept: deque[_Decoded] = deque()
         self._base: int | None = None
         self._error: SourceError | None = None
@@ -211,11 +212,11 @@ class LiveFrames:
 
     @property
     def _zero_s(self) -> float | None:
-        """When the stream's frame 0 would have been in time; a coarse layer bounds how late that can be."""
+        """When the stream's frame 0 would have been in time: with a coarse layer, when that is, or a little later."""
         if self._under is None or self._under._begins_s is None:
             return self._begins_s
-        most_s = self._under._begins_s + WAITED_S
-        return most_s if self._begins_s is None else min(self._begins_s, most_s)
+        least_s = self._under._begins_s
+        return max(least_s, min(self._begins_s or least_s, least_s + WAITED_S))
 
     @property
     def _stop(self) -> int:
@@ -257,7 +258,7 @@ class LiveFrames:
         wanted, one = self._place_of(index)
         if one is not None:
             return one.fields[wanted - one.first]
-        coarse = self._under and self._under._field(wanted)
+        coarse = None if self._under is None else self._under._field(wanted)
         if coarse is None:
             return ForceField.empty(self.grid)
         if self._rebuilt[0] != wanted:

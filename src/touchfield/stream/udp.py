@@ -5,26 +5,28 @@ from __future__ import annotations
 import asyncio
 import secrets
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from touchfield.errors import InvalidArgument
 from touchfield.stream.datagrams import MOST_DATAGRAM, MOST_OPEN, Datagrams, Gathering
 from touchfield.stream.live import LiveSender
 
-__all__ = ["LAYERED_REPAIR", "REPAIR", "UdpSender", "listen", "place_of"]
+__all__ = ["REPAIR", "Layer", "UdpSender", "listen", "place_of"]
 
 _OPENED_EVERY: Final = 4
 """Segments, before which the opening is told again for those who come."""
 
 _COVERED_OPEN: Final = 11
-"""Messages that are waited for where a coarse layer is felt meanwhile: those over whose time one is spread (8), a
-second opening among them, and one for what is overtaken."""
+"""Messages that are waited for where a coarse layer is felt meanwhile: eight, over whose time one is spread, and
+three for what is overtaken."""
 
-REPAIR: Final = 0.22
-LAYERED_REPAIR: Final = (0.15, 0.4)
-"""Of a stream beside its coarse layer, and of that layer, which is a seventh of it: together no more bytes."""
+Layer = Literal["alone", "fine", "coarse"]
+
+REPAIR: Final[Mapping[Layer, float]] = {"alone": 0.22, "fine": 0.15, "coarse": 0.4}
+"""Share of parity. Where a coarse layer is sent beside, what is lost of the fine one is felt coarse: that layer, a
+seventh of the bytes, is protected more, and both together take no larger a share than a stream alone."""
 
 
 def place_of(text: str) -> tuple[str, int]:
@@ -44,7 +46,7 @@ def place_of(text: str) -> tuple[str, int]:
 class UdpSender:
     """Sends a live stream's messages to an address, without ever waiting; a context manager.
 
-    `repair` is the share of parity.
+    `layer` tells what is sent; a coarse layer goes to the next port.
 
     Attributes
     ----------
@@ -54,8 +56,10 @@ class UdpSender:
         Datagrams that the system did not take.
     """
 
-    def __init__(self, sender: LiveSender, address: str, repair: float = REPAIR) -> None:
+    def __init__(self, sender: LiveSender, address: str, layer: Layer = "alone") -> None:
         host, port = place_of(address)
+        if layer == "coarse":
+            host, port = place_of(f"{host}:{port + 1}")
         self._to: Any
         try:
             family, kind, _, _, self._to = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
@@ -64,7 +68,7 @@ class UdpSender:
             raise InvalidArgument("address", found, "a host that is there") from None
         self._socket = socket.socket(family, kind)
         self._socket.setblocking(False)
-        self._sender, self._datagrams, self._count = sender, Datagrams(secrets.randbits(32), repair), 0
+        self._sender, self._datagrams, self._count = sender, Datagrams(secrets.randbits(32), REPAIR[layer]), 0
         self.sent_bytes = self.left_out = 0
 
     def __enter__(self) -> UdpSender:
