@@ -267,7 +267,10 @@ def test_the_coarse_layer_survives_bursts_that_the_fine_one_does_not() -> None:
     """5 % of losses in bursts of five (Gilbert), seeded: in time, at 30 % more bytes than both layers have."""
     rng, is_bad, sent_bytes, count = np.random.default_rng(5), False, 0, 400
     sizes, bodies = (20_000, 2_800), rng.bytes(20_000)
-    ends = [(Datagrams(1, REPAIR["fine"]), Gathering(most_open=11)), (Datagrams(2, REPAIR["coarse"]), Gathering())]
+    ends = [
+        (Datagrams(1, REPAIR["fine"]), Gathering(most_open=11)),
+        (Datagrams(2, REPAIR["coarse"]), Gathering(most_open=11)),
+    ]
     came: tuple[dict[int, int], dict[int, int]] = ({}, {})
     for slot in range(count + 1):
         for (sending, gathering), size, got in zip(ends, sizes, came, strict=True):

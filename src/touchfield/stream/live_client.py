@@ -47,24 +47,28 @@ def open_live(
     with ExitStack() as held:
         under: LiveFrames | None = None
         if coarse is not None:
+            beside = _Client(coarse, lambda note: tell(f"coarse layer: {note}"), is_layered=True)
+            held.callback(beside.close)
+            beside.start()
             try:
-                beside = held.enter_context(open_live(coarse, lambda note: tell(f"coarse layer: {note}")))
-                under = beside.frames
+                under = beside.stream().frames
             except SourceError as error:
                 tell(f"without its coarse layer: {error}")
-        client = _Client(url, tell, under)
-        client.start()
+        client = _Client(url, tell, under, is_layered=under is not None)
         held.callback(client.close)
+        client.start()
         yield client.stream()
 
 
 class _Client:
     """Receives a stream in a thread."""
 
-    def __init__(self, url: str, tell: Callable[[str], None], under: LiveFrames | None) -> None:
+    def __init__(
+        self, url: str, tell: Callable[[str], None], under: LiveFrames | None = None, is_layered: bool = False
+    ) -> None:
         if find_spec("aiohttp") is None and url != "-":
             raise MissingExtra("a live stream", "aiohttp", "broadcast")
-        self._url, self._tell, self._under = url, tell, under
+        self._url, self._tell, self._under, self._is_layered = url, tell, under, is_layered
         self._name = "standard input" if url == "-" else without_secret(url)
         self._receiver = LiveReceiver()
         self._opened: Opened | None = None
@@ -175,7 +179,7 @@ class _Client:
         """Receive at the address until the stream is over."""
         from touchfield.stream.udp import listen
 
-        await listen(self._url, self._take, is_covered=self._under is not None)
+        await listen(self._url, self._take, is_layered=self._is_layered)
         return True
 
     async def _by_manifest(self, session: Any) -> bool:

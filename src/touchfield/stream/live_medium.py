@@ -57,7 +57,10 @@ FAR_S: Final = 0.25
 FASTER: Final = 0.1
 
 WAITED_S: Final = 0.25
-"""How much later than the coarse layer a stream may come and be felt: what comes later still is not waited for."""
+"""How much later than the other a layer may come and be felt: what comes later still is not waited for."""
+
+GONE_S: Final = 1.0
+"""A layer so far behind the other has no say in when play is."""
 
 _AHEAD: Final = 1 << 12
 """A frame so far behind the newest is not waited for."""
@@ -208,15 +211,20 @@ class LiveFrames:
             if begins_s is None or self._base is None:
                 return None
             there = max(self._stop, self._under._stop if self._under else 0)  # nothing beyond it can be felt
-            return min(self._clock_s() - begins_s - SPARE_S, there / rate_hz) - self._base / rate_hz
+            due_s = min(self._clock_s() - begins_s - SPARE_S, there / rate_hz) - self._base / rate_hz
+            return due_s if self._under is None else max(0.0, due_s)  # a layer may have begun later
 
     @property
     def _zero_s(self) -> float | None:
-        """When the stream's frame 0 would have been in time: with a coarse layer, when that is, or a little later."""
-        if self._under is None or self._under._begins_s is None:
-            return self._begins_s
-        least_s = self._under._begins_s
-        return max(least_s, min(self._begins_s or least_s, least_s + WAITED_S))
+        """When the stream's frame 0 would have been in time: the later layer, if not much behind the other."""
+        own, under = self._begins_s, self._under
+        other = under._begins_s if under else None
+        if under is None or own is None or other is None:
+            return other if own is None else own
+        ahead_s = (self._stop - under._stop) / self._rate_hz
+        if abs(ahead_s) > GONE_S:
+            return own if ahead_s > 0 else other
+        return min(max(own, other), min(own, other) + WAITED_S)
 
     @property
     def _stop(self) -> int:

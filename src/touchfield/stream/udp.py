@@ -18,8 +18,8 @@ __all__ = ["REPAIR", "Layer", "UdpSender", "listen", "place_of"]
 _OPENED_EVERY: Final = 4
 """Segments, before which the opening is told again for those who come."""
 
-_COVERED_OPEN: Final = 11
-"""Messages that are waited for where a coarse layer is felt meanwhile: eight, over whose time one is spread, and
+_LAYERED_OPEN: Final = 11
+"""Messages that are waited for where another layer is felt meanwhile: eight, over whose time one is spread, and
 three for what is overtaken."""
 
 Layer = Literal["alone", "fine", "coarse"]
@@ -104,13 +104,13 @@ class _Protocol(asyncio.DatagramProtocol):
             self._take(data)
 
 
-async def listen(address: str, take: Callable[[bytes], bool], is_covered: bool = False) -> Gathering:
+async def listen(address: str, take: Callable[[bytes], bool], is_layered: bool = False) -> Gathering:
     """Receive datagrams at an address, until ``take(message)`` says that the stream is over.
 
-    With `is_covered` something else is felt for what is lost: it is given up once it could have come.
+    With `is_layered` another layer is felt for what is lost: it is given up once it could have come.
     """
     host, port = place_of(address)
-    gathering, coming = Gathering(most_open=_COVERED_OPEN if is_covered else MOST_OPEN), asyncio.Queue[bytes](1 << 14)
+    gathering, coming = Gathering(most_open=_LAYERED_OPEN if is_layered else MOST_OPEN), asyncio.Queue[bytes](1 << 14)
 
     def queue(datagram: bytes) -> None:
         with suppress(asyncio.QueueFull):  # as if it had been lost on its way
