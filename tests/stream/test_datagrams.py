@@ -16,7 +16,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.stream.live import Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
 
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
-from tests.stream.test_live import field, segment, sender_of
+from tests.stream.test_live import HEAD, field, segment, sender_of
 
 from touchfield.stream.datagrams import MOST_DATAGRAM, Datagrams, Gathering
 from touchfield.stream.live_client import open_live
@@ -66,6 +66,27 @@ def test_repeated_mixed_up_damaged_and_foreign_datagrams() -> None:
     gathering = Gathering(7)
     out = [m for one in (*foreign, *bad, *mixed, *own[::3]) for m in gathering.receive(one)]
     assert len(out) >= 7 and out == MESSAGES[-len(out) :] and gathering.refused >= len(bad) + len(foreign) > 20
+
+
+def test_an_opening_that_is_told_again_holds_up_no_short_segment() -> None:
+    """One datagram of it is enough; another message of its length is not taken for it."""
+    sender = LiveSender()
+    sender.open(HEAD, {"source": "".join(map(str, range(300)))})
+    opening = sender.opening
+    datagrams, gathering, out, late = Datagrams(7), Gathering(), list[bytes](), list[int]()
+    messages = [opening, *(bytes([i]) * 200 for i in range(20)), opening, *(bytes([i]) * 200 for i in range(20, 28))]
+    for message in messages:
+        out += [whole for one in datagrams.add(message) for whole in gathering.receive(one)]
+        late.append(len(late) + 1 - len(out))
+    assert max(late[12:]) <= 1 < late[3], "the first opening takes its time"
+    other = bytes(len(opening))
+    out += [
+        whole
+        for part in (datagrams.add(other), datagrams.flush())
+        for one in part
+        for whole in gathering.receive(one)
+    ]
+    assert out == [*messages, other] and gathering.lost == 0
 
 
 def test_what_is_lost_is_counted_and_the_rest_goes_on() -> None:

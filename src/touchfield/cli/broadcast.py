@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -16,7 +16,8 @@ from touchfield.cli.show import progress, show
 
 if TYPE_CHECKING:
     from touchfield.stream.access import Access
-    from touchfield.stream.live import LiveSender
+    from touchfield.stream.live import LiveSegment, LiveSender
+    from touchfield.stream.udp import Layer
 
 __all__: list[str] = []
 
@@ -57,6 +58,10 @@ def live(
     segment_s: Annotated[float, typer.Option("--segment-s", help="Seconds of a segment, which is the delay.")] = 0.25,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     udp: Annotated[str | None, typer.Option(help="HOST:PORT that gets datagrams with parity, too.")] = None,
+    coarse: Annotated[
+        bool,
+        typer.Option("--coarse", help="A coarse layer beside it, at /coarse/live and at the next port of --udp."),
+    ] = False,
     on_air_s: Annotated[float | None, typer.Option("--on-air-s", help="How long; default: to the end.")] = None,
     as_json: Json = False,
     *,
@@ -64,7 +69,7 @@ def live(
 ) -> None:
     """Send SOURCE live: coded as its frames come, for any number of receivers (touchfield play ws://...)."""
     from touchfield.errors import InvalidArgument
-    from touchfield.job.live import LiveSpec, broadcast, opened_sender
+    from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
     from touchfield.stream.access import Pages
     from touchfield.stream.live import END
     from touchfield.stream.live_server import LiveServer
@@ -76,6 +81,8 @@ def live(
 
     if out not in (None, "-"):
         raise InvalidArgument("OUT", repr(out), "- or nothing", "Receivers come by ws://, http:// or --udp.")
+    if coarse and out == "-":
+        raise InvalidArgument("--coarse", "a pipe, which loses nothing", "a server, or --udp")
     spec = LiveSpec(segment_s, loop, on_air_s)
     prepared, sender = opened_sender(source, encode_spec(asked))
     if out == "-":
@@ -85,34 +92,41 @@ def live(
         write_message(pipe, END)
         say(", ".join(f"{value:,} {name}" for name, value in sent.summary().items()))
         return
-    with LiveServer(sender, _access(asked), Pages(served_page(), empty_page())) as server:
+    layer = coarse_layer(source, prepared) if coarse else None
+    under = layer[1] if layer else None
+    with LiveServer(sender, _access(asked), Pages(served_page(), empty_page()), under) as server, ExitStack() as held:
         word = "?token=..." if asked["token"] else ""
         typer.echo(f"ws://{server.address}/live{word}  http://{server.address}/live.json{word}", err=True)
         typer.echo(f"in a browser: http://{server.address}/view{word}", err=True)
-        with _by_datagrams(sender, udp) as also:
-            try:
-                sent = broadcast(prepared, lambda segment: also(server.add(segment)), spec, say)
-            finally:
-                server.end()
+        send = _sending(server.add, sender, udp, "fine" if layer else "alone", held)
+        also = None
+        if layer:
+            typer.echo(f"coarse layer: ws://{server.address}/coarse/live{word}", err=True)
+            also = layer[0], _sending(server.add_coarse, layer[1], udp, "coarse", held)
+        try:
+            sent = broadcast(prepared, send, spec, say, coarse=also)
+        finally:
+            server.end()
     told = {**sent.summary(), "most_receivers": server.most_receivers, "skipped": server.skipped, "left": server.left}
     show(told, source, as_json, prepared.notes)
 
 
-@contextmanager
-def _by_datagrams(sender: LiveSender, address: str | None) -> Iterator[Callable[[bytes], bytes]]:
-    """A call that sends a message by datagrams too, where an address is given, and gives it back."""
+def _sending(
+    add: Callable[[LiveSegment], bytes], sender: LiveSender, address: str | None, layer: Layer, held: ExitStack
+) -> Callable[[LiveSegment], bytes]:
+    """A call that has a segment sent, by datagrams too where an address is given."""
     if address is None:
-        yield lambda message: message
-        return
+        return add
     from touchfield.stream.udp import UdpSender
 
-    with UdpSender(sender, address) as link:
+    link = held.enter_context(UdpSender(sender, address, layer))
 
-        def send(message: bytes) -> bytes:
-            link.add(message)
-            return message
+    def send(segment: LiveSegment) -> bytes:
+        message = add(segment)
+        link.add(message)
+        return message
 
-        yield send
+    return send
 
 
 @command("Broadcast", "mux movie.mp4 room.touch with-touch.mp4", "mux movie.mp4 room.touch with-touch.ts --at-s 12.5")

@@ -60,6 +60,7 @@ PLAY: Final[tuple[Row, ...]] = (
     ("speed", float, 1.0, "Seconds of the medium in one of yours."),
     ("loop", bool, False, "Begin again at the end."),
     ("panel", str, "front", "Of an array with two panels: front or back."),
+    ("coarse", str | None, None, "Address of a live stream's coarse layer, for what is lost or late."),
     ("offline", bool, False, "sim: no clock, as fast as it goes; the same forces."),
 )
 """Fields of `touchfield.job.play.PlaySpec`."""

@@ -74,7 +74,8 @@ class PlaySpec:
     trajectory, or else the medium (a single frame, or a loop: until interrupted). `start_s`, `speed` and `loop` tell
     where the medium begins, how fast it goes, and if it begins again; `panel` is "front" or "back" of an array that
     has both. `offline` is a simulated hand without a clock, as fast as it goes. `is_logged`: all rows of the log are
-    wanted, else the latest minute; `is_drawn`: a frame is wanted behind a picture.
+    wanted, else the latest minute; `is_drawn`: a frame is wanted behind a picture. `coarse` is the address of the
+    coarse layer of a live stream.
     """
 
     device: str = "sim"
@@ -90,6 +91,7 @@ class PlaySpec:
     is_drawn: bool = False
     render: RenderSpec = field(default_factory=RenderSpec)
     trace: Path | None = None
+    coarse: str | None = None
 
     def __post_init__(self) -> None:
         if self.trace is not None and self.trajectory is not None:
@@ -162,7 +164,7 @@ def play(
     or the file or its first frame cannot be read.
     """
     spec = spec or PlaySpec()
-    with open_stream(path, tell) as stream:
+    with open_stream(path, tell, spec.coarse) as stream:
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, tell)
         if spec.device.strip().partition(":")[0].lower() not in {kind.name for kind in point_kinds()}:

@@ -16,6 +16,7 @@ from collections import deque
 from itertools import zip_longest
 from typing import Any, Final
 
+from touchfield.container.records import MAGIC
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.stream.live import MOST_BYTES
 
@@ -24,7 +25,7 @@ try:
 except ImportError:
     raise MissingExtra("datagrams with parity", "raptorq", "broadcast") from None
 
-__all__ = ["MOST_DATAGRAM", "Datagrams", "Gathering"]
+__all__ = ["MOST_DATAGRAM", "MOST_OPEN", "Datagrams", "Gathering"]
 
 _MAGIC: Final = b"TF"
 _HEAD: Final = struct.Struct("<2sIIIHI")
@@ -35,7 +36,7 @@ _SYMBOLS: Final = 36
 _LEAST_REPAIR: Final = 3
 _LEAST_SYMBOL, _MOST_SYMBOL = 128, 1152
 MOST_DATAGRAM: Final = _HEAD.size + _PACKET + _MOST_SYMBOL
-_MOST_OPEN: Final = 24
+MOST_OPEN: Final = 24
 """Messages that are waited for at once."""
 
 _MOST_WAITING: Final = 1 << 27
@@ -66,8 +67,8 @@ class Datagrams:
     def __init__(self, stream: int, repair: float = 0.22, spread: int = 8) -> None:
         if not 0 <= repair <= 4:
             raise InvalidArgument("repair", f"{repair:g}", "0 to 4, such as 0.22")
-        if not 1 <= spread <= _MOST_OPEN // 2:
-            raise InvalidArgument("spread", f"{spread}", f"1 to {_MOST_OPEN // 2}")
+        if not 1 <= spread <= MOST_OPEN // 2:
+            raise InvalidArgument("spread", f"{spread}", f"1 to {MOST_OPEN // 2}")
         self._stream, self._repair, self._spread, self._number = stream, repair, spread, 0
         self._waiting: deque[list[list[bytes]]] = deque()
 
@@ -122,6 +123,8 @@ class Gathering:
     ----------
     stream : int, optional
         The stream that is wanted; by default the first that comes.
+    most_open : int
+        Messages that are waited for at once; fewer where something else is felt meanwhile, 1 to 24.
 
     Attributes
     ----------
@@ -131,8 +134,9 @@ class Gathering:
         Messages that were given up.
     """
 
-    def __init__(self, stream: int | None = None) -> None:
+    def __init__(self, stream: int | None = None, most_open: int = MOST_OPEN) -> None:
         self._stream, self._next, self._newest = stream, 0, -1
+        self._most_open, self._opening = most_open, b""
         self._parts: dict[int, _Part] = {}
         self._is_begun = False
         self.refused = self.lost = 0
@@ -161,7 +165,10 @@ class Gathering:
             self.refused += 1
         else:
             part.most -= 1
-            part.message = part.decoder.decode(packet)
+            is_told_again = length == len(self._opening) and packet[_PACKET:] in self._opening
+            part.message = self._opening if is_told_again else part.decoder.decode(packet)
+            if part.message is not None and part.message.startswith(MAGIC):
+                self._opening = part.message  # told again, it holds up no segment behind it
         return self._released()
 
     def _told(self, datagram: bytes) -> tuple[int, int, int, bytes] | None:
@@ -185,7 +192,7 @@ class Gathering:
             if part is not None and part.message is not None:
                 messages.append(part.message)
             elif (
-                self._newest - self._next < _MOST_OPEN
+                self._newest - self._next < self._most_open
                 and sum(one.length for one in self._parts.values()) <= _MOST_WAITING
             ):
                 break

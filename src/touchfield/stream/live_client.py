@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
 from threading import Event as Flag
 from threading import Thread
@@ -31,29 +31,44 @@ _MOST_TRIES: Final = 8
 
 
 @contextmanager
-def open_live(url: str, tell: Callable[[str], None] = lambda note: None) -> Iterator[LiveStream]:
+def open_live(
+    url: str, tell: Callable[[str], None] = lambda note: None, coarse: str | None = None
+) -> Iterator[LiveStream]:
     """Open a live stream; it is received in a thread until the block ends.
+
+    `coarse` is the address of its coarse layer, felt where the stream itself has lost something, or is late; where
+    that layer does not come, it is told, and the stream is felt alone.
 
     Raises
     ------
     SourceError
         If there is none, or nothing has come for ten seconds.
     """
-    client = _Client(url, tell)
-    client.start()
-    try:
+    with ExitStack() as held:
+        under: LiveFrames | None = None
+        if coarse is not None:
+            beside = _Client(coarse, lambda note: tell(f"coarse layer: {note}"), is_layered=True)
+            held.callback(beside.close)
+            beside.start()
+            try:
+                under = beside.stream().frames
+            except SourceError as error:
+                tell(f"without its coarse layer: {error}")
+        client = _Client(url, tell, under, is_layered=under is not None)
+        held.callback(client.close)
+        client.start()
         yield client.stream()
-    finally:
-        client.close()
 
 
 class _Client:
     """Receives a stream in a thread."""
 
-    def __init__(self, url: str, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self, url: str, tell: Callable[[str], None], under: LiveFrames | None = None, is_layered: bool = False
+    ) -> None:
         if find_spec("aiohttp") is None and url != "-":
             raise MissingExtra("a live stream", "aiohttp", "broadcast")
-        self._url, self._tell = url, tell
+        self._url, self._tell, self._under, self._is_layered = url, tell, under, is_layered
         self._name = "standard input" if url == "-" else without_secret(url)
         self._receiver = LiveReceiver()
         self._opened: Opened | None = None
@@ -110,7 +125,7 @@ class _Client:
             if isinstance(event, Opened):
                 if self._frames is not None:  # another programme: who plays the old one opens anew
                     raise SourceError(self._name, "another programme", "the one that was opened", "Open it again.")
-                self._opened, self._frames = event, LiveFrames(event, self._tell)
+                self._opened, self._frames = event, LiveFrames(event, self._tell, under=self._under)
             elif self._frames is not None:
                 if isinstance(event, LiveSegment):
                     self._vibrates |= event.vibration is not None
@@ -164,7 +179,7 @@ class _Client:
         """Receive at the address until the stream is over."""
         from touchfield.stream.udp import listen
 
-        await listen(self._url, self._take)
+        await listen(self._url, self._take, is_layered=self._is_layered)
         return True
 
     async def _by_manifest(self, session: Any) -> bool:

@@ -2,7 +2,8 @@
 
 Frame 0 is the first of the segment with which the receiver joined. Frames count on in time; where play has fallen
 behind what the sender has, it is moved on to the newest segment. A frame that was lost holds no force, so that the
-force eases out and in again within the renderer's slew limit.
+force eases out and in again within the renderer's slew limit. Where a coarse layer is received as well, its frame
+stands for one that was lost, or is late; the force goes over within the same limit.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import coder
 from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import FormatError, SourceError, UnsupportedVersion
+from touchfield.filters.lifting import halved, rebuilt
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
 from touchfield.stream.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
@@ -53,6 +55,12 @@ FAR_S: Final = 0.25
 """From what is due on, play goes there at once; nearer, it goes there a little faster or slower."""
 
 FASTER: Final = 0.1
+
+WAITED_S: Final = 0.25
+"""How much later than the other a layer may come and be felt: what comes later still is not waited for."""
+
+GONE_S: Final = 1.0
+"""A layer so far behind the other has no say in when play is."""
 
 _AHEAD: Final = 1 << 12
 """A frame so far behind the newest is not waited for."""
@@ -100,11 +108,15 @@ class LiveFrames:
         ``tell(note)``: what was lost, refused or moved on over.
     clock_s : callable
         Seconds.
+    under : LiveFrames, optional
+        The coarse layer of the same frames, on half the lattice.
 
     Attributes
     ----------
     lost : int
         Frames that did not come, or could not be decoded.
+    covered : int
+        Frames that were answered from the coarse layer.
     refused : int
         Messages that were of no use.
     skipped : int
@@ -118,18 +130,24 @@ class LiveFrames:
         opened: Opened,
         tell: Callable[[str], None] = lambda note: None,
         clock_s: Callable[[], float] = time.monotonic,
+        under: LiveFrames | None = None,
     ) -> None:
         head = opened.head
         if coder(head.coder).spec is None:
             raise UnsupportedVersion("live stream", f"coder {head.coder}", "a coder of fields, such as touch")
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
         self._decoder: FieldDecoder = coder(head.coder).decoder_class(self.grid, head.coder_parameters)
-        self._tell, self._clock_s, self._rate_hz = tell, clock_s, head.rate_hz
-        self._news = Condition()
+        self._rate_hz: float = head.rate_hz
+        if under is not None and (under.grid, under._rate_hz) != (halved(self.grid), head.rate_hz):
+            found = f"{under.grid.shape} samples at {under._rate_hz:g} Hz"
+            raise SourceError("coarse layer", found, f"half of {self.grid.shape} at {head.rate_hz:g} Hz")
+        self._tell, self._clock_s = tell, clock_s
+        self._under, self._rebuilt = under, (-1, ForceField.empty(self.grid))
+        self._news: Condition = Condition() if under is None else under._news
         self._kept: deque[_Decoded] = deque()
         self._base: int | None = None
         self._error: SourceError | None = None
-        self.lost = self.refused = self.skipped = 0
+        self.lost = self.refused = self.skipped = self.covered = 0
         self.arrived: dict[int, float] = {}
         self._begins_s: float | None = None
 
@@ -189,11 +207,47 @@ class LiveFrames:
     def due_s(self, rate_hz: float) -> float | None:
         """The time of the medium that is to be felt now, seconds: segments begin as the late ones were ready."""
         with self._news:
-            if self._begins_s is None or self._base is None:
+            begins_s = self._zero_s
+            if begins_s is None or self._base is None:
                 return None
-            newest = self._kept[-1]
-            there = newest.first + len(newest.fields)  # nothing beyond it can be felt, whatever the clock says
-            return min(self._clock_s() - self._begins_s - SPARE_S, there / rate_hz) - self._base / rate_hz
+            there = max(self._stop, self._under._stop if self._under else 0)  # nothing beyond it can be felt
+            due_s = min(self._clock_s() - begins_s - SPARE_S, there / rate_hz) - self._base / rate_hz
+            return due_s if self._under is None else max(0.0, due_s)  # a layer may have begun later
+
+    @property
+    def _zero_s(self) -> float | None:
+        """When the stream's frame 0 would have been in time: the later layer, if not much behind the other."""
+        own, under = self._begins_s, self._under
+        other = under._begins_s if under else None
+        if under is None or own is None or other is None:
+            return other if own is None else own
+        ahead_s = (self._stop - under._stop) / self._rate_hz
+        if abs(ahead_s) > GONE_S:
+            return own if ahead_s > 0 else other
+        return min(max(own, other), min(own, other) + WAITED_S)
+
+    @property
+    def _stop(self) -> int:
+        """The frame of the stream behind the newest that is there; 0 before the first."""
+        return self._kept[-1].first + len(self._kept[-1].fields) if self._kept else 0
+
+    def _holding(self, wanted: int) -> _Decoded | None:
+        """The segment that holds a frame of the stream, if it is kept."""
+        return next((one for one in self._kept if one.first <= wanted < one.first + len(one.fields)), None)
+
+    def _is_settled(self, wanted: int) -> bool:
+        """True where a frame of the stream has come, in a layer that is to be felt, or will come in none."""
+        under, is_past = self._under, wanted < self._stop
+        if under is None or self._holding(wanted) is not None:
+            return is_past
+        if under._holding(wanted) is not None:
+            return is_past or self._error is not None or self._is_due(wanted)
+        return is_past and (wanted < under._stop or self._is_due(wanted))
+
+    def _is_due(self, wanted: int) -> bool:
+        """True where a player that is in time needs the frame: to go on from the one before."""
+        begins_s = self._zero_s
+        return begins_s is not None and self._clock_s() - begins_s >= (wanted - 1) / self._rate_hz
 
     def stream_frame(self, index: int) -> int | None:
         """The sender's number of frame `index`, as things are now; None before the first segment."""
@@ -209,50 +263,69 @@ class LiveFrames:
         SourceError
             Where nothing came for ten seconds, or the frame lies far ahead.
         """
-        place, one = self._place_of(index)
-        return ForceField.empty(self.grid) if one is None else one.fields[place]
+        wanted, one = self._place_of(index)
+        if one is not None:
+            return one.fields[wanted - one.first]
+        coarse = None if self._under is None else self._under._field(wanted)
+        if coarse is None:
+            return ForceField.empty(self.grid)
+        if self._rebuilt[0] != wanted:
+            self._rebuilt = wanted, rebuilt(coarse, self.grid)
+            self.covered += 1
+        return self._rebuilt[1]
+
+    def _field(self, wanted: int) -> ForceField | None:
+        """A frame of the stream, if it is kept."""
+        with self._news:
+            one = self._holding(wanted)
+            return None if one is None else one.fields[wanted - one.first]
 
     def is_there(self, index: int) -> bool:
         """True where `__call__` answers at once, be it with an error."""
         with self._news:
             if not self._kept or self._base is None:
                 return self._error is not None
-            newest = self._kept[-1]
-            is_late = self._clock_s() - self.arrived[newest.first] > PATIENCE_S
-            return self._base + index < newest.first + len(newest.fields) or self._error is not None or is_late
+            is_late = self._clock_s() - self._came_s > PATIENCE_S
+            return self._is_settled(self._base + index) or self._is_over or is_late
+
+    @property
+    def _came_s(self) -> float:
+        """When something came last, in any layer, seconds of the clock."""
+        return max(layer.arrived[layer._kept[-1].first] for layer in (self, self._under) if layer and layer._kept)
+
+    @property
+    def _is_over(self) -> bool:
+        """True where nothing will come any more, in no layer."""
+        return self._error is not None and (self._under is None or self._under._error is not None)
 
     def vibration(self, index: int) -> VibrationFrame:
         """Vibrations in a frame; see `__call__`."""
-        place, one = self._place_of(index)
-        return one.band[place] if one is not None and one.band else VibrationFrame.empty(self.grid)
+        wanted, one = self._place_of(index)
+        return one.band[wanted - one.first] if one is not None and one.band else VibrationFrame.empty(self.grid)
 
     def _place_of(self, index: int) -> tuple[int, _Decoded | None]:
+        """The stream's number of a frame, and the segment that holds it, if it came: once it is known."""
         began = self._clock_s()
         with self._news:
-            if self._kept:
-                began = self.arrived[self._kept[-1].first]
             while True:
                 if self._kept and self._base is not None:
-                    wanted, newest = self._base + index, self._kept[-1]
+                    began, wanted, newest = self._came_s, self._base + index, self._kept[-1]
                     if wanted > newest.first + _AHEAD:
                         raise SourceError("live stream", f"frame {index}, far ahead", "one that comes soon")
-                    if wanted < self._kept[0].first:
+                    is_gone = wanted < self._kept[0].first and not (self._under and self._under._holding(wanted))
+                    if is_gone:
                         self.skipped += newest.first - wanted
                         self._tell(f"play had fallen behind, and goes on {newest.first - wanted} frames later")
                         self._base += newest.first - wanted
                         continue
-                    if wanted < newest.first + len(newest.fields):
-                        break
-                if self._error is not None:
+                    if self._is_settled(wanted):
+                        return wanted, self._holding(wanted)
+                if self._error is not None and self._is_over:
                     raise self._error
                 left = PATIENCE_S - (self._clock_s() - began)
                 if left <= 0:
                     raise SourceError("live stream", f"no segment for {PATIENCE_S:g} s", "one that comes in time")
-                self._news.wait(left)
-            for one in self._kept:
-                if one.first <= wanted < one.first + len(one.fields):
-                    return wanted - one.first, one
-            return 0, None
+                self._news.wait(left if self._under is None else min(left, SPARE_S))  # what is due tells nobody
 
 
 class _LiveReader(NamedTuple):

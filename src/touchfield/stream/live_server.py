@@ -29,6 +29,8 @@ class LiveServer(Background):
     access : Access
     pages : Pages, optional
         For browsers, at /view.
+    coarse : LiveSender, optional
+        Of the coarse layer, which is at /coarse/live as the stream is at /live.
 
     Attributes
     ----------
@@ -42,20 +44,31 @@ class LiveServer(Background):
         Receivers that did not read, and were left.
     """
 
-    def __init__(self, sender: LiveSender, access: Access, pages: Pages | None = None) -> None:
+    def __init__(
+        self, sender: LiveSender, access: Access, pages: Pages | None = None, coarse: LiveSender | None = None
+    ) -> None:
         super().__init__(access, pages)
-        self._sender, self._news = sender, asyncio.Event()
+        self._sender, self._coarse, self._news = sender, coarse, asyncio.Event()
         self.receivers = self.most_receivers = self.skipped = self.left = 0
 
     def add(self, segment: LiveSegment) -> bytes:
         """Have a segment sent; its message."""
-        message = self._sender.add(segment)
+        return self._added(self._sender, segment)
+
+    def add_coarse(self, segment: LiveSegment) -> bytes:
+        """Have a segment of the coarse layer sent; its message."""
+        assert self._coarse is not None
+        return self._added(self._coarse, segment)
+
+    def _added(self, sender: LiveSender, segment: LiveSegment) -> bytes:
+        message = sender.add(segment)
         self._tell()
         return message
 
     def end(self) -> None:
         """Say to all that nothing follows."""
-        self._sender.end()
+        for sender in filter(None, (self._sender, self._coarse)):
+            sender.end()
         self._tell()
 
     def _tell(self) -> None:
@@ -68,31 +81,37 @@ class LiveServer(Background):
 
     def _application(self) -> web.Application:
         served = guarded(self._access)
-        served.router.add_get("/live", self._follow)
-        served.router.add_get("/live.json", self._manifest)
-        served.router.add_get("/live/opening", self._opening)
-        served.router.add_get(r"/live/{number:\d{1,9}}", self._segment)
-        served.router.add_get(r"/live/{number:\d{1,9}}.touch", self._file)
+        for layer in ("live",) if self._coarse is None else ("live", "coarse/live"):
+            served.router.add_get(f"/{layer}", self._follow)
+            served.router.add_get(f"/{layer}.json", self._manifest)
+            served.router.add_get(f"/{layer}/opening", self._opening)
+            served.router.add_get(rf"/{layer}/{{number:\d{{1,9}}}}", self._segment)
+            served.router.add_get(rf"/{layer}/{{number:\d{{1,9}}}}.touch", self._file)
         add_pages(served, "", self._pages)
         return served
+
+    def _asked(self, request: web.Request) -> LiveSender:
+        """The sender of the layer that a request is for."""
+        return self._coarse if self._coarse is not None and request.path.startswith("/coarse") else self._sender
 
     async def _follow(self, request: web.Request) -> web.StreamResponse:
         if self._access.is_stranger(request):
             raise web.HTTPForbidden(text="a page elsewhere, which may not read")
         socket = web.WebSocketResponse(heartbeat=_PATIENCE_S, max_msg_size=1 << 10, compress=False)
         await socket.prepare(request)
-        receiver = self._sender.joined()
+        sender = self._asked(request)
+        receiver = sender.joined()
         self.receivers += 1
         self.most_receivers = max(self.most_receivers, self.receivers)
         listener = asyncio.ensure_future(_ended(socket))
         try:
             while not socket.closed:
                 news = self._news
-                message = self._sender.next(receiver)
+                message = sender.next(receiver)
                 if message is not None:
                     async with asyncio.timeout(_PATIENCE_S):
                         await socket.send_bytes(message)
-                elif self._sender.is_over(receiver):
+                elif sender.is_over(receiver):
                     break
                 else:
                     waits = asyncio.ensure_future(news.wait())
@@ -119,18 +138,19 @@ class LiveServer(Background):
 
     async def _manifest(self, request: web.Request) -> web.Response:
         headers = {**self._access.cors(request), "Cache-Control": "no-store"}
-        return web.json_response(self._sender.manifest(), headers=headers)
+        return web.json_response(self._asked(request).manifest(), headers=headers)
 
     async def _opening(self, request: web.Request) -> web.Response:
-        return self._answer(request, self._sender.opening or None)
+        return self._answer(request, self._asked(request).opening or None)
 
     async def _segment(self, request: web.Request) -> web.Response:
-        return self._answer(request, self._sender.message(int(request.match_info["number"])))
+        return self._answer(request, self._asked(request).message(int(request.match_info["number"])))
 
     async def _file(self, request: web.Request) -> web.Response:
         """A segment as a file of its own, for whoever decodes files."""
-        message = self._sender.message(int(request.match_info["number"]))
-        return self._answer(request, None if message is None else file_of(self._sender.opening, message))
+        sender = self._asked(request)
+        message = sender.message(int(request.match_info["number"]))
+        return self._answer(request, None if message is None else file_of(sender.opening, message))
 
 
 async def _ended(socket: web.WebSocketResponse) -> None:

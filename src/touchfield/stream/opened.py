@@ -323,15 +323,19 @@ class SceneStream(OpenStream):
 
 
 @contextmanager
-def open_stream(path: str | Path, tell: Callable[[str], None] = lambda note: None) -> Iterator[OpenStream]:
+def open_stream(
+    path: str | Path, tell: Callable[[str], None] = lambda note: None, coarse: str | None = None
+) -> Iterator[OpenStream]:
     """Open a ``.touch`` file, the address of one, or of a live stream; decoding takes no configuration.
 
-    `tell` gets notes on what a live stream lost.
+    `tell` gets notes on what a live stream lost; `coarse` is the address of its coarse layer, which is felt there.
     """
+    if coarse is not None and not is_live(path):
+        raise InvalidArgument("coarse", f"a layer of {path}", "one of a live stream, such as ws://HOST/live")
     if is_live(path):
         from touchfield.stream.live_client import open_live
 
-        with open_live(str(path), tell) as live:
+        with open_live(str(path), tell, coarse) as live:
             yield live
         return
     with TouchReader(path) as reader:

@@ -1,0 +1,373 @@
+"""A coarse layer beside a live stream: what is felt where the stream has lost something or is late."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+from tests.stream.test_live import GRID, HEAD, field, medium, segment
+
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.filters.lifting import halved, pyramid, rebuilt
+from touchfield.filters.resample import interpolated
+from touchfield.job import EncodeSpec
+from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.stream.live import ENDLESS, Ended, LiveReceiver, LiveSegment, Lost, Opened
+from touchfield.stream.live_medium import WAITED_S, LiveEnd, LiveFrames
+
+HALF = halved(GRID)
+UNDER = TouchEncoder(HALF, TouchSpec(k=0.2, f0_n=0.1, effort="fast"))
+UNDER_HEAD = replace(
+    HEAD, grid_shape=HALF.shape, spacing_m=HALF.spacing_m, origin_m=HALF.origin_m, frame_count=ENDLESS,
+    coder_parameters=UNDER.parameters,
+)  # fmt: skip
+OPENED = Opened(replace(HEAD, frame_count=ENDLESS), {})
+FINE = {5 * i: segment(5 * i) for i in range(8)}
+COARSE = {
+    5 * i: LiveSegment(5 * i, 5, UNDER.encode_segment([pyramid(field(5 * i + n), 1)[-1] for n in range(5)]).body)
+    for i in range(8)
+}
+
+
+class Pair:
+    """A stream and its coarse layer, and their clock."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.under = LiveFrames(Opened(UNDER_HEAD, {}), clock_s=lambda: self.now_s)
+        self.frames = LiveFrames(OPENED, clock_s=lambda: self.now_s, under=self.under)
+
+    def kind(self, index: int) -> str:
+        """What a frame is answered with."""
+        if not self.frames.is_there(index):
+            return "waits"
+        given = self.frames(index).to_dense()
+        number = self.frames.stream_frame(index) or 0
+        for name, other in (
+            ("fine", field(number)), ("coarse", rebuilt(pyramid(field(number), 1)[-1], GRID)),
+            ("nothing", ForceField.empty(GRID)),
+        ):  # fmt: skip
+            if np.abs(given - other.to_dense()).max() < 0.45:
+                return name
+        return "something else"
+
+
+def test_the_layers_differ_by_more_than_their_masks() -> None:
+    coarse, fine = rebuilt(pyramid(field(1), 1)[-1], GRID).to_dense(), field(1).to_dense()
+    assert np.abs(coarse - fine).max() > 0.9
+
+
+def test_what_was_lost_is_felt_coarse() -> None:
+    pair = Pair()
+    for event in (COARSE[0], COARSE[5], COARSE[15]):
+        pair.under.take(event)
+    for one in (FINE[0], Lost(5, 10), FINE[15]):
+        pair.frames.take(one)
+    assert [pair.kind(i) for i in (4, 5, 9, 10, 14, 15)] == ["fine", "coarse", "coarse", "nothing", "nothing", "fine"]
+    assert pair.frames.covered == 2 and pair.frames.lost == 10
+
+
+def test_what_is_late_is_felt_coarse_once_it_is_needed_and_fine_as_soon_as_it_comes() -> None:
+    pair = Pair()
+    for step in range(20):
+        pair.now_s = 0.1 * (step + 1)
+        pair.under.take(replace(COARSE[0], first_frame=5 * step))
+        if step < 10:
+            pair.frames.take(replace(FINE[0], first_frame=5 * step))
+    due_s = pair.frames.due_s(50.0)
+    assert due_s is not None and 1.8 < due_s < 2.0, "the clock goes on with the coarse layer"
+    np.testing.assert_allclose(pair.frames(49).to_dense(), field(4).to_dense(), atol=0.3)
+    assert pair.frames.is_there(90) and not pair.frames.is_there(99), "what is not needed yet is waited for"
+    pair.now_s += 0.1
+    assert pair.frames.is_there(99)
+    pair.frames.take(replace(FINE[0], first_frame=95))
+    np.testing.assert_allclose(pair.frames(97).to_dense(), field(2).to_dense(), atol=0.3)
+
+
+def test_a_stream_that_is_always_too_late_delays_nothing() -> None:
+    pair = Pair()
+    for step in range(40):
+        pair.now_s = 0.1 * (step + 1)
+        pair.under.take(replace(COARSE[0], first_frame=5 * step))
+        if step >= 6:  # 0.6 s behind
+            pair.frames.take(replace(FINE[0], first_frame=5 * (step - 6)))
+    due_s = pair.frames.due_s(50.0)
+    assert due_s is not None and pair.now_s - due_s < 0.1 + WAITED_S + 0.05
+
+
+def test_a_stream_that_fails_goes_on_coarse_until_both_have_ended() -> None:
+    pair = Pair()
+    pair.under.take(COARSE[0])
+    pair.under.take(COARSE[5])
+    pair.frames.take(FINE[0])
+    pair.frames.fail(SourceError("live stream", "cut", "on"))
+    assert pair.kind(7) == "coarse" and not pair.frames.is_there(10)
+    pair.under.take(Ended())
+    assert pair.frames.is_there(10)
+    with pytest.raises(SourceError, match="cut"):
+        pair.frames(10)
+    both = Pair()
+    both.frames.take(FINE[0])
+    both.under.take(Ended())
+    both.frames.take(Ended())
+    with pytest.raises(LiveEnd):
+        both.frames(5)
+
+
+def test_a_layer_of_another_lattice_is_refused() -> None:
+    other = LiveFrames(OPENED)
+    with pytest.raises(SourceError, match="half of"):
+        LiveFrames(OPENED, under=other)
+
+
+class Layers(RuleBasedStateMachine):
+    """Segments of both layers come, or do not, at any time: the finest is felt, and what is due not awaited."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.pair = Pair()
+        self.next = [0, 0]
+        self.come: list[set[int]] = [set(), set()]
+
+    @rule(layer=st.integers(0, 1), lost=st.integers(0, 2))
+    def arrive(self, layer: int, lost: int) -> None:
+        frames = (self.pair.frames, self.pair.under)[layer]
+        first = self.next[layer] + (5 * lost if self.next[layer] else 0)
+        if first > 35 or (layer == 0 and first == 0 and self.next[1] > 15):
+            return
+        frames.take((FINE, COARSE)[layer][first])
+        self.next[layer] = first + 5
+        self.come[layer].add(first)
+
+    @rule(seconds=st.floats(0, 0.3))
+    def wait(self, seconds: float) -> None:
+        self.pair.now_s += seconds
+
+    @invariant()
+    def the_finest_is_felt(self) -> None:
+        frames, under = self.pair.frames, self.pair.under
+        if not self.come[0] or frames.stream_frame(0) is None:
+            return
+        oldest = min([*sorted(self.come[0])[-4:], *sorted(self.come[1])[-4:]])
+        for number in range(max(oldest, 0), 40, 3):
+            first = number - number % 5
+            is_kept = [first in sorted(come)[-4:] for come in self.come]
+            if number < min(sorted(self.come[0])[-4:]) and not is_kept[1]:
+                continue  # play would be moved on
+            kind = self.pair.kind(number)
+            if is_kept[0]:
+                assert kind == "fine"
+            elif is_kept[1]:
+                is_lost = number < self.next[0]
+                assert kind == "coarse" or (kind == "waits" and not is_lost and not frames._is_due(number))
+            else:
+                assert kind == "waits" or (kind == "nothing" and number < self.next[0])
+        assert frames.skipped == under.skipped == 0
+
+
+TestLayers = Layers.TestCase
+TestLayers.settings = settings(max_examples=30, stateful_step_count=25, deadline=None)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.tuples(*[st.integers(1, 20)] * 3), st.integers(0, 2**32 - 1), st.floats(0, 1))
+def test_twice_as_fine_is_what_interpolation_gives(shape: tuple[int, int, int], seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    fine = Grid(shape, (0.002, 0.003, 0.001), (0.1, 0.2, -0.3))
+    dense = rng.normal(size=(*halved(fine).shape, 3)) * (rng.random((*halved(fine).shape, 1)) < share)
+    level = ForceField.from_dense(halved(fine), dense.astype(np.float32))
+    expected = interpolated(level, fine, border="cell").to_dense()
+    np.testing.assert_allclose(rebuilt(level, fine).to_dense(), expected, atol=2e-6)
+
+
+# -- the sending end ------------------------------------------------------------------------------------------
+
+
+def test_both_layers_go_on_the_air() -> None:
+    prepared, _ = opened_sender(medium(), EncodeSpec())
+    coarse, under = coarse_layer(medium(), prepared)
+    now, took = [0.0], ([], [])  # type: tuple[list[float], tuple[list[LiveSegment], list[LiveSegment]]]
+
+    def pause(seconds: float) -> None:
+        time.sleep(0.01)  # the coders' threads
+        now[0] += seconds
+
+    spec = LiveSpec(0.1, loop=True, seconds=2.0)
+    sent = broadcast(
+        prepared, took[0].append, spec, clock_s=lambda: now[0], pause=pause, coarse=(coarse, took[1].append)
+    )
+    assert sent.segments == len(took[0]) >= 3 and len(took[1]) >= 3
+    assert sent.coarse_bytes == sum(len(one.body) for one in took[1]) > 0
+    receiver = LiveReceiver()
+    (opened,) = receiver.receive(under.opening)
+    assert isinstance(opened, Opened) and "NMSE" in opened.provenance["layer"]
+    assert opened.head.weber_fraction == 2 * prepared.spec.k
+    frames = LiveFrames(opened)
+    frames.take(took[1][0])
+    number = took[1][0].first_frame
+    expected = pyramid(medium()[number], 1)[-1].to_dense()
+    np.testing.assert_array_less(np.abs(frames(0).to_dense() - expected), 0.11 + 0.2 * np.abs(expected).max())
+
+
+def sent_messages(with_layer: bool) -> list[bytes]:
+    prepared, sender = opened_sender(medium(), EncodeSpec())
+    now, messages = [0.0], list[bytes]()
+
+    def pause(seconds: float) -> None:
+        time.sleep(0.01)
+        now[0] += seconds
+
+    def send(segment: LiveSegment) -> None:
+        messages.append(sender.add(segment))
+
+    coarse = (coarse_layer(medium(), prepared)[0], lambda segment: None) if with_layer else None
+    broadcast(prepared, send, LiveSpec(0.5), clock_s=lambda: now[0], pause=pause, coarse=coarse)
+    return [sender.opening, *messages]
+
+
+def test_a_layer_beside_it_changes_no_byte_of_a_stream() -> None:
+    alone = sent_messages(False)
+    assert len(alone) == 3 and sent_messages(True) == alone
+
+
+def test_what_cannot_be_halved_is_refused() -> None:
+    grid = Grid((1, 1, 1), (0.01,) * 3, (0.0,) * 3)
+    one = HapticMedium.from_frames([ForceField.from_dense(grid, np.ones((1, 1, 1, 3), np.float32))], 30.0, HEAD.axes)
+    prepared, _ = opened_sender(one, EncodeSpec())
+    with pytest.raises(InvalidArgument, match="halved"):
+        coarse_layer(one, prepared)
+
+
+# -- through a network ----------------------------------------------------------------------------------------
+
+pytest.importorskip("aiohttp", reason="live streams need the extra broadcast")
+pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
+from tests.stream.test_datagrams import free_port  # noqa: E402
+
+from touchfield.job.play import PlaySpec, play  # noqa: E402
+from touchfield.stream.access import Access  # noqa: E402
+from touchfield.stream.datagrams import Datagrams, Gathering  # noqa: E402
+from touchfield.stream.live_server import LiveServer  # noqa: E402
+from touchfield.stream.opened import open_stream  # noqa: E402
+from touchfield.stream.udp import REPAIR, UdpSender  # noqa: E402
+
+
+def test_the_coarse_layer_survives_bursts_that_the_fine_one_does_not() -> None:
+    """5 % of losses in bursts of five (Gilbert), seeded: in time, at 30 % more bytes than both layers have."""
+    rng, is_bad, sent_bytes, count = np.random.default_rng(5), False, 0, 400
+    sizes, bodies = (20_000, 2_800), rng.bytes(20_000)
+    ends = [
+        (Datagrams(1, REPAIR["fine"]), Gathering(most_open=11)),
+        (Datagrams(2, REPAIR["coarse"]), Gathering(most_open=11)),
+    ]
+    came: tuple[dict[int, int], dict[int, int]] = ({}, {})
+    for slot in range(count + 1):
+        for (sending, gathering), size, got in zip(ends, sizes, came, strict=True):
+            message = slot.to_bytes(4, "big") + bodies[: size - 4]
+            for one in sending.add(message) if slot < count else sending.flush():
+                sent_bytes += len(one)
+                is_bad = rng.random() > 1 / 5 if is_bad else rng.random() < 0.05 / (0.95 * 5)
+                for whole in [] if is_bad else gathering.receive(one):
+                    got[int.from_bytes(whole[:4], "big")] = slot
+    in_time = [{number for number, slot in got.items() if slot <= number + 8} for got in came]
+    assert len(in_time[0]) < 0.995 * count, "the fine layer loses something, or nothing is shown"
+    assert len(in_time[0] | in_time[1]) >= 0.999 * count and len(in_time[1]) >= 0.995 * count
+    assert sent_bytes <= 1.3 * count * sum(sizes)
+
+
+def rough() -> HapticMedium:
+    """A force of 2 N and more towards the user everywhere; segments of its coarse layer have some datagrams."""
+    rng = np.random.default_rng(3)
+    noise = rng.uniform(0, 0.8, (25, *GRID.shape, 3)) + np.array([0, 0, 2.0])
+    return HapticMedium.from_frames(
+        [ForceField.from_dense(GRID, one.astype(np.float32)) for one in noise], 50.0, HEAD.axes
+    )
+
+
+class OnAir:
+    """A medium with its coarse layer on a server, and by datagrams at two ports; the fine ones may be kept back."""
+
+    def __init__(self, port: int | None = None, keeps_back: bool = False) -> None:
+        source = medium() if port is None else rough()
+        self._prepared, self._sender = opened_sender(source, EncodeSpec())
+        self._coarse, self._under = coarse_layer(source, self._prepared)
+        self.server = LiveServer(self._sender, Access(port=0), coarse=self._under)
+        self._port, self._keeps_back = port, keeps_back
+        self._thread, self._is_over = threading.Thread(target=self._run, daemon=True), threading.Event()
+
+    def _run(self) -> None:
+        def clock() -> float:
+            if self._is_over.is_set():
+                raise KeyboardInterrupt
+            return time.monotonic()
+
+        with ExitStack() as held, suppress(KeyboardInterrupt):
+            adds = [self.server.add, self.server.add_coarse]
+            if self._port is not None:
+                to = f"127.0.0.1:{self._port}"
+                fine = held.enter_context(UdpSender(self._sender, to, "fine"))
+                coarse = held.enter_context(UdpSender(self._under, to, "coarse"))
+
+                def send(segment: LiveSegment) -> None:
+                    message = self.server.add(segment)
+                    if not self._keeps_back or segment.first_frame < 200:
+                        fine.add(message)
+
+                adds = [send, lambda segment: coarse.add(self.server.add_coarse(segment))]
+            broadcast(
+                self._prepared, adds[0], LiveSpec(0.1, loop=True), clock_s=clock, coarse=(self._coarse, adds[1])
+            )
+
+    def __enter__(self) -> str:
+        self.server.__enter__()
+        self._thread.start()
+        return self.server.address
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._thread.join(10)
+        self.server.__exit__()
+
+
+@pytest.mark.parametrize("form", ["ws://{}/coarse/live", "http://{}/coarse/live.json"])
+def test_a_receiver_with_a_thin_link_takes_the_coarse_layer_alone(form: str) -> None:
+    with OnAir() as address, open_stream(form.format(address)) as stream:
+        assert stream.grid == HALF
+        frames = stream.medium
+        number = frames.make_frame.stream_frame(0)  # type: ignore[attr-defined]
+        expected = pyramid(medium()[number % 50], 1)[-1].to_dense()
+        np.testing.assert_allclose(frames[0].to_dense(), expected, atol=0.45)
+
+
+def test_a_hand_goes_on_feeling_where_only_the_coarse_layer_comes(tmp_path: Path) -> None:
+    hand, port, notes = tmp_path / "hand.csv", free_port(), list[str]()
+    hand.write_text("t_s,x_m,y_m,z_m\n0,0,0,-0.07\n60,0,0,-0.07\n")
+    spec = PlaySpec("sim", seconds=7.0, trajectory=hand, is_logged=True, coarse=f"udp://127.0.0.1:{port + 1}")
+    with OnAir(port, keeps_back=True):
+        played = play(f"udp://127.0.0.1:{port}", spec, tell=notes.append)
+    assert played.error is None and played.rows is not None, notes
+    last = played.rows[-2000:]
+    felt = np.linalg.norm(last["force_n"], axis=1)
+    assert (felt > 0.5).mean() > 0.7, (felt.min(), played.statistics, notes)  # where nothing comes it is none
+
+
+def test_a_coarse_layer_that_is_not_there_is_told_and_one_of_a_file_refused(tmp_path: Path) -> None:
+    notes: list[str] = []
+    with OnAir() as address:
+        given = open_stream(f"ws://{address}/live", notes.append, f"ws://{address}/nothing")
+        with given as stream:
+            assert stream.medium[0].support_count
+    assert "without its coarse layer" in notes[0]
+    with pytest.raises(InvalidArgument, match="coarse"), open_stream(tmp_path / "a.touch", coarse="ws://x/coarse"):
+        pass
