@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
-from tests.stream.test_live import GRID, HEAD, field, medium, segment
+from tests.stream.test_live import GRID, HEAD, Hand, field, medium, segment
 
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
@@ -24,7 +24,7 @@ from touchfield.job import EncodeSpec
 from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.stream.live import ENDLESS, Ended, LiveReceiver, LiveSegment, Lost, Opened
-from touchfield.stream.live_medium import WAITED_S, LiveEnd, LiveFrames
+from touchfield.stream.live_medium import WAITED_S, LiveEnd, LiveFrames, LiveStream
 
 HALF = halved(GRID)
 UNDER = TouchEncoder(HALF, TouchSpec(k=0.2, f0_n=0.1, effort="fast"))
@@ -159,10 +159,10 @@ class Layers(RuleBasedStateMachine):
         frames, under = self.pair.frames, self.pair.under
         if not self.come[0] or frames.stream_frame(0) is None:
             return
-        oldest = min([*sorted(self.come[0])[-4:], *sorted(self.come[1])[-4:]])
+        oldest = min([*sorted(self.come[0])[-4:], *sorted(self.come[1])[-8:]])
         for number in range(max(oldest, 0), 40, 3):
             first = number - number % 5
-            is_kept = [first in sorted(come)[-4:] for come in self.come]
+            is_kept = [first in sorted(come)[-n:] for come, n in zip(self.come, (4, 8), strict=True)]
             if number < min(sorted(self.come[0])[-4:]) and not is_kept[1]:
                 continue  # play would be moved on
             kind = self.pair.kind(number)
@@ -293,6 +293,48 @@ def rough() -> HapticMedium:
     return HapticMedium.from_frames(
         [ForceField.from_dense(GRID, one.astype(np.float32)) for one in noise], 50.0, HEAD.axes
     )
+
+
+def felt_share(has_layer: bool, segments: int = 150) -> float:
+    """Share of the time that a hand feels: frames from datagrams that are lost in bursts, on a clock of ours."""
+    source, now, rng, is_bad = rough(), [0.0], np.random.default_rng(11), False
+    fine, sender = opened_sender(source, EncodeSpec())
+    coarse, under = coarse_layer(source, fine)
+    layers = []
+    for one, own, layer in ((coarse, under, "coarse"), (fine, sender, "fine"))[not has_layer :]:
+        encoder = TouchEncoder(one.medium.grid, one.coding)
+        bodies = [encoder.encode_segment([one.medium[5 * i + n] for n in range(5)]).body for i in range(5)]
+        (opened,) = LiveReceiver().receive(own.opening)
+        assert isinstance(opened, Opened)
+        frames = LiveFrames(opened, clock_s=lambda: now[0], under=layers[0][0] if layers else None)
+        repair = REPAIR[layer if has_layer else "alone"]  # type: ignore[index]
+        ends = Datagrams(7, repair), Gathering(most_open=11 if has_layer else 24), LiveReceiver()
+        layers.append((frames, own, bodies, *ends))
+    frames, hand = layers[-1][0], Hand(0.0)
+    live, ticks, felt = LiveStream("live", opened, frames, False), 0, 0
+    for step in range(10 * segments):
+        now[0] = 0.01 * step
+        number = step // 10
+        for own_frames, own, bodies, sending, gathering, receiver in layers if step % 10 == 0 else []:
+            message = own.add(LiveSegment(5 * number, 5, bodies[number % 5]))
+            for one in (sending.add(own.opening) if number % 4 == 0 else []) + sending.add(message):
+                is_bad = rng.random() > 1 / 5 if is_bad else rng.random() < 0.05 / (0.95 * 5)
+                for whole in [] if is_bad else gathering.receive(one):
+                    for event in receiver.receive(whole):
+                        own_frames.take(event)
+        if step % 10 == 0:
+            live.keep_up(hand)
+        if step > 200:
+            index, ticks = int(hand.media_s * 50) + 1, ticks + 1
+            felt += frames.is_there(index) and frames(index).support_count > 0
+        if frames.stream_frame(0) is not None:
+            hand.media_s += 0.01 * hand.speed
+    return felt / ticks
+
+
+def test_a_hand_feels_more_of_the_time_with_a_coarse_layer_through_bursts_of_losses() -> None:
+    alone, layered = felt_share(False), felt_share(True)
+    assert layered > 0.99 and layered >= alone, (alone, layered)
 
 
 class OnAir:

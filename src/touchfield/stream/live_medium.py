@@ -8,6 +8,7 @@ stands for one that was lost, or is late; the force goes over within the same li
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -150,6 +151,9 @@ class LiveFrames:
         self.lost = self.refused = self.skipped = self.covered = 0
         self.arrived: dict[int, float] = {}
         self._begins_s: float | None = None
+        self._played, self._room = (math.inf, 0.0), KEPT
+        if under is not None:
+            under._room = 2 * KEPT  # the stream over it may be that much later
 
     def take(self, event: Event) -> None:
         """Take an event; a segment is decoded here, in the thread that receives."""
@@ -199,7 +203,9 @@ class LiveFrames:
         """Keep a segment whose first frame has been decoded, and of the others what there is room for."""
         self._kept.append(one)
         self.arrived[one.first] = came
-        while len(self._kept) > 1 and (len(self._kept) > KEPT or sum(one.size for one in self._kept) > MOST_BYTES):
+        while len(self._kept) > 1 and (
+            len(self._kept) > self._room or sum(one.size for one in self._kept) > MOST_BYTES
+        ):
             self.arrived.pop(self._kept.popleft().first, None)
         if self._base is None:
             self._base = one.first
@@ -245,9 +251,15 @@ class LiveFrames:
         return is_past and (wanted < under._stop or self._is_due(wanted))
 
     def _is_due(self, wanted: int) -> bool:
-        """True where a player that is in time needs the frame: to go on from the one before."""
-        begins_s = self._zero_s
-        return begins_s is not None and self._clock_s() - begins_s >= (wanted - 1) / self._rate_hz
+        """True where the player, or one that is in time, needs the frame: to go on from the one before."""
+        begins_s, now, needed_s = self._zero_s, self._clock_s(), (wanted - 1) / self._rate_hz
+        at, media_s = self._played
+        is_needed = media_s + (self._base or 0) / self._rate_hz + now - at + SPARE_S >= needed_s
+        return is_needed or (begins_s is not None and now - begins_s >= needed_s)
+
+    def play_is_at(self, media_s: float) -> None:
+        """Take note of the time of the medium that is felt now."""
+        self._played = self._clock_s(), media_s
 
     def stream_frame(self, index: int) -> int | None:
         """The sender's number of frame `index`, as things are now; None before the first segment."""
@@ -363,6 +375,7 @@ class LiveStream(OpenStream):
             self.frames.skipped += max(0, round(behind_s * self.reader.head.rate_hz))
             player.seek(due_s)
             behind_s = 0.0
+        self.frames.play_is_at(due_s - behind_s)
         player.set_speed(1 + max(-FASTER, min(FASTER, behind_s)))
         return behind_s == 0.0
 
