@@ -37,10 +37,10 @@ from touchfield.medium import ForceField, Grid
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["Sent", "Task", "code_part", "name_of", "spread_voxels"]
+__all__ = ["ALONE", "Sent", "Task", "code_part", "name_of", "spread_voxels"]
 
 _MOST_NOTES: Final = 40
-_ALONE: Final = Lock()
+ALONE: Final = Lock()
 """A process makes and codes one stretch at a time, on all of its threads: sources are not made for more."""
 
 
@@ -90,7 +90,7 @@ def code_part(task: Task) -> Part:
     """
     if task.version != __version__:
         raise InvalidArgument("a worker", f"touchfield {__version__}", f"{task.version}, as where the job was begun")
-    with _ALONE:
+    with ALONE:
         if task.job not in _prepared:
             _prepared.clear()
             _prepared[task.job] = prepare(as_source(task.sent.source, task.spec.device, task.sent.grid), task.spec)
@@ -130,7 +130,7 @@ def spread_voxels(
         def tasks() -> Iterator[Task]:
             cut = stretches(medium, prepared.spec, encoder)
             while True:
-                with _ALONE:  # this process may be a worker, too
+                with ALONE:  # this process may be a worker, too
                     stretch = next(cut, (None,))[0]
                 if stretch is None:
                     return

@@ -16,7 +16,6 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from threading import Lock
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -24,7 +23,7 @@ import numpy as np
 from touchfield._version import __version__
 from touchfield.errors import InvalidArgument
 from touchfield.job.executors import in_order
-from touchfield.job.parts import Sent, name_of
+from touchfield.job.parts import ALONE, Sent, name_of
 from touchfield.job.placing import Mapping, mapping_of
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import EncodeSpec, Report, silent
@@ -37,8 +36,6 @@ __all__ = ["Tiled", "encode_tiles"]
 
 _MADE: Final = 128
 """Samples an axis of what is made at once: the lattice before the low-pass is finer, and may be full."""
-
-_ALONE: Final = Lock()
 
 
 class Tile(NamedTuple):
@@ -173,7 +170,7 @@ def make_tile(tile: Tile) -> int:
     """Make, code and write a tile, in whichever process this is; how many of its samples hold a force."""
     if tile.version != __version__:
         raise InvalidArgument("a worker", f"touchfield {__version__}", f"{tile.version}, as where the job was begun")
-    with _ALONE:
+    with ALONE:
         key = str(tile.sent.source), tile.spec.to_json()
         if key not in _opened:
             _opened.clear()

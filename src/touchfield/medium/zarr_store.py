@@ -129,6 +129,7 @@ def write_zarr(
 @contextmanager
 def whole_folder(path: Path, is_kept: bool = False) -> Iterator[Path]:
     """A folder ``PATH.parts`` that gets its name at the end of the block; after an error it goes, or is kept."""
+    _zarr()  # before anything is written
     if path.exists():
         raise InvalidArgument(str(path), "something there already", "a new name", "Remove it, or take another name.")
     partial = path.with_name(f"{path.name}.parts")
