@@ -16,7 +16,7 @@ from touchfield.filters.registry import filter_of
 from touchfield.job import EncodeSpec, MeasureSpec
 from touchfield.medium import HapticMedium
 from touchfield.medium.npz import read_npz
-from touchfield.sources.samples import tiny_scenes
+from touchfield.sources.tiny_scenes import tiny_scenes
 
 Capture = pytest.CaptureFixture[str]
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import Placement
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.correlation import (
@@ -24,6 +23,7 @@ from touchfield.measure.correlation import (
     picture_correlation,
 )
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.placement import Placement
 
 Float64s = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 from touchfield.cli.main import open_rooms
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import Placement
 from touchfield.job import EncodeSpec, draw_preview, encode, open_stream, prepare, write_field
 from touchfield.medium import Grid, PoseTrack
+from touchfield.medium.placement import Placement
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.camera import DepthSequence, Intrinsics

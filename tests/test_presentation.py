@@ -17,7 +17,7 @@ from touchfield.cli.main import _exit_code
 from touchfield.cli.show import show, show_rows
 from touchfield.job import EncodeSpec, Measurement, MeasureSpec
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.samples import tiny_scenes
+from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.viewer import picture
 from touchfield.viewer.information import Bar, DeviceBars, InformationView, draw_information
 from touchfield.viewer.page import lines_that_fit, shortened

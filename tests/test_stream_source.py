@@ -10,7 +10,7 @@ from touchfield import job
 from touchfield.errors import FormatError
 from touchfield.job import EncodeSpec
 from touchfield.job.stream_scene import StreamScene
-from touchfield.sources.samples import tiny_scenes
+from touchfield.sources.tiny_scenes import tiny_scenes
 
 
 @pytest.fixture(scope="module")

@@ -37,7 +37,7 @@ from touchfield.measure.limits import block_rates
 from touchfield.measure.quantity import Quantity
 from touchfield.medium import ForceField, Grid
 from touchfield.perception.weber import WeberLadder, mask_kept_from_n, quantise_fixed_step
-from touchfield.sources.samples import tiny_scenes
+from touchfield.sources.tiny_scenes import tiny_scenes
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
 

@@ -12,7 +12,7 @@ from touchfield.adapters.registry import array_device
 from touchfield.job import EncodeSpec
 from touchfield.job.array_medium import array_medium
 from touchfield.render.array_player import ArrayPlayer
-from touchfield.sources.samples import tiny_scenes
+from touchfield.sources.tiny_scenes import tiny_scenes
 
 VEST = "tactile-vest-8x8"
 

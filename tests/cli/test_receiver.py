@@ -15,8 +15,8 @@ from touchfield.job import EncodeSpec, encode
 from touchfield.job.play_files import COLUMNS
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.trace import read_trace
-from touchfield.sources.samples import tiny_scenes
 from touchfield.sources.stored import StoredScene
+from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.viewer.interaction import contacts
 
 Capture = pytest.CaptureFixture[str]

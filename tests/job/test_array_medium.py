@@ -19,9 +19,9 @@ from touchfield.job import EncodeSpec
 from touchfield.job.array_medium import array_medium, is_top_first
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
-from touchfield.sources.samples import tiny_scenes
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES
 from touchfield.sources.stored import StoredScene
+from touchfield.sources.tiny_scenes import tiny_scenes
 
 VEST = device("tactsuit-x40")
 

@@ -19,13 +19,14 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import MOST_RELATIVE_ERROR
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
-from touchfield.filters.device_filter import Placement, device_grid
+from touchfield.filters.device_filter import device_grid
 from touchfield.job import EncodeSpec, encode, open_stream
 from touchfield.job.encode import encode_prepared
 from touchfield.job.exchange import export, import_effect
 from touchfield.job.prepare import Prepared
 from touchfield.job.spec import silent
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.placement import Placement
 
 K = 0.02
 FINE = EncodeSpec(touch=TouchSpec(k=K, f0_n=0.0, effort="fast"))

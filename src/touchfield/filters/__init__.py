@@ -18,7 +18,6 @@ from touchfield.filters.device_filter import (
     NW_RANGE,
     DeviceFilter,
     DeviceFilterSpec,
-    Placement,
     device_grid,
     device_medium,
     limited,
@@ -56,6 +55,7 @@ from touchfield.filters.resample import LOW_PASSES, LowPass, RigidMotion, interp
 from touchfield.filters.response import FrequencyResponse, frequency_response
 from touchfield.filters.shading import perona_malik
 from touchfield.filters.smoothing import actuator_taps, cutoff_per_m, gaussian
+from touchfield.medium.placement import Placement
 
 __all__ = [
     "COMPOSITIONS", "LOW_PASSES", "NW_RANGE", "Ball", "Box", "Claims", "Composed", "Contact", "DeviceFilter",

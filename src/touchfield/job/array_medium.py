@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.devices import Device
-    from touchfield.filters.device_filter import Placement
+    from touchfield.medium.placement import Placement
     from touchfield.stream.opened import OpenStream
 
     Float32s = NDArray[np.float32]

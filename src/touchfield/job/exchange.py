@@ -36,13 +36,14 @@ from touchfield.adapters.symbolic import (
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
-from touchfield.filters.device_filter import Placement, device_grid
+from touchfield.filters.device_filter import device_grid
 from touchfield.filters.registry import felt_medium
 from touchfield.job.array_medium import PANELS, array_medium
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared
 from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.job.view import view
+from touchfield.medium.placement import Placement
 from touchfield.medium.trace import HAPTIC_RATE_HZ, read_trace
 from touchfield.stream.opened import OpenStream, open_stream
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import Placement
 from touchfield.job.joining import joined, spread, taken
 from touchfield.job.mapping import SymbolFrames
 from touchfield.job.prepare import prepare
@@ -27,6 +26,7 @@ from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, descriptor, part_s
 from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.measure.similarity import Similarity, similarity
 from touchfield.medium import HapticMedium
+from touchfield.medium.placement import Placement
 from touchfield.render.axes import BOX_AXES, axes_matrix
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import Placement, device_grid, device_medium
+from touchfield.filters.device_filter import device_grid, device_medium
 from touchfield.medium import Grid, HapticMedium
+from touchfield.medium.placement import Placement
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.units import unit_notes
 

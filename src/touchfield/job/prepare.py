@@ -11,13 +11,14 @@ from touchfield.codec.registry import coder
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
-from touchfield.filters.device_filter import Placement, exact_forces, same_lattice
+from touchfield.filters.device_filter import exact_forces, same_lattice
 from touchfield.filters.registry import felt_medium
 from touchfield.job.objects import felt_objects, haptic_scene, takes_objects
 from touchfield.job.placing import Mapping, mapping_of, stored_medium
 from touchfield.job.spec import FILTERED, OWN_FORCES, EncodeSpec
 from touchfield.job.stream_scene import Source, StreamScene, as_source, is_stream
 from touchfield.medium import HapticMedium, HapticScene
+from touchfield.medium.placement import Placement
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source

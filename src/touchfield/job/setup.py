@@ -172,7 +172,7 @@ GROUPS: Final[Mapping[str, Callable[[], None]]] = {**TOUCH, "filters": _filters,
 
 def warm_up(report: Report = silent) -> None:
     """Compile and cache every kernel by running what there is on tiny scenes."""
-    from touchfield.sources.samples import tiny_scenes
+    from touchfield.sources.tiny_scenes import tiny_scenes
 
     scenes = tiny_scenes()
     jobs = [(scene, EncodeSpec(nw=3)) for scene in scenes]

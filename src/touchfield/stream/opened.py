@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
     from touchfield.codec.segment import FrameCost
     from touchfield.devices import Device
-    from touchfield.filters.device_filter import Placement
+    from touchfield.medium.placement import Placement
 
 __all__ = [
     "FILTERED",
@@ -89,7 +89,7 @@ class OpenStream(ABC):
     @property
     def placement(self) -> Placement:
         """The place of the scene in the workspace: ``to_hand(points)`` and ``to_scene(points)``."""
-        from touchfield.filters.device_filter import Placement
+        from touchfield.medium.placement import Placement
 
         return Placement(self.reader.head.mapping_scale, self.reader.head.mapping_offset_m)
 
