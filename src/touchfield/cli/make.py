@@ -14,6 +14,7 @@ from touchfield.cli.options import (
     CODER,
     SCENE,
     TARGET,
+    DeviceCompute,
     Workers,
     asks,
     encode_spec,
@@ -31,6 +32,7 @@ from touchfield.cli.show import (
     show_notes,
     show_rows,
 )
+from touchfield.cuda import computing
 from touchfield.errors import InvalidArgument
 from touchfield.job import Plan, Trial
 
@@ -56,6 +58,7 @@ def encode(
         typer.Option("--report", help="Also measure what a hand feels of the coding that moves, or holds still."),
     ] = False,
     workers: Workers = None,
+    device_compute: DeviceCompute = "cpu",
     *,
     asked: dict[str, Any],
 ) -> None:
@@ -68,7 +71,8 @@ def encode(
         raise InvalidArgument(f"--workers works without {target.option}: one encoding after another finds a target")
     if out.suffix == ".zarr" and (target is not None or with_report):
         raise InvalidArgument("--report and targets work with OUT.touch, not with .zarr")
-    with progress("encode", later=LATER.get(spec.coder, ())) as report, workers_of(workers) as executor:
+    later = LATER.get(spec.coder, ())
+    with computing(device_compute), progress("encode", later=later) as report, workers_of(workers) as executor:
         if out.suffix == ".zarr":
             tiled = job.encode_tiles(source, out, spec, report, executor)
             show(tiled.summary(), str(out), as_json, tiled.notes)
@@ -151,6 +155,7 @@ def field(
     out: Annotated[Path | None, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")] = None,
     preview: Annotated[Path | None, typer.Option(help="PNG to draw: where the scene lies in the workspace.")] = None,
     as_json: Json = False,
+    device_compute: DeviceCompute = "cpu",
     *,
     asked: dict[str, Any],
 ) -> None:
@@ -163,7 +168,7 @@ def field(
     if out is not None:
         keep_source(source, out)
     shown: dict[str, Any] = {}
-    with progress("field") as report:
+    with computing(device_compute), progress("field") as report:
         prepared = job.prepare(source, encode_spec(asked))
         if preview is not None:
             job.draw_preview(prepared, preview)

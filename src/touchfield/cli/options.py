@@ -28,6 +28,7 @@ __all__ = [
     "CODER",
     "SCENE",
     "TARGET",
+    "DeviceCompute",
     "Workers",
     "address_rows",
     "asks",
@@ -38,6 +39,11 @@ __all__ = [
     "target_of",
     "workers_of",
 ]
+
+DeviceCompute = Annotated[
+    str, typer.Option("--device-compute", help="Where forces are computed: cpu, cuda (extra cuda), or auto.")
+]
+"""Of a command that makes fields of a scene."""
 
 Workers = Annotated[
     str | None,

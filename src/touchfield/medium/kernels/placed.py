@@ -6,6 +6,7 @@ so that the eight corners of any point are found in one place. Bricks of cells a
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -150,7 +151,7 @@ def shortened(x, y, z, limit):
     if not square < np.inf:  # a damping beyond all bounds has no direction left
         return 0.0, 0.0, 0.0
     if square > limit * limit:
-        share = limit * INSIDE / np.sqrt(square)
+        share = limit * INSIDE / math.sqrt(square)
         return x * share, y * share, z * share
     return x, y, z
 

@@ -6,6 +6,8 @@ or out of all bounds, fails the test of the field's box and gives zero.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -284,7 +286,7 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     if not square < np.inf:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if square > limit * limit:
-        length = np.sqrt(square)
+        length = math.sqrt(square)
         share, u = limit * INSIDE / length, times(1.0 / length, total)
         p, q, r = _cut(p, share, u), _cut(q, share, u), _cut(r, share, u)
     return p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
 from touchfield.parallel import for_chunks
 
@@ -20,9 +21,18 @@ if TYPE_CHECKING:
 
     Float32s = NDArray[np.float32]
 
-__all__ = ["B3", "Query", "all_nodes", "brick_forces", "brick_offsets", "holds_force", "may_hold_force"]
+__all__ = [
+    "B3",
+    "Query",
+    "all_nodes",
+    "brick_forces",
+    "brick_offsets",
+    "forces_on_device",
+    "holds_force",
+    "may_hold_force",
+]
 
-_0, _1, _HALF, _BIG = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e30)
+_0, _1, HALF, _BIG = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e30)
 
 B3 = 512  # samples of a brick
 _NX, _NY, _NZ, _C, _PHI, _FORCE, _SCRATCH = (B3 * q for q in range(7))
@@ -55,16 +65,16 @@ def all_nodes(shape: tuple[int, int, int]) -> NDArray[np.int32]:
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _box_in_view(x0, y0, z0, corners, camera, height, width, out):
-    """The pixels that a box may fall on (u0, u1, v0, v1 into `out`) and its nearest and farthest z.
+def _box_in_view(x0, y0, z0, corners, camera, height, width):
+    """Nearest and farthest z of a box, and the pixels u0, u1, v0, v1 that it may fall on.
 
     Nothing (z from 1 to 0) where the box lies behind the camera or beside the picture.
     """
     z_low = z0 + corners[8, 2]
     z_high = z0 + corners[9, 2]
     if z_high <= 0.0:
-        return 1.0, 0.0
-    out[0], out[1], out[2], out[3] = 0, width - 1, 0, height - 1
+        return 1.0, 0.0, (0, 0, 0, 0)
+    pixels = (0, width - 1, 0, height - 1)
     if z_low > 1e-3 * z_high:  # else the box touches the camera's plane and may fall anywhere
         u0, u1, v0, v1 = 1e9, -1e9, 1e9, -1e9
         for q in range(8):
@@ -77,10 +87,10 @@ def _box_in_view(x0, y0, z0, corners, camera, height, width, out):
         u0, u1 = u0 * camera[0] + camera[2] + 0.49, u1 * camera[0] + camera[2] + 0.51
         v0, v1 = v0 * camera[1] + camera[3] + 0.49, v1 * camera[1] + camera[3] + 0.51
         if u1 < 0.0 or v1 < 0.0 or u0 >= width or v0 >= height:
-            return 1.0, 0.0
-        out[0], out[1] = int(max(u0, 0.0)), int(min(u1, width - 1.0))
-        out[2], out[3] = int(max(v0, 0.0)), int(min(v1, height - 1.0))
-    return z_low, z_high
+            return 1.0, 0.0, pixels
+        columns, rows = (max(u0, 0.0), min(u1, width - 1.0)), (max(v0, 0.0), min(v1, height - 1.0))
+        pixels = (int(columns[0]), int(columns[1]), int(rows[0]), int(rows[1]))
+    return z_low, z_high, pixels
 
 
 @njit(nogil=True, error_model="numpy")
@@ -108,37 +118,33 @@ def _near_surface(z_low, z_high, pixels, tiles, places, reach):
 
 
 @njit(cache=True, nogil=True)
-def _may_hold(begin, end, nodes, span, lattice, camera, height, width, tiles, places, reach, hits):
-    corners = np.empty((10, 3))
-    for q in range(8):
-        for c in range(3):
-            corners[q, c] = (8 * span - 1) * (
-                (q >> 2) * lattice[1, c] + (q >> 1 & 1) * lattice[2, c] + (q & 1) * lattice[3, c]
-            )
-    corners[8] = corners[:8, 2].min()
-    corners[9] = corners[:8, 2].max()
-    pixels = np.empty(4, np.int64)
+def _may_hold(begin, end, nodes, span, corners, lattice, camera, height, width, tiles, places, reach, hits):
     for n in range(begin, end):
         a, b, d = 8.0 * span * nodes[n, 0], 8.0 * span * nodes[n, 1], 8.0 * span * nodes[n, 2]
         x = lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0]
         y = lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1]
         z = lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2]
-        z_low, z_high = _box_in_view(x, y, z, corners, camera, height, width, pixels)
+        z_low, z_high, pixels = _box_in_view(x, y, z, corners, camera, height, width)
         hits[n] = z_low <= z_high and _near_surface(z_low, z_high, pixels, tiles, places, reach)
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+def pixel_of(x, y, z, fx, fy, cx, cy, height, width):
+    """The pixel on which a point in camera axes falls; the one behind the last where it falls beside the picture."""
+    per_z = _1 / z
+    u = x * per_z * fx + cx
+    v = y * per_z * fy + cy
+    ok = (z > _0) & (u >= _0) & (u < np.float32(width)) & (v >= _0) & (v < np.float32(height))
+    inside = np.int32(v if ok else _0) * np.int32(width) + np.int32(u if ok else _0)
+    return inside if ok else np.int32(height * width)
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def pixels_of(x0, y0, z0, offsets, count, camera, height, width, index):
-    fx, fy, cx, cy = camera[0], camera[1], camera[2] + _HALF, camera[3] + _HALF
-    w, h = np.float32(width), np.float32(height)
+    fx, fy, cx, cy = camera[0], camera[1], camera[2] + HALF, camera[3] + HALF
     for s in range(count):
-        z = z0 + offsets[s + 2 * B3]
-        per_z = _1 / z
-        u = (x0 + offsets[s]) * per_z * fx + cx
-        v = (y0 + offsets[s + B3]) * per_z * fy + cy
-        ok = (z > _0) & (u >= _0) & (u < w) & (v >= _0) & (v < h)
-        inside = np.int32(v if ok else _0) * np.int32(width) + np.int32(u if ok else _0)
-        index[s] = inside if ok else np.int32(height * width)
+        x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
+        index[s] = pixel_of(x, y, z, fx, fy, cx, cy, height, width)
 
 
 @njit(nogil=True)
@@ -151,6 +157,16 @@ def gather(planes, index, count, r):
         r[s + _C] = planes[p + np.uintp(3)]
 
 
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+def distance_at(x, y, z, plane, front, behind):
+    """The distance of a point to its pixel's plane (nx, ny, nz, c), metres; far where no force can be."""
+    facing = plane[0] * x + plane[1] * y + plane[2] * z
+    phi = facing - plane[3]
+    # z * phi / facing is the distance in z from where the sample's own ray meets the plane
+    is_near = (facing < _0) & (z * abs(phi) <= -facing * (behind if phi <= _0 else front))
+    return phi if is_near else _BIG
+
+
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
     """Amplitudes, newtons, into ``r[_FORCE:]``."""
@@ -158,14 +174,8 @@ def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
     low2, high2, intercept2, slope2 = pieces[1, 0], pieces[1, 1], pieces[1, 2], pieces[1, 3]
     front, behind = reach[0] * reach[2], reach[1] * reach[2]
     for s in range(count):
-        x = x0 + offsets[s]
-        y = y0 + offsets[s + B3]
-        z = z0 + offsets[s + 2 * B3]
-        facing = r[s + _NX] * x + r[s + _NY] * y + r[s + _NZ] * z
-        phi = facing - r[s + _C]
-        # z * phi / facing is the distance in z from where the sample's own ray meets the plane
-        is_near = (facing < _0) & (z * abs(phi) <= -facing * (behind if phi <= _0 else front))
-        phi = phi if is_near else _BIG
+        x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
+        phi = distance_at(x, y, z, (r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]), front, behind)
         r[s + _PHI] = phi
         f = intercept + slope * phi if (phi > low) & (phi <= high) else _0
         r[s + _FORCE] = intercept2 + slope2 * phi if (phi > low2) & (phi <= high2) else f
@@ -194,13 +204,20 @@ def _trim(r, order, count, ni, nj, nk):
             r[q + _FORCE] = _0
 
 
-@njit(nogil=True)
-def _evaluate(brick, count, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r):
-    """Planes and amplitudes, into `r`, of `count` samples of a brick in the given order."""
+@njit(nogil=True, forceinline=True)
+def first_sample(brick, lattice):
+    """The first sample of a brick in camera axes, metres, float32."""
     a, b, d = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
     x = np.float32(lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0])
     y = np.float32(lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1])
     z = np.float32(lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2])
+    return x, y, z
+
+
+@njit(nogil=True)
+def _evaluate(brick, count, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r):
+    """Planes and amplitudes, into `r`, of `count` samples of a brick in the given order."""
+    x, y, z = first_sample(brick, lattice)
     pixels_of(x, y, z, offsets, count, camera, height, width, index)
     gather(planes, index, count, r)
     _amplitudes(x, y, z, offsets, count, pieces, reach, r)
@@ -237,6 +254,49 @@ def _write(r, turn, out):
         out[3 * s + 2] = g * x + h * y + i * z
 
 
+@njit(nogil=True, fastmath={"contract"})
+def _force_of_sample(brick, s, offsets, lattice, shape, camera, height, width, planes, pieces, reach):
+    """Amplitude, newtons, and the normal of one sample: the loops above, one sample a thread."""
+    if 8 * brick[0] + (s >> 6) >= shape[0] or 8 * brick[1] + (s >> 3 & 7) >= shape[1]:
+        return _0, (_0, _0, _0)
+    if 8 * brick[2] + (s & 7) >= shape[2]:
+        return _0, (_0, _0, _0)
+    x, y, z = first_sample(brick, lattice)
+    x, y, z = x + offsets[s], y + offsets[s + B3], z + offsets[s + 2 * B3]
+    p = 4 * pixel_of(x, y, z, camera[0], camera[1], camera[2] + HALF, camera[3] + HALF, height, width)
+    plane = planes[p], planes[p + 1], planes[p + 2], planes[p + 3]
+    phi = distance_at(x, y, z, plane, reach[0] * reach[2], reach[1] * reach[2])
+    f = _0
+    for i in range(pieces.shape[0]):
+        if pieces[i, 0] < phi <= pieces[i, 1]:
+            f = pieces[i, 2] + pieces[i, 3] * phi
+    return f, (plane[0], plane[1], plane[2])
+
+
+@njit(nogil=True)
+def _each_holds(begin, end, nodes, offsets, lattice, shape, camera, height, width, planes, pieces, reach, hits):
+    """Of 512 threads a brick each tells what it finds; all that tell the same may do so at once."""
+    for q in range(begin, end):
+        n, s = q >> 9, q & 511
+        f, _ = _force_of_sample(
+            nodes[n], s, offsets, lattice, shape, camera, height, width, planes, pieces, reach
+        )  # fmt: skip
+        if f != _0:
+            hits[n] = True
+
+
+@njit(nogil=True)
+def _each_fill(begin, end, nodes, offsets, lattice, shape, camera, height, width, planes, pieces, reach, turn, out):
+    for q in range(begin, end):
+        n, s = q >> 9, q & 511
+        f, normal = _force_of_sample(
+            nodes[n], s, offsets, lattice, shape, camera, height, width, planes, pieces, reach
+        )  # fmt: skip
+        x, y, z = f * normal[0], f * normal[1], f * normal[2]
+        for c in range(3):
+            out[3 * q + c] = turn[c, 0] * x + turn[c, 1] * y + turn[c, 2] * z
+
+
 @njit(cache=True, nogil=True)
 def _fill(begin, end, nodes, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, turn, out):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
@@ -264,17 +324,31 @@ def _of(query: Query, order: NDArray[np.int64]) -> tuple[Any, ...]:
     return (order, brick_offsets(query, order), *view, surface.planes.reshape(-1), query.pieces, query.reach)
 
 
+def _corners_m(query: Query, span: int) -> NDArray[np.float64]:
+    """Corners of a cube of bricks from its first sample, and their least and greatest z, float64 [10, 3], metres."""
+    corners = (8 * span - 1) * (np.indices((2, 2, 2)).reshape(3, 8).T @ query.lattice_m[1:])
+    return np.vstack([corners, np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())])
+
+
 def may_hold_force(nodes: NDArray[np.int32], span: int, query: Query) -> NDArray[np.bool_]:
     """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of `span`."""
-    hits = np.empty(len(nodes), np.bool_)
     surface = query.surface
-    view = (query.lattice_m, surface.camera_px, *surface.size_px, surface.tiles, surface.places, query.reach)
-    for_chunks(_may_hold, len(nodes), nodes, span, *view, hits, chunk=64)
+    at = _corners_m(query, span), query.lattice_m, surface.camera_px, *surface.size_px
+    view = nodes, span, *at, surface.tiles, surface.places, query.reach
+    if uses_gpu():
+        return on_host(filled(_may_hold, len(nodes), view, len(nodes), np.bool_))
+    hits = np.empty(len(nodes), np.bool_)
+    for_chunks(_may_hold, len(nodes), *view, hits, chunk=64)
     return hits
 
 
 def holds_force(bricks: NDArray[np.int32], query: Query) -> NDArray[np.bool_]:
     """Bricks that hold at least one force, bool [n]."""
+    if uses_gpu():
+        view = bricks, *_of(query, _IN_ORDER)[1:]
+        hits = on_device(np.zeros(len(bricks), np.bool_))
+        for_each(_each_holds, B3 * len(bricks), *on_device(view), hits)
+        return on_host(hits)
     hits = np.empty(len(bricks), np.bool_)
     for_chunks(_holds, len(bricks), bricks, *_of(query, _SPREAD), hits, chunk=16)
     return hits
@@ -284,6 +358,14 @@ def brick_forces(bricks: NDArray[np.int32], query: Query) -> Float32s:
     """The forces of bricks, newtons, float32 [n, 8, 8, 8, 3]."""
     if len(bricks) * BYTES_PER_BRICK > memory_budget_bytes():
         return zero_forces(len(bricks))  # which refuses; else every number is written below, and zeros cost time
+    if uses_gpu():
+        return on_host(forces_on_device(bricks, query)).reshape(-1, 8, 8, 8, 3)
     out = np.empty((len(bricks), 8, 8, 8, 3), np.float32)
     for_chunks(_fill, len(bricks), bricks, *_of(query, _IN_ORDER), query.turn, out.reshape(-1), chunk=16)
     return out
+
+
+def forces_on_device(bricks: NDArray[np.int32], query: Query) -> Any:
+    """The same in the memory of a GPU, where they stay: float32 [1536 n] (``__cuda_array_interface__``)."""
+    view = bricks, *_of(query, _IN_ORDER)[1:], query.turn
+    return filled(_each_fill, B3 * len(bricks), view, 3 * B3 * len(bricks), np.float32)

@@ -5,15 +5,17 @@ What a sample remembers and why is told in `touchfield.sources.fused_scene`.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks
-from touchfield.sources.kernels.depth import B3, gather, pixels_of
+from touchfield.sources.kernels.depth import B3, HALF, first_sample, gather, pixel_of, pixels_of
 
 Float32s = NDArray[np.float32]
 
@@ -172,62 +174,82 @@ def _tell(of, n, s, look, first, normal):
 @njit(nogil=True)
 def _look(brick, view, index, r):
     """The first sample of a brick in camera axes, metres; pixels and planes of all into `index` and `r`."""
-    lattice = view.lattice_m
-    a, b, d = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
-    x = np.float32(lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0])
-    y = np.float32(lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1])
-    z = np.float32(lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2])
+    x, y, z = first_sample(brick, view.lattice_m)
     pixels_of(x, y, z, view.offsets_m, B3, view.camera_px, view.height, view.width, index)
     gather(view.planes, index, B3, r)
     return x, y, z
 
 
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+def _measured(x, y, z, plane, rules):
+    """Of a sample phi, how near counts as near (-1: nothing is known) and the weight of the look.
+
+    Without a branch; z phi / facing is the distance in z from where the sample's own ray meets the plane.
+    """
+    c = plane[3]
+    facing = plane[0] * x + plane[1] * y + plane[2] * z
+    phi = facing - c
+    is_far = (phi < -rules.behind_m) | (z * phi < facing * rules.along * rules.behind_m)
+    deep = z * c / facing  # the depth at which the sample's ray meets the plane
+    noise = rules.noise_per_m * deep * deep
+    sigma = (noise + np.float32(1e-3)) * np.float32(1e3)
+    near = -_1 if (c >= _0) | (facing >= _0) | is_far else max(rules.least_m, noise + noise)
+    return phi, near, facing * facing / ((x * x + y * y + z * z) * sigma * sigma)
+
+
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _measure(x0, y0, z0, offsets, r, rules, seen):
-    """Of every sample of a brick phi, how near counts as near (-1: nothing is known) and the weight of the look.
-
-    Without a branch, so that eight samples are measured at once; z phi / facing is the distance in z from where the
-    sample's own ray meets the plane.
-    """
+    """`_measured` of every sample of a brick, eight at once."""
     for s in range(B3):
         x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
-        c = r[s + _C]
-        facing = r[s + _NX] * x + r[s + _NY] * y + r[s + _NZ] * z
-        phi = facing - c
-        is_far = (phi < -rules.behind_m) | (z * phi < facing * rules.along * rules.behind_m)
-        deep = z * c / facing  # the depth at which the sample's ray meets the plane
-        noise = rules.noise_per_m * deep * deep
-        sigma = (noise + np.float32(1e-3)) * np.float32(1e3)
-        seen[s] = phi
-        seen[s + B3] = -_1 if (c >= _0) | (facing >= _0) | is_far else max(rules.least_m, noise + noise)
-        seen[s + 2 * B3] = facing * facing / ((x * x + y * y + z * z) * sigma * sigma)
+        plane = r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]
+        seen[s], seen[s + B3], seen[s + 2 * B3] = _measured(x, y, z, plane, rules)
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+def _learn(of, n, s, seen, pixel, plane, z, view, rules):
+    """Tell sample s of brick n, at the depth z, what the view sees there."""
+    phi, least, weight = seen
+    if least < _0:
+        return
+    if phi > least:
+        v = pixel // view.width
+        u = pixel - v * view.width
+        _passed(of, n, s, (z + least) * view.nearest_per_m[v >> 3, u >> 3] < _1)
+        return
+    turn, nx, ny, nz = view.turn, plane[0], plane[1], plane[2]
+    normal = (
+        turn[0, 0] * nx + turn[0, 1] * ny + turn[0, 2] * nz,
+        turn[1, 0] * nx + turn[1, 1] * ny + turn[1, 2] * nz,
+        turn[2, 0] * nx + turn[2, 1] * ny + turn[2, 2] * nz,
+    )
+    _tell(of, n, s, (phi, least, weight, view.marked[pixel] > 0), rules.first, normal)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def _integrate(begin, end, bricks, view, rules, of):
     index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
-    turn = view.turn
     for n in range(begin, end):
         x0, y0, z0 = _look(bricks[n], view, index, r)
         _measure(x0, y0, z0, view.offsets_m, r, rules, seen)
         for s in range(B3):
-            phi, least = seen[s], seen[s + B3]
-            if least < _0:
-                continue
-            if phi > least:
-                v = index[s] // view.width
-                u = index[s] - v * view.width
-                z = z0 + view.offsets_m[s + 2 * B3]
-                _passed(of, n, s, (z + least) * view.nearest_per_m[v >> 3, u >> 3] < _1)
-                continue
-            nx, ny, nz = r[s + _NX], r[s + _NY], r[s + _NZ]
-            normal = (
-                turn[0, 0] * nx + turn[0, 1] * ny + turn[0, 2] * nz,
-                turn[1, 0] * nx + turn[1, 1] * ny + turn[1, 2] * nz,
-                turn[2, 0] * nx + turn[2, 1] * ny + turn[2, 2] * nz,
-            )
-            look = (phi, least, seen[s + 2 * B3], view.marked[index[s]] > 0)
-            _tell(of, n, s, look, rules.first, normal)
+            plane = r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]
+            of_sample = seen[s], seen[s + B3], seen[s + 2 * B3]
+            _learn(of, n, s, of_sample, index[s], plane, z0 + view.offsets_m[s + 2 * B3], view, rules)
+
+
+@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+def _each_integrate(begin, end, bricks, view, rules, of):
+    """The same, one sample a thread."""
+    camera, planes, offsets = view.camera_px, view.planes, view.offsets_m
+    for q in range(begin, end):
+        n, s = q >> 9, q & 511
+        x, y, z = first_sample(bricks[n], view.lattice_m)
+        x, y, z = x + offsets[s], y + offsets[s + B3], z + offsets[s + 2 * B3]
+        fx, fy, cx, cy = camera[0], camera[1], camera[2] + HALF, camera[3] + HALF
+        pixel = pixel_of(x, y, z, fx, fy, cx, cy, view.height, view.width)
+        plane = planes[4 * pixel], planes[4 * pixel + 1], planes[4 * pixel + 2], planes[4 * pixel + 3]
+        _learn(of, n, s, _measured(x, y, z, plane, rules), pixel, plane, z, view, rules)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
@@ -280,25 +302,30 @@ def _surfaces_in(begin, end, view, slots, inverse, shape, of, wanted, out):
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def _forces(begin, end, of, pieces, shape, bricks, out):
-    for n in range(begin, end):
-        for s in range(B3):
-            phi, f = of.distance_m[n, s], _0
-            outside = (
-                8 * bricks[n, 0] + (s >> 6) >= shape[0]
-                or 8 * bricks[n, 1] + (s >> 3 & 7) >= shape[1]
-                or 8 * bricks[n, 2] + (s & 7) >= shape[2]
-            )
-            if of.weight[n, s] > _0 and not outside:
-                for p in range(pieces.shape[0]):
-                    if pieces[p, 0] < phi <= pieces[p, 1]:
-                        f = pieces[p, 2] + pieces[p, 3] * phi
-            x, y, z = of.normal[n, 0, s], of.normal[n, 1, s], of.normal[n, 2, s]
-            f /= np.sqrt(x * x + y * y + z * z + _TINY)
-            out[n, s, 0], out[n, s, 1], out[n, s, 2] = f * x, f * y, f * z
+    for q in range(begin, end):
+        n, s = q >> 9, q & 511
+        phi, f = of.distance_m[n, s], _0
+        outside = (
+            8 * bricks[n, 0] + (s >> 6) >= shape[0]
+            or 8 * bricks[n, 1] + (s >> 3 & 7) >= shape[1]
+            or 8 * bricks[n, 2] + (s & 7) >= shape[2]
+        )
+        if of.weight[n, s] > _0 and not outside:
+            for p in range(pieces.shape[0]):
+                if pieces[p, 0] < phi <= pieces[p, 1]:
+                    f = pieces[p, 2] + pieces[p, 3] * phi
+        x, y, z = of.normal[n, 0, s], of.normal[n, 1, s], of.normal[n, 2, s]
+        f /= math.sqrt(x * x + y * y + z * z + _TINY)
+        out[n, s, 0], out[n, s, 1], out[n, s, 2] = f * x, f * y, f * z
 
 
 def integrate(bricks: NDArray[np.int32], view: View, rules: Rules, of: Samples) -> None:
     """Tell every sample of `bricks` what one view says."""
+    if uses_gpu():
+        there = on_device(of)
+        for_each(_each_integrate, B3 * len(bricks), *on_device((bricks, view)), rules, there)
+        of.take(Samples(*map(on_host, there)))
+        return
     for_chunks(_integrate, len(bricks), bricks, view, rules, of, chunk=16)
 
 
@@ -329,6 +356,10 @@ def surfaces_in(
 
 def brick_forces(of: Samples, pieces: Float32s, shape: tuple[int, int, int], bricks: NDArray[np.int32]) -> Float32s:
     """The forces of all bricks, newtons, float32 [n, 8, 8, 8, 3]."""
+    if uses_gpu():
+        at = of, pieces, shape, bricks
+        out = on_host(filled(_forces, B3 * len(bricks), at, (len(bricks), B3, 3), np.float32))
+        return out.reshape(-1, 8, 8, 8, 3)
     out = zero_forces(len(bricks))
-    for_chunks(_forces, len(bricks), of, pieces, shape, bricks, out.reshape(-1, B3, 3), chunk=16)
+    for_chunks(_forces, B3 * len(bricks), of, pieces, shape, bricks, out.reshape(-1, B3, 3), chunk=16 * B3)
     return out

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchfield.cuda import empty, filled, on_host, uses_gpu
 from touchfield.medium import Grid
 from touchfield.medium.kernels.placed import close_up
 from touchfield.parallel import for_chunks
@@ -218,6 +220,35 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
                         owners[b, i, j, k] = t
 
 
+@njit(nogil=True)
+def _each_force(begin, end, near, surface, frame, events, rule, pieces, owners, forces):
+    """The same for one sample a thread of a GPU, which looks at all triangles of its brick, in float64."""
+    bricks, spans, ids = near
+    table, normals = surface
+    lattice, shape = frame
+    for q in range(begin, end):
+        b, s = q >> 9, q & 511
+        i, j, k = 8 * bricks[b, 0] + (s >> 6), 8 * bricks[b, 1] + (s >> 3 & 7), 8 * bricks[b, 2] + (s & 7)
+        owners[q] = -1
+        forces[3 * q], forces[3 * q + 1], forces[3 * q + 2] = 0.0, 0.0, 0.0
+        if i >= shape[0] or j >= shape[1] or k >= shape[2] or spans[b, 0] == spans[b, 1]:
+            continue
+        x, y, z = lattice[0] + i * lattice[3], lattice[1] + j * lattice[4], lattice[2] + k * lattice[5]
+        t, least = ids[spans[b, 0]], math.inf
+        for c in range(spans[b, 0], spans[b, 1]):
+            dx, dy, dz, _, _ = tri.nearest(table, ids[c], x, y, z)
+            square = dx * dx + dy * dy + dz * dz
+            if square < least:
+                t, least = ids[c], square
+        is_inside = False
+        if rule[0] == CLOSED or rule[0] == LIDDED:
+            is_inside = winding_at(events, i, j, k, (shape[2] + 7) // 8) != 0
+        x, y, z = _force(table, normals, t, x, y, z, is_inside, rule, pieces)
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            forces[3 * q], forces[3 * q + 1], forces[3 * q + 2] = x, y, z
+            owners[q] = t
+
+
 # -- all of it -----------------------------------------------------------------------------------------------------
 def _bricks_near(
     table: Floats, lattice: Floats, shape: Int64s, limits: NDArray[np.float32], events: Int64s
@@ -260,6 +291,17 @@ def _rim_near(
     return first, last, ids
 
 
+def _by_gpu(
+    near: tuple[NDArray[np.int32], Int64s, NDArray[np.int32]], surface: tuple[Floats, Floats], *about: Any
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Forces of bricks, and the nearest triangle of each sample with a force, -1 for the others."""
+    shape = (len(near[0]), 8, 8, 8)
+    count = 512 * len(near[0])
+    owners = empty(count, np.int32)
+    forces = filled(_each_force, count, (near, surface, *about, owners), 3 * count, np.float32)
+    return on_host(forces).reshape(*shape, 3), on_host(owners).reshape(shape)
+
+
 def forces_near(
     surface: tuple[Floats, Floats],
     events: Int64s,
@@ -289,12 +331,16 @@ def forces_near(
     bricks, columns, keys = bricks[order], columns[order] << COLUMN_SHIFT, keys[order]
     spans = np.stack([start[:-1][order], start[1:][order]], axis=1)
     columns = np.stack([np.searchsorted(events, columns + e) for e in (0, 1 << COLUMN_SHIFT)], axis=1)
-    forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
-    held = np.zeros(len(bricks), np.bool_)
-    owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
-    near, frame = (bricks, spans, ids, columns), (lattice, shape, limits)
     rule = (band.sidedness, band.half_wall_m, tiny_m)
-    for_chunks(_fill_bricks, len(bricks), near, surface, frame, events, rule, band.pieces, forces, held, owners)
+    if uses_gpu():
+        forces, owners = _by_gpu((bricks, spans, ids), surface, (lattice, shape), events, rule, band.pieces)
+        held = forces.any(axis=(1, 2, 3, 4))
+    else:
+        forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
+        held = np.zeros(len(bricks), np.bool_)
+        owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
+        near, frame = (bricks, spans, ids, columns), (lattice, shape, limits)
+        for_chunks(_fill_bricks, len(bricks), near, surface, frame, events, rule, band.pieces, forces, held, owners)
     if motion is not None:
         velocities = np.ascontiguousarray(motion.velocities_m_s, np.float64)
         moves = motion.triangles, velocities, motion.damping_n_s_per_m

@@ -1,0 +1,128 @@
+"""Kernels on a GPU beside the same on the processor: a depth picture on 1000^3 samples, and forces at many points.
+
+    python bench/bench_cuda.py [--quick] [--points N]
+
+The planes of the picture are fitted by the processor and copied before the clock runs; what is timed is which bricks
+hold a force, and their forces, which stay on the device. Points are random in the box of a field of 128^3 samples, or
+along the path of a wandering hand. The peer is CuPy's `map_coordinates` on the same field held densely, if CuPy is
+there. Without a GPU nothing is measured but the processor, and the bars say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from bench_query import SIDE, SPACING_M, field, path
+from machine import Bar, Figures, at_least, at_most, bench, figure, timed
+from touchfield import cuda
+from touchfield.medium import Grid, HapticMedium
+from touchfield.render.device_sampler import DeviceSampler
+from touchfield.render.sampler import FieldSampler
+from touchfield.sources.depth_scene import DepthScene, force_bricks, query_of
+from touchfield.sources.kernels import depth
+from touchfield.sources.laws import LawSpec, penalty
+from touchfield.sources.samples import sample
+
+NOMINAL = 1000
+"""Samples an axis of the paper's smallest nominal workspace."""
+
+
+def has_gpu() -> bool:
+    """True if numba finds a GPU."""
+    with cuda.computing("auto"):
+        return cuda.uses_gpu()
+
+
+def settled(call: Callable[[], Any]) -> Callable[[], Any]:
+    """A call and the wait until the GPU has done it."""
+    from numba import cuda as library
+
+    def both() -> Any:
+        out = call()
+        library.synchronize()
+        return out
+
+    return both
+
+
+def of_depth(is_there: bool, runs: int) -> Figures:
+    """A frame on 1000^3 samples."""
+    sequence = sample("motorcycle").sequence  # type: ignore[attr-defined]
+    scene = DepthScene(sequence)
+    grid = Grid.over_box(*scene.bounds_m(), (NOMINAL,) * 3)
+    query = query_of(scene.planes(0), np.eye(4), grid, penalty(LawSpec(), 4 * max(grid.spacing_m)))
+    own = depth.brick_forces(force_bricks(query, grid), query)
+    took = {
+        "bricks": len(own),
+        "processor": timed(lambda: depth.brick_forces(force_bricks(query, grid), query), runs),
+    }
+    if is_there:
+        with cuda.computing("cuda"):
+            there = query._replace(surface=cuda.on_device(query.surface))
+            frame = settled(lambda: depth.forces_on_device(force_bricks(there, grid), there))
+            took["gpu"] = timed(frame, runs)
+            other = cuda.on_host(frame()).reshape(own.shape)
+            took["difference_n"] = float(np.abs(own - other).max())
+    return took
+
+
+def of_queries(is_there: bool, points: int, runs: int) -> Figures:
+    """Points a second, at random and along a path."""
+    rng = np.random.default_rng(1)
+    medium = HapticMedium.from_frames([field()], 1000.0)
+    ways = {"random": rng.uniform(0, (SIDE - 1) * SPACING_M, (points, 3)), "path": path(points, rng)}
+    out: Figures = {}
+    for name, places in ways.items():
+        sampler = FieldSampler(medium)
+        own = sampler.force_n(0.0, places)
+        began = perf_counter()
+        sampler.force_n(0.0, places)
+        row = {"processor_per_s": points / (perf_counter() - began)}
+        if is_there:
+            device = DeviceSampler(medium)
+            at = cuda.on_device(places)
+            took = timed(settled(lambda device=device, at=at: device.force_n(0.0, at)), runs)
+            row["gpu_per_s"] = 1e3 * points / took["median_ms"]
+            row["difference_n"] = float(np.abs(own - cuda.on_host(device.force_n(0.0, at))).max())
+            row["cupy_per_s"] = cupy_per_s(places, runs)
+        out[name] = row
+    return out
+
+
+def cupy_per_s(places: np.ndarray[Any, Any], runs: int) -> float | None:
+    """Points a second of CuPy, three components of a dense field."""
+    try:
+        import cupy
+        from cupyx.scipy.ndimage import map_coordinates
+    except ImportError:
+        return None
+    dense = [cupy.asarray(c) for c in np.moveaxis(field().to_dense(), 3, 0)]
+    at = cupy.asarray((places / SPACING_M).T.astype(np.float32))
+    took = timed(settled(lambda: [map_coordinates(c, at, order=1, prefilter=False) for c in dense]), runs)
+    return 1e3 * len(places) / took["median_ms"]
+
+
+def measure(points: int, runs: int) -> Figures:
+    """All of it."""
+    is_there = has_gpu()
+    return {"has_gpu": is_there, "depth": of_depth(is_there, runs), "queries": of_queries(is_there, points, runs)}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Of one NVIDIA H200; "not measured" without a GPU."""
+    differences = [figure(figures, *where, "difference_n") for where in (("depth",), ("queries", "random"))]
+    worst = None if None in differences else max(d for d in differences if d is not None)
+    return [
+        at_most("a depth frame on 10^9 samples", figure(figures, "depth", "gpu", "median_ms"), 5.0, "ms"),
+        at_least("random queries a second", figure(figures, "queries", "random", "gpu_per_s"), 1e9),
+        at_least("queries a second along a path", figure(figures, "queries", "path", "gpu_per_s"), 5e9),
+        at_most("difference to the processor", worst, 2e-6, "N"),
+    ]
+
+
+if __name__ == "__main__":
+    bench("cuda", __doc__, measure, bars, points=(10_000_000, 100_000), runs=(9, 2))

@@ -1,0 +1,69 @@
+"""Fields of every source that has a GPU kernel, on the processor and on numba's simulator of a GPU, and what differs.
+
+Run by `test_cuda` in a process of its own: ``NUMBA_ENABLE_CUDASIM`` is read once. Prints one JSON object: newtons.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from touchfield.cuda import computing, on_host
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.render.device_sampler import DeviceSampler
+from touchfield.render.sampler import FieldSampler
+from touchfield.sources.laws import LawSpec, penalty
+from touchfield.sources.tiny_scenes import tiny_scenes
+
+
+def grid_of(scene: Any, shape: tuple[int, int, int]) -> Grid:
+    """A lattice over a scene, some samples of room beside it."""
+    low, high = scene.bounds_m()
+    room = 0.1 * max(high - low)
+    return Grid.over_box(low - room, high + room, shape)
+
+
+def difference(a: ForceField, b: ForceField) -> dict[str, float]:
+    """Largest difference, and what is compared."""
+    one, other = a.to_dense(), b.to_dense()
+    return {
+        "bricks": len(a.bricks),
+        "same_bricks": bool(np.array_equal(a.bricks, b.bricks)),
+        "force_n": float(np.abs(one).max()),
+        "difference_n": float(np.abs(one - other).max()),
+    }
+
+
+def fields() -> dict[str, Any]:
+    """Each tiny scene's last frame."""
+    out = {}
+    for n, scene in enumerate(tiny_scenes()):
+        name = f"{type(scene).__name__} {n}"
+        if not name.startswith(("Depth", "Fused", "Mesh")):
+            continue
+        grid = grid_of(scene, (13, 9, 10))
+        law = penalty(LawSpec(), 3 * max(grid.spacing_m))
+        frame = scene.frame_count - 1
+        own = scene.field(frame, grid, law)
+        with computing("cuda"):
+            other = tiny_scenes()[n].field(frame, grid, law)
+        out[name] = difference(own, other)
+    return out
+
+
+def queries() -> dict[str, Any]:
+    """Between two frames of voxels, at points inside and outside."""
+    rng = np.random.default_rng(4)
+    grid = Grid((20, 18, 16), (0.001, 0.002, 0.003), (0.0, 0.0, 0.0))
+    fields = [ForceField.from_dense(grid, rng.normal(0, 1, (*grid.shape, 3)).astype(np.float32)) for _ in range(2)]
+    medium = HapticMedium.from_frames(fields, 30.0)
+    points = rng.uniform(-0.002, 0.05, (100, 3))
+    own = FieldSampler(medium).force_n(0.02, points)
+    other = on_host(DeviceSampler(medium).force_n(0.02, points))
+    return {"query": {"force_n": float(np.abs(own).max()), "difference_n": float(np.abs(own - other).max())}}
+
+
+if __name__ == "__main__":
+    print(json.dumps({**fields(), **queries()}))

@@ -1,0 +1,133 @@
+"""Kernels of a GPU: at real size compiled for the processor, and at small sizes on numba's simulator.
+
+One item a thread must give what the loops of the processor give; the simulator shows that arrays go there and back.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import touchfield.cuda as gpu
+from touchfield.errors import InvalidArgument, MissingExtra
+from touchfield.medium import Grid
+from touchfield.sources.kernels import depth, fusion, mesh
+from touchfield.sources.laws import LawSpec, penalty
+from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.samples import sample
+from touchfield.sources.tiny_scenes import tiny_scenes
+
+MOST_N = 2e-6
+
+
+@pytest.fixture
+def as_if(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels of the GPU run in compiled code of the processor, all items in one loop."""
+
+    def for_each(kernel: Any, count: int, *arguments: Any) -> None:
+        kernel(0, count, *arguments)
+
+    def filled(kernel: Any, count: int, arguments: Any, shape: Any, dtype: Any) -> Any:
+        out = np.full(shape, 7, dtype)  # what a kernel leaves out is seen
+        for_each(kernel, count, *arguments, out)
+        return out
+
+    for room in (depth, fusion, mesh):
+        for name, stand_in in (
+            ("uses_gpu", lambda: True), ("for_each", for_each), ("filled", filled), ("on_device", lambda x: x),
+            ("on_host", lambda x: x), ("empty", lambda shape, dtype: np.full(shape, 7, dtype)),
+        ):  # fmt: skip
+            monkeypatch.setattr(room, name, stand_in, raising=False)
+
+
+def scene_of(name: str) -> Any:
+    """A scene of real size, or a tiny one by its number."""
+    if name == "motorcycle":
+        return sample(name)
+    return tiny_scenes()[int(name)]
+
+
+@pytest.fixture
+def processors(request: pytest.FixtureRequest) -> tuple[Any, Grid, Any, Any]:
+    """A scene, its lattice, its law, and its last frame by the processor's own loops; asked for before `as_if`."""
+    name, samples = request.param
+    scene = scene_of(name)
+    low, high = scene.bounds_m()
+    room = 0.1 * max(high - low)
+    grid = Grid.over_box(low - room, high + room, (samples, samples - 3, samples + 2))
+    law = penalty(LawSpec(), 3 * max(grid.spacing_m))
+    return scene_of(name), grid, law, scene.field(scene.frame_count - 1, grid, law)
+
+
+@pytest.mark.parametrize(
+    "processors", [("motorcycle", 96), ("2", 40), ("4", 40), ("5", 40), ("6", 40)], indirect=True
+)
+def test_one_item_a_thread_is_what_the_loops_give(processors: Any, as_if: None) -> None:
+    """Depth, the fused world, and meshes closed, open and of two parts."""
+    scene, grid, law, own = processors
+    other = scene.field(scene.frame_count - 1, grid, law)
+    assert len(own.bricks) > 8
+    assert np.array_equal(own.bricks, other.bricks)
+    one, more = own.to_dense(), other.to_dense()
+    lengths = [np.linalg.norm(forces, axis=3) for forces in (one, more)]
+    assert np.abs(lengths[0] - lengths[1]).max() <= MOST_N
+    # where two triangles are equally far, float32 and float64 may each take another
+    differs = np.abs(one - more).max(axis=3) > MOST_N
+    assert differs.sum() <= (1e-3 * (lengths[0] > 0).sum() if isinstance(scene, MeshScene) else 0)
+
+
+@pytest.fixture(scope="module")
+def simulated() -> dict[str, dict[str, float]]:
+    """What `simulated_gpu.py` prints."""
+    here = Path(__file__).parent
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore", str(here / "simulated_gpu.py")],
+        env={**os.environ, "NUMBA_ENABLE_CUDASIM": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    out: dict[str, dict[str, float]] = json.loads(run.stdout)
+    return out
+
+
+@pytest.mark.parametrize(
+    "name", ["DepthScene 0", "FusedScene 2", "MeshScene 4", "MeshScene 5", "MeshScene 6", "query"]
+)
+def test_simulator(simulated: dict[str, dict[str, float]], name: str) -> None:
+    """The same bricks, and forces within 2e-6 N."""
+    told = simulated[name]
+    assert told["force_n"] > 0.1
+    assert told["difference_n"] <= MOST_N
+    assert told.get("same_bricks", True)
+
+
+def test_words() -> None:
+    """What is no place is refused, and so is a GPU that is not there."""
+    with pytest.raises(InvalidArgument, match="one of cpu, cuda, auto"), gpu.computing("tpu"):
+        pass
+    with gpu.computing("auto"):
+        has_gpu = gpu.uses_gpu()
+    if has_gpu:
+        pytest.skip("there is a GPU: nothing is refused")
+    with pytest.raises((InvalidArgument, MissingExtra), match="GPU"), gpu.computing("cuda"):
+        pass
+    assert not gpu.uses_gpu()
+
+
+def test_the_place_ends_with_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of blocks within blocks, each ends with what was before it."""
+    monkeypatch.setenv("TOUCHFIELD_COMPUTE", "cpu")
+    with gpu.computing("auto"):
+        with gpu.computing("cpu"):
+            assert os.environ["TOUCHFIELD_COMPUTE"] == "cpu"
+        assert os.environ["TOUCHFIELD_COMPUTE"] == "auto"
+    assert os.environ["TOUCHFIELD_COMPUTE"] == "cpu"
