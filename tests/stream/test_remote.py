@@ -156,6 +156,27 @@ def test_a_store_of_objects_is_read_by_ranges(folder: Path) -> None:
         TouchReader((folder / "absent.touch").as_uri())
 
 
+def test_a_result_is_sent_to_a_store_of_objects(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The bytes are those of a local file; what cannot be sent stays in the working folder."""
+    pytest.importorskip("obstore", reason="needs the extra remote")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "store").mkdir()
+    options = ["--nw", "4", "--coder", "touch"]
+    assert _exit_code(["encode", "sample:shapes", "own.touch", *options]) == 0
+    assert _exit_code(["encode", "sample:shapes", (tmp_path / "store/far.touch").as_uri(), *options]) == 0
+    assert (tmp_path / "store/far.touch").read_bytes() == (tmp_path / "own.touch").read_bytes()
+    assert not list(tmp_path.glob("*.unsent"))
+    capsys.readouterr()
+    assert _exit_code(["encode", "sample:shapes", "https://127.0.0.1:9/far.touch", *options]) == 2
+    assert "only read" in capsys.readouterr().err
+    (tmp_path / "file").touch()
+    assert _exit_code(["encode", "sample:shapes", (tmp_path / "file/far.touch").as_uri(), *options]) == 1
+    assert (tmp_path / "far.touch.unsent").read_bytes() == (tmp_path / "own.touch").read_bytes()
+    assert "Traceback" not in capsys.readouterr().err
+
+
 def _drip(link: socket.socket) -> None:
     link.sendall(b"HTTP/1.1 206 x\r\nContent-Length: 4096\r\nContent-Range: bytes 0-4095/100000\r\n\r\n")
     for _ in range(40):

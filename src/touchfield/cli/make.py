@@ -32,6 +32,7 @@ from touchfield.cli.show import (
     show_notes,
     show_rows,
 )
+from touchfield.container.remote import is_remote
 from touchfield.cuda import computing
 from touchfield.errors import InvalidArgument
 from touchfield.job import Plan, Trial
@@ -51,7 +52,10 @@ LATER = {"touch": ("passes", "columns")}
 @asks(SCENE, BESIDE, CODER, TARGET)
 def encode(
     source: Source,
-    out: Annotated[Path, typer.Argument(help="The .touch file to write; or OUT.zarr, tiles of a huge lattice.")],
+    to: Annotated[
+        str,
+        typer.Argument(metavar="OUT", help="The .touch file, also s3://...; or OUT.zarr, tiles of a huge lattice."),
+    ],
     as_json: Json = False,
     with_report: Annotated[
         bool,
@@ -65,8 +69,11 @@ def encode(
     """Turn SOURCE into a .touch file."""
     from touchfield import job
 
+    out = Path(to)
     keep_source(source, out)
     spec, target = encode_spec(asked), target_of(asked)
+    if is_remote(to) and (target is not None or with_report or out.suffix == ".zarr"):
+        raise InvalidArgument("--report, targets and .zarr work with a path, not with an address")
     if target is not None and workers is not None:
         raise InvalidArgument(f"--workers works without {target.option}: one encoding after another finds a target")
     if out.suffix == ".zarr" and (target is not None or with_report):
@@ -78,14 +85,14 @@ def encode(
             show(tiled.summary(), str(out), as_json, tiled.notes)
             return
         if target is None:
-            done = job.encode(source, out, spec, report, executor=executor)
+            done = job.encode(source, to, spec, report, executor=executor)
         else:
             done = job.encode_to_target(source, out, spec, target, report)
     shown = done.summary()
     if with_report:
         with progress("report") as report:
             shown |= job.hand_motion(done.prepared, out, report=report).summary()
-    show_motion(shown, str(out), as_json, done.notes)
+    show_motion(shown, to, as_json, done.notes)
 
 
 @command("Make", "filter room.touch soft.touch --gaussian sigma=2mm --report", name="filter")

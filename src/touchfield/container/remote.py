@@ -13,13 +13,14 @@ import ssl
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from pathlib import Path
 from threading import Lock
 from typing import Any, Final, NamedTuple
 from urllib.parse import urljoin, urlsplit
 
-from touchfield.errors import MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 
-__all__ = ["RemoteFile", "is_live", "is_remote", "without_secret"]
+__all__ = ["RemoteFile", "is_live", "is_remote", "sender", "without_secret"]
 
 _HEAD: Final = 1 << 12
 _TAIL: Final = 1 << 14
@@ -57,6 +58,16 @@ def is_live(name: object) -> bool:
         or name.lower().startswith(("ws://", "wss://", "udp://"))
         or (name.lower().startswith(("http://", "https://")) and urlsplit(name).path.endswith("/live.json"))
     )
+
+
+def sender(url: str) -> Callable[[Path], None]:
+    """A function that puts a file into a store of objects, where it appears as a whole (extra ``remote``).
+
+    InvalidArgument for a web server, which has no such way; SourceError, then or later, if the store refuses.
+    """
+    if url.lower().startswith(("http://", "https://")) or is_live(url):
+        raise InvalidArgument(without_secret(url), "an address that is only read", "s3://, gs://, az://, or a path")
+    return _ObjectStore(url).put
 
 
 class RemoteFile:
@@ -240,6 +251,10 @@ class _ObjectStore:
 
         made: _Part = self._tried(part)
         return made
+
+    def put(self, file: Path) -> None:
+        """Write a file, in parts where it is large."""
+        self._tried(lambda: self._ask.put(self._store, self._path, file))
 
     def close(self) -> None:
         """Nothing: obstore keeps no connection that must be closed."""

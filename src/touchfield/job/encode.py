@@ -15,6 +15,7 @@ from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.rate import compression_ratio
 from touchfield.codec.registry import coder, field_encoder
 from touchfield.container import TouchWriter
+from touchfield.container.remote import is_remote, sender
 from touchfield.job.coding import coded_segments, groups_of, head_of, stretches
 from touchfield.job.parts import Sent, spread_voxels
 from touchfield.job.prepare import Prepared, prepare
@@ -92,8 +93,18 @@ def encode(
     field, each a stretch of the frames; the bytes are the same. What they finished before an error stays in
     ``OUT.parts``, and the same call goes on from there.
 
+    `out` may lie in a store of objects (``s3://...``, extra ``remote``): the file is made as ``NAME.unsent`` in the
+    working folder, sent as a whole, and removed; it stays there if it cannot be sent.
+
     TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
+    if is_remote(out):
+        send = sender(str(out))
+        here = Path(f"{str(out).rpartition('/')[2]}.unsent")
+        done = encode(source, here, spec, report, grid=grid, executor=executor)
+        send(here)
+        here.unlink()
+        return done
     began = time.perf_counter()
     spec = spec or EncodeSpec()
     given = as_source(source, spec.device, grid)
