@@ -16,7 +16,9 @@ from hypothesis import strategies as st
 from touchfield import EncodeSpec, Grid, TouchSpec, prepare
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
+from touchfield.filters import pyramid
 from touchfield.job import tiles
+from touchfield.job.stream_scene import decode
 from touchfield.job.tiles import encode_tiles
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.zarr_store import boxes, read_zarr, write_zarr
@@ -61,6 +63,23 @@ def test_other_programs_read_it_with_zarr_and_xarray_alone(tmp_path: Path) -> No
     found = xarray.open_zarr(tmp_path / "a.zarr", consolidated=False)
     assert found.forces_n.dims == ("t", "x", "y", "z", "component")
     assert np.array_equal(found.forces_n[0].values, made[0].to_dense())
+
+
+def test_levels_of_detail_follow(tmp_path: Path) -> None:
+    """Every level lies where `multiscales` says, and holds what `pyramid` makes; xarray opens all of them."""
+    xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
+    assert _exit_code(["encode", "sample:shapes", str(tmp_path / "a.touch"), "--nw", "5"]) == 0
+    assert _exit_code(["lod", str(tmp_path / "a.touch"), str(tmp_path / "a.zarr"), "--levels", "2"]) == 0
+    field = decode(tmp_path / "a.touch")[0]
+    store = xarray.open_zarr(tmp_path / "a.zarr", consolidated=False)
+    (scales,) = store.attrs["multiscales"]
+    for n, level in enumerate((field, *pyramid(field, 2)[1:])):
+        told = scales["datasets"][n]
+        assert np.array_equal(store[told["path"]][0], level.to_dense())
+        scale, translation = (t[t["type"]] for t in told["coordinateTransformations"])
+        assert np.allclose(scale[1:4], level.grid.spacing_m)
+        assert np.allclose(translation[1:4], level.grid.origin_m)
+    assert read_zarr(tmp_path / "a.zarr")[0].support_count == field.support_count
 
 
 def test_an_empty_part_takes_no_bytes(tmp_path: Path) -> None:

@@ -126,7 +126,8 @@ def resample(
 def lod(
     medium: Medium,
     folder: Annotated[
-        Path | None, typer.Argument(help="Folder for level-0.touch, level-1.touch, ...; without it, figures only.")
+        Path | None,
+        typer.Argument(help="Folder for level-0.touch, ..., or OUT.zarr with all levels; without it, figures only."),
     ] = None,
     levels: Annotated[
         int | None, typer.Option(help="How often the lattice is halved; default: to 8 samples.")

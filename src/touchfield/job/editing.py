@@ -246,16 +246,19 @@ def levels_of_detail(
 ) -> Detail:
     """Each level of detail of a medium as a file of its own, with its bytes and what a receiver of it lacks.
 
-    `out` is a folder for level-0.touch, level-1.touch, ...; without it they are only measured. `levels` is how often
-    the lattice is halved (until 8 samples are left), and `Detail.level` the finest level of `most_bytes` or less.
+    `out` is a folder for level-0.touch, level-1.touch, ..., or OUT.zarr, a store of them all (extra ``zarr``);
+    without it they are only measured. `levels` is how often the lattice is halved (until 8 samples are left), and
+    `Detail.level` the finest level of `most_bytes` or less.
     """
     given = read_medium(source, spec)
     medium, most = given.medium, most_levels(given.medium.grid)
     wanted = max(0, most - 3) if levels is None else levels
     if not 0 <= wanted <= most:
         raise InvalidArgument("--levels", f"{wanted}", f"0 to {most}")
-    folder = Path(tempfile.mkdtemp()) if out is None else Path(out)
-    if out is not None:
+    store = Path(out) if out is not None and Path(out).suffix == ".zarr" else None
+    is_kept = out is not None and store is None
+    folder = Path(out) if out is not None and store is None else Path(tempfile.mkdtemp())
+    if is_kept:
         folder.mkdir(exist_ok=True)
     rows: list[dict[str, Any]] = []
     try:
@@ -272,12 +275,18 @@ def levels_of_detail(
                     "file_bytes": _size(path),
                     "nmse_db": meter.nmse_db,
                     "mask_violations_per_supported_voxel": meter.mask_violations / max(1, meter.supported_voxels),
-                    **({"file": str(path)} if out is not None else {}),
+                    **({"file": str(path)} if is_kept else {}),
                 }
             )
             report(level + 1, wanted + 1)
+        if store is not None:
+            from touchfield.medium.zarr_store import write_zarr
+
+            write_zarr(
+                store, medium, told=given.placement.told(), levels=[_level(medium, n) for n in range(1, wanted + 1)]
+            )
     finally:
-        if out is None:
+        if not is_kept:
             shutil.rmtree(folder, ignore_errors=True)
     fits = [row["level"] for row in rows if most_bytes is None or row["file_bytes"] <= most_bytes]
     notes = () if fits else (f"no level takes {most_bytes} bytes or less",)

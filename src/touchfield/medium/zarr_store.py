@@ -1,8 +1,10 @@
 """A medium as a zarr store, version 3: chunks of whole bricks in shards, for programs that read a part at a time.
 
 A group with attributes (the lattice, the rate, what travels beside the forces) and the array ``forces_n`` float32
-[t, x, y, z, component]. A chunk without a force is not written. Chunks are packed by zstd, or by a codec
-that is named, such as the coder `touch` (`touchfield.codec.zarr_codec`). A shard is a file, what is written at once.
+[t, x, y, z, component]; levels of detail are ``forces_n_1``, ``forces_n_2``, ..., and the attribute ``multiscales``
+says where their samples lie, as OME-NGFF does. A chunk without a force is not written. Chunks are packed by zstd,
+or by a codec that is named, such as the coder `touch` (`touchfield.codec.zarr_codec`). A shard is a file, what is
+written at once.
 """
 
 from __future__ import annotations
@@ -35,6 +37,11 @@ __all__ = ["boxes", "create", "read_zarr", "write_box", "write_zarr"]
 
 ARRAY: Final = "forces_n"
 DIMENSIONS: Final = ("t", "x", "y", "z", "component")
+_AXES: Final = (
+    {"name": "t", "type": "time", "unit": "second"},
+    *({"name": axis, "type": "space", "unit": "meter"} for axis in "xyz"),
+    {"name": "component", "type": "channel"},
+)
 _CHUNK: Final = 128
 _SHARD: Final = 256
 _MOST_CHUNK_BYTES: Final = 1 << 28
@@ -70,7 +77,6 @@ def boxes(grid: Grid) -> Iterator[Box]:
 def create(store: str | Path, medium: HapticMedium, told: Mapping[str, Any], codec: Mapping[str, Any] | None) -> None:
     """Begin a store without a force; `codec` is the name and the configuration of what codes a chunk."""
     zarr, grid = _zarr(), medium.grid
-    chunk, shard = _chunks(grid)
     about = {
         "spacing_m": list(grid.spacing_m),
         "origin_m": list(grid.origin_m),
@@ -81,25 +87,46 @@ def create(store: str | Path, medium: HapticMedium, told: Mapping[str, Any], cod
         "damping_n_s_per_m": medium.damping_n_s_per_m,
         **told,
     }
-    group = zarr.create_group(store, zarr_format=3, attributes={"touchfield": about})
+    scales = [{"name": ARRAY, "type": "level of detail", "axes": list(_AXES), "datasets": [_level(medium, 0)]}]
+    group = zarr.create_group(store, zarr_format=3, attributes={"touchfield": about, "multiscales": scales})
     coding = {"serializer": dict(codec), "compressors": None} if codec else {}
+    _create_array(group, medium, 0, coding)
+
+
+def _level_name(level: int) -> str:
+    return f"{ARRAY}_{level}" if level else ARRAY
+
+
+def _level(medium: HapticMedium, level: int) -> dict[str, Any]:
+    """Path, step and place of the first sample of a level, seconds and metres."""
+    grid = medium.grid
+    scale = {"type": "scale", "scale": [1 / medium.rate_hz, *grid.spacing_m, 1.0]}
+    translation = {"type": "translation", "translation": [0.0, *grid.origin_m, 0.0]}
+    return {"path": _level_name(level), "coordinateTransformations": [scale, translation]}
+
+
+def _create_array(group: Any, medium: HapticMedium, level: int, coding: Mapping[str, Any]) -> None:
+    grid = medium.grid
+    chunk, shard = _chunks(grid)
     group.create_array(
-        ARRAY,
+        _level_name(level),
         shape=(len(medium), *grid.shape, 3),
         chunks=(1, *chunk, 3),
         shards=(1, *shard, 3),
         dtype="float32",
         fill_value=0.0,
-        dimension_names=DIMENSIONS,
+        dimension_names=[f"{name}_{level}" if level and name in "xyz" else name for name in DIMENSIONS],
         attributes={"units": "N"},
         **coding,
     )
 
 
-def write_box(store: str | Path, frame: int, low: Sequence[int], forces_n: NDArray[np.float32]) -> None:
+def write_box(
+    store: str | Path, frame: int, low: Sequence[int], forces_n: NDArray[np.float32], level: int = 0
+) -> None:
     """Write newtons [nx, ny, nz, 3] of one of `boxes`, whose first sample is `low`; nothing where there are none."""
     if forces_n.any():
-        array = _zarr().open_array(store, path=ARRAY, mode="r+")
+        array = _zarr().open_array(store, path=_level_name(level), mode="r+")
         array[(frame, *(slice(a, a + n) for a, n in zip(low, forces_n.shape)))] = forces_n
 
 
@@ -108,20 +135,30 @@ def write_zarr(
     medium: HapticMedium,
     progress: Callable[[int], None] | None = None,
     told: Mapping[str, Any] = MappingProxyType({}),
+    levels: Sequence[HapticMedium] = (),
 ) -> None:
     """Write all frames, packed by zstd; the folder appears when it is whole.
 
     progress : callable, optional; called with the number of frames written, after each.
+    levels : coarser media of the same frames, which follow as levels of detail.
     told : mapping of str to JSON values; what else the attributes are to tell.
     Raises `MissingExtra` if zarr is not installed; `InvalidArgument` if something lies at `path`; `SourceError` if
     the system refuses to write.
     """
     with whole_folder(Path(path)) as store:
         create(store, medium, told, None)
-        parts = list(boxes(medium.grid))
-        for i, field in enumerate(medium):
-            for low, shape in parts:
-                write_box(store, i, low, cut(field, low, shape).to_dense())
+        group = _zarr().open_group(store, mode="r+")
+        for n, level in enumerate(levels, 1):
+            _create_array(group, level, n, {})
+            scales = group.attrs["multiscales"]
+            scales[0]["datasets"].append(_level(level, n))
+            group.attrs["multiscales"] = scales
+        parts = [list(boxes(one.grid)) for one in (medium, *levels)]
+        for i in range(len(medium)):
+            for n, one in enumerate((medium, *levels)):
+                field = one[i]
+                for low, shape in parts[n]:
+                    write_box(store, i, low, cut(field, low, shape).to_dense(), n)
             if progress is not None:
                 progress(i + 1)
 
