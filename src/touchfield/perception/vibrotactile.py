@@ -1,0 +1,381 @@
+"""Vibration beside a force, as signals: what is force and what vibration, one axis for three, what must be sent.
+
+The paper (section 6.4) leaves it open: "process the vibrotactile feedback in the spectral domain and then modulate
+the force feedback appropriately in the time domain". Here a `Crossover` splits a recorded force in two that add up to
+it again; `dft321` makes one axis of three, as a hand does not tell the direction of a vibration; a `Stft` is the
+spectral domain; and `reduced` leaves of a vibration what a hand can feel::
+
+    force -> Crossover -> low: the medium's force
+                       -> high -> dft321 -> reduced -> symbols and steps -> decoded
+
+What is sent is off by less than the threshold of a hand (`perception.human`) in every third of an octave and every
+half second. A threshold is that of a sine alone: that a sum of thirds below it, or a vibration beside another one,
+is not felt either is likely, and not told by it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, require_positive
+from touchfield.perception.human import VibrationThreshold, figure, vibration_threshold
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["BANDS_HZ", "Crossover", "Reduced", "Stft", "band_rms", "dft321", "handle_force_n", "reduced"]
+
+BANDS_HZ: Final = tuple(float(1000 * 10 ** (n / 10)) for n in range(-15, 1))
+"""Centres of the sixteen thirds of an octave from 31.6 Hz to 1 kHz; a band reaches a factor 10 ** 0.05 either way."""
+
+WINDOW_S: Final = 0.5
+"""In which a level is taken."""
+
+_LONG_S: Final = 2.0  # the same where a mean is wanted, so that a band has many bins
+_HALF: Final = 10**0.05
+_TAPS: Final = 3.3  # of a Hamming window: its transition is as wide as the crossover is high
+_MOST_TAPS: Final = (1 << 20) - 1
+_PER_OCTAVE: Final = 4  # of steps
+_ROUNDS: Final = 400
+_PATIENCE: Final = 8
+
+
+def _signal(where: str, values: ArrayLike, shapes: tuple[str, ...], rate_hz: float = 1.0) -> Float64s:
+    """Numbers over time, checked; `shapes` are words of "[n]" and "[n, 3]"."""
+    require_positive(rate_hz=rate_hz)
+    try:
+        x = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        raise InvalidArgument(where, "what is no array of numbers", f"numbers {' or '.join(shapes)}") from None
+    own = {1: "[n]", 2: f"[n, {x.shape[-1] if x.ndim else 0}]"}.get(x.ndim)
+    if own not in shapes or not len(x):
+        mend = "dft321 makes one axis of three." if own == "[n, 3]" else ""
+        raise InvalidArgument(where, f"shape {x.shape}", f"{' or '.join(shapes)}, n at least 1", mend)
+    wrong = np.argwhere(~np.isfinite(x))
+    if len(wrong):
+        raise InvalidArgument(where, f"{x[tuple(wrong[0])]} at sample {wrong[0][0]}", "finite numbers")
+    return x
+
+
+# -- force and vibration ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Crossover:
+    """A split of a signal into what lies below a frequency and what lies above, which add up to it again.
+
+    The low-pass h is a windowed sinc of an odd number of taps (Hamming), of linear phase; the high-pass is the
+    impulse at its middle less h. Both are 6 dB down at `cutoff_hz` and in phase there. Causal they are late by
+    `delay_s`; `split` takes that off.
+
+    Raises `InvalidArgument` if a number is not positive and finite, or the cut-off is half of `rate_hz` or more.
+    """
+
+    rate_hz: float  # samples a second
+    cutoff_hz: float = figure("force_bandwidth_hz")  # where what a hand feels as a force ends
+
+    def __post_init__(self) -> None:
+        require_positive(rate_hz=self.rate_hz, cutoff_hz=self.cutoff_hz)
+        if not 2 * self.cutoff_hz < self.rate_hz:
+            raise InvalidArgument("cutoff_hz", f"{self.cutoff_hz:g} Hz", f"below half of {self.rate_hz:g} Hz")
+        if _TAPS * self.rate_hz / self.cutoff_hz > _MOST_TAPS:
+            raise InvalidArgument("cutoff_hz", f"{self.cutoff_hz:g} Hz at {self.rate_hz:g} Hz", "a higher one")
+
+    @property
+    def delay_s(self) -> float:
+        """How late a causal run of either part is, seconds: (taps - 1) / 2 samples."""
+        return (len(self.low_taps) - 1) / 2 / self.rate_hz
+
+    @cached_property
+    def low_taps(self) -> Float64s:
+        """h, float64 [taps], of sum 1."""
+        from scipy.signal import firwin
+
+        count = 2 * math.ceil(_TAPS * self.rate_hz / self.cutoff_hz / 2) + 1
+        taps = firwin(count, self.cutoff_hz, fs=self.rate_hz)
+        return np.asarray((taps + taps[::-1]) / 2)
+
+    @cached_property
+    def high_taps(self) -> Float64s:
+        """The impulse less h, float64 [taps]."""
+        taps = -self.low_taps
+        taps[len(taps) // 2] += 1.0
+        return taps
+
+    def split(self, signal: ArrayLike) -> tuple[Float64s, Float64s]:
+        """The low part and the high part, without delay, each float64 as `signal`, in its unit.
+
+        signal : float [n] or [n, 3]; beyond its ends it is taken to stay as it is there.
+        Their sum is the signal to the rounding of one addition. Raises `InvalidArgument` if the shape is another or a
+        number is not finite.
+        """
+        from scipy.signal import oaconvolve
+
+        x = _signal("signal", signal, ("[n]", "[n, 3]"), self.rate_hz)
+        half = len(self.low_taps) // 2
+        wide = np.pad(x, [(half, half), *[(0, 0)] * (x.ndim - 1)], "edge")
+        taps = self.low_taps.reshape(-1, *[1] * (x.ndim - 1))
+        low: Float64s = oaconvolve(wide, taps, mode="valid", axes=0)
+        return low, x - low
+
+
+def dft321(signal: ArrayLike) -> Float64s:
+    """One axis for three, with the energy of the three in each bin of the spectrum, float64 [n].
+
+    signal : float [n, 3]; any unit, which stays.
+    The phase is that of the sum of the axes, of Landin, Romano, McMahan and Kuchenbecker 2010, Dimensional reduction
+    of high-frequency accelerations for haptic rendering (EuroHaptics). The whole signal is one transform, and what
+    happens at a time happens near it, no more: a tap that the axes feel at different times is smeared.
+    Raises `InvalidArgument` if the shape is another or a number is not finite.
+    """
+    spectra = np.fft.rfft(_signal("signal", signal, ("[n, 3]",)), axis=0)
+    size = np.sqrt((np.abs(spectra) ** 2).sum(axis=1))
+    together = spectra.sum(axis=1)
+    angle = np.angle(together)
+    angle[np.abs(together) < 1e-15 * size] = 0.0  # of nothing, the rounding would be drawn
+    return np.fft.irfft(size * np.exp(1j * angle), len(np.asarray(signal)))
+
+
+def handle_force_n(acceleration_m_s2: ArrayLike, rate_hz: float, hand: VibrationThreshold | None = None) -> Float64s:
+    """The force that shakes a handle in a hand as it was recorded, newtons, float64 [n].
+
+    acceleration_m_s2 : float [n]; of the handle, at `rate_hz`.
+    hand : VibrationThreshold, optional; whose mass, damper and spring are taken, by default the stylus.
+    F = a (m + b / (i w) - k / w^2); what lies below the lowest of `BANDS_HZ` is left out. Raises `InvalidArgument` if
+    the shape is another or a number is not finite.
+    """
+    a = _signal("acceleration_m_s2", acceleration_m_s2, ("[n]",), rate_hz)
+    own = hand or vibration_threshold()
+    w = 2 * np.pi * np.fft.rfftfreq(len(a), 1 / rate_hz)
+    is_felt = w >= 2 * np.pi * BANDS_HZ[0] / _HALF
+    w = np.where(is_felt, w, 1.0)
+    n_per_m = own.stiffness_n_per_m - own.mass_kg * w**2 + 1j * own.damping_n_s_per_m * w
+    return np.fft.irfft(np.where(is_felt, -n_per_m / w**2, 0.0) * np.fft.rfft(a), len(a))
+
+
+# -- levels -------------------------------------------------------------------------------------------------------
+
+
+def _edges(rate_hz: float) -> Float64s:
+    """Edges of the thirds of an octave from the lowest of `BANDS_HZ` to half the rate, Hz."""
+    first = BANDS_HZ[0] / _HALF
+    count = max(0, math.ceil(10 * math.log10(max(rate_hz / 2 / first, 1.0)) - 1e-9))
+    return np.asarray(first * 10 ** (0.1 * np.arange(count)))
+
+
+def _window_power(x: Float64s, rate_hz: float, edges: Float64s, window_s: float = WINDOW_S) -> Float64s:
+    """Mean squares by windows, half of each shared with the next, float64 [windows, edges + 1]."""
+    length = max(2 * int(window_s * rate_hz / 2), 2)
+    hop = length // 2
+    wide = np.pad(x, (hop, hop + -len(x) % hop))
+    frames = np.lib.stride_tricks.sliding_window_view(wide, length)[::hop]
+    window = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
+    power = np.abs(np.fft.rfft(frames * window, axis=1)) ** 2 * 2 / (length * (window**2).sum())
+    power[:, [0, -1]] /= 2
+    band = np.searchsorted(edges, np.fft.rfftfreq(length, 1 / rate_hz), side="right")
+    return np.stack([power[:, band == b].sum(axis=1) for b in range(len(edges) + 1)], axis=1)
+
+
+def band_rms(signal: ArrayLike, rate_hz: float) -> Float64s:
+    """Rms of a signal in each of `BANDS_HZ`, float64 [16], in its unit; 0 in bands that the rate cannot hold.
+
+    signal : float [n]; at `rate_hz`, half a second or more.
+    Raises `InvalidArgument` if the shape is another, a number is not finite, or it is shorter.
+    """
+    x = _signal("signal", signal, ("[n]",), rate_hz)
+    if len(x) < WINDOW_S * rate_hz:
+        raise InvalidArgument("signal", f"{len(x) / rate_hz:.3g} s", f"{WINDOW_S:g} s or more", "Record longer.")
+    edges = _edges(rate_hz)
+    longest_s = min(_LONG_S, len(x) / rate_hz)
+    length = 2 * int(longest_s * rate_hz / 2)
+    inner = _window_power(x, rate_hz, edges, longest_s)[1 : 2 * len(x) // length]  # the others are not full
+    whole = np.zeros(len(BANDS_HZ))
+    count = min(len(edges) - int(not math.isclose(edges[-1] * 10**0.1, rate_hz / 2)), len(BANDS_HZ))
+    whole[:count] = np.sqrt(inner.mean(axis=0))[1 : count + 1]
+    return whole
+
+
+# -- the spectral domain ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Stft:
+    """Spectra of frames, half of each shared with the next, that give the signal back.
+
+    A sine is the window before and after, whose squares add up to 1 (constant overlap-add); transforms keep energy,
+    so that the squares of all coefficients, those between the ends counted twice, are those of the signal.
+
+    Raises `InvalidArgument` if `length` is not an even number of samples from 4 on.
+    """
+
+    length: int = 128
+
+    def __post_init__(self) -> None:
+        if self.length < 4 or self.length % 2:
+            raise InvalidArgument("length", repr(self.length), "an even number of samples, 4 or more")
+
+    @cached_property
+    def window(self) -> Float64s:
+        """float64 [length]."""
+        return np.asarray(np.sin(np.pi * (np.arange(self.length) + 0.5) / self.length))
+
+    def spectra(self, signal: ArrayLike) -> NDArray[np.complex128]:
+        """Coefficients, complex128 [frames, length / 2 + 1], of float [n]; `InvalidArgument` as of `dft321`."""
+        x = _signal("signal", signal, ("[n]",))
+        hop = self.length // 2
+        wide = np.pad(x, (hop, hop + -len(x) % hop))
+        frames = np.lib.stride_tricks.sliding_window_view(wide, self.length)[::hop]
+        return np.asarray(np.fft.rfft(frames * self.window, axis=1, norm="ortho"))
+
+    def signal(self, spectra: NDArray[np.complex128], count: int) -> Float64s:
+        """The first `count` samples of the signal of these coefficients, float64 [count].
+
+        Raises `InvalidArgument` if the coefficients are not [frames, length / 2 + 1], or tell fewer samples.
+        """
+        hop = self.length // 2
+        if spectra.ndim != 2 or spectra.shape[1] != hop + 1 or not 0 < count <= (len(spectra) - 1) * hop:
+            found = f"shape {spectra.shape} for {count} samples"
+            raise InvalidArgument("spectra", found, f"[frames, {hop + 1}] that tell as many")
+        frames = np.fft.irfft(spectra, self.length, axis=1, norm="ortho") * self.window
+        whole = np.zeros((len(frames) + 1) * hop)
+        whole[:-hop] += frames[:, :hop].ravel()
+        whole[hop:] += frames[:, hop:].ravel()
+        return whole[hop : hop + count]
+
+
+# -- what must be sent --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """What is left of a vibration to be sent: whole numbers, and a step for each third of an octave.
+
+    symbols : int32 [frames, length / 2 + 1, 2]; real and imaginary parts of the coefficients of a `Stft`, in steps.
+    exponents : int16 [bands]; steps are 2 ** (exponent / 4) newtons; -32768: nothing of the band is sent.
+    Bands are what lies below the lowest third of `BANDS_HZ`, and the thirds from there to half the rate.
+    """
+
+    symbols: NDArray[np.int32]
+    exponents: NDArray[np.int16]
+    rate_hz: float
+    count: int  # samples of the signal
+
+    @property
+    def length(self) -> int:
+        """Samples of a frame."""
+        return 2 * int(self.symbols.shape[1] - 1)
+
+    @cached_property
+    def bits(self) -> float:
+        """What the symbols take by an arithmetic coder that learns each band as it goes, and 16 for each step.
+
+        The length of the code of Krichevsky and Trofimov, over the values from the least to the greatest of a band;
+        these two take 32 bits.
+        """
+        from scipy.special import gammaln
+
+        band, total = _bands_of_bins(self.length, self.rate_hz), 16.0 * len(self.exponents)
+        for b in np.flatnonzero(self.exponents > _NOTHING):
+            values, counts = np.unique(self.symbols[:, band == b], return_counts=True)
+            if len(values):
+                n, wide = counts.sum(), int(values[-1]) - int(values[0]) + 1
+                nats = gammaln(n + wide / 2) - gammaln(wide / 2) - (gammaln(counts + 0.5) - gammaln(0.5)).sum()
+                total += 32 + nats / math.log(2)
+        return float(total)
+
+    @property
+    def bits_per_s(self) -> float:
+        """Bits for each second of the signal."""
+        return self.bits * self.rate_hz / self.count
+
+    @property
+    def sent_share(self) -> float:
+        """Share of the coefficients that are not zero."""
+        return float((self.symbols != 0).any(axis=2).mean())
+
+    def decoded(self) -> Float64s:
+        """The vibration, newtons, float64 [count]."""
+        step = _steps(self.exponents)[_bands_of_bins(self.length, self.rate_hz)][:, None]
+        both = self.symbols * step
+        return Stft(self.length).signal(both[..., 0] + 1j * both[..., 1], self.count)
+
+
+_NOTHING: Final = np.int16(-32768)
+
+
+def _steps(exponents: NDArray[np.int16]) -> Float64s:
+    """Newtons; 1 where nothing is sent."""
+    return np.asarray(2.0 ** (np.where(exponents == _NOTHING, 0, exponents) / _PER_OCTAVE))
+
+
+def _bands_of_bins(length: int, rate_hz: float) -> NDArray[np.int64]:
+    """The band of each bin; the same for a receiver."""
+    return np.searchsorted(_edges(rate_hz), np.fft.rfftfreq(length, 1 / rate_hz), side="right")
+
+
+def _limits_n(threshold: VibrationThreshold, rate_hz: float, margin_db: float) -> Float64s:
+    """What the error may be in each band, newtons rms: the least of the threshold within it, less the margin."""
+    edges = _edges(rate_hz)
+    inside = edges[:, None] * 10 ** np.linspace(0, 0.1, 9)
+    thirds = threshold.force_rms_mn(inside).min(axis=1)
+    return np.asarray(1e-3 * 10 ** (-margin_db / 20) * np.append(thirds[:1], thirds))
+
+
+def reduced(
+    vibration_n: ArrayLike, rate_hz: float, threshold: VibrationThreshold | None = None, margin_db: float = 3.0
+) -> Reduced:
+    """What must be sent of a vibration, so that a hand does not feel that the rest is missing.
+
+    vibration_n : float [n]; newtons at `rate_hz`, such as the high part of a `Crossover` after `dft321`.
+    threshold : VibrationThreshold, optional; of the hand, by default the stylus.
+    margin_db : float; how far what is lost stays below the threshold in each third of an octave, 0 or more.
+
+    Bands whose level is below that are not sent. In the others a coefficient below a step is left out and the rest
+    is rounded to steps, which shrink until the error that is there keeps below the threshold in every band and every
+    window of half a second. Raises `InvalidArgument` if the shape is another, a number is not finite or out of range,
+    or the rate is below 100 Hz.
+    """
+    x = _signal("vibration_n", vibration_n, ("[n]",), rate_hz)
+    if rate_hz < 100:
+        raise InvalidArgument("rate_hz", repr(rate_hz), "100 Hz or more")
+    if not 0 <= margin_db < 200:
+        raise InvalidArgument("margin_db", repr(margin_db), "0 dB or more")
+    edges, limits = _edges(rate_hz), _limits_n(threshold or vibration_threshold(), rate_hz, margin_db)
+    stft = Stft(1 << max(4, round(math.log2(0.064 * rate_hz))))
+    spectra, band = stft.spectra(x), _bands_of_bins(stft.length, rate_hz)
+    bins = np.maximum(np.bincount(band, minlength=len(limits)), 1)
+    begin = np.ceil(_PER_OCTAVE * np.log2(limits * np.sqrt(12 * stft.length / bins))).astype(np.int16)
+    is_felt = np.sqrt(_window_power(x, rate_hz, edges).max(axis=0)) > 0.9 * limits
+    exponents, failed = np.where(is_felt, begin, _NOTHING), np.zeros(len(limits), np.int64)
+    for _ in range(_ROUNDS):
+        symbols = _symbols(spectra, band, exponents)
+        found = Reduced(symbols, exponents, rate_hz, len(x))
+        beyond = np.sqrt(_window_power(x - found.decoded(), rate_hz, edges).max(axis=0)) > limits
+        if not beyond.any():
+            return found
+        failed += beyond
+        near = np.convolve(beyond, np.ones(3), "same") > 0  # a frame's window lets a band speak in the next
+        stuck = np.convolve(beyond & (failed > _PATIENCE), np.ones(3), "same") > 0
+        was_sent = exponents > _NOTHING
+        woken = ~was_sent & (beyond | stuck)
+        exponents = np.where(was_sent & near, exponents - 1, np.where(woken, begin, exponents)).astype(np.int16)
+    raise InvalidArgument("vibration_n", f"{np.abs(x).max():g} N beside a threshold of {limits.min():g} N", "less")
+
+
+def _symbols(
+    spectra: NDArray[np.complex128], band: NDArray[np.int64], exponents: NDArray[np.int16]
+) -> NDArray[np.int32]:
+    """Coefficients in steps; nothing below a step, or in a band of which nothing is sent."""
+    step = _steps(exponents)[band]
+    is_sent = (np.abs(spectra) >= step) & (exponents > _NOTHING)[band]
+    parts = np.stack([spectra.real, spectra.imag], axis=-1) / step[:, None]
+    if np.abs(parts).max(initial=0.0) >= 2**31:
+        raise InvalidArgument("vibration_n", f"{np.abs(parts).max():g} steps", "fewer than 2^31", "Check its unit.")
+    return np.where(is_sent[..., None], np.rint(parts), 0).astype(np.int32)
