@@ -13,6 +13,7 @@ from touchfield.render.block import words as W
 from touchfield.render.block.memory import DEFAULT_BYTES, SLOTS, Layout, Memory
 from touchfield.render.feeder import FIRST_GENERATION, Feeder, arena_words
 from touchfield.render.frame_source import FrameSource
+from touchfield.render.material import material_words, stored_materials, write_materials
 from touchfield.render.spec import RenderSpec, write_parameters
 from touchfield.render.tool import tool_words, write_tool
 from touchfield.render.walls import Stability, Wall, stability_of
@@ -74,7 +75,10 @@ class Session:
         self.orders = Orders(FIRST_GENERATION, self.checked_s(start_s), speed)
         ahead = min(_AHEAD_S * self.source.rate_hz * max(speed, 1.0), float(_MOST_SLOTS))
         slots = max(1 << math.ceil(ahead - 1).bit_length(), SLOTS)
-        self.layout = Layout(arena_words(self.source, memory_bytes), slots, tool_words=tool_words(spec.tool))
+        self._materials = stored_materials(medium.provenance) if spec.materials is None else spec.materials
+        self._objects = tuple(one.name for one in getattr(medium, "objects", ()))
+        arena, tool, material = arena_words(self.source, memory_bytes), tool_words(spec.tool), self._materials
+        self.layout = Layout(arena, slots, tool_words=tool, material_words=material_words(material))
         self._notes: tuple[str, ...] = ()
         self._wall = self._wall_of_spec()
         self._stability: Stability | None = None
@@ -124,6 +128,8 @@ class Session:
             memory, spec, self._device, source.friction, source.damping_n_s_per_m, source.axes
         )
         write_tool(memory, self.layout.tool, spec.tool)
+        own_friction = spec.friction is None
+        self._notes += write_materials(memory, self.layout.material, self._materials, self._objects, own_friction)
         f8 = memory.f8
         if self._wall is not None:
             f8[W.WALL], f8[W.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n

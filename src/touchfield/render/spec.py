@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from touchfield.devices import Device
     from touchfield.render.block.memory import Memory
+    from touchfield.render.material import Material
 
 Triple = tuple[float, float, float]
 
@@ -88,6 +89,8 @@ class RenderSpec:
         Limits of the torque, as those of the force; a device that states none gets none.
     up : str
         Axis of the field that is up for the hand, one of `axes.UPS`.
+    materials : tuple of Material or None
+        What surfaces are made of (`render.material`); None takes those that travel with the medium.
 
     Raises
     ------
@@ -119,6 +122,7 @@ class RenderSpec:
     continuous_nm: float | None = None
     slew_nm_per_s: float | None = None
     up: str = "auto"
+    materials: tuple[Material, ...] | None = None
 
     def __post_init__(self) -> None:
         for name in _NUMBERS:
@@ -157,6 +161,7 @@ def write_parameters(
     if memory.words < W.FREE:
         raise InvalidArgument("memory", f"{memory.words} words", f"at least {W.FREE}")
     words = memory.f8
+    memory.i8[[W.MATERIAL, W.MATERIAL_COUNT]] = 0
     words[W.STATE : W.STATE + W.STATE_WORDS] = 0.0
     words[W.WRENCH : W.WRENCH + W.WRENCH_WORDS] = 0.0
     _write_limits(words, spec, device)
@@ -177,6 +182,7 @@ def write_parameters(
         (W.ORIENTATION, 1.0),
     ):
         words[place] = value
+    words[W.FRICTION_NOW] = words[W.FRICTION]
     axes = axes_matrix(device.axes, field_axes, spec.up)
     words[W.WALL : W.WALL_SPACING + 3] = 0.0
     words[W.CLUTCH : W.CLUTCH + 3] = spec.clutch_m

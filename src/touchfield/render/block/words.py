@@ -8,9 +8,9 @@ WRENCH      f8     of a tool and a hand that turns: how it is turned, torque and
 COUNTS      i8     ticks, late ticks, underruns, and the histograms
 ==========  =====  =======================================================================================
 
-Behind `FREE` lie the directory of frames, the log, the tool, and the arena in which frames are written. Triples take
-three words each, x first. Every word has one writer. Plain numbers without compiled code, so that who writes or reads
-them needs no compiler; the kernels take them as constants.
+Behind `FREE` lie the directory of frames, the log, the tool, the materials, and the arena in which frames are
+written. Triples take three words each, x first. Every word has one writer. Plain numbers without compiled code, so
+that who writes or reads them needs no compiler; the kernels take them as constants.
 """
 
 from __future__ import annotations
@@ -120,7 +120,9 @@ DELAY: Final = PARAMETERS + 30  # ticks from putting out to acting on the hand; 
 WALL: Final = PARAMETERS + 31  # stiffness of the walls that the proxy meets, N/m; 0: the field as it is
 WALL_LEVEL: Final = PARAMETERS + 32  # force at which a surface lies, newtons
 WALL_SPACING: Final = PARAMETERS + 33  # of the field's samples along x, y, z, metres
-PARAMETER_WORDS: Final = 36
+MATERIAL: Final = PARAMETERS + 36  # i8: the first word of the materials (`render.material`)
+MATERIAL_COUNT: Final = PARAMETERS + 37  # i8: how many; 0: the field has none
+PARAMETER_WORDS: Final = 38
 
 MOST_DELAY: Final = 4.0
 
@@ -152,7 +154,9 @@ PAST_FORCES: Final = STATE + 44  # the force and the five before it, the latest 
 IS_HELD: Final = STATE + 62  # 1 while the proxy is at a surface and not at the hand
 PROXY_PART: Final = STATE + 63  # the part of the frame that carries it; -1: none
 PROXY_LOCAL: Final = STATE + 64  # its place in the axes of that part, metres
-STATE_WORDS: Final = 67
+FRICTION_NOW: Final = STATE + 67  # mu where the hand is; `FRICTION` but for materials
+SLID: Final = STATE + 68  # metres that the hand slid since friction last gave way
+STATE_WORDS: Final = 69
 
 # -- WRENCH -----------------------------------------------------------------------------------------------------
 # set once
@@ -218,6 +222,21 @@ FIELD_INVERSE: Final = 8  # 3 f8: one by the spacing, 1/m
 FIELD_CORNER: Final = 11  # 3 f8: corner of the box in the field's own frame, metres
 FIELD_REACH: Final = 14  # f8: square of the distance from the origin within which all forces lie, m^2; -1: no force
 FIELD_WORDS: Final = 16
+
+# -- a material: one row of the table; frequencies and phases of the sines stand before the rows -----------------
+
+MATERIAL_SINES: Final = 64  # first so many frequencies, rad/s, then as many phases, radians
+MATERIAL_ROWS: Final = 2 * MATERIAL_SINES
+
+MATERIAL_FRICTION: Final = 0  # mu; not a number: that of the field
+MATERIAL_STATIC: Final = 1  # mu just before it gives way
+MATERIAL_SLIP: Final = 2  # metres that the hand slides until it does
+MATERIAL_OBJECT: Final = 3  # i8: part of the frame; -1: any
+MATERIAL_BOX: Final = 4  # six f8: least x, y, z and greatest, metres
+MATERIAL_SPEEDS: Final = 10  # i8: how many, and behind it the word of the first
+MATERIAL_FORCES: Final = 12  # i8: likewise
+MATERIAL_LEVELS: Final = 14  # i8: word of the first level, newtons rms [speeds, forces, bands]
+MATERIAL_WORDS: Final = 16
 
 # -- a frame: a header and a row for each part; its places are words of the block --------------------------------
 

@@ -1,8 +1,8 @@
 """One turn of the servo: time, orders and frames -> `tick` -> a force for the device, a row of the log, the counts.
 
 Called by the Python loop of the servo's process and by the compiled callback that a vendor's driver takes; it
-allocates nothing, waits for nothing, and takes nothing but views of the shared block. No force comes out but through
-the limits at the end of `tick` or through `release`.
+allocates nothing, waits for nothing, and takes nothing but views of the shared block. No force, and no vibration of
+a material, comes out but through the limits at the end of `tick` or through `release`.
 
 **The media clock** turns orders of the player into media time, and tells which two frames are meant. At the beginning
 and after a seek the clock stands until the first frames are there. Where a later one does not come in time there is

@@ -314,9 +314,9 @@ def held(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     depth = _size(pull)
     outwards = times(1.0 / depth, pull)
     force = max(0.0, k * (depth + _below(at, goal, times(-1.0, outwards), depth)))
-    q = _dragged(at, before, goal, f8[W.FRICTION] * force / k) if was_held else goal
+    q = _dragged(at, before, goal, f8[W.FRICTION_NOW] * force / k) if was_held else goal
     _keep(at, q, True)
     drag = less(q, goal)
-    most = f8[W.FRICTION] * force / max(k * _size(drag), 1e-12)
+    most = f8[W.FRICTION_NOW] * force / max(k * _size(drag), 1e-12)
     share = k * min(1.0, most)  # moved onto the surface it may be a little farther off
     return times(force, outwards), times(share, drag)

@@ -23,6 +23,7 @@ from touchfield.filters.kernels.forces import friction
 from touchfield.render.block import words as W
 from touchfield.render.kernels import effects
 from touchfield.render.kernels.frames import force_at
+from touchfield.render.kernels.material import material_at, texture
 from touchfield.render.kernels.points import tool_force
 from touchfield.render.kernels.proxy import held
 from touchfield.render.kernels.vectors import (
@@ -127,6 +128,7 @@ def _arrive(f8, device):
 def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
     """The force before gain and limits, newtons, the device's axes."""
     p, v = three(f8, W.POSITION), three(f8, W.VELOCITY)
+    row = material_at(i8, u8, f8, f4, frame_a, frame_b, blend, p) if i8[W.MATERIAL_COUNT] > 0 else 0
     if f8[W.WALL] > 0.0:
         force, drag = held(i8, u8, f8, f4, frame_a, frame_b, blend, *p)
     else:
@@ -139,10 +141,12 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
             force = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, *p)
         if not is_finite(force):
             force = _NOTHING
-        drag = friction(force[0], force[1], force[2], v[0], v[1], v[2], f8[W.FRICTION], f8[W.SLIP_SPEED])
+        drag = friction(force[0], force[1], force[2], v[0], v[1], v[2], f8[W.FRICTION_NOW], f8[W.SLIP_SPEED])
     put(f8, W.FIELD_FORCE, force)
     put(f8, W.FRICTION_FORCE, drag)
     size, sine = length(force), effects.vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt)
+    if row > 0:
+        sine += texture(i8, f8, row, force, v, dt)
     drag = along(drag, -f8[W.DAMPING], v)
     if size > 0.0:
         drag = plus(drag, (force[0] / size * sine, force[1] / size * sine, force[2] / size * sine))

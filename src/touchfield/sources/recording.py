@@ -1,0 +1,135 @@
+"""A recorded acceleration of a tool that slides: ``.wav``, or comma-separated text.
+
+Text names its columns in its first line: ``t_s`` (or ``t_ms``), evenly spaced, and one axis, ``a_m_s2``, or three,
+``ax_m_s2,ay_m_s2,az_m_s2``; ``_g`` in place of ``_m_s2`` is in units of 9.80665 m/s2. Other columns are ignored.
+Sound has no unit: one to three channels, whose full scale the caller tells.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, SourceError, require_positive
+from touchfield.files import plain_size, readable
+from touchfield.medium.field import frozen
+from touchfield.sources.poses import read_text
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["STANDARD_GRAVITY_M_S2", "Recording", "read_recording"]
+
+STANDARD_GRAVITY_M_S2: Final = 9.80665
+_UNITS: Final = {"m_s2": 1.0, "g": STANDARD_GRAVITY_M_S2}
+_TIMES: Final = {"t_s": 1.0, "t_ms": 1e-3}
+_AXES: Final = (("a",), ("ax", "ay", "az"))
+_EXAMPLE: Final = "a first line such as t_s,ax_m_s2,ay_m_s2,az_m_s2 or t_s,a_g"
+_UNEVEN: Final = 0.05
+_MOST_BYTES: Final = 1 << 28
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Accelerations over time.
+
+    rate_hz : float; samples a second, positive.
+    acceleration_m_s2 : float64 [n, 3]; of one axis the other two are zero.
+    Raises `InvalidArgument` if the shape is another, there is no sample, or a number is not finite.
+    """
+
+    rate_hz: float
+    acceleration_m_s2: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        require_positive(rate_hz=self.rate_hz)
+        a = np.array(self.acceleration_m_s2, np.float64)
+        if a.ndim != 2 or a.shape[1] != 3 or not len(a):
+            raise InvalidArgument("acceleration_m_s2", f"shape {a.shape}", "[n, 3], n at least 1")
+        wrong = np.argwhere(~np.isfinite(a))
+        if len(wrong):
+            found = f"{a[tuple(wrong[0])]} at sample {wrong[0][0]}"
+            raise InvalidArgument("acceleration_m_s2", found, "finite numbers")
+        object.__setattr__(self, "acceleration_m_s2", frozen(a))
+
+
+def read_recording(path: str | Path, full_scale_m_s2: float = STANDARD_GRAVITY_M_S2) -> Recording:
+    """Read a recording of the form above, told by its name.
+
+    full_scale_m_s2 : float; acceleration of a sample of 1.0, or of the greatest whole number, of a ``.wav``.
+    Raises `SourceError` if the file cannot be read or holds something else, a number is not finite, or its times are
+    not evenly spaced. It names the line.
+    """
+    where = Path(path)
+    require_positive(full_scale_m_s2=full_scale_m_s2)
+    kind = where.suffix.lower()
+    if kind not in (".wav", ".csv", ".txt"):
+        raise SourceError(str(where), f"a name that ends in {kind!r}", ".wav or .csv", "Export it as one of these.")
+    rate_hz, samples = _read_wav(where) if kind == ".wav" else _read_csv(where)
+    own = np.zeros((len(samples), 3))
+    own[:, : samples.shape[1]] = samples * (full_scale_m_s2 if kind == ".wav" else 1.0)
+    return Recording(rate_hz, own)
+
+
+def _read_wav(where: Path) -> tuple[float, NDArray[np.float64]]:
+    from scipy.io import wavfile
+
+    with readable(where, "a .wav file", "Check path and rights."):
+        if plain_size(where, "a .wav file") > _MOST_BYTES:
+            raise SourceError(str(where), "more than 256 MiB", "a recording of some seconds", "Cut it.")
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", wavfile.WavFileWarning)
+                rate_hz, read = wavfile.read(where)
+        except (ValueError, EOFError, struct.error, TypeError, ZeroDivisionError) as error:
+            raise SourceError(str(where), f"what is no sound ({error})", "a .wav file of PCM or float") from error
+    samples = read.reshape(len(read), -1).astype(np.float64)
+    if not (samples.size and 1 <= samples.shape[1] <= 3 and rate_hz > 0):
+        found = f"{samples.shape[1]} channels of {len(samples)} samples at {rate_hz} Hz"
+        raise SourceError(str(where), found, "1 to 3 channels of samples, the axes")
+    if read.dtype == np.uint8:
+        samples = (samples - 128) / 128
+    elif read.dtype.kind == "i":
+        samples = samples / -float(np.iinfo(read.dtype).min)
+    if not np.isfinite(samples).all():
+        sample = np.flatnonzero(~np.isfinite(samples).all(axis=1))[0]
+        raise SourceError(f"{where} sample {sample}", "a number that is not finite", "finite numbers")
+    return float(rate_hz), samples
+
+
+def _read_csv(where: Path) -> tuple[float, NDArray[np.float64]]:
+    lines = [(n, line) for n, line in enumerate(read_text(where).splitlines(), 1) if line.strip()]
+    if len(lines) < 3:
+        raise SourceError(str(where), f"{len(lines)} lines", f"{_EXAMPLE}, and two samples or more")
+    names = [name.strip().lower() for name in lines[0][1].split(",")]
+    times = [name for name in _TIMES if name in names]
+    axes = [[f"{axis}_{unit}" for axis in group] for group in _AXES for unit in _UNITS]
+    found = [columns for columns in axes if set(columns) <= set(names)]
+    if len(times) != 1 or len(found) != 1:
+        raise SourceError(f"{where} line {lines[0][0]}", repr(lines[0][1][:80]), _EXAMPLE, "Name the columns so.")
+    places = [names.index(name) for name in (*times, *found[0])]
+    rows = np.array([_numbers(f"{where} line {n}", line.split(","), places) for n, line in lines[1:]])
+    steps = np.diff(rows[:, 0]) * _TIMES[times[0]]
+    step_s = float(np.median(steps))
+    uneven = np.flatnonzero(~(np.abs(steps - step_s) <= _UNEVEN * abs(step_s))) if step_s > 0 else np.array([0])
+    if len(uneven):
+        n, told = lines[uneven[0] + 2][0], f"a step of {steps[uneven[0]]:g} s"
+        mend = "Resample it to a steady rate first."
+        raise SourceError(f"{where} line {n}", told, f"steps of about {step_s:g} s, as most are", mend)
+    return 1 / float(steps.mean()), rows[:, 1:] * _UNITS[found[0][0].partition("_")[2]]
+
+
+def _numbers(where: str, words: list[str], places: list[int]) -> list[float]:
+    try:
+        values = [float(words[place]) for place in places]
+    except (ValueError, IndexError):
+        raise SourceError(where, repr(",".join(words)[:60]), "a number in each column") from None
+    if not all(map(math.isfinite, values)):
+        raise SourceError(where, repr(",".join(words)[:60]), "finite numbers")
+    return values
