@@ -34,6 +34,7 @@ COMMANDS: Final = {
     "decode": "reading",
     **dict.fromkeys(("export", "import"), "make"),
     **dict.fromkeys(("edit", "splice", "resample", "lod", "partition"), "editing"),
+    "texture": "texture",
     "info": "reading",
     **dict.fromkeys(("view", "compare"), "look"),
     "play": "feel",
