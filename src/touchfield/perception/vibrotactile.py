@@ -26,6 +26,8 @@ from touchfield.errors import InvalidArgument, require_positive
 from touchfield.perception.human import VibrationThreshold, figure, vibration_threshold
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike, NDArray
 
     Float64s = NDArray[np.float64]
@@ -43,6 +45,7 @@ _HALF: Final = 10**0.05
 _TAPS: Final = 3.3  # of a Hamming window: its transition is as wide as the crossover is high
 _MOST_TAPS: Final = (1 << 20) - 1
 _PER_OCTAVE: Final = 4  # of steps
+_DEAD: Final = 0.6  # of a step; what is smaller is left out
 _ROUNDS: Final = 400
 _PATIENCE: Final = 8
 
@@ -172,12 +175,8 @@ def _edges(rate_hz: float) -> Float64s:
 
 def _window_power(x: Float64s, rate_hz: float, edges: Float64s, window_s: float = WINDOW_S) -> Float64s:
     """Mean squares by windows, half of each shared with the next, float64 [windows, edges + 1]."""
-    length = max(2 * int(window_s * rate_hz / 2), 2)
-    hop = length // 2
-    wide = np.pad(x, (hop, hop + -len(x) % hop))
-    frames = np.lib.stride_tricks.sliding_window_view(wide, length)[::hop]
-    window = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
-    power = np.abs(np.fft.rfft(frames * window, axis=1)) ** 2 * 2 / (length * (window**2).sum())
+    length = 4 * max(int(window_s * rate_hz / 4), 1)
+    power = 4 / length * np.abs(Stft(length).spectra(x)) ** 2
     power[:, [0, -1]] /= 2
     band = np.searchsorted(edges, np.fft.rfftfreq(length, 1 / rate_hz), side="right")
     return np.stack([power[:, band == b].sum(axis=1) for b in range(len(edges) + 1)], axis=1)
@@ -194,7 +193,7 @@ def band_rms(signal: ArrayLike, rate_hz: float) -> Float64s:
         raise InvalidArgument("signal", f"{len(x) / rate_hz:.3g} s", f"{WINDOW_S:g} s or more", "Record longer.")
     edges = _edges(rate_hz)
     longest_s = min(_LONG_S, len(x) / rate_hz)
-    length = 2 * int(longest_s * rate_hz / 2)
+    length = 4 * max(int(longest_s * rate_hz / 4), 1)
     inner = _window_power(x, rate_hz, edges, longest_s)[1 : 2 * len(x) // length]  # the others are not full
     whole = np.zeros(len(BANDS_HZ))
     count = min(len(edges) - int(not math.isclose(edges[-1] * 10**0.1, rate_hz / 2)), len(BANDS_HZ))
@@ -212,14 +211,14 @@ class Stft:
     A sine is the window before and after, whose squares add up to 1 (constant overlap-add); transforms keep energy,
     so that the squares of all coefficients, those between the ends counted twice, are those of the signal.
 
-    Raises `InvalidArgument` if `length` is not an even number of samples from 4 on.
+    Raises `InvalidArgument` if `length` is not a multiple of 4.
     """
 
     length: int = 128
 
     def __post_init__(self) -> None:
-        if self.length < 4 or self.length % 2:
-            raise InvalidArgument("length", repr(self.length), "an even number of samples, 4 or more")
+        if self.length < 4 or self.length % 4:
+            raise InvalidArgument("length", repr(self.length), "samples, a multiple of 4")
 
     @cached_property
     def window(self) -> Float64s:
@@ -228,11 +227,7 @@ class Stft:
 
     def spectra(self, signal: ArrayLike) -> NDArray[np.complex128]:
         """Coefficients, complex128 [frames, length / 2 + 1], of float [n]; `InvalidArgument` as of `dft321`."""
-        x = _signal("signal", signal, ("[n]",))
-        hop = self.length // 2
-        wide = np.pad(x, (hop, hop + -len(x) % hop))
-        frames = np.lib.stride_tricks.sliding_window_view(wide, self.length)[::hop]
-        return np.asarray(np.fft.rfft(frames * self.window, axis=1, norm="ortho"))
+        return np.asarray(np.fft.rfft(self._frames(signal), axis=1, norm="ortho"))
 
     def signal(self, spectra: NDArray[np.complex128], count: int) -> Float64s:
         """The first `count` samples of the signal of these coefficients, float64 [count].
@@ -243,10 +238,36 @@ class Stft:
         if spectra.ndim != 2 or spectra.shape[1] != hop + 1 or not 0 < count <= (len(spectra) - 1) * hop:
             found = f"shape {spectra.shape} for {count} samples"
             raise InvalidArgument("spectra", found, f"[frames, {hop + 1}] that tell as many")
-        frames = np.fft.irfft(spectra, self.length, axis=1, norm="ortho") * self.window
-        whole = np.zeros((len(frames) + 1) * hop)
-        whole[:-hop] += frames[:, :hop].ravel()
-        whole[hop:] += frames[:, hop:].ravel()
+        return self._joined(np.fft.irfft(spectra, self.length, axis=1, norm="ortho"), count)
+
+    def real_spectra(self, signal: ArrayLike) -> Float64s:
+        """As many coefficients as samples, float64 [frames, length / 2]: the modified discrete cosine transform.
+
+        Bin k is at (k + 1/2) / length of the rate. What each frame folds over is undone where frames add up.
+        """
+        from scipy.fft import dct
+
+        a, b, c, d = np.split(self._frames(signal), np.arange(1, 4) * (self.length // 4), axis=1)
+        folded = np.concatenate([-c[:, ::-1] - d, a - b[:, ::-1]], axis=1)
+        return np.asarray(dct(folded, type=4, norm="ortho", axis=1))
+
+    def of_real(self, coefficients: Float64s, count: int) -> Float64s:
+        """The first `count` samples of the signal of `real_spectra`, float64 [count]."""
+        from scipy.fft import dct
+
+        low, high = np.split(dct(coefficients, type=4, norm="ortho", axis=1), 2, axis=1)
+        return self._joined(np.concatenate([high, -high[:, ::-1], -low[:, ::-1], -low], axis=1), count)
+
+    def _frames(self, signal: ArrayLike) -> Float64s:
+        x, hop = _signal("signal", signal, ("[n]",)), self.length // 2
+        wide = np.pad(x, (hop, hop + -len(x) % hop))
+        return np.asarray(np.lib.stride_tricks.sliding_window_view(wide, self.length)[::hop] * self.window)
+
+    def _joined(self, frames: Float64s, count: int) -> Float64s:
+        hop, whole = self.length // 2, np.zeros((len(frames) + 1) * self.length // 2)
+        own = frames * self.window
+        whole[:-hop] += own[:, :hop].ravel()
+        whole[hop:] += own[:, hop:].ravel()
         return whole[hop : hop + count]
 
 
@@ -257,7 +278,7 @@ class Stft:
 class Reduced:
     """What is left of a vibration to be sent: whole numbers, and a step for each third of an octave.
 
-    symbols : int32 [frames, length / 2 + 1, 2]; real and imaginary parts of the coefficients of a `Stft`, in steps.
+    symbols : int32 [frames, length / 2]; coefficients of `Stft.real_spectra`, in steps.
     exponents : int16 [bands]; steps are 2 ** (exponent / 4) newtons; -32768: nothing of the band is sent.
     Bands are what lies below the lowest third of `BANDS_HZ`, and the thirds from there to half the rate.
     """
@@ -270,7 +291,7 @@ class Reduced:
     @property
     def length(self) -> int:
         """Samples of a frame."""
-        return 2 * int(self.symbols.shape[1] - 1)
+        return 2 * int(self.symbols.shape[1])
 
     @cached_property
     def bits(self) -> float:
@@ -298,13 +319,12 @@ class Reduced:
     @property
     def sent_share(self) -> float:
         """Share of the coefficients that are not zero."""
-        return float((self.symbols != 0).any(axis=2).mean())
+        return float((self.symbols != 0).mean())
 
     def decoded(self) -> Float64s:
         """The vibration, newtons, float64 [count]."""
-        step = _steps(self.exponents)[_bands_of_bins(self.length, self.rate_hz)][:, None]
-        both = self.symbols * step
-        return Stft(self.length).signal(both[..., 0] + 1j * both[..., 1], self.count)
+        step = _steps(self.exponents)[_bands_of_bins(self.length, self.rate_hz)]
+        return Stft(self.length).of_real(self.symbols * step, self.count)
 
 
 _NOTHING: Final = np.int16(-32768)
@@ -317,7 +337,7 @@ def _steps(exponents: NDArray[np.int16]) -> Float64s:
 
 def _bands_of_bins(length: int, rate_hz: float) -> NDArray[np.int64]:
     """The band of each bin; the same for a receiver."""
-    return np.searchsorted(_edges(rate_hz), np.fft.rfftfreq(length, 1 / rate_hz), side="right")
+    return np.searchsorted(_edges(rate_hz), (np.arange(length // 2) + 0.5) * rate_hz / length, side="right")
 
 
 def _limits_n(threshold: VibrationThreshold, rate_hz: float, margin_db: float) -> Float64s:
@@ -337,7 +357,7 @@ def reduced(
     threshold : VibrationThreshold, optional; of the hand, by default the stylus.
     margin_db : float; how far what is lost stays below the threshold in each third of an octave, 0 or more.
 
-    Bands whose level is below that are not sent. In the others a coefficient below a step is left out and the rest
+    Bands whose level is below that are not sent. In the others a coefficient below 0.6 steps is left out and the rest
     is rounded to steps, which shrink until the error that is there keeps below the threshold in every band and every
     window of half a second. Raises `InvalidArgument` if the shape is another, a number is not finite or out of range,
     or the rate is below 100 Hz.
@@ -349,33 +369,51 @@ def reduced(
         raise InvalidArgument("margin_db", repr(margin_db), "0 dB or more")
     edges, limits = _edges(rate_hz), _limits_n(threshold or vibration_threshold(), rate_hz, margin_db)
     stft = Stft(1 << max(4, round(math.log2(0.064 * rate_hz))))
-    spectra, band = stft.spectra(x), _bands_of_bins(stft.length, rate_hz)
+    spectra, band = stft.real_spectra(x), _bands_of_bins(stft.length, rate_hz)
+
+    def made(exponents: NDArray[np.int16]) -> Reduced:
+        return Reduced(_symbols(spectra, band, exponents), exponents, rate_hz, len(x))
+
+    def beyond(exponents: NDArray[np.int16]) -> NDArray[np.bool_]:
+        lost = _window_power(x - made(exponents).decoded(), rate_hz, edges)
+        return np.asarray(np.sqrt(lost.max(axis=0)) > limits)
+
     bins = np.maximum(np.bincount(band, minlength=len(limits)), 1)
-    begin = np.ceil(_PER_OCTAVE * np.log2(limits * np.sqrt(12 * stft.length / bins))).astype(np.int16)
+    begin = np.ceil(_PER_OCTAVE * np.log2(limits * np.sqrt(6 * stft.length / bins))).astype(np.int16)
     is_felt = np.sqrt(_window_power(x, rate_hz, edges).max(axis=0)) > 0.9 * limits
-    exponents, failed = np.where(is_felt, begin, _NOTHING), np.zeros(len(limits), np.int64)
+    exponents = _fine_enough(np.where(is_felt, begin, _NOTHING), begin, beyond)
+    for b in np.flatnonzero((exponents > _NOTHING) & np.isin(np.arange(len(limits)), band)):
+        for _ in range(_PATIENCE):  # coarser again, where the others shrank it
+            coarser = exponents.copy()
+            coarser[b] += 1
+            if beyond(coarser).any():
+                break
+            exponents = coarser
+    return made(exponents)
+
+
+def _fine_enough(
+    exponents: NDArray[np.int16], begin: NDArray[np.int16], beyond: Callable[[NDArray[np.int16]], NDArray[np.bool_]]
+) -> NDArray[np.int16]:
+    """Steps that shrink until no band is `beyond` its limit; a band that was not sent is, if nothing else helps."""
+    failed = np.zeros(len(begin), np.int64)
     for _ in range(_ROUNDS):
-        symbols = _symbols(spectra, band, exponents)
-        found = Reduced(symbols, exponents, rate_hz, len(x))
-        beyond = np.sqrt(_window_power(x - found.decoded(), rate_hz, edges).max(axis=0)) > limits
-        if not beyond.any():
-            return found
-        failed += beyond
-        near = np.convolve(beyond, np.ones(3), "same") > 0  # a frame's window lets a band speak in the next
-        stuck = np.convolve(beyond & (failed > _PATIENCE), np.ones(3), "same") > 0
-        was_sent = exponents > _NOTHING
-        woken = ~was_sent & (beyond | stuck)
-        exponents = np.where(was_sent & near, exponents - 1, np.where(woken, begin, exponents)).astype(np.int16)
-    raise InvalidArgument("vibration_n", f"{np.abs(x).max():g} N beside a threshold of {limits.min():g} N", "less")
+        wrong = beyond(exponents)
+        if not wrong.any():
+            return exponents
+        failed += wrong
+        near = np.convolve(wrong, np.ones(3), "same") > 0  # a window lets a band speak in the next
+        woken = wrong | (np.convolve(wrong & (failed > _PATIENCE), np.ones(3), "same") > 0)
+        silent = exponents == _NOTHING
+        finer = np.where(near, exponents - 1, exponents)
+        exponents = np.where(silent, np.where(woken, begin, _NOTHING), finer).astype(np.int16)
+    raise InvalidArgument("vibration_n", "what no step makes fine enough", "forces of a hand", "Check its unit.")
 
 
-def _symbols(
-    spectra: NDArray[np.complex128], band: NDArray[np.int64], exponents: NDArray[np.int16]
-) -> NDArray[np.int32]:
-    """Coefficients in steps; nothing below a step, or in a band of which nothing is sent."""
-    step = _steps(exponents)[band]
-    is_sent = (np.abs(spectra) >= step) & (exponents > _NOTHING)[band]
-    parts = np.stack([spectra.real, spectra.imag], axis=-1) / step[:, None]
+def _symbols(spectra: Float64s, band: NDArray[np.int64], exponents: NDArray[np.int16]) -> NDArray[np.int32]:
+    """Coefficients in steps; nothing of what is below a share of a step, or in a band of which nothing is sent."""
+    parts = spectra / _steps(exponents)[band]
     if np.abs(parts).max(initial=0.0) >= 2**31:
         raise InvalidArgument("vibration_n", f"{np.abs(parts).max():g} steps", "fewer than 2^31", "Check its unit.")
-    return np.where(is_sent[..., None], np.rint(parts), 0).astype(np.int32)
+    is_sent = (np.abs(parts) >= _DEAD) & (exponents > _NOTHING)[band]
+    return np.where(is_sent, np.rint(parts), 0).astype(np.int32)

@@ -1,0 +1,170 @@
+"""Vibration beside force (paper section 6.4): laws of the split, bits of what must be sent, a texture as it is felt.
+
+    python bench/bench_vibrotactile.py [--quick] [--seconds S]
+
+"recordings": the forces of a hand that guides a robot (`shared`, six, about 700 samples a second), split at 30 Hz,
+the high part made one axis and reduced; where that folder is not there they are left out. "made": noise as rough as a
+surface, ridges that are hit, and taps, at 2 kHz. Bits are those of an adaptive code, beside 16 a sample of one axis.
+The margin is how far what is lost stays below the threshold of a hand that holds a stylus, in the third of an octave
+and the half second where it is least, by a measure of thirds that the reduction does not use.
+
+"slide": a simulated hand slides over a wall that is made of a table of three speeds and two forces; how far thirds of
+an octave of the force of the device lie from the table, and what a tick takes with it and without.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.signal import resample_poly
+
+import touchfield as tf
+from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figure
+from touchfield.adapters.registry import point_device
+from touchfield.devices import device
+from touchfield.medium.trace import Trace
+from touchfield.perception.human import vibration_threshold
+from touchfield.perception.slides import third_octave_power
+from touchfield.perception.vibrotactile import BANDS_HZ, Crossover, Stft, band_rms, dft321, reduced
+from touchfield.render.material import Material
+from touchfield.render.offline import run_offline
+from touchfield.render.spec import RenderSpec
+
+RECORDED = SHARED / "force_panda_comanipulation" / "symbol_data.mat"
+RECORDED_HZ, MADE_HZ, LOOP_HZ = 700.0, 2000.0, 2500.0
+GRID = tf.Grid((65, 33, 33), (0.005,) * 3, (-0.16, -0.08, -0.08))
+
+
+def laws(seconds: float) -> Figures:
+    """The worst of ten signals."""
+    worst = {"crossover": 0.0, "dft321": 0.0, "stft_db": np.inf}
+    for seed in range(10):
+        signal = np.random.default_rng(seed).normal(size=(int(seconds * MADE_HZ) + seed, 3)).cumsum(axis=0)
+        low, high = Crossover(MADE_HZ).split(signal)
+        spectrum = (np.abs(np.fft.rfft(high, axis=0)) ** 2).sum(axis=1)
+        one = dft321(high)
+        energy = np.abs(np.abs(np.fft.rfft(one)) ** 2 - spectrum) / np.maximum(spectrum, 1e-9 * spectrum.max())
+        stft = Stft()
+        back = stft.signal(stft.spectra(one), len(one)), stft.of_real(stft.real_spectra(one), len(one))
+        lost = max(np.linalg.norm(own - one) for own in back)
+        worst["crossover"] = max(worst["crossover"], float(np.abs(low + high - signal).max() / np.abs(signal).max()))
+        worst["dft321"] = max(worst["dft321"], float(energy.max()))
+        worst["stft_db"] = min(worst["stft_db"], float(20 * np.log10(np.linalg.norm(one) / lost)))
+    return worst
+
+
+def recordings() -> dict[str, Any]:
+    """One axis of the high part of each recorded force; none without the folder."""
+    if not RECORDED.exists():
+        return {}
+    from scipy.io import loadmat
+
+    rows = loadmat(RECORDED, squeeze_me=True, struct_as_record=False)["symbol_data"]
+    return {f"recording {n}": dft321(Crossover(RECORDED_HZ).split(row.F.T)[1]) for n, row in enumerate(rows)}
+
+
+def made(seconds: float) -> dict[str, Any]:
+    """Vibrations of one axis, newtons, at `MADE_HZ`."""
+    rng, t = np.random.default_rng(6), np.arange(int(seconds * MADE_HZ)) / MADE_HZ
+    rough = np.convolve(rng.normal(size=len(t) + 31), np.hanning(32) * np.cos(0.6 * np.arange(32)), "valid")
+    hits = np.exp(-((t * 40) % 1) * 8) * np.sin(2 * np.pi * 180 * t) * (1 + 0.2 * rng.normal(size=len(t)))
+    tap = np.exp(-(t % 1) * 60) * np.sin(2 * np.pi * 220 * t)
+    return {"rough": 0.03 * rough / rough.std(), "ridges": 0.2 * hits, "taps": 0.5 * tap}
+
+
+def margin_db(error: Any, rate_hz: float) -> float:
+    """Decibels to the threshold, in the third and the half second where they are least."""
+    if rate_hz < 1000:  # which that measure does not take
+        error, rate_hz = resample_poly(error, 2, 1), 2 * rate_hz
+    length = int(rate_hz / 2)
+    windows = [error[a : a + length] for a in range(0, len(error) - length + 1, length // 2)]
+    power = [third_octave_power(np.stack([w, 0 * w, 0 * w], axis=1), rate_hz) for w in windows]
+    limit_mn, level_mn = vibration_threshold().force_rms_mn(), 1e3 * np.sqrt(np.max(power, axis=0))
+    return float(np.min(20 * np.log10(limit_mn / np.maximum(level_mn, 1e-12))))
+
+
+def reduction(signals: dict[str, Any], rate_hz: float) -> Figures:
+    """Bits and margin of each."""
+    rows = {}
+    for name, signal in signals.items():
+        began = time.perf_counter()
+        sent = reduced(signal, rate_hz)
+        took = time.perf_counter() - began
+        rows[name] = {
+            "rms_mn": 1e3 * float(np.sqrt((signal**2).mean())),
+            "kbit_s": sent.bits_per_s / 1e3,
+            "of_pcm": 16 * len(signal) / sent.bits,
+            "margin_db": margin_db(signal - sent.decoded(), rate_hz),
+            "times_real": len(signal) / rate_hz / took,
+        }
+    return rows
+
+
+def slides() -> Figures:
+    """A hand on a table of three speeds, at these and between."""
+    force = np.zeros((1, *GRID.shape, 3))
+    force[..., 2] = np.maximum(-300.0 * (GRID.origin_m[2] + GRID.spacing_m[2] * np.arange(GRID.shape[2])), 0)
+    medium = tf.HapticMedium.from_array(force, GRID, 30.0)
+    profile = replace(device("phantom-omni"), force_max_n=40.0, force_continuous_n=None)
+    levels = 0.004 * np.exp(0.5 * np.random.default_rng(3).normal(size=(3, 2, 16))) * np.arange(1, 4)[:, None, None]
+    table = Material("oak", speeds_m_s=(0.03, 0.06, 0.12), forces_n=(0.5, 2.0), texture_rms_n=levels.tolist())
+    spec, rows = RenderSpec(render="field", rate_hz=LOOP_HZ, materials=(table,)), {}
+    for speed in (0.03, 0.06, 0.09, 0.12):
+        at = np.array([[-0.14, 0, -0.0025], [-0.14, 0, -0.0025], [0.14, 0, -0.0025]])
+        seconds = 0.1 + 0.28 / speed
+        opener = point_device("sim", Trace(np.array([0, 0.1, seconds]), at)).opener
+        run_offline(medium, profile, opener, spec, seconds=0.05)  # what is compiled or loaded
+        took = []
+        for own in (spec, replace(spec, materials=())):
+            began = time.perf_counter()
+            run = run_offline(medium, profile, opener, own, seconds=seconds)
+            took.append(1e6 * (time.perf_counter() - began) / len(run.log))
+            if own is spec:
+                felt = run.log["force_n"][int(0.25 * LOOP_HZ) : int((seconds - 0.01) * LOOP_HZ), 2].astype(float)
+        share = (300.0 * 0.0025 - 0.5) / 1.5
+        pressed = (1 - share) * levels[:, 0] + share * levels[:, 1]
+        wanted = np.array([np.interp(speed, table.speeds_m_s, pressed[:, b]) for b in range(len(BANDS_HZ))])
+        off = np.abs(20 * np.log10(band_rms(felt - felt.mean(), LOOP_HZ) / wanted))
+        rows[f"{1e3 * speed:g} mm/s"] = {"worst_db": float(off.max()), "tick_us": took[0], "without_us": took[1]}
+    return rows
+
+
+def measure(seconds: float) -> Figures:
+    """All of it."""
+    told = reduction(recordings(), RECORDED_HZ) | reduction(made(seconds), MADE_HZ)
+    felt = slides()
+    return {
+        "laws": laws(seconds),
+        "reduction": told,
+        "slide": felt,
+        "tick_more_us": float(np.median([row["tick_us"] - row["without_us"] for row in felt.values()])),
+    }
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """The laws; nothing lost that is felt, for fewer bits and in time; the table as it is felt."""
+    rows = figures["reduction"]
+    real = {name: row for name, row in rows.items() if name.startswith("recording")}
+    return [
+        at_most("low and high less the signal, share of it", figure(figures, "laws", "crossover"), 1e-12),
+        at_most("DFT321, energy of a bin", figure(figures, "laws", "dft321"), 1e-12),
+        at_least("spectra and back", figure(figures, "laws", "stft_db"), 100.0, "dB"),
+        at_least("what is lost below the threshold", min(column(rows, "margin_db"), default=None), 0.0, "dB"),
+        at_least("16 bits a sample over what is sent, made", min(column(made_rows(rows), "of_pcm")), 4.0),
+        at_least("the same, recorded", min(column(real, "of_pcm"), default=None), 4.0),
+        at_least("seconds reduced in a second", min(column(rows, "times_real")), 10.0),
+        at_most("thirds of a slide from the table", max(column(figures["slide"], "worst_db")), 1.0, "dB"),
+        at_most("a tick longer with a material", figure(figures, "tick_more_us"), 5.0, "us"),
+    ]
+
+
+def made_rows(rows: Figures) -> Figures:
+    """Rows of what was made here."""
+    return {name: row for name, row in rows.items() if not name.startswith("recording")}
+
+
+if __name__ == "__main__":
+    bench("vibrotactile", __doc__, measure, bars, seconds=(8.0, 2.0))
