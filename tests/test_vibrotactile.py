@@ -342,6 +342,9 @@ def test_what_the_loop_cannot_show_is_left_out_and_told() -> None:
 @pytest.mark.parametrize("scale", [3.0, 100.0])
 def test_the_limits_of_the_device_hold_and_the_spectrum_keeps_its_shape(scale: float) -> None:
     spec = RenderSpec(render="field", rate_hz=RATE_HZ, materials=(oak(scale),), slew_n_per_s=300.0)
+    trace = Trace(np.array([0.0, 1.0]), np.zeros((2, 3)))
+    notes = run_offline(field(), STRONG, point_device("sim", trace).opener, spec, seconds=0.01).notes
+    assert any("oak is weaker by up to" in note and "300 N/s" in note for note in notes)
     rows = slide(field(), 0.12, spec)
     change = np.linalg.norm(np.diff(rows["force_n"].astype(np.float64), axis=0), axis=1) * RATE_HZ
     assert change.max() <= 300.0 * (1 + 1e-6)

@@ -238,10 +238,21 @@ def write_materials(
         i8[row + W.MATERIAL_LEVELS], levels = place, one.levels_n.ravel()
         f8[place : place + len(levels)] = levels
         place, row = place + len(levels), row + W.MATERIAL_WORDS
-    notes = [f"materials: {', '.join(one.name for one in materials)}"]
-    shown = sum(2 * 10**0.05 * hz < f8[W.RATE_HZ] for hz in BANDS_HZ)
-    if any(one.levels_n[..., shown:].any() for one in materials if one.texture_rms_n):
-        notes.append(
-            f"what vibrates above {BANDS_HZ[shown - 1]:.0f} Hz needs more than {f8[W.RATE_HZ]:g} ticks a second"
-        )
+    return _notes(materials, float(f8[W.RATE_HZ]), float(f8[W.SLEW] / f8[W.FORCE_SCALE]))
+
+
+def _notes(materials: Sequence[Material], rate_hz: float, slew_n_per_s: float) -> tuple[str, ...]:
+    """What is rendered, and what of it the loop or the device cannot show."""
+    notes, bands = [f"materials: {', '.join(one.name for one in materials)}"], np.array(BANDS_HZ)
+    shown = 2 * 10**0.05 * bands < rate_hz
+    for one in (one for one in materials if one.texture_rms_n):
+        change = W.MATERIAL_CREST * np.sqrt(((2 * np.pi * bands * one.levels_n) ** 2)[..., shown].sum(axis=-1)).max()
+        if change > slew_n_per_s:
+            weaker = f"up to {20 * math.log10(change / slew_n_per_s):.1f} dB"
+            notes.append(
+                f"{one.name} is weaker by {weaker} than its table, for the slew limit of {slew_n_per_s:g} N/s"
+            )
+        if one.levels_n[..., ~shown].any():
+            most = f"{bands[shown][-1]:.0f} Hz" if shown.any() else "0 Hz"
+            notes.append(f"what {one.name} does above {most} needs more than {rate_hz:g} ticks a second")
     return tuple(notes)

@@ -227,6 +227,7 @@ FIELD_WORDS: Final = 16
 
 MATERIAL_SINES: Final = 64  # first so many frequencies, rad/s, then as many phases, radians
 MATERIAL_ROWS: Final = 2 * MATERIAL_SINES
+MATERIAL_CREST: Final = 4.0  # so many times its rms a sum of sines hardly ever reaches
 
 MATERIAL_FRICTION: Final = 0  # mu; not a number: that of the field
 MATERIAL_STATIC: Final = 1  # mu just before it gives way

@@ -24,7 +24,6 @@ from touchfield.render.kernels.vectors import along, dot, length, three
 
 _BAND_SINES = 4
 _BANDS = W.MATERIAL_SINES // _BAND_SINES
-_CREST = 4.0  # so many times its rms a chord hardly ever reaches
 _TO_EDGE = 10 ** (0.05 / _BAND_SINES)  # of a band, from its highest sine
 _UNKNOWN = -2
 
@@ -133,5 +132,5 @@ def texture(i8, f8, row, force, velocity, dt):
             f8[phases + n] = 2 * math.pi * (turns - math.floor(turns))
             total += level * math.sin(f8[phases + n])
             change += 0.5 * (level * w) ** 2
-    wanted = _CREST * math.sqrt(change) * f8[W.FORCE_SCALE]
+    wanted = W.MATERIAL_CREST * math.sqrt(change) * f8[W.FORCE_SCALE]
     return total * min(1.0, f8[W.SLEW] / wanted) if wanted > 0.0 else 0.0
