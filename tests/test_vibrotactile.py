@@ -453,8 +453,8 @@ def test_a_table_that_is_none_is_told_by_file_and_field(tmp_path: Path, table: A
         read_materials(path)
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
     assert "expected" in str(caught.value)
-    with pytest.raises(SourceError, match="provenance, materials"):
-        stored_materials({"materials": path.read_text()})
+    with pytest.raises(SourceError, match=r"provenance, materials\.json"):
+        stored_materials({"materials.json": path.read_text()})
 
 
 def test_recordings_become_a_table(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ hand and some forces that it presses with. Tables are JSON::
         {"name": "wood", "friction": 0.4, "object": "table", "speeds_m_s": [0.05, 0.1], "forces_n": [1],
          "texture_rms_n": [[[0.001, ...]], [[0.002, ...]]]}]}
 
-They lie in a file of their own, or travel with a medium: as the entry ``materials`` of its provenance, which every
-reader of the format allows and only the renderer looks at. A medium without it is the same to the last byte.
+They lie in a file of their own, or travel with a medium: as the entry ``materials.json`` of its provenance, which
+every reader of the format allows and only the renderer looks at. A medium without it is the same to the last byte.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["KEY", "Material", "material_words", "materials_json", "read_materials", "stored_materials",
            "write_materials", "write_table"]  # fmt: skip
 
-KEY: Final = "materials"
+KEY: Final = "materials.json"
 """Of a medium's provenance."""
 
 MOST_MATERIALS: Final = 64
