@@ -2408,21 +2408,24 @@ typedef struct touch_state {
 } touch_state;
 
 static int touch_check_parameters(touch_bytes b, int *is_exact, touch_cursor *error) {
-    static const double least[4][3] = {{0.001, 0, 0}, {0.001, 0, 5e-324}, {5e-324, 0, 0}, {0, 0, 0}};
-    static const double most[4][3] = {{1, 1e308, 0}, {1, 1e308, 90}, {1e308, 0, 0}, {0, 0, 0}};
-    static const int count[4] = {2, 3, 1, 0};
+    /* modes 0 to 3, and mode 0 with masking */
+    static const double least[5][4] = {{0.001, 0}, {0.001, 0, 5e-324}, {5e-324}, {0}, {0.001, 0, 5e-324, 1e-6}};
+    static const double most[5][4] = {{1, 1e308}, {1, 1e308, 90}, {1e308}, {0}, {1, 1e308, 1.0000000000000002, 1.0000000000000002}};
+    static const int count[5] = {2, 3, 1, 0, 4};
     touch_cursor c = touch_cursor_of(b.bytes, b.size);
-    int version, mode;
+    int version, mode, rule;
     if (b.size < 2) return touch_fail(error, TOUCH_CORRUPT, "the parameters of coder touch");
     version = (int)touch_u(&c, 1), mode = (int)touch_u(&c, 1);
     if (version != 1) return touch_fail(error, TOUCH_VERSION, "a version of coder touch that is not known");
-    touch_need(error, mode >> 3 <= 2 && touch_left(&c) == (uint64_t)(8 * count[mode & 3]), "the parameters of coder touch");
-    for (int n = 0; n < count[mode & 3] && !error->code; n++) {
+    touch_need(error, (mode >> 3 & 3) <= 2 && mode >> 5 <= !(mode & 3), "the parameters of coder touch");
+    rule = mode >> 5 ? 4 : mode & 3;
+    touch_need(error, touch_left(&c) == (uint64_t)(8 * count[rule]), "the parameters of coder touch");
+    for (int n = 0; n < count[rule] && !error->code; n++) {
         double value = touch_f64(&c);
-        int is_open = most[mode & 3][n] < 1e300 ? value < most[mode & 3][n] : value <= 1.7976931348623157e308;
-        touch_need(error, value >= least[mode & 3][n] && is_open, "the parameters of coder touch");
+        int is_open = most[rule][n] < 1e300 ? value < most[rule][n] : value <= 1.7976931348623157e308;
+        touch_need(error, value >= least[rule][n] && is_open, "the parameters of coder touch");
     }
-    *is_exact = (mode & 3) == 3;
+    *is_exact = rule == 3;
     return !error->code;
 }
 

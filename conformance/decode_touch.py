@@ -19,18 +19,20 @@ from touch_residual import Lattice, borders
 
 MASK = (0.001, 1 - 2**-53), (0, sys.float_info.max)  # bounds of k, F_0
 BOUNDS = MASK, (*MASK, (5e-324, 90 - 2**-46)), ((5e-324, sys.float_info.max),), ()  # of the numbers of each mode
+MASKING = (5e-324, 1), (1e-6, 1)  # bounds of its share and radius
 
 
 def is_exact(parameters: bytes) -> bool:
     """Whether the mode is "lossless"; all parameters are checked."""
     need(len(parameters) >= 2, f"{len(parameters)} bytes of parameters")
     need(parameters[0] == 1, f"version {parameters[0]} of the parameters", UnsupportedVersion)
-    need(parameters[1] >> 3 <= 2, "an effort that there is not")
-    bounds = BOUNDS[parameters[1] & 3]
+    mode, masking = parameters[1] & 3, parameters[1] >> 5
+    need(parameters[1] >> 3 & 3 <= 2 and masking <= (mode == 0), "an effort or a masking that there is not")
+    bounds = BOUNDS[mode] + MASKING * masking
     need(len(parameters) == 2 + 8 * len(bounds), f"{len(parameters)} bytes of parameters")
     for (low, high), value in zip(bounds, struct.unpack(f"<{len(bounds)}d", parameters[2:])):
         need(low <= value <= high, f"a parameter of {value}")
-    return parameters[1] & 3 == 3
+    return mode == 3
 
 
 def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: int) -> Iterator[Bricks]:

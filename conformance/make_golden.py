@@ -34,6 +34,7 @@ FIELDS: dict[str, tuple[Callable[[int], ForceField], int, PaperSpec | TouchSpec]
     **{f"paper-{stage}": (block, 2, PaperSpec(stage=stage, step_n=0.1)) for stage in STAGES[1:]},
     "touch-mask": (wave, 4, TouchSpec(segment_frames=3)),
     "touch-direction": (wave, 3, TouchSpec(mode="mask-direction", support="exact", f0_n=0.02)),
+    "touch-masking": (wave, 3, TouchSpec(masking=0.1, masking_radius_m=0.002)),
     "touch-nmse": (wave, 3, TouchSpec(mode="nmse", step_n=0.1)),
     "touch-fast": (wave, 4, TouchSpec(effort="fast", k=0.05, segment_frames=2)),
     "touch-lossless": (quarters, 3, TouchSpec(mode="lossless")),

@@ -19,6 +19,13 @@ def sphere(tmp_path: Path) -> str:
     return str(path)
 
 
+def said(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:
+    """Output of a command that ends well."""
+    capsys.readouterr()
+    assert _exit_code(words) == 0
+    return capsys.readouterr().out
+
+
 @pytest.fixture
 def out(tmp_path: Path) -> str:
     return str(tmp_path / "o.touch")
@@ -40,6 +47,24 @@ def test_what_is_asked_is_in_the_file(sphere: str, out: str, capsys: pytest.Capt
     capsys.readouterr()
     assert _exit_code(["info", out, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["directions"] == "octa3"
+
+
+def test_spatial_masking_is_in_the_file_and_compare_holds_it(
+    sphere: str, out: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["encode", sphere, out, "--nw", "5", "--thickness-m", "0.02"]
+    plain = str(tmp_path / "plain.touch")
+    assert _exit_code(["encode", sphere, plain, *words[3:]]) == 0
+    assert _exit_code([*words, "--masking", "0.3", "--body-site", "palm"]) == 0
+    assert "masking_radius_m" not in json.loads(said(capsys, ["info", plain, "--json"]))
+    told = json.loads(said(capsys, ["info", out, "--json"]))
+    assert (told["masking"], told["masking_radius_m"], told["promise_kept"]) == (0.3, 0.01, True)
+    assert Path(out).stat().st_size < Path(plain).stat().st_size
+    held = json.loads(said(capsys, ["compare", sphere, out, "--json"]))
+    assert held["mask_violations"] == 0 and 0.5 < held["worst_mask_ratio"] <= 1
+    assert held["worst_mask_ratio"] == pytest.approx(told["worst_mask_ratio"], abs=1e-4)
+    # the plain mask, asked for by name, is left: more is hidden only because of what is around
+    assert json.loads(said(capsys, ["compare", sphere, out, "--k", "0.1", "--json"]))["mask_violations"] > 0
 
 
 @pytest.mark.parametrize(
@@ -65,6 +90,11 @@ def test_what_is_asked_is_in_the_file(sphere: str, out: str, capsys: pytest.Capt
         ("--effort heroic", "effort"),
         ("--k 1", "k: found 1.0"),
         ("--f0-n -1", "f0_n"),
+        ("--masking 2", "masking: found 2.0"),
+        ("--masking 0.1 --mode nmse", "masking: found it in mode nmse"),
+        ("--body-site palm", "--body-site: found it without --masking"),
+        ("--masking 0.1 --body-site ear", "finger, palm"),
+        ("--masking 0.1", "radius_m: found 0.0025"),
     ],
 )
 def test_what_does_not_go_together_is_one_line(

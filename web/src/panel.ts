@@ -43,7 +43,7 @@ function information(list: HTMLElement, given: Record<string, unknown>): void {
 /** What a picture of the difference shows. */
 export function differenceWords(given: Given, hasBodies: boolean): string {
   const place = hasBodies && typeof given?.place_tolerance_um === "number" ? ` Bodies may lie ${short(given.place_tolerance_um)} µm elsewhere, which counts here too.` : "";
-  const none = given?.mode === "nmse" ? " (this file gives no such promise)" : "";
+  const none = given?.mode === "nmse" ? " (this file gives no such promise)" : given?.masking ? " (with masking more is allowed)" : "";
   return `|decoded − source| as a share of what is allowed, max(F₀, k |F|): 1 is the promise${none}, red is beyond it. Cones point where the decoded field pushes more. The source is told to ± ${short(Number(given?.source_share ?? 0))} on this scale.${place}`;
 }
 
@@ -54,7 +54,8 @@ export function figuresOf(list: HTMLElement, story: HTMLElement, opened: Opened,
   row(list, "size", bytes(records.size));
   row(list, "as plain numbers", `${bytes(12 * samples)}, 1 : ${Math.round((12 * samples) / records.size).toLocaleString("en")}`);
   const isExact = given?.mode === "lossless";
-  row(list, "promise", isExact ? "exact, to the bit" : head.weber > 0 ? `error ≤ ${+(100 * head.weber).toPrecision(3)} % or ${head.threshold} N` : head.threshold > 0 ? `error ≤ ${head.threshold} N` : "none");
+  const around = typeof given?.masking === "number" ? `, and ${percent(given.masking, 3)} of the mean force around` : "";
+  row(list, "promise", isExact ? "exact, to the bit" : head.weber > 0 ? `error ≤ ${+(100 * head.weber).toPrecision(3)} % or ${head.threshold} N${around}` : head.threshold > 0 ? `error ≤ ${head.threshold} N` : "none");
   if (typeof given?.frames_of === "number") row(list, "shown", `the first of ${given.frames_of} frames`);
   if (given?.promise_kept !== undefined && given.promise_kept !== null) row(list, "promise holds", given.promise_kept ? "yes" : "no");
   for (const [key, name, words] of KNOWN) if (typeof given?.[key] === "number") row(list, name, words(given[key] as number));

@@ -130,8 +130,8 @@ def compare(
     """Measure a stream against its source, filtered again as the stream's provenance says.
 
     `source` is what was encoded, a path, scene, medium or field; or its field, as the command `field` writes it. The
-    mask max(F_0, k |F|) is by default the stream's; `frame`, which `Comparison.draw` shows, is the middle one.
-    `allow_outside` lets the source name files outside its own folder.
+    mask max(F_0, k |F|) is by default the stream's, with its spatial masking; `frame`, which `Comparison.draw` shows,
+    is the middle one. `allow_outside` lets the source name files outside its own folder.
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
@@ -149,7 +149,8 @@ def compare(
             )
         # a stream that promises no floor is measured without one: the least that a meter takes
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
-        meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n)
+        masking = opened.masking if k is None and f0_n is None else None
+        meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
         hand = HandMeter(opened, scene, exact)
         counter, drawn, supported = _measured(opened, original, (meter, hand), drawn_frame, report)
         voxels = opened.bits_of_voxels(supported)

@@ -198,6 +198,7 @@ def _check(prepared: Prepared, out: str) -> None:
         ("a haptic filter", bool(spec.chain)),
         ("a vibration", spec.vibration is not None),
         (f"coder {spec.coder}", spec.coder != "touch"),
+        ("spatial masking", spec.touch.masking > 0),
         (f"mode {spec.touch.mode}", spec.touch.mode == "lossless"),
         ("an array of actuators", prepared.device.is_array),
         ("a source that is a stream", prepared.source is None),

@@ -41,7 +41,7 @@ _MOST_FRAMES: Final = 30
 
 _HEIGHT_PX: Final = 640
 _MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
-_FIGURES: Final = ("mode", "promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
+_FIGURES: Final = ("mode", "masking", "promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
 _COMPARED: Final = (
     "nmse_db", "worst_mask_ratio", "bits_per_supported_voxel", "hand_vibration_mn",
     "place_tolerance_um",

@@ -19,7 +19,8 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import brick_keys
-from touchfield.perception.mask import violations
+from touchfield.medium.grid import BRICK
+from touchfield.perception.mask import SpatialMasking, violations
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,13 +35,15 @@ _CHUNK = 4096  # bricks at a time: 25 MB of float32 forces
 class FidelityMeter:
     """Adds up the error of decoded frames against their originals.
 
-    `k`: Weber fraction of the mask. `f0_n`: F_0, absolute threshold of the mask, newtons, positive.
+    `k`: Weber fraction of the mask. `f0_n`: F_0, absolute threshold of the mask, newtons, positive. `masking`: share
+    of the forces around, and radius in metres, of a mask with spatial masking (`perception.mask`).
     """
 
-    def __init__(self, k: float, f0_n: float) -> None:
+    def __init__(self, k: float, f0_n: float, masking: tuple[float, float] | None = None) -> None:
         if not (k >= 0 and f0_n > 0):
             raise InvalidArgument("mask", f"k = {k}, F_0 = {f0_n} N", "k >= 0 and F_0 > 0")
         self.k, self.f0_n = k, f0_n
+        self._masking = None if masking is None else SpatialMasking(0.0, 0.0, *masking)
         self.supported_voxels = 0
         self.compared_voxels = 0
         self.mask_violations = 0
@@ -53,17 +56,24 @@ class FidelityMeter:
             raise InvalidArgument(
                 "decoded field", f"shape {decoded.grid.shape}", f"the source's shape {original.grid.shape}"
             )
-        keys = np.union1d(brick_keys(original.grid, original.bricks), brick_keys(decoded.grid, decoded.bricks))
+        mine = brick_keys(original.grid, original.bricks)
+        keys = np.union1d(mine, brick_keys(decoded.grid, decoded.bricks))
+        hidden = None if self._masking is None else self._masking.hidden_n(original)
         for start in range(0, len(keys), _CHUNK):
             part = keys[start : start + _CHUNK]
-            self._add_bricks(original.forces_at(part), decoded.forces_at(part))
+            around = np.zeros((len(part), BRICK, BRICK, BRICK), np.float32)
+            if hidden is not None:  # nothing is hidden in bricks without a force
+                around[np.isin(part, mine)] = hidden[np.isin(mine, part)]
+            self._add_bricks(original.forces_at(part), decoded.forces_at(part), around)
 
-    def _add_bricks(self, original: NDArray[np.float32], decoded: NDArray[np.float32]) -> None:
+    def _add_bricks(
+        self, original: NDArray[np.float32], decoded: NDArray[np.float32], hidden: NDArray[np.float32]
+    ) -> None:
         x = original.reshape(-1, 3)
         y = decoded.reshape(-1, 3)
         held = (x != 0).any(axis=1) | (y != 0).any(axis=1)
         x, y = np.ascontiguousarray(x[held]), np.ascontiguousarray(y[held])
-        found = violations(x, y, self.k, self.f0_n)
+        found = violations(x, y, self.k, self.f0_n, masking_n=hidden.reshape(-1)[held])
         self.mask_violations += found.count
         self.worst_mask_ratio = max(self.worst_mask_ratio, found.worst_ratio or 0.0)
         force2 = (x.astype(np.float64) ** 2).sum(axis=1)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Real
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -121,6 +121,15 @@ def _finger_radius_m() -> float:
     return figure("two_point_threshold_mm") / 1000
 
 
+def site_radius_m(site: str) -> float:
+    """Two-point threshold of a body site, metres; InvalidArgument if there is no such site."""
+    thresholds = human()["two_point_threshold_mm"]
+    radii_mm = dict(zip(thresholds.of, thresholds.values, strict=True))
+    if site not in radii_mm:
+        raise InvalidArgument("body site", repr(site), f"one of {', '.join(radii_mm)}")
+    return radii_mm[site] / 1000
+
+
 @dataclass(frozen=True)
 class SpatialMasking:
     """The mask of one kind of skin.
@@ -150,13 +159,14 @@ class SpatialMasking:
 
         Raises `InvalidArgument` if there is no such site, or no figure for its Weber fraction and `k` is not given.
         """
-        thresholds = human()["two_point_threshold_mm"]
-        radii_mm = dict(zip(thresholds.of, thresholds.values, strict=True))
-        if site not in radii_mm:
-            raise InvalidArgument("body site", repr(site), f"one of {', '.join(radii_mm)}")
+        radius_m = site_radius_m(site)
         if k is None and site not in SITE_WEBER_FIGURES:
             raise InvalidArgument("k", "none", f"a Weber fraction: there is no figure for {site!r}")
-        return cls(figure(SITE_WEBER_FIGURES[site]) if k is None else k, f0_n, beta, radii_mm[site] / 1000)
+        return cls(figure(SITE_WEBER_FIGURES[site]) if k is None else k, f0_n, beta, radius_m)
+
+    def hidden_n(self, field: ForceField) -> NDArray[np.float32]:
+        """Beta times the mean of |F| around, at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]."""
+        return replace(self, k=0.0, f0_n=0.0).field_mask_n(field)
 
     def field_mask_n(self, field: ForceField) -> NDArray[np.float32]:
         """Delta at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]; beta = 0 looks at no neighbour.

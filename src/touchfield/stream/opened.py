@@ -104,6 +104,11 @@ class OpenStream(ABC):
         return None
 
     @property
+    def masking(self) -> tuple[float, float] | None:
+        """Share and radius, metres, of the promise's spatial masking; None where it has none."""
+        return None
+
+    @property
     @abstractmethod
     def held(self) -> object:
         """The object that `medium` and `scene` hold on to, and that needs the reader to be open."""
@@ -208,6 +213,11 @@ class VoxelStream(OpenStream):
             None if self._vibration is None else self._vibration.band,
             segments_of(self.reader, self.decoder.describe()),
         )  # fmt: skip
+
+    @property
+    def masking(self) -> tuple[float, float] | None:
+        told = self.decoder.describe()
+        return (told["masking"], told["masking_radius_m"]) if "masking" in told else None
 
     @property
     def held(self) -> SegmentFrames:

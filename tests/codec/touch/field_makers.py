@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from touchfield.codec.touch.decoder import TouchDecoder
@@ -85,7 +87,7 @@ def case_of(seed: int) -> tuple[list[ForceField], TouchSpec]:
     frames = [field_of(str(kind), int(rng.integers(1 << 30)), grid) for kind in kinds]
     if rng.random() < 0.3:  # a frame like the one before
         frames.append(frames[-1].scaled(float(rng.choice([1.0, 1.03, 0.5, -1.0]))))
-    return frames, TouchSpec(
+    spec = TouchSpec(
         k=float(rng.choice([0.001, 0.02, 0.1, 0.25, 0.9])),
         f0_n=float(rng.choice([0.0, 1e-30, 0.001, 0.05, 1.0, 100.0])),
         mode=str(rng.choice(["mask", "mask", "mask-direction"])),
@@ -95,3 +97,5 @@ def case_of(seed: int) -> tuple[list[ForceField], TouchSpec]:
         guess=str(rng.choice(["auto", "auto", "off"])),
         interframe=str(rng.choice(["auto", "auto", "off", "on"])),
     )
+    masking = float(rng.choice([0.0, 0.0, 0.05, 1.0]))
+    return frames, replace(spec, masking=masking, masking_radius_m=0.0041) if spec.mode == "mask" else spec

@@ -15,6 +15,7 @@ from touchfield.codec.touch import frame_encoder
 from touchfield.codec.touch.frame import Course, Known, Memory, decode_frame, fresh_memory
 from touchfield.codec.touch.frame_encoder import CodedFrame, encode_frame, lattice_for, limits_for, sketch_of
 from touchfield.codec.touch.lattice import FixedField
+from touchfield.codec.touch.promise import hidden_of
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField
@@ -45,7 +46,7 @@ def coded(
     lattice = lattice_for(spec, 4.0 if np.abs(frame.forces_n).max(initial=0) < 2 else 1e32)
     known = Known(frame.grid, lattice, reference, memory or fresh_memory())
     limits = limits_for(spec, lattice)
-    made = encode_frame(sketch_of(frame, lattice.unit_n, limits), known, limits)
+    made = encode_frame(sketch_of(frame, lattice.unit_n, limits, hidden_of(frame, spec)), known, limits)
     return made, replace(known, memory=made.memory)
 
 

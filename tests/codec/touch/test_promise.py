@@ -115,9 +115,10 @@ def test_a_promise_tells_what_its_mode_has() -> None:
     worst = Worst(0.5, 2, (1, 2, 3))
     told = Promise.of(MASK, worst).describe()
     assert told == {
-        "mode": "mask", "k": 0.1, "f0_n": 0.05, "direction_jnd_deg": None,
+        "mode": "mask", "k": 0.1, "f0_n": 0.05, "direction_jnd_deg": None, "masking": None, "masking_radius_m": None,
         "worst_ratio": 0.5, "worst_frame": 2, "worst_voxel": [1, 2, 3],
     }  # fmt: skip
     assert Promise.of(replace(MASK, mode="mask-direction"), worst).direction_jnd_deg == MASK.direction_jnd_deg
+    assert Promise.of(replace(MASK, masking=0.2), worst).masking == 0.2
     assert Promise.of(replace(MASK, mode="nmse"), None).worst_ratio is None
     assert Promise.of(replace(MASK, mode="nmse"), None).k is None

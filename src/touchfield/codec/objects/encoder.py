@@ -70,6 +70,9 @@ class ObjectsEncoder:
 
     def __init__(self, scene: HapticScene, spec: Any, f0_n: float) -> None:
         check_pose_count(len(scene.objects), scene.frame_count)
+        if coder_of_spec(spec).has_promise and spec.masking:
+            found, expected = "it with bodies that have fields of their own", "fields of voxels"
+            raise InvalidArgument("--masking", found, expected, "Add --representation voxel.")
         self._scene, self._spec, self._f0_n = scene, spec, f0_n
         self._all_rigid = all(one.is_rigid for one in scene.objects)
         self._step = _RIGID_SEGMENT_FRAMES if self._all_rigid else segment_length(spec.segment_frames, scene.rate_hz)

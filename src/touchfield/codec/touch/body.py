@@ -34,8 +34,17 @@ _WORST_FLAG: Final = 1
 _RATIOS: Final = 65535
 _INTER, _GUESS, _EXCEPTIONS = 1, 2, 4
 _MASK: Final = ("k", "f0_n")
-NUMBERS: Final = {"mask": _MASK, "mask-direction": (*_MASK, "direction_jnd_deg"), "nmse": ("step_n",), "lossless": ()}
-"""Of a spec, what a mode goes by."""
+_NUMBERS: Final = {
+    "mask": _MASK, "mask-direction": (*_MASK, "direction_jnd_deg"), "nmse": ("step_n",), "lossless": ()
+}  # fmt: skip
+_MASKING: Final = ("masking", "masking_radius_m")  # follow with this flag, in mode "mask" only
+_MASKING_FLAG: Final = 32
+_PROMISED: Final = (*_NUMBERS["mask-direction"], *_MASKING)
+
+
+def numbers_of(spec: TouchSpec) -> tuple[str, ...]:
+    """What a spec goes by."""
+    return _NUMBERS[spec.mode] + (_MASKING if spec.masking else ())
 
 
 @dataclass(frozen=True)
@@ -46,14 +55,14 @@ class Promise:
     k: float | None  # None in a mode without it, as the following
     f0_n: float | None
     direction_jnd_deg: float | None
+    masking: float | None
+    masking_radius_m: float | None
     worst: Worst | None  # None in mode "nmse", which promises nothing. In mode "lossless" its ratio is 0
 
     @classmethod
     def of(cls, spec: TouchSpec, worst: Worst | None) -> Promise:
         """The promise of a mode."""
-        mine = {
-            name: getattr(spec, name) if name in NUMBERS[spec.mode] else None for name in NUMBERS["mask-direction"]
-        }
+        mine = {name: getattr(spec, name) if name in numbers_of(spec) else None for name in _PROMISED}
         return cls(spec.mode, **mine, worst=worst)
 
     @property
@@ -64,7 +73,7 @@ class Promise:
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         ratio, frame, voxel = self.worst or (None, None, None)
-        numbers = {name: getattr(self, name) for name in ("mode", *NUMBERS["mask-direction"])}
+        numbers = {name: getattr(self, name) for name in ("mode", *_PROMISED)}
         return {**numbers, "worst_ratio": ratio, "worst_frame": frame, "worst_voxel": voxel and list(voxel)}
 
 
@@ -173,7 +182,8 @@ class BodyReader:
 def write_parameters(spec: TouchSpec) -> bytes:
     """The parameters of what was asked for."""
     asked = MODES.index(spec.mode) | SUPPORTS.index(spec.support) << 2 | EFFORTS.index(spec.effort) << 3
-    numbers = [getattr(spec, name) for name in NUMBERS[spec.mode]]
+    asked |= _MASKING_FLAG if spec.masking else 0
+    numbers = [getattr(spec, name) for name in numbers_of(spec)]
     return struct.pack(f"<BB{len(numbers)}d", _VERSION, asked, *numbers)
 
 
@@ -183,10 +193,11 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
         raise CorruptFile(where, f"{len(data)} bytes", "2 or more")
     if data[0] != _VERSION:
         raise UnsupportedVersion(where, f"version {data[0]}", f"version {_VERSION}", "A newer touchfield reads it.")
-    mode, support, effort = data[1] & 3, data[1] >> 2 & 1, data[1] >> 3
-    if effort >= len(EFFORTS):
-        raise CorruptFile(where, f"{data[1]:#x} for mode, support and effort", "an effort of 0 to 2")
-    names = NUMBERS[MODES[mode]]
+    mode, support, effort, masking = data[1] & 3, data[1] >> 2 & 1, data[1] >> 3 & 3, data[1] >> 5
+    if effort >= len(EFFORTS) or masking > (mode == 0):
+        expected = "an effort of 0 to 2, and masking in mode 0 only"
+        raise CorruptFile(where, f"{data[1]:#x} for mode, support, effort and masking", expected)
+    names = _NUMBERS[MODES[mode]] + (_MASKING if masking else ())
     if len(data) != 2 + 8 * len(names):
         raise CorruptFile(where, f"{len(data)} bytes", f"{2 + 8 * len(names)} bytes of mode {MODES[mode]}")
     numbers = dict(zip(names, struct.unpack_from(f"<{len(names)}d", data, 2), strict=True))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.codec.segment import FrameStats
-from touchfield.codec.touch.body import NUMBERS, BodyReader, FrameRecord, Promise, TouchCost, read_parameters
+from touchfield.codec.touch.body import BodyReader, FrameRecord, Promise, TouchCost, numbers_of, read_parameters
 from touchfield.codec.touch.lattice import TOP, FixedField
 from touchfield.medium import ForceField, Grid
 
@@ -55,7 +55,7 @@ class TouchDecoder:
 
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        return {name: getattr(self.spec, name) for name in ("mode", "effort", "support", *NUMBERS[self.spec.mode])}
+        return {name: getattr(self.spec, name) for name in ("mode", "effort", "support", *numbers_of(self.spec))}
 
     def quantiser(self, body: bytes) -> Callable[[ForceField], NDArray[np.int64]]:
         """Q of the measures: this coder has no symbols of its own, so the default Weber ladder and directions.

@@ -20,7 +20,7 @@ from touchfield.codec.touch.exact_encoder import encode_exact
 from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
 from touchfield.codec.touch.kernels.compare import largest
 from touchfield.codec.touch.lattice import MOST_NEWTONS, Lattice
-from touchfield.codec.touch.promise import Compared, compared
+from touchfield.codec.touch.promise import Compared, compared, hidden_of
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import FormatError, InvalidArgument
 from touchfield.medium import ForceField, Grid
@@ -69,8 +69,12 @@ class TouchEncoder:
             if not is_known and self._longest_n(i, frame) > 1.01 * longest_n:
                 raise InvalidArgument(f"frame {i}", "a force longer than was told", f"{longest_n:.3g} N at most")
             came += [] if is_known else [frame]
-            coded, inter, guess = chooser.add(anchor if i == 0 and anchor is not None else frame)
-            found = compared(frame, coded.decoded.field(self._grid, lattice.unit_n), self._spec)
+            hidden_n = hidden_of(frame, self._spec)
+            if i == 0 and anchor is not None:
+                coded, inter, guess = chooser.add(anchor, hidden_of(anchor, self._spec))
+            else:
+                coded, inter, guess = chooser.add(frame, hidden_n)
+            found = compared(frame, coded.decoded.field(self._grid, lattice.unit_n), self._spec, hidden_n=hidden_n)
             apart = Exceptions.of(frame, found.keys, found.places).to_bytes()
             records.append(FrameRecord(inter, guess, coded.payload, shares_of(coded.bits), apart))
             seen.append(found)
@@ -113,7 +117,7 @@ class TouchEncoder:
             body = write_body(lattice, records, None)
             try:
                 pairs = zip(frames, decoder.frames(body, len(frames)), strict=True)
-                found = [compared(*pair, self._spec) for pair in pairs]
+                found = [compared(*pair, self._spec, hidden_n=hidden_of(pair[0], self._spec)) for pair in pairs]
             except FormatError as error:
                 raise AssertionError("a body that its own decoder refuses") from error
             if not any(len(one.keys) for one in found):

@@ -103,21 +103,26 @@ class Sketch:
     bricks: NDArray[np.int32]  # [n, 3]; of the grid, ascending, without those that hold no force worth coding
     places: NDArray[np.int64]  # [n, 3]; in scan order
     order: NDArray[np.int64]  # [n]; which of the bricks each of these is
-    forces: NDArray[np.float64]  # [n, 512, 3]; in scan order, units
+    # [n, 512, 3]; in scan order, units; with spatial masking [n, 512, 4], the last what forces around hide
+    forces: NDArray[np.float64]
     slope: NDArray[np.int64]  # [3]
 
 
-def sketch_of(frame: ForceField, unit_n: float, limits: Limits) -> Sketch:
-    """Course, law and forces of a frame."""
+def sketch_of(frame: ForceField, unit_n: float, limits: Limits, hidden_n: NDArray[np.float32]) -> Sketch:
+    """Course, law and forces of a frame; `hidden_n` as `promise.hidden_of` has it."""
     bricks, vectors, scale = frame.bricks, frame.forces_n, 1.0 / np.float64(np.float32(unit_n))
     if not limits.exact and len(bricks):
         peak = np.abs(vectors).reshape(len(bricks), -1).max(axis=1) * scale > limits.f0 / 2
         if not peak.all():
             bricks, vectors = bricks[peak], vectors[peak]
+            hidden_n = hidden_n[peak] if len(hidden_n) else hidden_n
     course = _course_of(vectors, frame.grid)
     places, order = course.order(bricks)
     forces = course.turned(vectors, order, scale)
     slope = _slope_of(forces, frame.grid, course.axes)
+    if len(hidden_n):  # a number of each voxel is turned as a vector of three alike, of which one is taken
+        alike = np.repeat(hidden_n.reshape(-1, 8, 8, 8, 1), 3, axis=-1)
+        forces = np.concatenate([forces, np.abs(course.turned(alike, order, scale))[..., :1]], axis=-1)
     return Sketch(course, bricks, places, order, forces, slope)
 
 
@@ -216,9 +221,9 @@ class Chooser:
         self._memory: Memory = fresh_memory()
         self._looks = self.spec.guess == "auto"
 
-    def add(self, frame: ForceField) -> tuple[CodedFrame, bool, bytes]:
+    def add(self, frame: ForceField, hidden_n: NDArray[np.float32]) -> tuple[CodedFrame, bool, bytes]:
         """Code the next frame; whether it knows the one before, and the bytes of its guess."""
-        sketch = sketch_of(frame, self.lattice.unit_n, self._limits)
+        sketch = sketch_of(frame, self.lattice.unit_n, self._limits, hidden_n)
         limits = self._limits._replace(thorough=False)
         tried = [(self._coded(sketch, way, limits), way) for way in self._ways(frame, sketch)]
         worths = [self._worth(sketch, coded, way) for coded, way in tried]

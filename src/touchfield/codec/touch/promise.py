@@ -1,6 +1,7 @@
 """Promise of the coder `touch`, and how well a decoded frame keeps it (paper section 4.2, figure 2).
 
-|F_dec - F| <= max(F_0, k |F|) for every voxel, those without force too, or the rule of mode "mask-direction". Held
+|F_dec - F| <= max(F_0, k |F|) for every voxel, those without force too, or the rule of mode "mask-direction". With
+spatial masking it is max(F_0, k |F| + what forces around hide); in bricks without a force they hide nothing. Held
 against the decoder's own output in float64, as `touchfield.perception.mask` does.
 """
 
@@ -17,8 +18,10 @@ from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField
 from touchfield.medium.field import brick_keys
+from touchfield.perception.mask import SpatialMasking
 
 _RULES: Final = {"mask": kernels.MASK, "mask-direction": kernels.DIRECTION, "nmse": kernels.FREE}
+_NOTHING: Final = np.empty((0, 512), np.float32)
 
 
 class Compared(NamedTuple):
@@ -37,7 +40,20 @@ class Compared(NamedTuple):
     decoded: int
 
 
-def compared(original: ForceField, decoded: ForceField, spec: TouchSpec, within_step: bool = False) -> Compared:
+def hidden_of(frame: ForceField, spec: TouchSpec) -> NDArray[np.float32]:
+    """Error that forces around hide at each sample of a frame's bricks, newtons, float32 [n, 512]; [0, 512]: none."""
+    if not spec.masking:
+        return _NOTHING
+    return SpatialMasking(0.0, 0.0, spec.masking, spec.masking_radius_m).hidden_n(frame).reshape(-1, 512)
+
+
+def compared(
+    original: ForceField,
+    decoded: ForceField,
+    spec: TouchSpec,
+    within_step: bool = False,
+    hidden_n: NDArray[np.float32] = _NOTHING,
+) -> Compared:
     """How a decoded frame keeps what was asked for, or in mode "nmse" half a step; "lossless" is every bit."""
     mine, theirs = ((brick_keys(f.grid, f.bricks), f.forces_n.reshape(-1, 512, 3)) for f in (original, decoded))
     if spec.mode == "lossless":
@@ -52,7 +68,7 @@ def compared(original: ForceField, decoded: ForceField, spec: TouchSpec, within_
     while True:
         beyond = np.empty((2, room), np.int64)
         limits = k, f0_n, math.sin(angle), angle
-        count, worst, *rest = kernels.compare(*mine, *theirs, rule, exact, limits, beyond)
+        count, worst, *rest = kernels.compare(*mine, *theirs, rule, exact, limits, hidden_n, beyond)
         if count <= room:
             return Compared(beyond[0, :count], beyond[1, :count], math.sqrt(worst), *rest)
         room = count

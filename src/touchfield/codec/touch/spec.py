@@ -42,6 +42,11 @@ class TouchSpec:
     effort : str
         "fast", "default" or "max": bytes against time, never against the promise. "fast" checks it on the encoder's
         own reconstruction, which a decoder makes again bit for bit; the others decode their bytes.
+    masking : float
+        Spatial masking, mode "mask" only: share beta, 0 to 1, of the mean force around that is hidden at a voxel; the
+        promise is then max(F_0, k |F| + beta mean), see `touchfield.perception.SpatialMasking`. 0: none.
+    masking_radius_m : float
+        R of that mean, metres: how far apart two points are felt as two, by default on a finger.
     support : str
         "movable": a force of at most F_0 may become none, and none may become one of at most F_0; "exact": the
         support is kept.
@@ -60,6 +65,8 @@ class TouchSpec:
     step_n: float = 0.05
     effort: str = "default"
     support: str = "movable"
+    masking: float = 0.0
+    masking_radius_m: float = 0.0025
     guess: str = "auto"
     interframe: str = "auto"
     segment_frames: int | None = None
@@ -75,6 +82,12 @@ class TouchSpec:
             raise InvalidArgument("step_n", repr(self.step_n), "newtons above 0")
         if self.segment_frames is not None and not 1 <= self.segment_frames <= 4096:
             raise InvalidArgument("segment_frames", repr(self.segment_frames), "1 to 4096 frames")
+        if not 0 <= self.masking <= 1:
+            raise InvalidArgument("masking", repr(self.masking), "a share from 0 to 1, such as 0.05")
+        if self.masking and self.mode != "mask":
+            raise InvalidArgument("masking", f"it in mode {self.mode}", "it in mode mask only")
+        if not 1e-6 <= self.masking_radius_m <= 1:
+            raise InvalidArgument("masking_radius_m", repr(self.masking_radius_m), "metres from 1e-6 to 1")
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
@@ -91,6 +104,13 @@ def _spec(asked: dict[str, Any]) -> TouchSpec:
         chosen["mode"] = "lossless"
     if chosen.pop("target_nmse_db", None) is not None:
         chosen = {"mode": "nmse", **chosen}
+    site = chosen.pop("body_site", None)
+    if site is not None:
+        if not chosen.get("masking"):
+            raise InvalidArgument("--body-site", "it without --masking", "both", "Add --masking 0.05.")
+        from touchfield.perception.mask import site_radius_m
+
+        chosen["masking_radius_m"] = site_radius_m(site)
     mode = chosen.get("mode", TouchSpec.mode)
     for key, only in (("direction_jnd_deg", "mask-direction"), ("step_n", "nmse")):
         if key in chosen and mode != only:
@@ -105,7 +125,8 @@ def _option(key: str) -> str:
 
 
 def _summary(spec: TouchSpec) -> dict[str, Any]:
-    return {"mode": spec.mode, "effort": spec.effort, **({"step_n": spec.step_n} if spec.mode == "nmse" else {})}
+    more = {"step_n": spec.step_n} if spec.mode == "nmse" else {"masking": spec.masking} if spec.masking else {}
+    return {"mode": spec.mode, "effort": spec.effort, **more}
 
 
 CODER = Coder(
@@ -123,6 +144,8 @@ CODER = Coder(
         CoderOption("step_n", float, "mode nmse: step of the lattice, newtons. [default: 0.05]"),
         CoderOption("support", str, "movable (where |F| is at most F_0), or exact. [default: movable]"),
         CoderOption("effort", str, "fast, default or max: bytes against time. [default: default]"),
+        CoderOption("masking", float, "share of the mean force around that is hidden, 0 to 1. [default: 0]"),
+        CoderOption("body_site", str, "masking: where it is felt: finger, palm, belly, forearm. [default: finger]"),
         CoderOption("lossless_quantised", bool, "keep a field that is quantised already exactly."),
         CoderOption("interframe", str, "auto, off or on. [default: auto]"),
     ),

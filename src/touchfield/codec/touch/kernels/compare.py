@@ -18,7 +18,7 @@ _NONE = np.iinfo(np.int64).max
 
 
 @inlined
-def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle):
+def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle, hidden):
     """The square of |error| / allowed, of an original (x, y, z) and a decoded (u, v, w)."""
     if rule == FREE:
         return 0.0
@@ -27,6 +27,8 @@ def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle):
     if error2 == 0.0:
         return 0.0
     allowed2 = max(f0 * f0, k * k * size2)
+    if hidden > 0.0:
+        allowed2 = max(allowed2, (k * math.sqrt(size2) + hidden) ** 2)
     if rule == DIRECTION:
         size = math.sqrt(size2)
         if size * sine > f0:
@@ -39,8 +41,11 @@ def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle):
 
 
 @entry
-def compare(keys, forces, other_keys, other, rule, exact, limits, found):
-    """Compare voxel by voxel; `found`, int64 [2, n], takes the first n that are beyond, of which all are counted."""
+def compare(keys, forces, other_keys, other, rule, exact, limits, hidden, found):
+    """Compare voxel by voxel; `found`, int64 [2, n], takes the first n that are beyond, of which all are counted.
+
+    `hidden`: what forces around hide, newtons, float32 [bricks of the original, 512], or [0, 512].
+    """
     k, f0, sine, angle = limits
     worst, worst_key, worst_place = 0.0, -1, 0
     supported, within, decoded, beyond = 0, 0, 0, 0
@@ -59,7 +64,8 @@ def compare(keys, forces, other_keys, other, rule, exact, limits, found):
             sent = u != 0.0 or v != 0.0 or w != 0.0
             if not held and not sent:
                 continue
-            ratio2 = _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle)
+            around = 1.0 * hidden[i, place] if mine == key and hidden.shape[0] else 0.0
+            ratio2 = _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle, around)
             if exact and held != sent:
                 ratio2 = np.inf
             supported += held

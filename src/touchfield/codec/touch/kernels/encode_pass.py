@@ -53,15 +53,19 @@ class Limits(NamedTuple):
 
 
 @lean
-def tolerance(size, rule):
-    """The mask at a force of `size` units, less what the last rounding may cost; below 0: hopeless."""
-    return max(rule.f0, rule.k * size) * (1 - 1e-6) - _ROUNDING * size
+def tolerance(f, size, rule):
+    """The mask at a force of `size` units, less what the last rounding may cost; below 0: hopeless.
+
+    `f` is a force, float64 [3], or [4] with what forces around hide of its error.
+    """
+    hidden = f[3] if f.shape[0] == 4 else 0.0
+    return max(rule.f0, rule.k * size + hidden) * (1 - 1e-6) - _ROUNDING * size
 
 
 @lean
 def kept(d0, d1, d2, f, size, rule):
-    """True where a decoded vector, whole units, may stand for the force `f`, float64 [3], of `size`."""
-    tol = tolerance(size, rule)
+    """True where a decoded vector, whole units, may stand for the force `f` of `size`."""
+    tol = tolerance(f, size, rule)
     if tol < 0:
         return False
     e0, e1, e2 = d0 - f[0], d1 - f[1], d2 - f[2]
@@ -128,16 +132,19 @@ def choose(bits, law, work, here, f, size, rule):
     ease = 1.5 if rule.free else 0.5
     mean_0, mean_1 = _mean_sizes(work, here)
     slope_0, slope_1 = bit * 1.5 / (mean_0 + ease), bit * 1.5 / (mean_1 + ease)
+    reach = 4 if f.shape[0] == 4 else 3  # a wide mask often holds a point without a residual
     best = nearest = np.inf
     b0 = b1 = b2 = np.int64(0)
-    for i in range(3):
-        r0 = n0 + _AROUND[i]
+    for i in range(reach):
+        r0 = n0 + _AROUND[i] if i < 3 else np.int64(0)
         cost_0 = _guessed(r0, slope_0, bit)
         length = amplitude_of(level + 256 * r0, law.border)
         step = step_at(abs(length), law.cross_floor, law.cross_rate)
         n1, n2 = np.int64(round(across_1 / step)), np.int64(round(across_2 / step))
-        for j in range(9):
-            r1, r2 = n1 + _AROUND[j // 3], n2 + _AROUND[j % 3]
+        for j in range(reach * reach):
+            j1, j2 = j // reach, j % reach
+            r1 = n1 + _AROUND[j1] if j1 < 3 else np.int64(0)
+            r2 = n2 + _AROUND[j2] if j2 < 3 else np.int64(0)
             cost = cost_0 + _guessed(r1, slope_1, bit) + _guessed(r2, slope_1, bit)
             if cost >= best and not rule.thorough:
                 continue
@@ -203,8 +210,8 @@ def still_pays(bits, law, work, here, f, size, rule):
 def encode_bricks(bits, scan, law, work, forces, rule, prices):
     """Code forces, units float64 [n, 512, 3] in scan order; False where the buffer is too short.
 
-    ``scan.cells`` takes what the decoder will hold, and `prices`, float64 [3], the bits of support,
-    amplitude and direction.
+    With spatial masking they are [n, 512, 4], see `tolerance`. ``scan.cells`` takes what the decoder will hold, and
+    `prices`, float64 [3], the bits of support, amplitude and direction.
     """
     last = np.int64(0)
     for n in range(scan.near.shape[0]):
@@ -269,7 +276,7 @@ def _blocks_of(forces, rule):
 def _worth_holding(bits, law, work, here, near, trusted, f, chosen, rule):
     """True for a force that may be left away, or made, and should be: where its bit would cost too much."""
     size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
-    if rule.exact or size > rule.f0 or size > tolerance(size, rule):
+    if rule.exact or size > rule.f0 or size > tolerance(f, size, rule):
         return np.int64(size > 0)
     chance = mixed_chance(bits, 3, chosen)
     if size > 0 and chance < 45000:
