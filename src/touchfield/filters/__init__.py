@@ -14,6 +14,7 @@ at the receiver     `Contact`, `friction_n`, `damping_n`, `rendered_n`
 """
 
 from touchfield.filters.contact import Contact, damping_n, friction_n, rendered_n
+from touchfield.filters.detail import halved, most_levels, pyramid, rebuilt
 from touchfield.filters.device_filter import (
     NW_RANGE,
     DeviceFilter,
@@ -41,13 +42,9 @@ from touchfield.filters.lifting import (
     fcc_coarse,
     fcc_forward,
     fcc_inverse,
-    halved,
-    most_levels,
-    pyramid,
     quincunx_coarse,
     quincunx_forward,
     quincunx_inverse,
-    rebuilt,
 )
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, Voxels
 from touchfield.filters.registry import Claims, FieldFilter, field_filters, filter_of, filtered, filtered_medium

@@ -1,7 +1,4 @@
-"""Levels of detail: a pyramid of fields (paper section 4), and lifting on a chain of sublattices (section 3.2).
-
-Level 0 of a pyramid is the field. Each next level is the one before through a low-pass and decimation by 2 on a grid
-of its own; beyond a grid is zero, so that a force at its border fades by a cell or two at each level.
+"""Lifting on a chain of sublattices (paper section 3.2).
 
 Paper section 3.2 asks for "optimal quincunx sampling and filtering" and gives no filter; this is the shortest lifting
 (after Sweldens). A stage keeps every second site of the lattice before it. It first predicts each site that is
@@ -35,82 +32,13 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
-from touchfield.filters.resample import LowPass, interpolated, resample
-from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.medium.field import blocks_around, brick_keys, dilated, frozen, neighbour_slots
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.field import brick_keys, dilated, frozen, neighbour_slots
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 Site = tuple[int, ...]
-
-
-def halved(grid: Grid) -> Grid:
-    """The grid whose cells are two cells of `grid` along each axis; an axis of one sample stays.
-
-    With an odd number of samples the last cell reaches one spacing beyond the finer grid.
-    """
-    wide = [n > 1 for n in grid.shape]
-    nx, ny, nz = (-(-n // 2) for n in grid.shape)
-    x, y, z = (h * (1 + w) for h, w in zip(grid.spacing_m, wide, strict=True))
-    a, b, c = (o + h / 2 * w for o, h, w in zip(grid.origin_m, grid.spacing_m, wide, strict=True))
-    return Grid((nx, ny, nz), (x, y, z), (a, b, c))
-
-
-def most_levels(grid: Grid) -> int:
-    """The number of halvings of a grid until one sample is left."""
-    return (max(grid.shape) - 1).bit_length()
-
-
-def pyramid(field: ForceField, levels: int, kernel: str | LowPass = "spline") -> tuple[ForceField, ...]:
-    """The levels of detail of a field, the finest first.
-
-    levels : int; how often it is halved, 0 to `most_levels`; each level has 1/8 of the samples of the one before.
-    kernel : str or LowPass; the low-pass, its cut-off the Nyquist rate of the coarser grid.
-    Raises `InvalidArgument` if the grid cannot be halved so often, or the kernel is unknown.
-    """
-    most = most_levels(field.grid)
-    if isinstance(levels, bool) or not isinstance(levels, int) or not 0 <= levels <= most:
-        raise InvalidArgument("levels", repr(levels), f"0 to {most} for {field.grid.shape} samples")
-    fields = [field]
-    for _ in range(levels):
-        fields.append(resample(fields[-1], halved(fields[-1].grid), kernel))
-    return tuple(fields)
-
-
-def rebuilt(level: ForceField, grid: Grid) -> ForceField:
-    """A level of detail as a receiver renders it: trilinear between its samples, at those of a finer grid."""
-    if level.grid == halved(grid) and all(n > 1 and n % 2 == 0 for n in grid.shape):
-        return _doubled(level, grid)
-    return interpolated(level, grid, border="cell")
-
-
-def _doubled(level: ForceField, grid: Grid) -> ForceField:
-    """The same at the samples of the next finer grid: 3/4 of the nearest sample and 1/4 of the next, axis by axis.
-
-    The outermost sample stands for all of its cell.
-    """
-    bricks = dilated(level.grid, level.bricks, (1, 1, 1))
-    made = [np.empty((0, 8, BRICK, BRICK, BRICK, 3), np.float32)]
-    for span, wide in blocks_around(level, level.forces_n, bricks, (1, 1, 1), (1, 1, 1)):
-        for axis in range(3):
-            lane = np.moveaxis(wide, axis + 1, 1)  # a view, to be filled beyond the border
-            first = bricks[span, axis] == 0
-            last = level.grid.shape[axis] - BRICK * bricks[span, axis]
-            lane[first, 0] = lane[first, 1]
-            ends = np.flatnonzero(last <= BRICK)
-            lane[ends, last[ends] + 1] = lane[ends, last[ends]]
-            inner = np.float32(0.75) * lane[:, 1:-1]
-            fine = np.empty((len(lane), 2 * BRICK, *lane.shape[2:]), np.float32)
-            fine[:, 0::2] = inner + np.float32(0.25) * lane[:, :-2]
-            fine[:, 1::2] = inner + np.float32(0.25) * lane[:, 2:]
-            wide = np.moveaxis(fine, 1, axis + 1)
-        cut = wide.reshape(-1, 2, BRICK, 2, BRICK, 2, BRICK, 3).transpose(0, 1, 3, 5, 2, 4, 6, 7)
-        made.append(cut.reshape(-1, 8, BRICK, BRICK, BRICK, 3))
-    places = (2 * bricks[:, None] + np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)).reshape(-1, 3)
-    inside = (places < np.array(grid.brick_shape)).all(axis=1)
-    forces = np.concatenate(made).reshape(-1, BRICK, BRICK, BRICK, 3)[inside]
-    return ForceField.from_bricks(grid, places[inside], forces)
 
 
 MAX_STAGES: Final = 60

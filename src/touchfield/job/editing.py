@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from touchfield.errors import InvalidArgument
+from touchfield.filters.detail import halved, most_levels, pyramid, rebuilt
 from touchfield.filters.device_filter import limited
 from touchfield.filters.edit import (
     COMPOSITIONS,
@@ -27,7 +28,6 @@ from touchfield.filters.edit import (
     cross_faded,
     edited_medium,
 )
-from touchfield.filters.lifting import halved, most_levels, pyramid, rebuilt
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region
 from touchfield.filters.registry import field_filters, filter_of, length_m
 from touchfield.filters.resample import RigidMotion

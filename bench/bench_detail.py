@@ -1,0 +1,116 @@
+"""Levels of detail: voxels beyond the mask, holes and peaks, beside a low-pass and beside a signed depth.
+
+    python bench/bench_detail.py [--nw N] [--quick]
+
+Each level as a receiver renders it, trilinear, at the samples of level 0. "low-pass": the usual pyramid, means of
+cells by the project's own `resample`, level by level. "signed depth": what the samples of a level would tell if |F|
+were continued below zero in front of the surface, by the field's own median slope, and cut at zero after the
+interpolation; every receiver would have to know of that. Beyond: voxels outside max(F_0, k |F|) over those of level 0
+that hold a force, k 0.1, F_0 0.05 N. Holes: columns along the main direction of the force in which a fifth of the
+peak or less is left. Peak: median over the columns of the peak that is left.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from machine import SHARED, Bar, Figures, at_most, bench
+from touchfield import EncodeSpec, prepare
+from touchfield.filters import interpolated, pyramid, resample
+from touchfield.medium import ForceField, Grid
+
+K, F0_N, LEVELS = 0.1, 0.05, 3
+SOURCES = ("sample:terrain", "sample:motorcycle", "sample:shapes")
+OURS, LOW_PASS, SIGNED = "kept samples", "low-pass", "signed depth"
+Float64s = NDArray[np.float64]
+
+
+def lengths(forces_n: Float64s) -> Float64s:
+    """|F|, along the last axis."""
+    return np.asarray(np.sqrt((forces_n**2).sum(axis=-1)))
+
+
+def low_pass(field: ForceField) -> list[ForceField]:
+    """The usual pyramid: cells of two samples along each axis."""
+    levels = [field]
+    for _ in range(LEVELS):
+        grid = levels[-1].grid
+        shape, spacing = (tuple(-(-n // 2) for n in grid.shape), tuple(2 * h for h in grid.spacing_m))
+        origin = tuple(o + h / 2 for o, h in zip(grid.origin_m, grid.spacing_m, strict=True))
+        levels.append(resample(levels[-1], Grid(shape, spacing, origin), "spline"))
+    return levels
+
+
+def signed(field: ForceField, level: int) -> Float64s:
+    """What every 2^level-th sample tells of depth and direction, float64 [x, y, z, 3] at level 0."""
+    forces, h = field.to_dense().astype(np.float64), np.asarray(field.grid.spacing_m)
+    size = lengths(forces)
+    held = size > 0
+    slope = np.sqrt(sum(g**2 for g in np.gradient(size, *h)))
+    inner = ndimage.binary_erosion(held)
+    away, near = ndimage.distance_transform_edt(~held, sampling=h, return_indices=True)
+    at = tuple(near)
+    depth = np.where(held, size, size[at] - float(np.median(slope[inner])) * away)
+    direction = (forces / np.maximum(size, 1e-12)[..., None])[at]
+    told = np.concatenate([depth[..., None], direction], axis=-1)[(slice(None, None, 1 << level),) * 3]
+    where = np.stack(np.meshgrid(*(np.arange(n) / (1 << level) for n in field.grid.shape), indexing="ij"))
+    back = [ndimage.map_coordinates(told[..., c], where, order=1, mode="nearest") for c in range(4)]
+    turned = np.stack(back[1:], axis=-1)
+    unit = turned / np.maximum(lengths(turned), 1e-12)[..., None]
+    return np.asarray(np.maximum(back[0], 0)[..., None] * unit)
+
+
+def lacks(original: Float64s, made: Float64s) -> Figures:
+    """What a receiver lacks."""
+    size, error = lengths(original), lengths(made - original)
+    beyond = error > np.maximum(F0_N, K * size) * (1 + 1e-6)
+    axis = int(np.abs(original).sum(axis=(0, 1, 2)).argmax())
+    peak, left = size.max(axis=axis), lengths(made).max(axis=axis)
+    felt = peak > 4 * F0_N
+    return {
+        "beyond": float(beyond.sum() / (size > 0).sum()),
+        "nmse_db": float(10 * np.log10((error**2).sum() / (size**2).sum())),
+        "holes": float((left[felt] <= 0.2 * peak[felt]).mean()),
+        "peak": float(np.median(left[felt] / peak[felt])),
+    }
+
+
+def measure(nw: int) -> Figures:
+    """A row for each source, level and way."""
+    rows: dict[str, Figures] = {}
+    fox = SHARED / "meshes" / "fox" / "Fox.glb"
+    for source in (*SOURCES, *((str(fox),) if fox.is_file() else ())):
+        field = prepare(source, EncodeSpec(nw=nw, representation="voxel")).medium[0]
+        original = field.to_dense().astype(np.float64)
+        ours, theirs = pyramid(field, LEVELS), low_pass(field)
+        for level in range(1, LEVELS + 1):
+            ways = {
+                OURS: interpolated(ours[level], field.grid, border="cell").to_dense(),
+                LOW_PASS: interpolated(theirs[level], field.grid, border="cell").to_dense(),
+                SIGNED: signed(field, level),
+            }
+            for way, made in ways.items():
+                name = source.rsplit("/", 1)[-1]
+                rows[f"{name}, level {level}, {way}"] = lacks(original, made.astype(np.float64))
+    return {"levels": rows}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Ours beside the low-pass."""
+    rows = figures["levels"]
+    pairs = [(row, rows[key.replace(OURS, LOW_PASS)], key) for key, row in rows.items() if key.endswith(OURS)]
+    first = [(ours, other) for ours, other, key in pairs if "level 1" in key]
+    return [
+        at_most("detail: level 1, voxels beyond the mask over those of a low-pass, worst", max(
+            ours["beyond"] / other["beyond"] for ours, other in first), 0.75),
+        at_most("detail: level 1, holes beyond those of a low-pass, worst", max(
+            ours["holes"] - other["holes"] for ours, other in first), 0.0),
+        at_most("detail: all levels, peak that a low-pass leaves over ours, worst", max(
+            other["peak"] / ours["peak"] for ours, other, _ in pairs), 1.0),
+    ]  # fmt: skip
+
+
+if __name__ == "__main__":
+    bench("detail", __doc__, measure, bars, nw=(7, 6))
