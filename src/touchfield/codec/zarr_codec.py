@@ -63,7 +63,7 @@ class TouchCodec(ArrayBytesCodec):
 
     @property
     def spec(self) -> TouchSpec:
-        """What is asked of the coder."""
+        """Options of the coder `touch`."""
         return TouchSpec(**{name: getattr(self, name) for name in _OPTIONS})
 
     @classmethod

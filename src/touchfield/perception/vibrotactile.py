@@ -276,7 +276,7 @@ class Stft:
 
 @dataclass(frozen=True)
 class Reduced:
-    """What is left of a vibration to be sent: whole numbers, and a step for each third of an octave.
+    """Rest of a vibration that is sent: whole numbers, and a step for each third of an octave.
 
     symbols : int32 [frames, length / 2]; coefficients of `Stft.real_spectra`, in steps.
     exponents : int16 [bands]; steps are 2 ** (exponent / 4) newtons; -32768: nothing of the band is sent.
@@ -295,7 +295,7 @@ class Reduced:
 
     @cached_property
     def bits(self) -> float:
-        """What the symbols take by an arithmetic coder that learns each band as it goes, and 16 for each step.
+        """Bits of the symbols by an arithmetic coder that learns each band as it goes, and 16 for each step.
 
         The length of the code of Krichevsky and Trofimov, over the values from the least to the greatest of a band;
         these two take 32 bits.
@@ -341,7 +341,7 @@ def _bands_of_bins(length: int, rate_hz: float) -> NDArray[np.int64]:
 
 
 def _limits_n(threshold: VibrationThreshold, rate_hz: float, margin_db: float) -> Float64s:
-    """What the error may be in each band, newtons rms: the least of the threshold within it, less the margin."""
+    """Bounds of the error in each band, newtons rms: the least of the threshold within it, less the margin."""
     edges = _edges(rate_hz)
     inside = edges[:, None] * 10 ** np.linspace(0, 0.1, 9)
     thirds = threshold.force_rms_mn(inside).min(axis=1)
@@ -351,7 +351,7 @@ def _limits_n(threshold: VibrationThreshold, rate_hz: float, margin_db: float) -
 def reduced(
     vibration_n: ArrayLike, rate_hz: float, threshold: VibrationThreshold | None = None, margin_db: float = 3.0
 ) -> Reduced:
-    """What must be sent of a vibration, so that a hand does not feel that the rest is missing.
+    """Reduce a vibration to what must be sent, so that a hand does not feel that the rest is missing.
 
     vibration_n : float [n]; newtons at `rate_hz`, such as the high part of a `Crossover` after `dft321`.
     threshold : VibrationThreshold, optional; of the hand, by default the stylus.

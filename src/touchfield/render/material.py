@@ -1,4 +1,4 @@
-"""What surfaces are made of: a small table of friction, stick-slip and vibration by speed and force (section 6.4).
+"""Materials of surfaces: a small table of friction, stick-slip and vibration by speed and force (section 6.4).
 
 A field tells how hard a surface pushes, not how it feels to slide along it. A `Material` tells that, for the whole
 field, a box or an object: mu, stick-slip, and the rms of the vibration in thirds of an octave at some speeds of the
@@ -54,7 +54,7 @@ _SINES: Final = W.MATERIAL_SINES // len(BANDS_HZ)
 
 @dataclass(frozen=True)
 class Material:
-    """What a surface is made of.
+    """Material of a surface.
 
     Raises `InvalidArgument` if a number is out of range or not finite, or the table is no [speeds, forces, 16].
     """
@@ -242,7 +242,7 @@ def write_materials(
 
 
 def _notes(materials: Sequence[Material], rate_hz: float, slew_n_per_s: float) -> tuple[str, ...]:
-    """What is rendered, and what of it the loop or the device cannot show."""
+    """Rendered part of a material, and what of it the loop or the device cannot show."""
     notes, bands = [f"materials: {', '.join(one.name for one in materials)}"], np.array(BANDS_HZ)
     shown = 2 * 10**0.05 * bands < rate_hz
     for one in (one for one in materials if one.texture_rms_n):

@@ -168,7 +168,7 @@ class MovingScene(Scene):
 
 
 def size_note(extent_m: NDArray[np.floating[Any]], unit_m: float | None, when: str = "") -> str:
-    """What a mesh measures, metres [3], in the unit that was asked for, or in metres where none was."""
+    """Sides of a mesh, metres [3], in the unit that was asked for, or in metres where none was."""
     extent = " x ".join(f"{side:.4g}" for side in extent_m)
     if unit_m is not None:
         return f"One unit is {unit_m:g} m: {extent} m{when}."

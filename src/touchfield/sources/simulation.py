@@ -54,7 +54,7 @@ def warnings_heard(mujoco: Any) -> Iterator[list[str]]:
 
 
 def compiled(make: Callable[[], Any], where: str, found: str, expected: str) -> tuple[Any, tuple[str, ...]]:
-    """What `make` gives, and what MuJoCo warned of; `SourceError` in these words where it refuses."""
+    """Result of `make`, and what MuJoCo warned of; `SourceError` in these words where it refuses."""
     mujoco = load_mujoco()
     try:
         with warnings_heard(mujoco) as heard:

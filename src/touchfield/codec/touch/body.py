@@ -43,7 +43,7 @@ _PROMISED: Final = (*_NUMBERS["mask-direction"], *_MASKING)
 
 
 def numbers_of(spec: TouchSpec) -> tuple[str, ...]:
-    """What a spec goes by."""
+    """Names of the numbers that a spec goes by."""
     return _NUMBERS[spec.mode] + (_MASKING if spec.masking else ())
 
 
