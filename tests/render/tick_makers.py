@@ -11,9 +11,18 @@ from numpy.typing import NDArray
 from touchfield.devices import Device, device
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
+from touchfield.medium.deformation import Deformation
 from touchfield.medium.vibration import VibrationFrame
 from touchfield.render.block import words as W
-from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.block.frames import (
+    FramePart,
+    field_words,
+    frame_words,
+    warp_words,
+    write_field,
+    write_frame,
+    write_warp,
+)
 from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.tick import release, tick
 from touchfield.render.spec import RenderSpec, write_parameters
@@ -64,6 +73,7 @@ class Bench:
     axes: str = "x right, y up, z towards the user"
     vibration: tuple[float, float] = (0.0, 0.0)
     grid: Grid = GRID
+    deformation: Deformation | None = None
 
     def __post_init__(self) -> None:
         pools = [CellPool.of(ForceField.from_dense(self.grid, self.law(points(self.grid)).astype(np.float32)))]
@@ -76,16 +86,21 @@ class Bench:
         for pool in pools:
             at.append(at[-1] + field_words(pool))
         self.frame = at[-1]
-        self.memory = Memory.empty(self.frame + frame_words(1))
+        warp = 0 if self.deformation is None else warp_words(self.deformation)
+        self.yields = self.frame + frame_words(1) + warp
+        self.memory = Memory.empty(self.yields + warp)
         for place, pool in zip(at, pools, strict=False):
             write_field(self.memory, place, pool)
         vibration_at = at[1] if len(pools) > 1 else 0
         write_frame(self.memory, self.frame, [FramePart.voxels(at[0])], np.inf, vibration_at)
+        if self.deformation is not None:
+            write_warp(self.memory, self.frame, frame_words(1), self.deformation, 0, self.yields)
         self.restart(self.spec)
 
     def restart(self, spec: RenderSpec) -> tuple[str, ...]:
         """Other parameters, and the state anew."""
         self.spec, self.dt = spec, 1 / spec.rate_hz
+        self.memory.f8[self.yields :] = 0.0
         return write_parameters(self.memory, spec, self.device, self.friction, self.damping, self.axes)
 
     def tick(self, x: float, y: float, z: float, dt: float | None = None, is_there: bool = True) -> Vector:

@@ -14,6 +14,7 @@ from touchfield.cli.app import Json, Stream, command
 from touchfield.cli.options import Row, asks, numbers_of
 from touchfield.cli.show import check_picture, progress, show
 from touchfield.errors import InvalidArgument
+from touchfield.medium.deformation import read_deformation
 from touchfield.render.material import read_materials
 from touchfield.render.spec import RenderSpec
 from touchfield.render.tool import SPHERE_POINTS, Tool
@@ -42,6 +43,7 @@ RENDER: Final[tuple[Row, ...]] = (
     ("continuous-nm", float | None, None, "Limit of the torque in the long run; default: the device's."),
     ("slew-nm-per-s", float | None, None, "Limit of its change; default: to the peak in 5 ms."),
     ("materials", Path | None, None, "What surfaces are made of, JSON (touchfield texture); default: the stream's."),
+    ("deformation", Path | None, None, "What bends the medium: tracks, or a body that yields (touchfield deform)."),
     ("up", str, "auto", "Up for the hand: x to -z; auto: as the stream says; lattice: y or -y, as it was laid."),
 )
 
@@ -166,6 +168,8 @@ def render_spec(asked: dict[str, Any]) -> RenderSpec:
     given["tool"] = tool_of(asked["tool"])
     if asked["materials"] is not None:
         given["materials"] = read_materials(asked["materials"])
+    if asked["deformation"] is not None:
+        given["deformation"] = read_deformation(asked["deformation"])
     if asked["clutch_mm"] is not None:
         given["clutch_m"] = tuple(v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], 3, _TRIPLE))
     if asked["gravity_n"] is not None:

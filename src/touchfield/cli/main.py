@@ -35,6 +35,7 @@ COMMANDS: Final = {
     **dict.fromkeys(("export", "import"), "make"),
     **dict.fromkeys(("edit", "splice", "resample", "lod", "partition"), "editing"),
     "texture": "texture",
+    "deform": "deformation",
     "info": "reading",
     **dict.fromkeys(("view", "compare"), "look"),
     "play": "feel",

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from touchfield.medium import Grid, HapticMedium
+    from touchfield.medium.deformation import Deformation
     from touchfield.render.block.memory import Memory
 
 _WORDS_PER_BRICK: Final = 1200
@@ -30,15 +31,21 @@ _WORDS_BESIDE: Final = 1024
 class Prepared:
     """A frame that is decoded: how many words it takes, how stiff it is, and how it is written.
 
-    `pools` are of its own fields; `shared` tells where the fields lie that all frames share.
+    `pools` are of its own fields; `shared` tells where the fields lie that all frames share; `stretch` is how many
+    times stiffer a deformation makes them at most.
     """
 
     def __init__(
-        self, parts: FrameParts, frame: int, pools: Mapping[FieldName, CellPool], shared: Mapping[FieldName, int]
+        self,
+        parts: FrameParts,
+        frame: int,
+        pools: Mapping[FieldName, CellPool],
+        shared: Mapping[FieldName, int],
+        stretch: float = 1.0,
     ) -> None:
         self._parts, self._frame, self._pools, self._shared = parts, frame, pools, shared
         self.words = sum(map(field_words, pools.values())) + parts.words
-        self.stiffest_n_per_m = stiffest_n_per_m(pools.values())
+        self.stiffest_n_per_m = stretch * stiffest_n_per_m(pools.values())
 
     def write(self, memory: Memory, at: int) -> int:
         """Write it at a word; the place of the frame, behind its own fields."""
@@ -64,18 +71,22 @@ class FrameSource:
         No frame takes more words than so many beside that.
     """
 
-    def __init__(self, medium: HapticMedium | HapticScene, is_blended: bool = True) -> None:
-        self.frame_count, self.rate_hz, self.axes = len(medium), medium.rate_hz, medium.axes
+    def __init__(
+        self, medium: HapticMedium | HapticScene, is_blended: bool = True, deformation: Deformation | None = None
+    ) -> None:
+        self.axes = medium.axes
         self.friction, self.damping_n_s_per_m = medium.friction, medium.damping_n_s_per_m
         self.starts = _starts(medium)
         self._is_there = getattr(getattr(medium, "make_frame", None), "is_there", None)
         medium, self._blends = with_blends(medium) if is_blended else (medium, ())
-        self._parts = FrameParts(medium)
+        self._parts = FrameParts(medium, deformation)
+        self.frame_count, self.rate_hz = self._parts.frame_count, self._parts.rate_hz
+        self._stretch = 1.0 if deformation is None else deformation.most_stretch**2
         names = self._parts.names(0)
         self._rigid = {name: self._parts.cells(name) for name in names if self._parts.is_shared(name)}
         self._places: dict[FieldName, int] = {}
         self.shared_words = sum(map(field_words, self._rigid.values()))
-        self.stiffest_n_per_m = stiffest_n_per_m(self._rigid.values())
+        self.stiffest_n_per_m = self._stretch * stiffest_n_per_m(self._rigid.values())
         if isinstance(medium, HapticScene):
             own = [one.medium.grid for one in medium.objects if not one.is_rigid]
         else:
@@ -103,6 +114,10 @@ class FrameSource:
                 return Wall(stiffness, level, (finest, finest, finest))
         return None
 
+    def yield_at(self, word: int) -> None:
+        """Tell where in the block the displacements lie by which a deformation yields."""
+        self._parts.yield_at = word
+
     def write_shared(self, memory: Memory, at: int) -> None:
         """Write what all frames share."""
         write_fields(memory, at, self._rigid, self._places)
@@ -120,7 +135,7 @@ class FrameSource:
         """Decode a frame."""
         names = [name for name in self._parts.names(frame) if not self._parts.is_shared(name)]
         pools = {name: self._parts.cells(name) for name in names}
-        return Prepared(self._parts, frame, pools, self._places)
+        return Prepared(self._parts, frame, pools, self._places, self._stretch)
 
 
 def _starts(medium: HapticMedium | HapticScene) -> tuple[int, ...]:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from touchfield.medium.cells import CellPool
+    from touchfield.medium.deformation import Deformation
     from touchfield.medium.medium import HapticMedium
     from touchfield.render.block.memory import Memory
 
@@ -51,6 +52,8 @@ class FieldSampler:
         Objects of a scene are looked up in their own frames.
     memory_bytes : int
         For the latest frames, which are kept; as much twice more for those of `at`.
+    deformation : Deformation, optional
+        Bends a medium of voxels, by its tracks.
 
     Raises
     ------
@@ -58,10 +61,15 @@ class FieldSampler:
         From a query: if a time is not finite, shapes do not fit, or two frames do not fit into the memory allowed.
     """
 
-    def __init__(self, medium: HapticMedium | HapticScene, memory_bytes: int = 256 << 20) -> None:
-        self._parts = FrameParts(medium)
+    def __init__(
+        self,
+        medium: HapticMedium | HapticScene,
+        memory_bytes: int = 256 << 20,
+        deformation: Deformation | None = None,
+    ) -> None:
+        self._parts = FrameParts(medium, deformation)
         self._store = FrameStore(self._parts, memory_bytes)
-        self._is_voxels = not isinstance(medium, HapticScene)
+        self._is_voxels = not isinstance(medium, HapticScene) and deformation is None
         self._rate_hz = self._parts.rate_hz
         self._pair: tuple[int, int] | None = None
         self._places = 0, 0

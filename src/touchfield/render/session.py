@@ -70,7 +70,7 @@ class Session:
         speed: float = 1.0,
         start_s: float = 0.0,
     ) -> None:
-        self.source = FrameSource(medium, spec.blend)
+        self.source = FrameSource(medium, spec.blend, spec.deformation)
         self._device, self._spec, self.is_loop = device, spec, loop
         self.orders = Orders(FIRST_GENERATION, self.checked_s(start_s), speed)
         ahead = min(_AHEAD_S * self.source.rate_hz * max(speed, 1.0), float(_MOST_SLOTS))
@@ -78,7 +78,9 @@ class Session:
         self._materials = stored_materials(medium.provenance) if spec.materials is None else spec.materials
         self._objects = tuple(one.name for one in getattr(medium, "objects", ()))
         arena, tool, material = arena_words(self.source, memory_bytes), tool_words(spec.tool), self._materials
-        self.layout = Layout(arena, slots, tool_words=tool, material_words=material_words(material))
+        self.layout = Layout(
+            arena, slots, tool_words=tool, material_words=material_words(material), yield_words=self._yield_words
+        )
         self._notes: tuple[str, ...] = ()
         self._wall = self._wall_of_spec()
         self._stability: Stability | None = None
@@ -92,7 +94,11 @@ class Session:
     def _wall_of_spec(self) -> Wall | None:
         """The wall of the proxy; None where the field is rendered as it is."""
         spec = self._spec
-        if spec.render == "field" or (spec.render == "auto" and (spec.coupling_n_per_m or spec.tool is not None)):
+        if (
+            spec.render == "field"
+            or spec.deformation is not None
+            or (spec.render == "auto" and (spec.coupling_n_per_m or spec.tool is not None))
+        ):
             return None
         wall = self.source.wall()
         if wall is None and spec.render == "proxy":
@@ -105,6 +111,12 @@ class Session:
     def seconds(self) -> float:
         """Of the medium, once; of one frame, for ever."""
         return math.inf if self.source.frame_count == 1 else self.source.frame_count / self.source.rate_hz
+
+    @property
+    def _yield_words(self) -> int:
+        """Words of the displacements by which the medium yields."""
+        bent = self._spec.deformation
+        return bent.displacement_m[0].size if bent is not None and bent.compliance_m_per_n else 0
 
     def checked_s(self, time_s: float) -> float:
         """A media time to go to; past the end it begins anew where the medium is looped, and else is the end."""
@@ -131,6 +143,9 @@ class Session:
         own_friction = spec.friction is None
         self._notes += write_materials(memory, self.layout.material, self._materials, self._objects, own_friction)
         f8 = memory.f8
+        if self._yield_words:
+            f8[self.layout.yields : self.layout.yields + self._yield_words] = 0.0
+            source.yield_at(self.layout.yields)
         if self._wall is not None:
             f8[W.WALL], f8[W.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n
             f8[W.WALL_SPACING : W.WALL_SPACING + 3] = self._wall.spacing_m

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.devices import Device
+    from touchfield.medium.deformation import Deformation
     from touchfield.render.block.memory import Memory
     from touchfield.render.material import Material
 
@@ -91,6 +92,8 @@ class RenderSpec:
         Axis of the field that is up for the hand, one of `axes.UPS`.
     materials : tuple of Material or None
         What surfaces are made of (`render.material`); None takes those that travel with the medium.
+    deformation : Deformation or None
+        Bends the medium by tracks, or lets it yield (`medium.deformation`); the field is rendered as it is then.
 
     Raises
     ------
@@ -123,6 +126,7 @@ class RenderSpec:
     slew_nm_per_s: float | None = None
     up: str = "auto"
     materials: tuple[Material, ...] | None = None
+    deformation: Deformation | None = None
 
     def __post_init__(self) -> None:
         for name in _NUMBERS:
@@ -134,6 +138,8 @@ class RenderSpec:
             raise InvalidArgument("coupling_n_per_m", both, "0 with a tool: the coupling is that of a point")
         if self.tool is not None and self.render == "proxy":
             raise InvalidArgument("render", f"'proxy' with {self.tool.name}", "field: the proxy is that of a point")
+        if self.deformation is not None and (self.tool is not None or self.render == "proxy"):
+            raise InvalidArgument("deformation", "it with a tool or a proxy", "a point in the field as it is")
         for name in ("clutch_m", "gravity_n"):
             values = getattr(self, name)
             if len(values) != 3 or not all(math.isfinite(v) for v in values):

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from touchfield.medium.deformation import Deformation
     from touchfield.medium.field import ForceField
     from touchfield.medium.medium import HapticMedium
 
@@ -115,7 +116,7 @@ def write_frame(
     """
     _check_place(memory, at, frame_words(len(parts)))
     i8, _, f8, _ = memory.views
-    i8[at + W.FRAME_PARTS], i8[at + W.FRAME_VIBRATION] = len(parts), vibration_at
+    i8[at + W.FRAME_PARTS], i8[at + W.FRAME_VIBRATION], i8[at + W.FRAME_WARP] = len(parts), vibration_at, 0
     f8[at + W.FRAME_LIMIT] = force_max_n
     f8[at + W.FRAME_FLOOR] = (force_max_n * _FLOOR_SHARE) ** 2 if math.isfinite(force_max_n) else 0.0
     for n, part in enumerate(parts):
@@ -125,6 +126,29 @@ def write_frame(
         f8[row + W.PART_POSITION : row + W.PART_POSITION + 3] = part.position_m
         f8[row + W.PART_MOTION : row + W.PART_MOTION + 6] = part.velocity
         f8[row + W.PART_MATRIX : row + W.PART_MATRIX + 9] = _matrix(*map(float, part.quaternion))
+
+
+def warp_words(deformation: Deformation) -> int:
+    """Words that `write_warp` takes behind a frame."""
+    return W.WARP_WORDS + int(np.prod(deformation.displacement_m.shape[1:]))
+
+
+def write_warp(
+    memory: Memory, frame_at: int, offset: int, deformation: Deformation, frame: int, yield_at: int = 0
+) -> None:
+    """Write the lattice of a deformation `offset` words behind a frame's first, and tell the frame of it."""
+    i8, _, f8, _ = memory.views
+    at = frame_at + offset
+    _check_place(memory, at, warp_words(deformation))
+    u = deformation.displacement_m[min(frame, len(deformation) - 1)]
+    i8[frame_at + W.FRAME_WARP] = offset
+    i8[at : at + 3] = u.shape[:3]
+    i8[at + W.WARP_YIELD] = yield_at
+    f8[at + W.WARP_CORNER : at + W.WARP_CORNER + 3] = deformation.corner_m
+    f8[at + W.WARP_INVERSE : at + W.WARP_INVERSE + 3] = 1.0 / np.array(deformation.spacing_m)
+    f8[at + W.WARP_COMPLIANCE], f8[at + W.WARP_RELAX] = deformation.compliance_m_per_n, deformation.relax_s
+    f8[at + W.WARP_MOST] = deformation.most_yield_m
+    f8[at + W.WARP_WORDS : at + W.WARP_WORDS + u.size] = u.ravel()
 
 
 def _matrix(w: float, x: float, y: float, z: float) -> tuple[float, ...]:
@@ -142,12 +166,23 @@ def _check_place(memory: Memory, at: int, words: int) -> None:
 
 
 class FrameParts:
-    """Frames of a medium or a scene as fields and poses; `words` is what a frame takes without its fields."""
+    """Frames of a medium or a scene as fields and poses; `words` is what a frame takes without its fields.
 
-    def __init__(self, medium: HapticMedium | HapticScene) -> None:
-        self.medium = medium
+    A `deformation` bends a medium of voxels; its tracks are those of the medium's frames, or make the frames of a
+    medium that has one. `yield_at` is the word of the displacements that it yields by, 0 for none.
+    InvalidArgument if it does not fit the medium.
+    """
+
+    def __init__(self, medium: HapticMedium | HapticScene, deformation: Deformation | None = None) -> None:
+        self.medium, self.deformation, self.yield_at = medium, deformation, 0
         self.frame_count, self.rate_hz = medium.frame_count, medium.rate_hz
         self.words = frame_words(len(medium.objects) if isinstance(medium, HapticScene) else 1)
+        self._is_still = deformation is not None and medium.frame_count == 1
+        if deformation is not None:
+            self._check(medium, deformation)
+            self.words += warp_words(deformation)
+            if self._is_still and len(deformation) > 1:
+                self.frame_count, self.rate_hz = len(deformation), deformation.rate_hz
         self._motions: list[NDArray[np.float64]] = []
         if isinstance(medium, HapticScene):
             damping = medium.surface_damping_n_s_per_m
@@ -158,8 +193,17 @@ class FrameParts:
                 with np.errstate(over="ignore"):  # the kernels cut what is beyond all bounds
                     self._motions.append(both * damping)
 
+    def _check(self, medium: HapticMedium | HapticScene, deformation: Deformation) -> None:
+        if isinstance(medium, HapticScene):
+            found, expected = "a scene of objects", "a medium of voxels"
+            raise InvalidArgument("deformation", found, expected, "Encode it with --representation voxel.")
+        if not (len(deformation) in (1, medium.frame_count) or self._is_still):
+            expected = f"1 or {medium.frame_count}, as the medium has"
+            raise InvalidArgument("deformation", f"tracks of {len(deformation)} frames", expected)
+
     def names(self, frame: int) -> list[FieldName]:
         """The fields that a frame needs."""
+        frame = _EVERY if self._is_still else frame
         if isinstance(self.medium, HapticScene):
             return [(n, _EVERY if one.is_rigid else frame) for n, one in enumerate(self.medium.objects)]
         own = [(0, frame)]
@@ -176,8 +220,8 @@ class FrameParts:
         if isinstance(self.medium, HapticScene):
             return self.medium.objects[which].field(max(frame, 0))
         if which == VIBRATION and self.medium.vibration is not None:
-            return self.medium.vibration[frame].as_field()
-        return self.medium[frame]
+            return self.medium.vibration[max(frame, 0)].as_field()
+        return self.medium[max(frame, 0)]
 
     def cells(self, name: FieldName) -> CellPool:
         """Make one of them, as the kernels read it."""
@@ -186,8 +230,11 @@ class FrameParts:
     def write(self, memory: Memory, at: int, frame: int, places: Mapping[FieldName, int]) -> None:
         """Write a frame whose fields lie at `places`."""
         if not isinstance(self.medium, HapticScene):
-            vibration_at = places.get((VIBRATION, frame), 0)
-            write_frame(memory, at, [FramePart.voxels(places[0, frame])], math.inf, vibration_at)
+            own, *others = self.names(frame)
+            vibration_at = places[others[0]] if others else 0
+            write_frame(memory, at, [FramePart.voxels(places[own])], math.inf, vibration_at)
+            if self.deformation is not None:
+                write_warp(memory, at, frame_words(1), self.deformation, frame, self.yield_at)
             return
         parts = [
             FramePart(places[name], one.track.quaternions[frame], one.track.positions_m[frame], motion[frame])

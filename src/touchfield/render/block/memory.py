@@ -157,7 +157,7 @@ def _no_room(needed: int) -> InvalidArgument:
 
 @dataclass(frozen=True)
 class Layout:
-    """Sizes and places of the parts of one block: behind `words.FREE` directory, log, tool, materials and arena.
+    """Sizes and places of the parts of one block: behind `words.FREE` directory, log, tool, materials, yields, arena.
 
     The arena begins with what all frames share (fields of rigid bodies); the rest of it is a `Ring` of frames.
     """
@@ -167,6 +167,7 @@ class Layout:
     log_rows: int = LOG_ROWS
     tool_words: int = 0
     material_words: int = 0
+    yield_words: int = 0
 
     @property
     def log(self) -> int:
@@ -184,9 +185,14 @@ class Layout:
         return self.tool + self.tool_words
 
     @property
-    def arena(self) -> int:
+    def yields(self) -> int:
         """Its first word."""
         return self.material + self.material_words
+
+    @property
+    def arena(self) -> int:
+        """Its first word."""
+        return self.yields + self.yield_words
 
     @property
     def words(self) -> int:

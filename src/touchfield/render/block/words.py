@@ -245,7 +245,8 @@ FRAME_PARTS: Final = 0  # i8: how many
 FRAME_VIBRATION: Final = 1  # i8: place of the field of vibration, or 0
 FRAME_LIMIT: Final = 2  # f8: of the sum, newtons
 FRAME_FLOOR: Final = 3  # f8: the square of what counts as no force
-FRAME_WORDS: Final = 4
+FRAME_WARP: Final = 4  # i8: from here to the lattice of its deformation (`medium.deformation`), or 0
+FRAME_WORDS: Final = 5
 
 PART_FIELD: Final = 0  # i8: place of its field
 PART_IS_IDENTITY: Final = 1  # i8: 1 if it is unturned
@@ -254,6 +255,16 @@ PART_POSITION: Final = 6
 PART_MOTION: Final = 9  # six f8: what its own motion adds to the force
 PART_MATRIX: Final = 15  # nine f8: the matrix of its rotation
 PART_WORDS: Final = 24
+
+# -- a deformation: a header, begun by how many control points along x, y and z; displacements behind it ---------
+
+WARP_YIELD: Final = 3  # i8: word of the displacements by which it yields; 0: it does not
+WARP_CORNER: Final = 4  # three f8: where its cells begin, metres
+WARP_INVERSE: Final = 7  # three f8: 1 / spacing
+WARP_COMPLIANCE: Final = 10  # f8: metres for a newton
+WARP_RELAX: Final = 11  # f8: time constant, seconds
+WARP_MOST: Final = 12  # f8: most that a control point yields along an axis, metres
+WARP_WORDS: Final = 13
 
 AT_A_FRAME: Final = 1e-9
 """Frames: an instant so near to a frame is that frame, whatever the rounding of its seconds says."""

@@ -50,6 +50,7 @@ import math
 from numba import njit
 
 from touchfield.render.block import words as W
+from touchfield.render.kernels.deformation import stored_place
 from touchfield.render.kernels.frames import force_at, gradient_at, vibration_at
 from touchfield.render.kernels.vectors import along, dot, is_finite, length, less, plus, put, three, times
 
@@ -267,6 +268,7 @@ def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt):
     Amplitudes of two frames are blended, the frequency is that of the frame that says more. A frequency that the
     loop cannot show, half its rate or more, is not rendered.
     """
+    p = stored_place(i8, f8, frame_a, frame_b, min(max(blend, 0.0), 1.0), p)
     amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, *p)
     if frame_b != frame_a and blend > 0.0:
         blend = min(blend, 1.0)

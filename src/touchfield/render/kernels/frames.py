@@ -15,6 +15,7 @@ from touchfield.lean import UNCOUNTED
 from touchfield.medium.kernels.cell import CELLS, GOLDEN, XY, XYZ, XZ, YZ, X, Y, Z, between
 from touchfield.medium.kernels.placed import INSIDE, shortened
 from touchfield.render.block import words as W
+from touchfield.render.kernels.deformation import bends, bent, stored_place, warp_of
 from touchfield.render.kernels.vectors import (
     along,
     cross,
@@ -203,6 +204,22 @@ def part_force(i8, u8, f8, f4, a, b, blend, d):
 def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """`force_at`, to be part of a loop over points."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
+    if warp_of(i8, frame_a) > 0:
+        return _bent_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
+    return _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
+
+
+@njit(**UNCOUNTED, cache=True)
+def _bent_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
+    """(I + grad u)^T F(x + u), where a deformation bends the field."""
+    u, gx, gy, gz = bent(i8, f8, frame_a, frame_b, blend, (x, y, z))
+    f = _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, x + u[0], y + u[1], z + u[2])
+    return f[0] + dot(gx, f), f[1] + dot(gy, f), f[2] + dot(gz, f)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
+    """The force of the frames as they are stored."""
     least, limit = f8[np.uint64(frame_a + W.FRAME_FLOOR)], f8[np.uint64(frame_a + W.FRAME_LIMIT)]
     total = 0.0, 0.0, 0.0
     a, b = frame_a + W.FRAME_WORDS, frame_b + W.FRAME_WORDS
@@ -263,9 +280,29 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """dF_i/dx_j of `force_at`, N/m, row by row: nine numbers.
 
     On a plane of a lattice, where the slope jumps, it is that of the cell towards greater indices. Where the sum is
-    cut to its limit, only the change of its direction is left.
+    cut to its limit, only the change of its direction is left. Where a deformation bends the field, it is J^T S J of
+    the slopes S there, J = I + grad u, and the force times the second slopes of u.
     """
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
+    if warp_of(i8, frame_a) == 0:
+        return _plain_gradient(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
+    u, gx, gy, gz = bent(i8, f8, frame_a, frame_b, blend, (x, y, z))
+    at = x + u[0], y + u[1], z + u[2]
+    f = _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, *at)
+    s = _plain_gradient(i8, u8, f8, f4, frame_a, frame_b, blend, *at)
+    rows = (s[0], s[1], s[2]), (s[3], s[4], s[5]), (s[6], s[7], s[8])
+    jx, jy, jz = plus((1.0, 0.0, 0.0), gx), plus((0.0, 1.0, 0.0), gy), plus((0.0, 0.0, 1.0), gz)  # columns of J
+    sx, sy, sz = turned(rows, jx), turned(rows, jy), turned(rows, jz)
+    xx, xy, xz, yy, yz, zz = bends(i8, f8, frame_a, frame_b, blend, (x, y, z), f)
+    p = dot(jx, sx) + xx, dot(jx, sy) + xy, dot(jx, sz) + xz
+    q = dot(jy, sx) + xy, dot(jy, sy) + yy, dot(jy, sz) + yz
+    r = dot(jz, sx) + xz, dot(jz, sy) + yz, dot(jz, sz) + zz
+    return p[0], p[1], p[2], q[0], q[1], q[2], r[0], r[1], r[2]
+
+
+@njit(**UNCOUNTED, cache=True)
+def _plain_gradient(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
+    """The slopes of `_plain_force`, row by row."""
     least, limit = f8[np.uint64(frame_a + W.FRAME_FLOOR)], f8[np.uint64(frame_a + W.FRAME_LIMIT)]
     total, p, q, r = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     a, b = frame_a + W.FRAME_WORDS, frame_b + W.FRAME_WORDS
@@ -327,6 +364,7 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
 def vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """Between two frames: the amplitude linear in time, the frequency that of the nearer frame that vibrates."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
+    x, y, z = stored_place(i8, f8, frame_a, frame_b, blend, (x, y, z))
     amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, x, y, z)
     if blend > 0.0:
         later_n, later_hz = vibration_at(i8, u8, f8, f4, frame_b, x, y, z)

@@ -22,6 +22,7 @@ from numba import njit
 from touchfield.filters.kernels.forces import friction
 from touchfield.render.block import words as W
 from touchfield.render.kernels import effects
+from touchfield.render.kernels.deformation import give_way
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.kernels.material import material_at, texture
 from touchfield.render.kernels.points import tool_force
@@ -141,6 +142,7 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
             force = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, *p)
         if not is_finite(force):
             force = _NOTHING
+        give_way(i8, f8, frame_a, p, force, dt)
         drag = friction(force[0], force[1], force[2], v[0], v[1], v[2], f8[W.FRICTION_NOW], f8[W.SLIP_SPEED])
     put(f8, W.FIELD_FORCE, force)
     put(f8, W.FRICTION_FORCE, drag)

@@ -1,0 +1,212 @@
+"""A deformation of a medium at the receiver: control points bend the field, nothing is sent upstream (paper 6.3).
+
+What lies at x is looked up at psi(x) = x + u(x) in the medium as it is stored; u is a cubic B-spline over a small
+lattice of control points, and flat beyond it along each axis. With F = -grad f the force is
+
+    F'(x) = (I + grad u)^T F(psi(x)) = -grad (f o psi),
+
+as free of curl as F was: a field that is bent gives no energy away, as one would whose forces kept their size. The
+map goes backwards, from where the hand is to where the medium was, so that a query inverts nothing.
+
+The control points move by **tracks**, a lattice of displacements for each frame, blended linearly in time; or they
+**yield**: a body that gives way under the finger, as a spring of `compliance_m_per_n` in series with the field that
+follows with the time constant `relax_s`. Both add up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.medium.atomic import atomic_path
+from touchfield.medium.field import frozen
+from touchfield.medium.npz import NpzArchive
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Float64s = NDArray[np.float64]
+
+MOST_CONTROLS: Final = 32
+"""Along an axis."""
+
+STEP_M: Final = 2e-5
+"""Of displacements in a file: what no hand tells from nothing, and no slope of a map feels."""
+
+_MOST_BYTES: Final = 64 << 20
+_FINE: Final = 3  # places along each side of a cell at which the determinant is looked at
+_ARRAYS: Final = {"corner_m": 3, "spacing_m": 3, "rate_hz": 1, "compliance_m_per_n": 1, "relax_s": 1}
+
+
+@dataclass(frozen=True, eq=False)
+class Deformation:
+    """Displacements of control points, and how they yield.
+
+    Parameters
+    ----------
+    displacement_m : float [T, nx, ny, nz, 3]
+        u at the control points of each frame, metres: from where the hand is to where the medium was. 4 to 32 along
+        each axis.
+    corner_m, spacing_m : float [3]
+        Where the cells of the lattice begin (control point 1 of each axis), and their sides, metres.
+    rate_hz : float
+        Frames a second.
+    compliance_m_per_n : float
+        Metres that the medium gives way for a newton; 0: it does not yield.
+    relax_s : float
+        Time constant with which it does, and comes back, seconds.
+
+    Raises
+    ------
+    InvalidArgument
+        If a shape does not fit, a number is out of range or not finite, or the map folds: the determinant of
+        I + grad u is not positive somewhere.
+    """
+
+    displacement_m: Float64s
+    corner_m: tuple[float, float, float]
+    spacing_m: tuple[float, float, float]
+    rate_hz: float = 1.0
+    compliance_m_per_n: float = 0.0
+    relax_s: float = 0.05
+
+    def __post_init__(self) -> None:
+        u = np.array(self.displacement_m, np.float64)
+        if u.ndim != 5 or u.shape[4] != 3 or not len(u) or not all(4 <= n <= MOST_CONTROLS for n in u.shape[1:4]):
+            expected = f"[frames, nx, ny, nz, 3] with 4 to {MOST_CONTROLS} control points along each axis"
+            raise InvalidArgument("displacement_m", f"shape {u.shape}", expected)
+        for name in ("corner_m", "spacing_m"):
+            three = tuple(map(float, getattr(self, name)))
+            is_good = len(three) == 3 and all(map(math.isfinite, three))
+            if not is_good or (name == "spacing_m" and min(three) <= 0):
+                raise InvalidArgument(name, repr(getattr(self, name)), "three finite lengths in metres")
+            object.__setattr__(self, name, three)
+        if not np.isfinite(u).all() or np.abs(u).max() > 0.5:
+            raise InvalidArgument("displacement_m", "a number that is not finite or beyond 0.5 m", "metres")
+        for name, low, high in (("rate_hz", 1e-3, 1e4), ("relax_s", 1e-3, 60.0), ("compliance_m_per_n", 0.0, 1.0)):
+            if not low <= getattr(self, name) <= high:
+                raise InvalidArgument(name, repr(getattr(self, name)), f"a number from {low:g} to {high:g}")
+        object.__setattr__(self, "displacement_m", frozen(u))
+        least, frame = self.least_determinant()
+        if least <= 0:
+            expected = "a positive determinant of I + grad u everywhere"
+            raise InvalidArgument(f"displacement_m, frame {frame}", f"a fold: {least:.3g}", expected, "Bend it less.")
+        if self.compliance_m_per_n and self.most_yield_m <= 0:
+            raise InvalidArgument(
+                "compliance_m_per_n", "tracks that bend by their utmost", "none, or tracks that bend less"
+            )
+
+    @classmethod
+    def at_rest(cls, low_m: ArrayLike, high_m: ArrayLike, controls: int = 8, **yields: float) -> Deformation:
+        """One frame without any displacement over a box; `yields` as of the class."""
+        low, high = (np.asarray(m, np.float64) for m in (low_m, high_m))
+        spacing = (high - low) / (controls - 3)
+        return cls(np.zeros((1, controls, controls, controls, 3)), tuple(low), tuple(spacing), **yields)
+
+    def __len__(self) -> int:
+        return len(self.displacement_m)
+
+    def __repr__(self) -> str:
+        nx, ny, nz = self.displacement_m.shape[1:4]
+        return f"<Deformation: {len(self)} frames of {nx} x {ny} x {nz} control points>"
+
+    @property
+    def most_yield_m(self) -> float:
+        """Most that a control point may yield along an axis, metres, so that the map surely does not fold.
+
+        The map does not fold where |grad u| < 1. Of a B-spline that slope is at most the difference of neighbouring
+        control points over their distance, and that of the tracks is taken off first.
+        """
+        u, square = self.displacement_m, 0.0
+        for axis in range(3):
+            square += float((np.linalg.norm(np.diff(u, axis=axis + 1), axis=-1).max() / self.spacing_m[axis]) ** 2)
+        slope = sum(3 * (2.0 / h) ** 2 for h in self.spacing_m)  # of control points that differ by up to twice 1 m
+        return max(0.0, (0.95 - math.sqrt(square)) / math.sqrt(slope))
+
+    @cached_property
+    def most_stretch(self) -> float:
+        """The greatest singular value of I + grad u, where the determinant is looked at."""
+        made = (np.linalg.norm(j, ord=2, axis=(-2, -1)).max() for j in self._jacobians())
+        return float(max(made))
+
+    def least_determinant(self) -> tuple[float, int]:
+        """The least determinant of I + grad u at three places along each side of every cell, and its frame."""
+        return min((float(np.linalg.det(j).min()), frame) for frame, j in enumerate(self._jacobians()))
+
+    def _jacobians(self) -> Iterator[Float64s]:
+        """I + grad u [.., 3, 3] of each frame."""
+        values, slopes = _basis(np.arange(_FINE) / (_FINE - 1))
+        for u in self.displacement_m:
+            if not u.any():
+                yield np.eye(3)[None]
+                continue
+            jacobian = np.empty((*(_FINE * (n - 3) for n in u.shape[:3]), 3, 3))
+            for axis in range(3):
+                made = u
+                for other in range(3):
+                    rows = slopes / self.spacing_m[axis] if other == axis else values
+                    made = _along(made, rows, other)
+                jacobian[..., axis] = made
+            yield jacobian + np.eye(3)
+
+    def design(self, points_m: Float64s) -> tuple[NDArray[np.int64], Float64s]:
+        """Control points, flat, and weights of each point [n, 64]: u(x) is the weighted sum."""
+        shape = np.array(self.displacement_m.shape[1:4])
+        s = np.clip((points_m - np.array(self.corner_m)) / np.array(self.spacing_m), 0, shape - 3)
+        cell = np.minimum(s.astype(np.int64), shape - 4)
+        weights = [_basis(s[:, a] - cell[:, a])[0] for a in range(3)]
+        step = np.arange(4)
+        i, j, k = (cell[:, a, None] + step for a in range(3))
+        flat = (i[:, :, None, None] * shape[1] + j[:, None, :, None]) * shape[2] + k[:, None, None, :]
+        both = weights[0][:, :, None, None] * weights[1][:, None, :, None] * weights[2][:, None, None, :]
+        return flat.reshape(-1, 64), both.reshape(-1, 64)
+
+    def write(self, path: str | Path) -> None:
+        """Write it as ``.npz``, displacements as whole steps of 20 um, whole or not at all.
+
+        Of each frame stands its difference from the one before, int16, which wraps.
+        """
+        steps = np.rint(self.displacement_m / STEP_M).astype(np.int64).astype(np.int16)
+        arrays: dict[str, Any] = {name: np.array(getattr(self, name)) for name in _ARRAYS}
+        with atomic_path(Path(path)) as temporary, temporary.open("wb") as stream:
+            np.savez_compressed(stream, displacement_steps=np.diff(steps, axis=0, prepend=np.int16(0)), **arrays)
+
+
+def read_deformation(path: str | Path) -> Deformation:
+    """Read what `Deformation.write` wrote; `SourceError` that names file and array where it is none."""
+    archive = NpzArchive(Path(path))
+    header, where = archive.header("displacement_steps"), f"{path}, array displacement_steps"
+    if header.dtype != np.int16 or len(header.shape) != 5 or header.data_bytes > _MOST_BYTES:
+        raise SourceError(where, header.words, "int16 [frame, nx, ny, nz, 3], at most 64 MiB")
+    rest = {name: archive.numbers(name, count) for name, count in _ARRAYS.items()}
+    (cx, cy, cz), (hx, hy, hz) = rest["corner_m"], rest["spacing_m"]
+    one = {name: rest[name][0] for name in ("rate_hz", "compliance_m_per_n", "relax_s")}
+    try:
+        steps = np.cumsum(archive.read("displacement_steps"), axis=0, dtype=np.int16)
+        return Deformation(STEP_M * steps.astype(np.float64), (cx, cy, cz), (hx, hy, hz), **one)
+    except InvalidArgument as error:
+        raise SourceError(f"{path}, {error.where}", error.found, error.expected, error.mend) from None
+
+
+def _basis(t: Float64s) -> tuple[Float64s, Float64s]:
+    """Cubic B-spline at places 0 to 1 in a cell: weights of its four control points [n, 4], and their slopes."""
+    r = 1 - t
+    values = [r**3, 3 * t**3 - 6 * t**2 + 4, 3 * r**3 - 6 * r**2 + 4, t**3]
+    slopes = [-3 * r**2, 9 * t**2 - 12 * t, -9 * r**2 + 12 * r, 3 * t**2]
+    return np.stack(values, axis=-1) / 6, np.stack(slopes, axis=-1) / 6
+
+
+def _along(u: Float64s, rows: Float64s, axis: int) -> Float64s:
+    """Control points along an axis as values at the places of each cell; `rows` are the weights of four."""
+    lanes = np.moveaxis(u, axis, -1)
+    windows = np.lib.stride_tricks.sliding_window_view(lanes, 4, axis=-1)
+    made = np.einsum("...cw,pw->...cp", windows, rows)
+    return np.moveaxis(made.reshape(*lanes.shape[:-1], -1), -1, axis)

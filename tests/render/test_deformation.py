@@ -1,0 +1,335 @@
+"""A deformation at the receiver: the map, its force, its tracks, and what gives way under a hand."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from player_makers import Simulated
+from tick_makers import OMNI, Bench, points, wall
+
+from gltf_makers import chain_rig
+from touchfield import job
+from touchfield.cli.main import _exit_code
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.deformation import STEP_M, Deformation, read_deformation
+from touchfield.medium.deformation_fit import fitted
+from touchfield.render.offline import run_offline
+from touchfield.render.sampler import FieldSampler
+from touchfield.render.spec import RenderSpec
+
+Float64s = NDArray[np.float64]
+GRID = Grid((41, 41, 41), (0.001,) * 3, (-0.02,) * 3)
+BOX = (-0.015,) * 3, (0.015,) * 3
+
+
+def medium(law: object, frames: int = 1, grid: Grid = GRID) -> HapticMedium:
+    forces = law(points(grid)).astype(np.float32)  # type: ignore[operator]
+    return HapticMedium.from_frames([ForceField.from_dense(grid, forces)] * frames, 50.0)
+
+
+def ball(p: Float64s) -> Float64s:
+    away = np.linalg.norm(p, axis=-1, keepdims=True)
+    return np.where(away < 0.012, 400 * (0.012 - away), 0) * p / np.maximum(away, 1e-9)
+
+
+def spring(p: Float64s) -> Float64s:
+    """-grad of a square: linear, and so given back by the sampler but for float32."""
+    return p @ np.array([[80.0, 30, -20], [30, 120, 10], [-20, 10, 60]])
+
+
+def wavy(frames: int = 1, size_m: float = 0.0006, rate_hz: float = 10.0, controls: int = 8) -> Deformation:
+    lattice = Deformation.at_rest(*BOX, controls)
+    u = np.random.default_rng(5).normal(size=(frames, controls, controls, controls, 3)) * size_m
+    return replace(lattice, displacement_m=u, rate_hz=rate_hz)
+
+
+def controls_m(lattice: Deformation) -> Float64s:
+    """Places of the control points, [nx, ny, nz, 3]."""
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in lattice.displacement_m.shape[1:4]), indexing="ij"), axis=-1)
+    return np.asarray(lattice.corner_m) + (index - 1) * np.asarray(lattice.spacing_m)
+
+
+def places(count: int = 400, reach_m: float = 0.013, seed: int = 1) -> Float64s:
+    return np.random.default_rng(seed).uniform(-reach_m, reach_m, (count, 3))
+
+
+def moved(lattice: Deformation, u: Float64s, p: Float64s) -> Float64s:
+    flat, weights = lattice.design(p)
+    return np.einsum("nw,nwc->nc", weights, u.reshape(-1, 3)[flat])
+
+
+# -- the map ------------------------------------------------------------------------------------------------------
+
+
+def test_at_rest_every_bit_is_as_without() -> None:
+    still, p = medium(ball), places()
+    plain, bent = FieldSampler(still), FieldSampler(still, deformation=Deformation.at_rest(*BOX))
+    times = np.zeros(len(p))
+    for ask in ("force_n", "gradient_n_per_m"):
+        made = getattr(bent, ask)(times, p)
+        assert made.any() and np.array_equal(made, getattr(plain, ask)(times, p))
+
+
+def test_an_affine_map_is_that_map_and_turns_forces_with_it() -> None:
+    lattice = Deformation.at_rest(*BOX)
+    a, shift = np.array([[0.1, -0.05, 0.02], [0.03, -0.08, 0.04], [-0.02, 0.06, 0.12]]), [0.001, -0.0005, 0.0008]
+    bent = replace(lattice, displacement_m=(controls_m(lattice) @ a.T + shift)[None])
+    p = places(reach_m=0.0149)
+    made = FieldSampler(medium(spring), deformation=bent).force_n(np.zeros(len(p)), p).astype(float)
+    j = np.eye(3) + a
+    expected = spring(p @ j.T + shift) @ j
+    assert np.abs(made - expected).max() < 1e-6 * np.abs(expected).max()
+    assert bent.least_determinant()[0] == pytest.approx(np.linalg.det(j))
+    assert bent.most_stretch == pytest.approx(np.linalg.norm(j, 2))
+
+
+def test_force_and_slopes_are_those_of_the_formula() -> None:
+    bent, p, t = wavy(3), places(), 0.137
+    sampler = FieldSampler(medium(spring), deformation=bent)
+    u = 0.63 * bent.displacement_m[1] + 0.37 * bent.displacement_m[2]  # 1.37 frames
+
+    def expected(p: Float64s) -> Float64s:
+        step = 1e-6 * np.eye(3)
+        j = np.stack([(moved(bent, u, p + d) - moved(bent, u, p - d)) / 2e-6 for d in step], axis=-1) + np.eye(3)
+        return np.einsum("nki,nk->ni", j, spring(p + moved(bent, u, p)))
+
+    made = np.array([sampler.at(t, *q) for q in p])
+    assert made == pytest.approx(expected(p), abs=2e-6)
+    slopes = np.stack([(expected(p + d) - expected(p - d)) / 2e-4 for d in 1e-4 * np.eye(3)], axis=-1)
+    assert sampler.gradient_n_per_m(t, p) == pytest.approx(slopes, abs=0.02 * np.abs(slopes).max())
+
+
+def test_a_loop_gives_no_work() -> None:
+    """Of a force that keeps its size instead, as one might think right, it does."""
+    sampler, bent = FieldSampler(medium(spring), deformation=wavy(1, 0.0009)), wavy(1, 0.0009)
+    s, weights = np.polynomial.legendre.leggauss(400)
+    angle = np.pi * (s + 1)
+    around = 0.01 * np.stack([np.cos(angle), np.sin(angle), 0.5 * np.sin(2 * angle)], axis=-1)
+    along = 0.01 * np.stack([-np.sin(angle), np.cos(angle), np.cos(2 * angle)], axis=-1)
+    # pieces between the cells of the lattice, in which the spline is one polynomial, are short enough
+    force = np.array([sampler.at(0.0, *p) for p in around])
+    share = np.einsum("nc,nc->n", force, along)
+    scale = float(np.pi * weights @ np.abs(share))
+    assert abs(np.pi * weights @ share) < 2e-5 * scale
+    kept = np.linalg.norm(spring(around + moved(bent, bent.displacement_m[0], around)), axis=1)
+    same = np.einsum("nc,nc->n", force / np.linalg.norm(force, axis=1)[:, None] * kept[:, None], along)
+    assert abs(np.pi * weights @ same) > 1e-3 * scale
+
+
+def test_beyond_the_lattice_it_is_flat_and_joins_on() -> None:
+    bent = wavy(1, 0.0004)
+    sampler = FieldSampler(medium(spring), deformation=bent)
+    edge = bent.corner_m[0] + bent.spacing_m[0] * 5
+    inner, outer = (np.array(sampler.at(0.0, edge + d, 0.002, 0.001)) for d in (-1e-9, 1e-9))
+    far = np.array(sampler.at(0.0, edge + 0.003, 0.002, 0.001))
+    u = moved(bent, bent.displacement_m[0], np.array([[edge, 0.002, 0.001]]))[0]
+    assert (
+        np.linalg.norm(moved(bent, bent.displacement_m[0], np.array([[edge + 0.003, 0.002, 0.001]]))[0] - u) < 1e-12
+    )
+    assert np.isfinite(far).all() and np.linalg.norm(outer - inner) < 0.5 * np.linalg.norm(inner)
+    assert not np.array(sampler.at(0.0, np.nan, 0.0, 0.0)).any()
+
+
+def test_what_folds_or_is_no_deformation_is_refused() -> None:
+    lattice = Deformation.at_rest(*BOX)
+    swap = replace(lattice, displacement_m=(-0.99 * controls_m(lattice))[None])
+    assert 0 < swap.least_determinant()[0] < 2e-6
+    folded = np.stack([0 * controls_m(lattice), -1.2 * controls_m(lattice) * [1, 0, 0]])
+    with pytest.raises(InvalidArgument, match="frame 1: found a fold"):
+        replace(lattice, displacement_m=folded)
+    for bad, said in (
+        ({"displacement_m": np.zeros((1, 3, 8, 8, 3))}, "4 to 32 control points"),
+        ({"displacement_m": np.full((1, 8, 8, 8, 3), np.nan)}, "not finite"),
+        ({"spacing_m": (0.1, 0.1, 0.0)}, "spacing_m"),
+        ({"corner_m": (0.1, 0.1)}, "corner_m"),
+        ({"relax_s": 0.0}, "relax_s"),
+        ({"compliance_m_per_n": -1.0}, "compliance_m_per_n"),
+        ({"displacement_m": swap.displacement_m, "compliance_m_per_n": 0.001}, "bend by their utmost"),
+    ):
+        with pytest.raises(InvalidArgument, match=said):
+            replace(lattice, **bad)  # type: ignore[arg-type]
+
+
+def test_a_file_keeps_whole_steps_and_strangers_are_refused(tmp_path: Path) -> None:
+    bent = replace(wavy(4, 0.0007), compliance_m_per_n=0.001, relax_s=0.2)
+    bent.write(tmp_path / "a.npz")
+    back = read_deformation(tmp_path / "a.npz")
+    assert np.abs(back.displacement_m - bent.displacement_m).max() <= STEP_M / 2 + 1e-12
+    assert (back.corner_m, back.spacing_m, back.rate_hz) == (bent.corner_m, bent.spacing_m, bent.rate_hz)
+    assert (back.compliance_m_per_n, back.relax_s) == (0.001, 0.2)
+    back.write(tmp_path / "b.npz")
+    assert np.array_equal(read_deformation(tmp_path / "b.npz").displacement_m, back.displacement_m)
+    data = (tmp_path / "a.npz").read_bytes()
+    (tmp_path / "c.npz").write_bytes(data[: len(data) // 2])
+    with pytest.raises(SourceError, match=r"c\.npz"):
+        read_deformation(tmp_path / "c.npz")
+    with np.load(tmp_path / "a.npz") as held:
+        arrays = dict(held)
+    for name, value, said in (
+        ("displacement_steps", arrays["displacement_steps"].astype(np.int32), "int16"),
+        (
+            "displacement_steps",
+            np.full((1, 8, 8, 8, 3), 32000, np.int16) * np.arange(8)[:, None, None, None] % 2,
+            "int16",
+        ),
+        ("spacing_m", np.array([0.01, np.nan, 0.01]), "spacing_m"),
+        ("rate_hz", np.array([0.0]), "rate_hz"),
+    ):
+        np.savez(tmp_path / "d.npz", **(arrays | {name: value}))
+        with pytest.raises(SourceError, match=said):
+            read_deformation(tmp_path / "d.npz")
+    np.savez(tmp_path / "d.npz", **{k: v for k, v in arrays.items() if k != "relax_s"})
+    with pytest.raises(SourceError, match="relax_s"):
+        read_deformation(tmp_path / "d.npz")
+
+
+# -- tracks ---------------------------------------------------------------------------------------------------------
+
+
+def test_tracks_make_the_frames_of_a_still_medium_and_follow_those_of_another() -> None:
+    bent, p = wavy(5), places(50)
+    still = FieldSampler(medium(ball), deformation=bent)
+    moving = FieldSampler(medium(ball, 5), deformation=replace(bent, rate_hz=50.0))
+    for frame in range(5):
+        one = FieldSampler(
+            medium(ball), deformation=replace(bent, displacement_m=bent.displacement_m[frame : frame + 1])
+        )
+        expected = one.force_n(np.zeros(len(p)), p)
+        assert np.array_equal(still.force_n(np.full(len(p), frame / 10), p), expected)
+        assert np.array_equal(moving.force_n(np.full(len(p), frame / 50), p), expected)
+    with pytest.raises(InvalidArgument, match="tracks of 5 frames; expected 1 or 3"):
+        FieldSampler(medium(ball, 3), deformation=bent)
+    with pytest.raises(InvalidArgument, match="tool or a proxy"):
+        RenderSpec(deformation=bent, render="proxy")
+
+
+def test_a_fit_finds_an_affine_motion_to_the_last_and_carries_it_on() -> None:
+    rest = places(600, 0.01)
+    a = np.array([[0.95, -0.2, 0], [0.2, 0.95, 0], [0, 0, 1.05]])
+    now = rest @ a.T + [0.001, 0, 0]
+    made, rms = fitted(rest, [rest, now], Deformation.at_rest((-0.013,) * 3, (0.013,) * 3), 25.0)
+    assert rms < 2e-6 and not made.displacement_m[0].any() and made.rate_hz == 25.0
+    p = places(200, 0.006, seed=9) @ a.T + [0.001, 0, 0]
+    back = p + moved(made, made.displacement_m[1], p)
+    assert np.abs(back - (p - [0.001, 0, 0]) @ np.linalg.inv(a).T).max() < 2e-5
+    with pytest.raises(InvalidArgument, match="frame 1: found 599 vertices"):
+        fitted(rest, [rest, now[1:]], Deformation.at_rest(*BOX), 25.0)
+    with pytest.raises(InvalidArgument, match="fit that folds"):
+        fitted(rest, [rest * [-1, 1, 1]], Deformation.at_rest(*BOX), 25.0)
+
+
+# -- what gives way -------------------------------------------------------------------------------------------------
+
+
+def soft(compliance: float, relax_s: float = 0.02, controls: int = 8) -> Deformation:
+    return Deformation.at_rest((-0.07,) * 3, (0.07,) * 3, controls, compliance_m_per_n=compliance, relax_s=relax_s)
+
+
+@pytest.mark.parametrize("compliance", [0.0005, 0.002])
+def test_a_wall_that_yields_is_a_spring_in_series(compliance: float) -> None:
+    depth, stiffness = 0.004, 300.0
+    bench = Bench(
+        wall(stiffness), RenderSpec(damping_n_s_per_m=0.0, coupling_n_per_m=0.0), deformation=soft(compliance)
+    )
+    force = bench.settled(0.003, -0.011, -depth, 400)
+    expected = stiffness * depth / (1 + stiffness * compliance)
+    # that the force points up, and the lattice bends about it, adds a part of second order
+    assert force[2] == pytest.approx(expected, rel=0.12) and np.abs(force[:2]).max() < 0.1 * force[2]
+    assert force[2] < stiffness * depth
+    held = bench.memory.f8[bench.yields :]
+    assert 0 < np.abs(held).max() <= soft(compliance).most_yield_m
+    before = np.abs(held).max()
+    for _ in range(20):  # one time constant
+        bench.tick(0.0, 0.0, 0.02)
+    assert np.abs(held).max() == pytest.approx(before * np.exp(-1), rel=1e-6)
+
+
+def test_it_never_folds_however_hard_it_is_pressed() -> None:
+    lattice = soft(0.5, 0.001)
+    bench = Bench(wall(2000.0), RenderSpec(damping_n_s_per_m=0.0, coupling_n_per_m=0.0), deformation=lattice)
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        bench.tick(*rng.uniform(-0.06, 0.06, 2), -0.05)
+    held = bench.memory.f8[bench.yields :][: lattice.displacement_m.size]
+    assert np.abs(held).max() == pytest.approx(lattice.most_yield_m)
+    assert replace(lattice, displacement_m=held.reshape(lattice.displacement_m.shape), compliance_m_per_n=0.0)
+
+
+@pytest.mark.parametrize("stiffness", [200.0, 1000.0])
+@pytest.mark.parametrize("relax_s", [0.005, 0.1])
+def test_a_hand_on_what_yields_comes_to_rest(stiffness: float, relax_s: float) -> None:
+    device = replace(OMNI, force_max_n=12.0)
+    spec = RenderSpec(damping_n_s_per_m=2.0, coupling_n_per_m=0.0)
+    bench = Bench(wall(stiffness, 10.0), spec, device, deformation=soft(0.001, relax_s))
+    z, v, mass, push = 0.002, 0.0, 0.15, -1.5
+    heights = []
+    for _ in range(4000):
+        force = bench.tick(0.001, 0.002, z)[2]
+        v += (force + push - 1.0 * v) / mass * 1e-3
+        z += v * 1e-3
+        heights.append(z)
+    tail = np.array(heights[-500:])
+    assert np.ptp(tail) < 2e-6
+    assert -tail[-1] > 1.5 / stiffness  # deeper than in what does not yield
+
+
+class Pressing(Simulated):
+    """Goes into the ball along z and stays there."""
+
+    def position_m(self) -> tuple[float, float, float]:
+        return 0.0, 0.0, max(0.018 - 4e-5 * len(self.forces), 0.006)
+
+
+def test_the_player_takes_it() -> None:
+    lattices = (None, Deformation.at_rest(*BOX), Deformation.at_rest(*BOX, compliance_m_per_n=0.002))
+    made = []
+    for one in lattices:
+        spec = RenderSpec(render="field", damping_n_s_per_m=0.0, coupling_n_per_m=0.0, deformation=one)
+        device = Pressing()
+        run_offline(medium(ball), OMNI, lambda device=device: device, spec, seconds=0.5)
+        made.append(np.array(device.forces))
+    assert made[0].any() and np.array_equal(made[0], made[1])
+    assert 0.3 * np.abs(made[0]).max() < np.abs(made[2][:499]).max() < 0.9 * np.abs(made[0]).max()
+
+
+# -- the command ----------------------------------------------------------------------------------------------------
+
+
+def test_an_animated_model_bends_the_stream_of_its_first_pose(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+
+    model = chain_rig(joints=10, triangles=1500, frames=20).save(tmp_path / "snake.glb", "glb")
+    stream, tracks = tmp_path / "snake.touch", tmp_path / "snake.npz"
+    assert (
+        _exit_code(["encode", str(model), str(stream), "--frames", "0:1", "--nw", "5", "--representation", "voxel"])
+        == 0
+    )
+    capsys.readouterr()
+    assert _exit_code(["deform", str(stream), str(model), "-o", str(tracks), "--frames", "0:12", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["frames"] == 12 and told["control_points"] == [8, 8, 8] and told["least_determinant"] > 0
+    bent = read_deformation(tracks)
+    assert not bent.displacement_m[0].any() and bent.displacement_m[-1].any()
+    with job.open_stream(stream) as opened:
+        spacing_mm = 1e3 * float(np.mean(opened.grid.spacing_m))
+    assert told["rms_mm"] < 0.2 * spacing_mm
+    play = ["play", str(stream), "--offline", "--seconds", "0.1", "--deformation"]
+    assert _exit_code([*play, str(tracks)]) == 0
+    for words, said in (
+        (["deform", str(stream), "-o", str(tracks)], "no model and no compliance"),
+        (["deform", str(stream), str(model), "-o", str(tracks), "--frames", "30:31"], "--frames"),
+        (["deform", str(stream), str(model), "-o", str(stream)], "snake.touch"),
+        ([*play, str(stream)], "snake.touch"),
+    ):
+        capsys.readouterr()
+        assert _exit_code(words) != 0
+        told_error = capsys.readouterr().err
+        assert said in told_error and len(told_error.strip().splitlines()) == 1
+    assert np.array_equal(read_deformation(tracks).displacement_m, bent.displacement_m), "it is as it was"
