@@ -157,7 +157,7 @@ def test_what_folds_or_is_no_deformation_is_refused() -> None:
 
 
 def test_a_file_keeps_whole_steps_and_strangers_are_refused(tmp_path: Path) -> None:
-    bent = replace(wavy(4, 0.0007), compliance_m_per_n=0.001, relax_s=0.2)
+    bent = replace(wavy(4, 0.0001), compliance_m_per_n=0.001, relax_s=0.2)
     bent.write(tmp_path / "a.npz")
     back = read_deformation(tmp_path / "a.npz")
     assert np.abs(back.displacement_m - bent.displacement_m).max() <= STEP_M / 2 + 1e-12
@@ -169,15 +169,12 @@ def test_a_file_keeps_whole_steps_and_strangers_are_refused(tmp_path: Path) -> N
     (tmp_path / "c.npz").write_bytes(data[: len(data) // 2])
     with pytest.raises(SourceError, match=r"c\.npz"):
         read_deformation(tmp_path / "c.npz")
+    folded = -1.2 / STEP_M * controls_m(bent)[None] * [1, 0, 0]
     with np.load(tmp_path / "a.npz") as held:
         arrays = dict(held)
     for name, value, said in (
         ("displacement_steps", arrays["displacement_steps"].astype(np.int32), "int16"),
-        (
-            "displacement_steps",
-            np.full((1, 8, 8, 8, 3), 32000, np.int16) * np.arange(8)[:, None, None, None] % 2,
-            "int16",
-        ),
+        ("displacement_steps", folded.astype(np.int16), "a fold"),
         ("spacing_m", np.array([0.01, np.nan, 0.01]), "spacing_m"),
         ("rate_hz", np.array([0.0]), "rate_hz"),
     ):
@@ -267,7 +264,7 @@ def test_a_hand_on_what_yields_comes_to_rest(stiffness: float, relax_s: float) -
     device = replace(OMNI, force_max_n=12.0)
     spec = RenderSpec(damping_n_s_per_m=2.0, coupling_n_per_m=0.0)
     bench = Bench(wall(stiffness, 10.0), spec, device, deformation=soft(0.001, relax_s))
-    z, v, mass, push = 0.002, 0.0, 0.15, -1.5
+    z, v, mass, push = 0.002, 0.0, 0.15, -0.8
     heights = []
     for _ in range(4000):
         force = bench.tick(0.001, 0.002, z)[2]
@@ -276,7 +273,7 @@ def test_a_hand_on_what_yields_comes_to_rest(stiffness: float, relax_s: float) -
         heights.append(z)
     tail = np.array(heights[-500:])
     assert np.ptp(tail) < 2e-6
-    assert -tail[-1] > 1.5 / stiffness  # deeper than in what does not yield
+    assert -tail[-1] > 0.8 / stiffness + 0.0005  # deeper than in what does not yield
 
 
 class Pressing(Simulated):
@@ -301,20 +298,15 @@ def test_the_player_takes_it() -> None:
 # -- the command ----------------------------------------------------------------------------------------------------
 
 
-def test_an_animated_model_bends_the_stream_of_its_first_pose(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-
+def test_an_animated_model_bends_the_stream_of_a_pose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = chain_rig(joints=10, triangles=1500, frames=20).save(tmp_path / "snake.glb", "glb")
     stream, tracks = tmp_path / "snake.touch", tmp_path / "snake.npz"
-    assert (
-        _exit_code(["encode", str(model), str(stream), "--frames", "0:1", "--nw", "5", "--representation", "voxel"])
-        == 0
-    )
+    asked = ["--frames", "0:1", "--nw", "5", "--representation", "voxel"]
+    assert _exit_code(["encode", str(model), str(stream), *asked]) == 0
     capsys.readouterr()
-    assert _exit_code(["deform", str(stream), str(model), "-o", str(tracks), "--frames", "0:12", "--json"]) == 0
+    assert _exit_code(["deform", str(stream), str(model), "-o", str(tracks), "--frames", "0:5", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["frames"] == 12 and told["control_points"] == [8, 8, 8] and told["least_determinant"] > 0
+    assert told["frames"] == 5 and told["control_points"] == [8, 8, 8] and told["least_determinant"] > 0
     bent = read_deformation(tracks)
     assert not bent.displacement_m[0].any() and bent.displacement_m[-1].any()
     with job.open_stream(stream) as opened:

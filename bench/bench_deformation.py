@@ -1,0 +1,248 @@
+"""Deformation at the receiver (paper section 6.3): beside fields made anew, its bytes, its time, and hands on it.
+
+    python bench/bench_deformation.py [--nw N] [--every N] [--quick]
+
+A tube that bends (a chain of joints with a smooth skin) and the fox of the Khronos samples: the field of one pose,
+bent by tracks of 8^3 control points, beside the field of the deformed mesh made anew at each frame, over the samples
+at which either has a force; "still" is the pose as it is, "size kept" the force turned by J^-T but of its own length,
+which is a field with curl. Tracks are rests of a few frames on both sides, as `touchfield deform` makes them. Bytes
+are of the file of tracks, of the same frames coded by `touch`, and as plain float32 of what has a force.
+
+A query is one call of `FieldSampler.at` from Python. Loops are closed ones of Gauss-Legendre pieces, each within one
+cell of the control points, in a linear field that the sampler gives back to float64 rounding: work over the work of
+|F| along them. Hands: those of `bench_stability`, on walls that yield by as much again as the hand presses them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bench_stability as hands
+from machine import SHARED, Bar, Figures, at_most, bench
+from touchfield import EncodeSpec, encode, prepare
+from touchfield.job.deformation import tracks_of
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.deformation import Deformation, read_deformation
+from touchfield.render.sampler import FieldSampler
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from tick_makers import Bench, wall
+
+from gltf_makers import chain_rig
+
+Float64s = NDArray[np.float64]
+SIDE = 6  # frames on each side of a rest
+QUERIES = 20_000
+GIVE = 1.0  # compliance times stiffness
+MATRIX = np.array([[80.0, 30, -20], [30, 120, 10], [-20, 10, 60]])
+
+
+def db(error: Float64s, force: Float64s) -> float:
+    """10 log10 of the energies; -300 where there is no error."""
+    return float(10 * np.log10(max((error**2).sum() / (force**2).sum(), 1e-30)))
+
+
+def carried(model: Path, rest: int, nw: int, folder: Path) -> Figures:
+    """One rest and the frames about it."""
+    first, stop = rest - SIDE, rest + SIDE + 1
+    spec = EncodeSpec(nw=nw, representation="voxel", frames=(first, stop))
+    medium, stream, tracks = prepare(str(model), spec).medium, folder / "rest.touch", folder / "tracks.npz"
+    # the rest alone, where the whole stretch has been fitted to
+    encode(str(model), stream, replace(spec, frames=(rest, rest + 1), fit_frames=(first, stop)))
+    encode(str(model), folder / "all.touch", spec)
+    told = tracks_of(stream, tracks, model, frames=(first, stop), rest_frame=rest)
+    bent, still = read_deformation(tracks), medium[SIDE]
+    sampler = FieldSampler(HapticMedium.from_frames([still], medium.rate_hz), deformation=bent)
+    error, size_kept, as_it_is, force = ([] for _ in range(4))
+    for frame in range(len(medium)):
+        new = medium[frame]
+        places = np.unique(np.concatenate([new.positions(), still.positions()]), axis=0)
+        at = np.asarray(medium.grid.origin_m) + places * np.asarray(medium.grid.spacing_m)
+        made = sampler.force_n(np.full(len(at), frame / bent.rate_hz), at).astype(np.float64)
+        flat, weights = bent.design(at)
+        looked = at + np.einsum("nw,nwc->nc", weights, bent.displacement_m[frame].reshape(-1, 3)[flat])
+        own = np.linalg.norm(still.sample_n(looked), axis=1, keepdims=True)
+        kept = made / np.maximum(np.linalg.norm(made, axis=1, keepdims=True), 1e-12) * own
+        truth = new.sample_n(at).astype(np.float64)
+        error.append(made - truth), size_kept.append(kept - truth)
+        as_it_is.append(still.sample_n(at) - truth), force.append(truth)
+    whole = np.concatenate(force)
+    supported = np.mean([medium[n].support_count for n in range(len(medium))])
+    return {
+        "frames": len(medium), "control_points": 512, "least_determinant": told.summary()["least_determinant"],
+        "rms_mm": 1e3 * told.rms_m, "still_db": db(np.concatenate(as_it_is), whole),
+        "bent_db": db(np.concatenate(error), whole), "size_kept_db": db(np.concatenate(size_kept), whole),
+        "worst_frame_db": max(db(e, f) for e, f in zip(error, force, strict=True)),
+        "track_bytes": told.file_bytes / len(medium),
+        "coded_bytes": (folder / "all.touch").stat().st_size / len(medium),
+        "plain_bytes": 12 * float(supported),
+    }  # fmt: skip
+
+
+def random_map(size_m: float = 0.0008) -> Deformation:
+    """Control points that lie as they fell."""
+    lattice = Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)
+    u = np.random.default_rng(3).normal(size=lattice.displacement_m.shape) * size_m
+    return replace(lattice, displacement_m=u)
+
+
+def spring() -> HapticMedium:
+    """F = M x, whose potential is a square."""
+    grid = Grid((61, 61, 61), (0.001,) * 3, (-0.03,) * 3)
+    at = np.stack(np.meshgrid(*(grid.axis_m(a) for a in range(3)), indexing="ij"), axis=-1)
+    return HapticMedium.from_frames([ForceField.from_dense(grid, (at @ MATRIX).astype(np.float32))], 1.0)
+
+
+def loop_work(bent: Deformation) -> float:
+    """Work around rectangles over the work of |F| along them, the worst of 20; the pieces end at cells' walls."""
+    rng, worst = np.random.default_rng(4), 0.0
+    corner, cell = np.asarray(bent.corner_m), np.asarray(bent.spacing_m)
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    u = bent.displacement_m[0].reshape(-1, 3)
+
+    def force(p: Float64s) -> Float64s:
+        flat, share = bent.design(p)
+        moved = p + np.einsum("nw,nwc->nc", share, u[flat])
+        j = np.stack([slope(bent, p, a) for a in range(3)], axis=-1) + np.eye(3)
+        return np.einsum("nki,nk->ni", j, moved @ MATRIX)
+
+    for _ in range(20):
+        axes, low, high = rng.permutation(3)[:2], *np.sort(rng.uniform(0, 5, (2, 3)), axis=0)
+        corners = [low.copy() for _ in range(5)]
+        for n, (i, j) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1), (0, 0))):
+            corners[n][axes[0]], corners[n][axes[1]] = (low, high)[i][axes[0]], (low, high)[j][axes[1]]
+        work = size = 0.0
+        for a, b in itertools.pairwise(corners):
+            axis = int(np.abs(b - a).argmax())
+            ends = sorted({a[axis], b[axis], *range(int(min(a[axis], b[axis])) + 1, int(max(a[axis], b[axis])) + 1)})
+            sign = 1.0 if b[axis] > a[axis] else -1.0
+            for s, t in itertools.pairwise(ends):
+                p = np.repeat(a[None], len(nodes), axis=0)
+                p[:, axis] = s + (t - s) * (nodes + 1) / 2
+                along = force(corner + p * cell)[:, axis] * weights * (t - s) / 2 * cell[axis]
+                work, size = work + sign * float(along.sum()), size + float(np.abs(along).sum())
+        worst = max(worst, abs(work) / size)
+    return worst
+
+
+def slope(bent: Deformation, p: Float64s, axis: int) -> Float64s:
+    """du/dx along an axis, by the sampler's own formula in NumPy."""
+    from touchfield.medium.deformation import _basis
+
+    shape = np.array(bent.displacement_m.shape[1:4])
+    s = (p - np.asarray(bent.corner_m)) / np.asarray(bent.spacing_m)
+    cell = np.clip(s.astype(np.int64), 0, shape - 4)
+    both = [_basis(s[:, a] - cell[:, a]) for a in range(3)]
+    w = [both[a][1] / bent.spacing_m[a] if a == axis else both[a][0] for a in range(3)]
+    i, j, k = (cell[:, a, None] + np.arange(4) for a in range(3))
+    flat = ((i[:, :, None, None] * shape[1] + j[:, None, :, None]) * shape[2] + k[:, None, None, :]).reshape(-1, 64)
+    share = (w[0][:, :, None, None] * w[1][:, None, :, None] * w[2][:, None, None, :]).reshape(-1, 64)
+    return np.einsum("nw,nwc->nc", share, bent.displacement_m[0].reshape(-1, 3)[flat])
+
+
+def exact() -> Figures:
+    """Identity, an affine map, and the sampler beside the formula whose loops are closed."""
+    still, bent = spring(), random_map()
+    p = np.random.default_rng(5).uniform(-0.018, 0.018, (20_000, 3))
+    zero = np.zeros(len(p))
+    plain = FieldSampler(still).force_n(zero, p)
+    rest = FieldSampler(still, deformation=Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)).force_n(zero, p)
+    a = np.array([[0.1, -0.05, 0.02], [0.03, -0.08, 0.04], [-0.02, 0.06, 0.12]])
+    index = np.stack(np.meshgrid(*(np.arange(8),) * 3, indexing="ij"), axis=-1) - 1
+    lattice = Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)
+    controls = np.asarray(lattice.corner_m) + index * np.asarray(lattice.spacing_m)
+    affine = FieldSampler(still, deformation=replace(lattice, displacement_m=(controls @ a.T)[None]))
+    expected = (p @ (np.eye(3) + a).T) @ MATRIX @ (np.eye(3) + a)
+    sampler = FieldSampler(still, deformation=bent)
+    flat, share = bent.design(p)
+    moved = p + np.einsum("nw,nwc->nc", share, bent.displacement_m[0].reshape(-1, 3)[flat])
+    j = np.stack([slope(bent, p, axis) for axis in range(3)], axis=-1) + np.eye(3)
+    formula = np.einsum("nki,nk->ni", j, moved @ MATRIX)
+    return {
+        "identity_bits_off": int((plain.view(np.int32) != rest.view(np.int32)).sum()),
+        "affine_off": float(np.abs(affine.force_n(zero, p) - expected).max() / np.abs(expected).max()),
+        "formula_off": float(np.abs(sampler.force_n(zero, p) - formula).max() / np.abs(formula).max()),
+        "loop_work": loop_work(bent),
+    }
+
+
+def queries() -> Figures:
+    """Microseconds of a call from Python, with and without."""
+    p, rows = np.random.default_rng(6).uniform(-0.018, 0.018, (QUERIES, 3)).tolist(), {}
+    for name, bent in (("plain", None), ("bent", random_map())):
+        at = FieldSampler(spring(), deformation=bent).at
+        for x, y, z in p[:200]:
+            at(0.0, x, y, z)
+        took = np.empty(QUERIES)
+        for n, (x, y, z) in enumerate(p):
+            began = time.perf_counter_ns()
+            at(0.0, x, y, z)
+            took[n] = time.perf_counter_ns() - began
+        rows[name] = {
+            "p50_us": float(np.quantile(took, 0.5)) / 1e3,
+            "p99_9_us": float(np.quantile(took, 0.999)) / 1e3,
+        }
+    return rows
+
+
+def pressed(every: int) -> Figures:
+    """The grid of hands of `bench_stability`, on walls that yield."""
+    rows = []
+    for stiffness in hands.WALLS:
+        soft = Deformation.at_rest((-0.07,) * 3, (0.07,) * 3, compliance_m_per_n=GIVE / stiffness, relax_s=0.05)
+        block = Bench(wall(stiffness, hands.MOST_N), device=hands.STRONG, grid=hands.GRID, deformation=soft)
+        cases = [*itertools.product(hands.DAMPINGS, hands.DELAYS, hands.RESOLUTIONS, hands.HANDS)][::every]
+        for b, delay, resolution, (kg, k) in cases:
+            hands.auto(block, stiffness, b, delay, resolution)
+            depth = hands.PRESS_N * (1 / stiffness + 1 / k)
+            step = hands.moved_by(hands.DEVICE_KG + kg, k, b)
+            told = hands.touched(*block.memory.views, block.frame, step, k, b, depth, delay, resolution)
+            rows.append((stiffness, b, delay, resolution, kg, k, *told))
+    made = hands.told_of(np.array(rows))
+    return {key: made[key] for key in ("cases", "cycles", "worst_rms_n", "drives", "gives", "worst_given_mj")}
+
+
+def measure(nw: int, every: int) -> Figures:
+    """All of it."""
+    figures: dict[str, Any] = {"exact": exact(), "queries": queries(), "hands": pressed(every), "carried": {}}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        tube = chain_rig(joints=12, triangles=4000, frames=48).save(folder / "tube.glb", "glb")
+        figures["carried"]["tube that bends"] = carried(tube, 12, nw, folder)
+        fox = SHARED / "meshes" / "fox" / "Fox.glb"
+        if fox.is_file():
+            for rest in (60, 120):
+                figures["carried"][f"fox, about frame {rest}"] = carried(fox, rest, nw, folder)
+    return figures
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Those of the paper's open problem as it was taken up."""
+    rows, kept = figures["carried"].values(), figures["hands"]
+    return [
+        at_most("identity: values of other bits", figures["exact"]["identity_bits_off"], 0),
+        at_most("affine map, error over the largest force", figures["exact"]["affine_off"], 1e-6),
+        at_most("sampler beside the formula", figures["exact"]["formula_off"], 1e-6),
+        at_most("work around loops, over that of the force along them", figures["exact"]["loop_work"], 1e-9),
+        at_most("query, p99.9", figures["queries"]["bent"]["p99_9_us"], 5.0, "us"),
+        at_most("bent beside made anew, worst of the models", max(row["bent_db"] for row in rows), -20.0, "dB"),
+        at_most("tracks over plain fields, bytes a frame, worst", max(
+            row["track_bytes"] / row["plain_bytes"] for row in rows), 0.01),
+        at_most("tracks over coded fields, bytes a frame, worst", max(
+            row["track_bytes"] / row["coded_bytes"] for row in rows), 0.01),
+        at_most("hands on what yields: limit cycles", kept["cycles"], 0),
+        at_most("energy that came to a hand, cases", kept["drives"] + kept["gives"], 0),
+    ]  # fmt: skip
+
+
+if __name__ == "__main__":
+    bench("deformation", __doc__, measure, bars, nw=(7, 6), every=(4, 60))
