@@ -169,12 +169,14 @@ def test_a_file_keeps_whole_steps_and_strangers_are_refused(tmp_path: Path) -> N
     (tmp_path / "c.npz").write_bytes(data[: len(data) // 2])
     with pytest.raises(SourceError, match=r"c\.npz"):
         read_deformation(tmp_path / "c.npz")
-    folded = -1.2 / STEP_M * controls_m(bent)[None] * [1, 0, 0]
     with np.load(tmp_path / "a.npz") as held:
         arrays = dict(held)
+    steps = np.rint(-1.2 / STEP_M * controls_m(bent)[None] * [1, 0, 0]).astype(int)
+    folds = (steps << 1) ^ (steps >> 15)
     for name, value, said in (
-        ("displacement_steps", arrays["displacement_steps"].astype(np.int32), "int16"),
-        ("displacement_steps", folded.astype(np.int16), "a fold"),
+        ("displacement", arrays["displacement"].astype(np.int32), "bytes"),
+        ("displacement", arrays["displacement"][:1], "bytes"),
+        ("displacement", np.stack([folds, folds >> 8]).astype(np.uint8), "a fold"),
         ("spacing_m", np.array([0.01, np.nan, 0.01]), "spacing_m"),
         ("rate_hz", np.array([0.0]), "rate_hz"),
     ):

@@ -172,25 +172,31 @@ class Deformation:
     def write(self, path: str | Path) -> None:
         """Write it as ``.npz``, displacements as whole steps of 20 um, whole or not at all.
 
-        Of each frame stands its difference from the one before, int16, which wraps.
+        What stands there are second differences in time, int16 which wraps, their signs in the lowest bit, all low
+        bytes before all high ones: half of what first differences take.
         """
-        steps = np.rint(self.displacement_m / STEP_M).astype(np.int64).astype(np.int16)
+        steps = np.rint(self.displacement_m / STEP_M).astype(np.int16)
+        second = np.diff(steps, n=2, axis=0, prepend=np.zeros((2, *steps.shape[1:]), np.int16)).astype(np.int64)
+        folded = (second << 1) ^ (second >> 15)
         arrays: dict[str, Any] = {name: np.array(getattr(self, name)) for name in _ARRAYS}
         with atomic_path(Path(path)) as temporary, temporary.open("wb") as stream:
-            np.savez_compressed(stream, displacement_steps=np.diff(steps, axis=0, prepend=np.int16(0)), **arrays)
+            np.savez_compressed(stream, displacement=np.stack([folded, folded >> 8]).astype(np.uint8), **arrays)
 
 
 def read_deformation(path: str | Path) -> Deformation:
     """Read what `Deformation.write` wrote; `SourceError` that names file and array where it is none."""
     archive = NpzArchive(Path(path))
-    header, where = archive.header("displacement_steps"), f"{path}, array displacement_steps"
-    if header.dtype != np.int16 or len(header.shape) != 5 or header.data_bytes > _MOST_BYTES:
-        raise SourceError(where, header.words, "int16 [frame, nx, ny, nz, 3], at most 64 MiB")
+    header, where = archive.header("displacement"), f"{path}, array displacement"
+    if header.dtype != np.uint8 or len(header.shape) != 6 or header.shape[0] != 2 or header.data_bytes > _MOST_BYTES:
+        raise SourceError(where, header.words, "bytes [2, frame, nx, ny, nz, 3], at most 64 MiB")
     rest = {name: archive.numbers(name, count) for name, count in _ARRAYS.items()}
     (cx, cy, cz), (hx, hy, hz) = rest["corner_m"], rest["spacing_m"]
     one = {name: rest[name][0] for name in ("rate_hz", "compliance_m_per_n", "relax_s")}
     try:
-        steps = np.cumsum(archive.read("displacement_steps"), axis=0, dtype=np.int16)
+        low, high = archive.read("displacement").astype(np.int64)
+        folded = low | high << 8
+        second = ((folded >> 1) ^ -(folded & 1)).astype(np.int16)
+        steps = np.cumsum(np.cumsum(second, axis=0, dtype=np.int16), axis=0, dtype=np.int16)
         return Deformation(STEP_M * steps.astype(np.float64), (cx, cy, cz), (hx, hy, hz), **one)
     except InvalidArgument as error:
         raise SourceError(f"{path}, {error.where}", error.found, error.expected, error.mend) from None

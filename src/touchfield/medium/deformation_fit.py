@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Float64s = NDArray[np.float64]
 
-_SMOOTH: Final = (1e-2, 1e-1, 1.0)
+_SMOOTH: Final = (3e-3, 3e-2, 0.3)
 """Weights of the second differences, over the mean weight of a vertex; the first that does not fold is taken."""
 
 
