@@ -169,7 +169,7 @@ def _pieces(blocks: Iterable[NDArray[Any]]) -> Iterator[Float64s]:
 
 
 def _decomposed(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, int]:
-    """Eigenvalues, descending and not negative; eigenvectors as columns; the modes of those asked that can be made."""
+    """Eigenvalues, descending, none negative; eigenvectors as columns; the modes of those asked that can be made."""
     found, vectors = scipy.linalg.eigh(gram, overwrite_a=True, check_finite=False)
     squares, vectors = np.maximum(found[::-1], 0.0), vectors[:, ::-1]
     kept = int(np.count_nonzero(squares > _NOISE * len(squares) * squares[0]))
