@@ -1,4 +1,4 @@
-"""Compiled: whether a field stops a hand within the cells of a lattice (`touchfield.reduction.reach` has the proof)."""
+"""Compiled: whether a field stops a hand within a cell of a lattice (`touchfield.reduction.reach` has the proof)."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def _candidates(edge, cell, step_m, reach_m, found, count):
     first, low, high = count, np.empty(3, np.int64), np.empty(3, np.int64)
     for axis in range(3):
         reach = reach_m / step_m[axis]
-        low[axis] = max(0, int(math.ceil(cell[axis] + 0.5 - reach)))
-        high[axis] = min(edge.shape[axis] - 1, int(math.floor(cell[axis] + 0.5 + reach)))
+        low[axis] = max(0, math.ceil(cell[axis] + 0.5 - reach))
+        high[axis] = min(edge.shape[axis] - 1, math.floor(cell[axis] + 0.5 + reach))
     for i in range(low[0], high[0] + 1):
         x = (i - cell[0] - 0.5) * step_m[0]
         for j in range(low[1], high[1] + 1):

@@ -1,24 +1,24 @@
-"""Where a hand can get to in a medium, and where never: what lies there need not be sent (paper section 6.1, culling).
+"""Where a hand can get to in a medium, and where never: that need not be sent (paper section 6.1, "culling").
 
-The hand is a mass m that pushes with at most P in any direction, and is never faster than v. A is a set of places, d(x)
-the distance to it, e the direction from the nearest of them. Along any path d'' <= (v^2 - d'^2) / d + e . (P + F) / m,
-since d is the least of the distances to each place of A. Where d0 <= d <= d0 + D and everywhere
+The hand is a mass m that pushes with at most P in any direction, and is never faster than v. A is a set of places,
+d(x) the distance to it, e the direction from the nearest of them. d is the least of the distances to the places of A,
+and so along any path, in the sense of an upper bound, d'' <= (v^2 - d'^2) / d + e . (P + F) / m. Where
 
-    -e . F - mu |F across e|  >=  P + m v^2 / d0 + m v^2 / (2 D)                                                   (*)
+    -e . F - mu |F across e|  >=  P + m v^2 / d + m v^2 / (2 D)                                                    (*)
 
-d'' is below -v^2 / (2 D), and a hand that passes d0 with d' <= v turns before d0 + D: whatever it does, also against
-another wall or with a run-up, it is never farther from A. So A begins as the space without force that a hand can start
-from, less what is nearer than r to a force; cells of the layer where (*) does not hold join A, until it holds all over
-the layer. What joins counts as r farther off than it is, so that the layer lies as deep below it as below a surface;
-in (*) d is then the distance itself. Damping only takes energy. An energy alone would prove nothing: a hand that swings in a field gains energy
-with every turn; here its speed is bounded, and what it must stop is its way inwards.
+all over the layer from d0 to d0 + D, d'' is below -v^2 / (2 D) there: a hand that passes d0 with d' <= v turns before
+d0 + D. Whatever it does, also with a run-up or off another wall, it is never farther from A. So A begins as the space
+without force that a hand can start from, less what is nearer than r to a force; cells of the layer where (*) fails
+join A, until none does. What joins counts as r farther off than it is, so that the layer lies as deep below it as a
+surface; in (*) d stays the distance. Damping only helps. The work against the field would prove nothing: a hand that
+swings in it gains energy with each turn. Its speed is bounded, and what must be stopped is its way inwards.
 
-(*) is tested in whole cells, times |x - a|, for each a that is nearest to some point x of the cell. F is trilinear, so
-that the mean of the samples' own -(c - a) . F(c), weighted as F is, falls short of -(x - a) . F by h / 4 times what F
-loses from a sample to the next along each axis, at most; and that mean of |c - a| is not below |x - a|.
+(*) is tested in whole cells, times |x - a|, for each a that is nearest to some point x of the cell. F is trilinear:
+the mean of the samples' own -(c - a) . F(c), weighted as F is, exceeds -(x - a) . F by at most h / 4 times what F
+loses from a sample to the next along each axis; and the mean of |c - a| is not below |x - a|.
 
-A medium that moves has one A, of the space that is free in any of its frames, and (*) must hold in all of them: what a
-body passes through is open.
+A medium that moves has one A, of the space that is free in any of its frames, and (*) must hold in all of them: what
+a body passes through is open.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from touchfield.parallel import for_chunks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from touchfield.medium import ForceField, Grid, HapticMedium
+    from touchfield.medium import ForceField, HapticMedium
 
     Bools = NDArray[np.bool_]
     Float64s = NDArray[np.float64]
@@ -81,7 +81,8 @@ class Hand:
     @property
     def words(self) -> str:
         """For whom a promise holds."""
-        return f"a hand of {1e3 * self.mass_kg:g} g with its device, {self.push_n:g} N and {self.speed_m_s:g} m/s at most"
+        most = f"that pushes with {self.push_n:g} N and moves at {self.speed_m_s:g} m/s at most"
+        return f"a hand of {1e3 * self.mass_kg:g} g with its device {most}"
 
 
 class _Layer(NamedTuple):
@@ -174,7 +175,7 @@ class _Flood:
     @property
     def grown(self) -> float:
         """By how much of it A has grown."""
-        return np.count_nonzero(self.joined) / max(1, np.count_nonzero(self.began))
+        return float(self.joined.sum() / max(1, self.began.sum()))
 
     def settled(self) -> Bools:
         """The samples that are felt once A has grown until (*) holds; all, where most of the layer is weak."""

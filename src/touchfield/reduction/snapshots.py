@@ -1,0 +1,194 @@
+"""A medium as snapshots for `modes`: whole frames on the union of their bricks, or every brick for itself.
+
+Frames are the snapshots of what deforms in place. A body that moves is somewhere else in each frame, and no few
+frames add up to it; its bricks look alike wherever it is. Numbers are counted with and without those of the modes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField
+from touchfield.medium.budget import require_memory
+from touchfield.medium.field import brick_keys, bricks_of
+from touchfield.medium.grid import BRICK
+from touchfield.reduction.modes import Modes, klt, pod
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import HapticMedium
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["KINDS", "Freedom", "HeldOut", "Reduced", "freedom", "held_out", "reduced"]
+
+KINDS: Final = ("global", "bricks")
+BRICK_VALUES: Final = 3 * BRICK**3
+_AT_ONCE: Final = 64  # bricks
+
+
+class _Frames:
+    """Frames on the union of their bricks, as blocks of columns; each pass reads them again."""
+
+    def __init__(self, medium: HapticMedium, places: Sequence[int]) -> None:
+        fields = [medium[i] for i in places]
+        stored = sum(len(f.bricks) for f in fields)
+        require_memory("frames", stored, 4 * BRICK_VALUES * stored)
+        self.fields = fields
+        keys = [brick_keys(medium.grid, f.bricks) for f in fields]
+        self.keys = np.unique(np.concatenate(keys))
+
+    def __iter__(self) -> Iterator[NDArray[np.float32]]:
+        for a in range(0, len(self.keys), _AT_ONCE):
+            yield np.stack([f.forces_at(self.keys[a : a + _AT_ONCE]).ravel() for f in self.fields])
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """A medium by its modes.
+
+    kind : one of `KINDS`. keys : int64 [bricks], of "global" those of the union (`brick_keys`); none of "bricks".
+    least_n : float; coefficients below are not kept.
+    """
+
+    medium: HapticMedium
+    kind: str
+    modes: Modes
+    keys: NDArray[np.int64]
+    least_n: float = 0.0
+
+    def rows(self, field: ForceField) -> NDArray[np.float32]:
+        """The snapshots of a frame, float32 [n, d]; what lies outside of the union is left out."""
+        return field.forces_at(self.keys).reshape(1, -1) if len(self.keys) else _bricks(field)
+
+    def coefficients(self, frame: int) -> Float64s:
+        """Of the snapshots of a frame, float64 [n, r]; 0 for what is not kept."""
+        found = self.modes.coefficients(self.rows(self.medium[frame]))
+        return np.where(np.abs(found) < self.least_n, 0.0, found)
+
+    def field(self, frame: int) -> ForceField:
+        """A frame as the modes have it."""
+        grid = self.medium.grid
+        rows = self.modes.rebuild(self.coefficients(frame)).astype(np.float32)
+        bricks = bricks_of(grid, self.keys) if len(self.keys) else self.medium[frame].bricks
+        return ForceField.from_bricks(grid, bricks, rows.reshape(-1, BRICK, BRICK, BRICK, 3))
+
+
+def _bricks(field: ForceField) -> NDArray[np.float32]:
+    return field.forces_n.reshape(-1, BRICK_VALUES)
+
+
+def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None, step: int = 1) -> Reduced:
+    """The modes of every `step`-th frame of a medium, all of them or the first `rank`.
+
+    Raises `InvalidArgument` if the kind is unknown, no frame has a force, or the frames are too large for the memory.
+    """
+    if kind not in KINDS:
+        raise InvalidArgument("--modes", repr(kind), f"one of {', '.join(KINDS)}")
+    places = range(0, len(medium), step)
+    if kind == "bricks":
+        modes, keys = klt((_bricks(medium[i]) for i in places), rank), np.zeros(0, np.int64)
+    else:
+        frames = _Frames(medium, places)
+        if not len(frames.keys):
+            raise InvalidArgument("medium", "no frame with a force", "a force somewhere")
+        most = len(places) if rank is None else min(rank, len(places))
+        require_memory("modes", len(frames.keys), 8 * BRICK_VALUES * len(frames.keys) * most)
+        modes, keys = pod(frames, most), frames.keys
+    return Reduced(medium, kind, modes, keys)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Frames that were not learnt from, by modes of the others.
+
+    modes : int; how many were used. numbers : float; coefficients of a snapshot, the mean. nmse_db : float.
+    share : float; all numbers that a receiver needs of the medium, to those without modes: coefficients, of each that
+        is one of several its place (the entropy of the places, in numbers of 32 bits), and the modes.
+    share_of_coefficients : float; without the modes.
+    least_n : float; coefficients below were not kept.
+    """
+
+    modes: int
+    numbers: float
+    nmse_db: float
+    share: float
+    share_of_coefficients: float
+    least_n: float
+
+
+def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOut:
+    """Modes of the even frames, and how many numbers the odd ones need for this error; all that there are may not do.
+
+    Of "global" the first modes are used, of "bricks" of each brick the greatest coefficients: those above one bound.
+    Raises `InvalidArgument` as `reduced` does, or for a medium of one frame.
+    """
+    if len(medium) < 2:
+        raise InvalidArgument("medium", "one frame", "frames to learn from and others")
+    is_global, odd = kind == "global", range(1, len(medium), 2)
+    count = len(medium) if is_global else sum(len(field.bricks) for field in medium)
+    most = _most_modes(kind, count)
+    learnt = reduced(medium, kind, most, step=2)
+    energy = sum(float((medium[i].forces_n.astype(np.float64) ** 2).sum()) for i in odd)
+    if not energy:
+        raise InvalidArgument("medium", "no force in its odd frames", "forces to try the modes on")
+    squares = np.concatenate([learnt.coefficients(i) ** 2 for i in odd])
+    caught = squares.sum(axis=0) if is_global else np.sort(squares.ravel())[::-1]
+    left = np.maximum(energy - np.cumsum(caught), 1e-30) / energy
+    used = min(int(np.count_nonzero(left > 10 ** (decibels / 10))), len(left) - 1) + 1
+    length, modes = len(learnt.modes.mean), used if is_global else learnt.modes.rank
+    numbers = used if is_global else used / len(squares)
+    chosen = numbers / modes
+    places = 0.0 if is_global or chosen >= 1 else (-chosen * math.log2(chosen) - (1 - chosen) * math.log2(1 - chosen))
+    of_coefficients = (numbers + places * modes / 32) / length
+    least = 0.0 if is_global else math.sqrt(float(caught[used - 1]))
+    nmse = 10 * math.log10(float(left[used - 1]))
+    return HeldOut(modes, numbers, nmse, of_coefficients + modes / count, of_coefficients, least)
+
+
+def _most_modes(kind: str, count: int) -> int:
+    """Modes to make of so many snapshots: of frames a quarter as many, of bricks so that they are few beside them."""
+    return max(1, count // 4) if kind == "global" else min(BRICK_VALUES, max(1, count // 20))
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """Degrees of freedom of a medium.
+
+    effective : float; exp of the entropy of the normalised squared singular values.
+    step_n : float; of the quantiser of the coefficients. bits : float; of a coefficient, the mean over the modes.
+    modes : int; those with a coefficient that is not 0 somewhere.
+    """
+
+    effective: float
+    step_n: float
+    bits: float
+    modes: int
+
+
+def freedom(found: Reduced, f0_n: float) -> Freedom:
+    """How many numbers a snapshot has, effectively, and how many bits each of them.
+
+    The step is the one whose rounding makes an error of F_0 rms at each supported sample: rounding makes a squared
+    error of rank step^2 / 12 in a snapshot. Bits are the plug-in entropy of each mode's rounded coefficients.
+    """
+    modes = found.modes
+    share = modes.values**2 / max(float((modes.values**2).sum()), 1e-300)
+    effective = math.exp(float(-(share[share > 0] * np.log(share[share > 0])).sum()))
+    frames = range(len(found.medium))
+    held = sum(found.medium[i].support_count for i in frames)
+    coefficients = np.concatenate([found.coefficients(i) for i in frames])
+    step = f0_n * math.sqrt(12 * max(1, held) / (len(coefficients) * max(1, modes.rank)))
+    whole = np.rint(coefficients / step)
+    bits = []
+    for column in whole.T[np.any(whole != 0, axis=0)]:
+        counts = np.unique(column, return_counts=True)[1] / len(column)
+        bits.append(float(-(counts * np.log2(counts)).sum()))
+    return Freedom(effective, step, float(np.mean(bits)) if bits else 0.0, len(bits))
