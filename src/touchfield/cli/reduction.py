@@ -57,7 +57,9 @@ def reduce(
     with progress("reduce") as report:
         done = reduce_medium(medium, out, cull, spec, coder_spec(asked), report)
     if plot is not None:
-        done.draw(plot)
+        from touchfield.viewer.reduction import draw_reduction
+
+        draw_reduction(plot, done.values, done.field, done.felt, done.shown["hand"])
     told = dict(done.shown)
     held_out = {} if as_json else told.pop("held_out", {})
     show({**told, **{f"held_out_{name}": value for name, value in held_out.items()}}, medium, as_json, done.notes)

@@ -40,8 +40,7 @@ _LOOKED_AT: Final = 8
 _HAND_KG: Final = 0.05
 _INERTIA_KG: Final = 0.045
 """As `touchfield.render.walls` has them: a light hand, and the least of the desktop devices."""
-_SPEED_M_S: Final = 0.2
-"""The fastest slide of `touchfield.perception.hand_motion`."""
+_SPEED_M_S: Final = 0.2  # the fastest slide of `touchfield.perception.hand_motion`
 _PUSH_SHARE: Final = 0.25  # of a device's greatest force, where its continuous one is not known
 
 
@@ -50,8 +49,8 @@ class ReductionSpec:
     """What is asked of `reduce_medium`.
 
     `modes` is "global" (whole frames) or "bricks"; `rank` how many are kept, by default as many as `decibels` needs.
-    `push_n`, `mass_kg` and `speed_m_s` are the hand's, by default the continuous force of `device` (that of the medium
-    where none is named), its mass with a light hand's, and 0.2 m/s. `trace` is a recorded hand, as a play's log.
+    `push_n`, `mass_kg` and `speed_m_s` are the hand's, by default the continuous force of `device` (or that of the
+    medium), its mass with a light hand's, and 0.2 m/s. `trace` is a recorded hand, as a play's log.
     """
 
     modes: str = "global"
@@ -69,19 +68,13 @@ class ReductionSpec:
 
 
 class Reduction(NamedTuple):
-    """Findings for people and programs, notes, and what a picture needs."""
+    """Findings for people and programs, notes; singular values, the frame in the middle, and what of it is felt."""
 
     shown: dict[str, Any]
     notes: tuple[str, ...]
     values: NDArray[np.float64]
     field: ForceField
     felt: NDArray[np.bool_]
-
-    def draw(self, path: Path) -> None:
-        """The spectrum, and the frame in the middle with what is left out, as a PNG."""
-        from touchfield.viewer.reduction import draw_reduction
-
-        draw_reduction(path, self.values, self.field, self.felt, self.shown["hand"])
 
 
 def hand_of(known: Device, spec: ReductionSpec) -> Hand:
@@ -145,7 +138,15 @@ def reduce_medium(
         shown["never_visited_samples"] = int(np.count_nonzero(held & ~near))
         felt &= near
     shown |= {"felt_samples": int(np.count_nonzero(held & felt)), "bricks_left_out": _bricks_left_out(held, felt)}
-    notes = _notes(given, shown, trace is not None, known)
+    notes: tuple[str, ...] = (
+        f"nothing changes for {hand.words}, begins where no force is and stays in the workspace of {known.name}",
+    )
+    if not reach.stopped_n:
+        notes += (
+            "nothing is proved to stop such a hand: less push, a slower hand or a finer lattice may be stopped",
+        )
+    if trace is not None:
+        notes += ("with --trace what this hand never came near is left out, too: nothing is promised to another",)
     if cull is not None:
         path, more = _write(given, [source], culled(medium, felt), cull, report)
         shown |= {"culled_file": str(path), "culled_file_bytes": path.stat().st_size}
@@ -185,13 +186,12 @@ def _modes(given: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any
     return found, shown
 
 
-def _entropies(given: Prepared, spec: ReductionSpec) -> dict[str, Any]:
+def _entropies(given: Prepared, spec: ReductionSpec) -> dict[str, float]:
     """H(S) over voxels, and as the hand of a trace met it, bits."""
     over = "voxel" if spec.trace is None else f"interaction:{spec.trace}"
     told = measure_medium(given.medium, MeasureSpec("weber:0.1", over, limits=False, encode=given.spec))
-    entropies: Mapping[str, float] = {"entropy_bits_per_voxel": told.voxel.value}
-    more = {} if spec.trace is None else {"entropy_bits_per_visit": told.entropy.value}
-    return {**entropies, **more}
+    met = {} if spec.trace is None else {"entropy_bits_per_visit": told.entropy.value}
+    return {"entropy_bits_per_voxel": told.voxel.value, **met}
 
 
 def _held(medium: HapticMedium) -> NDArray[np.bool_]:
@@ -220,17 +220,3 @@ def _bricks_left_out(held: NDArray[np.bool_], felt: NDArray[np.bool_]) -> int:
     shape = [n for size in held.shape for n in (-(-size // 8), 8)]
     has, kept = (np.pad(own, pads).reshape(shape).any(axis=(1, 3, 5)) for own in (held, held & felt))
     return int(np.count_nonzero(has & ~kept))
-
-
-def _notes(given: Prepared, shown: Mapping[str, Any], is_traced: bool, known: Device) -> tuple[str, ...]:
-    """For whom the promise of a culled medium holds."""
-    notes: tuple[str, ...] = (
-        f"nothing changes for {shown['hand']}, begins where no force is and stays in the workspace of {known.name}",
-    )
-    if not shown["stopping_force_n"]:
-        notes += ("nothing in it is proved to stop such a hand: less push, a slower hand or a finer lattice may",)
-    if is_traced:
-        notes += ("with --trace what this hand never came near is left out, too: nothing is promised to another",)
-    if given.medium.vibration is not None:
-        notes += ("the vibration stays as it is",)
-    return notes

@@ -59,7 +59,7 @@ class Modes:
 
     def first(self, rank: int) -> Modes:
         """The same with the first modes alone."""
-        return Modes(self.mean, self.basis[:, : _rank(rank, self.rank)], self.values, self.count)
+        return Modes(self.mean, self.basis[:, :rank], self.values, self.count)
 
     def coefficients(self, snapshots: ArrayLike) -> Float64s:
         """What each mode has in each snapshot, float64 [n, r], of snapshots [n, d]."""
@@ -173,13 +173,9 @@ def _decomposed(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, i
     found, vectors = scipy.linalg.eigh(gram, overwrite_a=True, check_finite=False)
     squares, vectors = np.maximum(found[::-1], 0.0), vectors[:, ::-1]
     kept = int(np.count_nonzero(squares > _NOISE * len(squares) * squares[0]))
-    return squares, vectors, min(kept, len(squares) if rank is None else _rank(rank, len(squares)))
-
-
-def _rank(rank: int, most: int) -> int:
-    if not 1 <= rank <= most:
-        raise InvalidArgument("rank", f"{rank}", f"1 to {most}")
-    return rank
+    if rank is not None and not 1 <= rank <= len(squares):
+        raise InvalidArgument("rank", f"{rank}", f"1 to {len(squares)}")
+    return squares, vectors, min(kept, rank or kept)
 
 
 def _orthonormal(basis: Float64s) -> Float64s:

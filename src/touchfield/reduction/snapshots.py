@@ -134,8 +134,8 @@ def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOu
         raise InvalidArgument("medium", "one frame", "frames to learn from and others")
     is_global, odd = kind == "global", range(1, len(medium), 2)
     count = len(medium) if is_global else sum(len(field.bricks) for field in medium)
-    most = _most_modes(kind, count)
-    learnt = reduced(medium, kind, most, step=2)
+    most = count // 4 if is_global else min(BRICK_VALUES, count // 20)  # few beside the snapshots
+    learnt = reduced(medium, kind, max(1, most), step=2)
     energy = sum(float((medium[i].forces_n.astype(np.float64) ** 2).sum()) for i in odd)
     if not energy:
         raise InvalidArgument("medium", "no force in its odd frames", "forces to try the modes on")
@@ -151,11 +151,6 @@ def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOu
     least = 0.0 if is_global else math.sqrt(float(caught[used - 1]))
     nmse = 10 * math.log10(float(left[used - 1]))
     return HeldOut(modes, numbers, nmse, of_coefficients + modes / count, of_coefficients, least)
-
-
-def _most_modes(kind: str, count: int) -> int:
-    """Modes to make of so many snapshots: of frames a quarter as many, of bricks so that they are few beside them."""
-    return max(1, count // 4) if kind == "global" else min(BRICK_VALUES, max(1, count // 20))
 
 
 @dataclass(frozen=True)
