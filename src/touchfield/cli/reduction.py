@@ -27,22 +27,13 @@ def reduce(
     out: Annotated[Path | None, typer.Argument(help="OUT.touch of the modes that are kept; none without it.")] = None,
     modes: Annotated[str, typer.Option(help="global: of whole frames; bricks: of bricks of 8^3 samples.")] = "global",
     rank: Annotated[int | None, typer.Option(help="Modes to keep; default: as many as --nmse-db needs.")] = None,
-    nmse_db: Annotated[float, typer.Option("--nmse-db", help="Error that modes are counted for.")] = -30.0,
+    nmse_db: Annotated[float, typer.Option(help="Error that modes are counted for.")] = -30.0,
     cull: Annotated[Path | None, typer.Option(help="OUT.touch without what the hand can never feel.")] = None,
-    push_n: Annotated[
-        float | None,
-        typer.Option("--push-n", help="Greatest push of the hand; default: what the device holds for long."),
-    ] = None,
-    mass_kg: Annotated[
-        float | None, typer.Option("--mass-kg", help="Mass of hand and device; default: 50 g and the device's.")
-    ] = None,
-    speed_m_s: Annotated[
-        float | None, typer.Option("--speed-m-s", help="Greatest speed of the hand; default: 0.2.")
-    ] = None,
+    push_n: Annotated[float | None, typer.Option(help="Of the hand, at most; default: the device's.")] = None,
+    mass_kg: Annotated[float | None, typer.Option(help="Of hand and device; default: 50 g and its own.")] = None,
+    speed_m_s: Annotated[float | None, typer.Option(help="Of the hand, at most; default: 0.2.")] = None,
     device: Annotated[str | None, typer.Option(help="Device in the hand; default: that of MEDIUM.")] = None,
-    trace: Annotated[
-        Path | None, typer.Option(help="Where a hand was, such as the --log of a play: CSV of t_s,x_m,y_m,z_m.")
-    ] = None,
+    trace: Annotated[Path | None, typer.Option(help="Where a hand was: t_s,x_m,y_m,z_m, as a play's --log.")] = None,
     plot: Annotated[Path | None, typer.Option(help="PNG to draw: the spectrum, and a section.")] = None,
     as_json: Json = False,
     *,

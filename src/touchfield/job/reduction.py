@@ -7,7 +7,6 @@ medium -> a hand, a device, a trace -> what cannot be reached; the medium withou
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -24,6 +23,7 @@ from touchfield.job.spec import EncodeSpec, Report, silent
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.interaction import visits
 from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium.grid import BRICK
 from touchfield.medium.trace import read_trace
 from touchfield.reduction import Hand, Reduced, freedom, held_out, reach_of, reduced
 from touchfield.render.axes import BOX_AXES, axes_matrix
@@ -37,9 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["Reduction", "ReductionSpec", "culled", "hand_of", "reduce_medium"]
 
 _LOOKED_AT: Final = 8
-_HAND_KG: Final = 0.05
-_INERTIA_KG: Final = 0.045
-"""As `touchfield.render.walls` has them: a light hand, and the least of the desktop devices."""
+_HAND_KG, _INERTIA_KG = 0.05, 0.045  # as `touchfield.render.walls` has them, the second of the least device
 _SPEED_M_S: Final = 0.2  # the fastest slide of `touchfield.perception.hand_motion`
 _PUSH_SHARE: Final = 0.25  # of a device's greatest force, where its continuous one is not known
 
@@ -91,7 +89,7 @@ def culled(medium: HapticMedium, felt: NDArray[np.bool_]) -> HapticMedium:
     def make(i: int) -> ForceField:
         return ForceField.from_dense(medium.grid, np.where(felt[..., None], medium[i].to_dense(), np.float32(0)))
 
-    words = with_history(medium, "edits", f"{np.count_nonzero(~felt)} samples that no hand feels left out")
+    words = with_history(medium, "edits", f"without {np.count_nonzero(~felt)} samples that no hand feels")
     return replace(medium, make_frame=make, segments=None, provenance=words)
 
 
@@ -113,40 +111,38 @@ def reduce_medium(
     known = device(spec.device) if spec.device else given.device
     medium, hand = given.medium, hand_of(known, spec)
     found, shown = _modes(given, spec)
-    f0_n = given.spec.f0_n or EncodeSpec().f0_n
-    free = freedom(found, f0_n)
-    shown |= {
-        "degrees_of_freedom": free.effective,
-        "step_n": free.step_n,
-        "bits_per_coefficient": free.bits,
-        "coefficients_not_zero": free.modes,
-        **_entropies(given, spec),
-    }
     reach = reach_of(medium, hand)
-    felt, outside = reach.samples, _outside(medium, known)
-    shown |= {"hand": hand.words, "stopping_force_n": reach.stopped_n}
-    held = _held(medium)
-    shown["supported_samples"] = int(np.count_nonzero(held))
-    for name, own in (("behind", ~felt), ("outside_workspace", outside)):
-        shown[f"{name}_samples"] = int(np.count_nonzero(held & own))
-    felt &= ~outside
-    if trace is not None:
-        places = visits(trace, medium.grid).places
-        near = np.zeros(felt.shape, bool)
-        near[tuple(places.T)] = True
-        near = binary_dilation(near, np.ones((3, 3, 3), bool), iterations=2)
-        shown["never_visited_samples"] = int(np.count_nonzero(held & ~near))
-        felt &= near
-    shown |= {"felt_samples": int(np.count_nonzero(held & felt)), "bricks_left_out": _bricks_left_out(held, felt)}
+    felt, held = reach.samples, np.zeros(medium.grid.shape, bool)
+    for frame in medium:
+        held[tuple(frame.positions().T)] = True
+    left_out = {"behind": ~felt}
     notes: tuple[str, ...] = (
-        f"nothing changes for {hand.words}, begins where no force is and stays in the workspace of {known.name}",
+        f"nothing changes for {hand.words}, if it begins where no force is and stays between the outermost samples",
     )
     if not reach.stopped_n:
-        notes += (
-            "nothing is proved to stop such a hand: less push, a slower hand or a finer lattice may be stopped",
-        )
+        notes += ("nothing is proved to stop such a hand: less push, a lower speed or a finer lattice may help",)
+    if spec.device:
+        left_out["outside_workspace"] = _outside(medium, known)
+        notes += (f"nor if it stays in the workspace of {known.name}",)
     if trace is not None:
-        notes += ("with --trace what this hand never came near is left out, too: nothing is promised to another",)
+        near = np.zeros(felt.shape, bool)
+        near[tuple(visits(trace, medium.grid).places.T)] = True
+        left_out["never_visited"] = ~binary_dilation(near, np.ones((3, 3, 3), bool), iterations=2)
+        notes += ("what the hand of --trace never came near is left out, too: nothing is promised to another",)
+    felt = ~np.logical_or.reduce(list(left_out.values()))
+    over = "voxel" if trace is None else f"interaction:{spec.trace}"
+    told = measure_medium(medium, MeasureSpec("weber:0.1", over, limits=False, encode=given.spec))
+    every, kept = (np.unique(np.argwhere(own) // BRICK, axis=0) for own in (held, held & felt))
+    shown |= {
+        "entropy_bits_per_voxel": told.voxel.value,
+        **({} if trace is None else {"entropy_bits_per_visit": told.entropy.value}),
+        "hand": hand.words,
+        "stopping_force_n": reach.stopped_n,
+        "supported_samples": int(np.count_nonzero(held)),
+        **{f"{name}_samples": int(np.count_nonzero(held & own)) for name, own in left_out.items()},
+        "felt_samples": int(np.count_nonzero(held & felt)),
+        "bricks_left_out": len(every) - len(kept),
+    }
     if cull is not None:
         path, more = _write(given, [source], culled(medium, felt), cull, report)
         shown |= {"culled_file": str(path), "culled_file_bytes": path.stat().st_size}
@@ -168,7 +164,8 @@ def _modes(given: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any
     found = reduced(medium, spec.modes, spec.rank)
     if spec.rank is None:
         found = replace(found, modes=found.modes.first(max(1, found.modes.rank_for(spec.decibels))))
-    modes, meter = found.modes, FidelityMeter(given.spec.k, given.spec.f0_n or EncodeSpec().f0_n)
+    f0_n = given.spec.f0_n or EncodeSpec().f0_n
+    modes, meter, free = found.modes, FidelityMeter(given.spec.k, f0_n), freedom(found, f0_n)
     for i in spread(len(medium), _LOOKED_AT):
         meter.add(medium[i], found.field(i))
     shown: dict[str, Any] = {
@@ -179,44 +176,21 @@ def _modes(given: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any
         "nmse_db_beforehand": 10 * math.log10(max(modes.tail(modes.rank) / modes.energy, 1e-30)),
         "nmse_db": meter.nmse_db,
         "mask_violation_share": meter.mask_violation_share,
+        "degrees_of_freedom": free.effective,
+        "step_n": free.step_n,
+        "bits_per_coefficient": free.bits,
+        "coefficients_not_zero": free.modes,
     }
     if len(medium) > 1:
         other = held_out(medium, spec.modes, spec.decibels)
-        shown["held_out"] = {name: value for name, value in vars(other).items() if name != "least_n"}
+        shown["held_out"] = {name: value for name, value in other._asdict().items() if name != "least_n"}
     return found, shown
 
 
-def _entropies(given: Prepared, spec: ReductionSpec) -> dict[str, float]:
-    """H(S) over voxels, and as the hand of a trace met it, bits."""
-    over = "voxel" if spec.trace is None else f"interaction:{spec.trace}"
-    told = measure_medium(given.medium, MeasureSpec("weber:0.1", over, limits=False, encode=given.spec))
-    met = {} if spec.trace is None else {"entropy_bits_per_visit": told.entropy.value}
-    return {"entropy_bits_per_voxel": told.voxel.value, **met}
-
-
-def _held(medium: HapticMedium) -> NDArray[np.bool_]:
-    """Samples with a force in some frame, bool [nx, ny, nz]."""
-    held = np.zeros(medium.grid.shape, bool)
-    for frame in medium:
-        held[tuple(frame.positions().T)] = True
-    return held
-
-
 def _outside(medium: HapticMedium, known: Device) -> NDArray[np.bool_]:
-    """Samples that a device's point cannot be at nor beside, bool [nx, ny, nz]; none for an array."""
-    grid = medium.grid
-    if known.is_array:
-        return np.zeros(grid.shape, bool)
-    half_m = np.array(known.physical_mm or known.workspace_mm) / 2000
+    """Samples that a device's point cannot be at nor beside, bool [nx, ny, nz]."""
+    grid, half_m = medium.grid, np.array(known.physical_mm or known.workspace_mm) / 2000
     half_m = np.abs(axes_matrix(BOX_AXES, medium.axes, "lattice")) @ half_m
     inside = [np.abs(grid.axis_m(axis)) <= half_m[axis] + grid.spacing_m[axis] for axis in range(3)]
     outside: NDArray[np.bool_] = ~(inside[0][:, None, None] & inside[1][:, None] & inside[2])
     return outside
-
-
-def _bricks_left_out(held: NDArray[np.bool_], felt: NDArray[np.bool_]) -> int:
-    """Bricks with a force of which no sample is felt."""
-    pads = [(0, -n % 8) for n in held.shape]
-    shape = [n for size in held.shape for n in (-(-size // 8), 8)]
-    has, kept = (np.pad(own, pads).reshape(shape).any(axis=(1, 3, 5)) for own in (held, held & felt))
-    return int(np.count_nonzero(has & ~kept))

@@ -9,7 +9,5 @@ from touchfield.reduction.modes import Modes, klt, pod
 from touchfield.reduction.reach import Hand, Reach, reach_of
 from touchfield.reduction.snapshots import KINDS, Freedom, HeldOut, Reduced, freedom, held_out, reduced
 
-__all__ = [
-    "KINDS", "Freedom", "Hand", "HeldOut", "Modes", "Reach", "Reduced", "freedom", "held_out", "klt", "pod",
-    "reach_of", "reduced",
-]  # fmt: skip
+__all__ = ["KINDS", "Freedom", "Hand", "HeldOut", "Modes", "Reach", "Reduced", "freedom", "held_out", "klt", "pod",
+           "reach_of", "reduced"]  # fmt: skip

@@ -89,11 +89,9 @@ def _holds(block, places, count, step_m, need_n, turn_nm, friction):
 def weak_cells(begin, end, cells, far_m, edges, later_m, beyond, frames, step_m, need_n, turn_nm, friction, weak):
     """Into `weak`, bool [m], the cells begin to end - 1 of int [m, 3], where some frame does not hold a hand back.
 
-    far_m : float [m]; farther from A no place of the cell is, metres.
-    edges : bool [2, nx, ny, nz]; nodes that A began with and those that joined it, which count as `later_m` farther;
-        of both those that have a neighbour that is none. `beyond` nodes on each side are outside of the box.
-    frames : float32 [f, ...]; the forces at the nodes of the box.
-    need_n, turn_nm : P + m v^2 / (2 D), and m v^2.
+    `far_m` [m]: no place of a cell is farther from A. `edges`, bool [2, nx, ny, nz]: nodes that A began with and
+    those that joined it, which count as `later_m` farther, of both those with a neighbour that is none; `beyond` of them
+    on each side are outside of the box of `frames`, float32 [f, ...]. `need_n`: P + m v^2 / (2 D); `turn_nm`: m v^2.
     """
     found = np.empty((_MOST, 3))
     half = 0.5 * math.sqrt(step_m[0] ** 2 + step_m[1] ** 2 + step_m[2] ** 2)
@@ -102,12 +100,10 @@ def weak_cells(begin, end, cells, far_m, edges, later_m, beyond, frames, step_m,
         count = _candidates(edges[0], cell, step_m, far_m[c] + half, found, 0)
         if count >= 0 and far_m[c] + half > later_m:
             count = _candidates(edges[1], cell, step_m, far_m[c] + half - later_m, found, count)
-        if count <= 0:
-            weak[c] = True
-            continue
+        weak[c] = count <= 0
         i, j, k = cell[0] - beyond, cell[1] - beyond, cell[2] - beyond
         for f in range(frames.shape[0]):
-            block = frames[f, i : i + 2, j : j + 2, k : k + 2]
-            if not _holds(block, found, count, step_m, need_n, turn_nm, friction):
-                weak[c] = True
+            if weak[c]:
                 break
+            block = frames[f, i : i + 2, j : j + 2, k : k + 2]
+            weak[c] = not _holds(block, found, count, step_m, need_n, turn_nm, friction)

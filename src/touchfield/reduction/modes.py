@@ -49,7 +49,7 @@ class Modes:
 
     @property
     def rank(self) -> int:
-        """r, the number of modes."""
+        """r."""
         return int(self.basis.shape[1])
 
     @property
@@ -91,7 +91,7 @@ class Modes:
         return int(np.argmax(left <= 10 ** (decibels / 10) * self.energy))
 
 
-def pod(snapshots: ArrayLike | Iterable[NDArray[Any]], rank: int | None = None, centred: bool = False) -> Modes:
+def pod(snapshots: NDArray[Any] | Iterable[NDArray[Any]], rank: int | None = None, centred: bool = False) -> Modes:
     """The modes of n snapshots that are longer than many: the Gram matrix is n x n.
 
     snapshots : float [n, d], or blocks of their columns [n, d_b], which are gone through twice and made float64 one
@@ -100,7 +100,7 @@ def pod(snapshots: ArrayLike | Iterable[NDArray[Any]], rank: int | None = None, 
     centred : bool; the mean snapshot is taken from each first.
     Raises `InvalidArgument` if the shapes do not fit, a value is not finite, or the rank is none of 1 to n.
     """
-    blocks = _blocks(snapshots)
+    blocks = list(snapshots) if isinstance(snapshots, Iterator) else snapshots
     gram, means = np.zeros((0, 0)), []
     for block in _pieces(blocks):
         means.append(block.mean(axis=0) if centred else np.zeros(block.shape[1]))
@@ -121,10 +121,7 @@ def pod(snapshots: ArrayLike | Iterable[NDArray[Any]], rank: int | None = None, 
 
 
 def klt(rows: Iterable[NDArray[Any]], rank: int | None = None) -> Modes:
-    """The modes of many short snapshots, such as all bricks of a medium: the Gram matrix is d x d, and d not great.
-
-    rows : blocks of snapshots [m, d], gone through once. rank, errors: as of `pod`.
-    """
+    """The modes of many short snapshots, blocks [m, d] that are gone through once; rank and errors as of `pod`."""
     gram, count = np.zeros((0, 0)), 0
     for given in rows:
         block = _matrix(given).astype(np.float64)
@@ -148,17 +145,11 @@ def _matrix(given: ArrayLike) -> NDArray[Any]:
     return array
 
 
-def _blocks(snapshots: ArrayLike | Iterable[NDArray[Any]]) -> Iterable[NDArray[Any]]:
-    if isinstance(snapshots, Iterator):
-        return list(snapshots)
-    is_matrix = isinstance(snapshots, np.ndarray) or not isinstance(snapshots, Iterable)
-    return [np.asarray(snapshots)] if is_matrix else snapshots  # type: ignore[return-value]
-
-
-def _pieces(blocks: Iterable[NDArray[Any]]) -> Iterator[Float64s]:
+def _pieces(snapshots: Any) -> Iterator[Float64s]:
     """The columns as float64, a few at a time."""
+    is_matrix = isinstance(snapshots, np.ndarray)
     count = None
-    for given in blocks:
+    for given in (snapshots,) if is_matrix else snapshots:
         block = _matrix(given)
         if count is not None and len(block) != count:
             raise InvalidArgument("snapshots", f"{len(block)} in a block", f"{count}, as in the first")
@@ -179,10 +170,7 @@ def _decomposed(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, i
 
 
 def _orthonormal(basis: Float64s) -> Float64s:
-    """The columns made orthonormal in place, each against those before it: Cholesky's QR, twice.
-
-    Columns of small singular values are orthonormal only as far as the squared ones are known.
-    """
+    """The columns made orthonormal, each against those before it, as small ones hardly are: Cholesky's QR, twice."""
     for _ in range(2):
         if basis.shape[1]:
             corner = scipy.linalg.cholesky(basis.T @ basis)

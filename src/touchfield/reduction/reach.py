@@ -45,14 +45,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Hand", "Reach", "reach_of"]
 
-_MARGIN: Final = 1.05
-"""Of the force that (*) asks for: a force that comes a tick late, and rounding."""
+_MARGIN: Final = 1.05  # of the force that (*) asks for: it comes a tick late
 _USED: Final = (0.4, 0.6)  # of the field's greatest force: what (*) asks for
 _RETREAT: Final = 4.0  # r, in diagonals of a cell: from a little off A is smooth
-_FEW: Final = 0.03  # of the samples as deep as where the layer begins: so many may be weaker
 _TO_TURN: Final = 0.4  # of what that leaves beside the push, at most: m v^2 / d
+_FEW, _HOPELESS = 0.03, 0.7  # weak samples where the layer may begin; weak cells of a layer that is none
 _LEAKS: Final = 0.02  # of A: less is roughness and no leak
-_HOPELESS: Final = 0.7  # of the layer
 _FRAMES_BYTES: Final = 1 << 28
 _ALL = np.ones((3, 3, 3), bool)
 
@@ -75,35 +73,28 @@ class Hand:
 
     @property
     def lunge_nm(self) -> float:
-        """m v^2, twice the energy of its motion, J."""
+        """m v^2."""
         return self.mass_kg * self.speed_m_s**2
 
     @property
     def words(self) -> str:
         """For whom a promise holds."""
-        most = f"that pushes with {self.push_n:g} N and moves at {self.speed_m_s:g} m/s at most"
-        return f"a hand of {1e3 * self.mass_kg:g} g with its device {most}"
+        of = f"{1e3 * self.mass_kg:g} g with its device"
+        return f"a hand of {of} that pushes with {self.push_n:g} N and moves at {self.speed_m_s:g} m/s at most"
 
 
 class _Layer(NamedTuple):
-    """Where the field must hold, metres of d: from d0 for the way D; and by how much, newtons, about."""
+    """Where the field must hold, metres of d: r, d0 and d0 + D; and by how much, newtons, about."""
 
-    retreat_m: float  # r
+    retreat_m: float
     start_m: float
-    stop_m: float
+    depth_m: float
     need_n: float
-
-    @property
-    def depth_m(self) -> float:
-        """The farthest that a hand comes."""
-        return self.start_m + self.stop_m
 
 
 class Reach(NamedTuple):
-    """What of a medium a hand can feel.
-
-    samples : bool [nx, ny, nz]; the corners of the cells that it comes into, and one sample more on every side.
-    stopped_n : float; a force that stops it, with which the proof was found; 0 where nothing stops it.
+    """What a hand can feel, bool [nx, ny, nz]: the corners of cells that it comes into, and a sample more on every
+    side; a force that stops it, 0 where nothing is found to.
     """
 
     samples: Bools
@@ -125,7 +116,7 @@ def reach_of(medium: HapticMedium, hand: Hand) -> Reach:
         felt = flood.settled()
         if np.count_nonzero(felt) < np.count_nonzero(best):
             best, stopped_n = felt, layer.need_n
-        if flood.grown <= _LEAKS:  # a thicker layer only reaches deeper
+        if flood.joined.sum() <= _LEAKS * flood.began.sum():  # a thicker layer only reaches deeper
             break
     return Reach(best, stopped_n)
 
@@ -133,16 +124,16 @@ def reach_of(medium: HapticMedium, hand: Hand) -> Reach:
 def _layers(medium: HapticMedium, hand: Hand, greatest_n: float) -> list[_Layer]:
     """Layers to try on a field of this greatest force, the thinnest first."""
     found: list[_Layer] = []
-    grid = medium.grid
-    own = math.hypot(*grid.spacing_m)
-    for used in _USED if min(grid.shape) > 1 else ():
+    own = math.hypot(*medium.grid.spacing_m)
+    for used in _USED if min(medium.grid.shape) > 1 else ():
         need = used * greatest_n
         spare = need / _MARGIN - hand.push_n
         if spare <= 0:
             continue
         ramp_m = max(_ramp_m(medium[0], need) + own, hand.lunge_nm / (_TO_TURN * spare))
         stop_m = hand.lunge_nm / (2 * (spare - hand.lunge_nm / ramp_m))
-        found.append(_Layer(_RETREAT * own, _RETREAT * own + ramp_m, stop_m, need))
+        start_m = _RETREAT * own + ramp_m
+        found.append(_Layer(_RETREAT * own, start_m, start_m + stop_m, need))
     return sorted(found, key=lambda one: one.depth_m)
 
 
@@ -163,19 +154,15 @@ class _Flood:
     def __init__(self, medium: HapticMedium, layer: _Layer, hand: Hand) -> None:
         self.medium, self.layer = medium, layer
         self.turn_nm = _MARGIN * hand.lunge_nm
-        self.need_n = _MARGIN * (hand.push_n + 0.5 * hand.lunge_nm / layer.stop_m)
+        self.need_n = _MARGIN * (hand.push_n + 0.5 * hand.lunge_nm / (layer.depth_m - layer.start_m))
         self.step_m = np.array(medium.grid.spacing_m)
         self.diagonal_m = float(np.linalg.norm(self.step_m))
         self.beyond = int(layer.retreat_m / float(self.step_m.min()))  # A may lie outside of the box, if no hand does
         self.free = self._free()
-        self.began = self._began()
+        apart = self.free & (self._distance(~self.free) >= layer.retreat_m)
+        self.began = apart if apart.any() else self.free
         self.joined = np.zeros_like(self.began)
         self.away_m = self._away()
-
-    @property
-    def grown(self) -> float:
-        """By how much of it A has grown."""
-        return float(self.joined.sum() / max(1, self.began.sum()))
 
     def settled(self) -> Bools:
         """The samples that are felt once A has grown until (*) holds; all, where most of the layer is weak."""
@@ -206,13 +193,6 @@ class _Flood:
         outer = np.unique(faces[faces > 0])
         free = np.isin(pieces, outer) if len(outer) else nodes
         return np.pad(free, self.beyond, mode="edge")
-
-    def _began(self) -> Bools:
-        """A to begin with: what is free, less what is nearer than r to a force."""
-        if self.free.all():
-            return self.free
-        kept = self.free & (distance_transform_edt(self.free, self.step_m) >= self.layer.retreat_m)
-        return kept if kept.any() else self.free
 
     def _distance(self, nodes: Bools) -> Float64s:
         if not nodes.any():
@@ -251,11 +231,9 @@ class _Flood:
         for part in self._parts() if len(cells) else ():
             left = np.flatnonzero(~weak)
             found = np.zeros(len(left), bool)
-            fixed = edges, layer.retreat_m, self.beyond, part, self.step_m, self.need_n, self.turn_nm
-            far = high[tuple(cells[left].T)]
-            for_chunks(
-                kernels.weak_cells, len(left), cells[left], far, *fixed, self.medium.friction, found, chunk=256
-            )
+            places = cells[left], high[tuple(cells[left].T)], edges, layer.retreat_m, self.beyond
+            hold = self.step_m, self.need_n, self.turn_nm, self.medium.friction
+            for_chunks(kernels.weak_cells, len(left), *places, part, *hold, found, chunk=256)
             weak[left[found]] = True
         nodes = np.zeros(self.began.shape, bool)
         for corner in np.ndindex(2, 2, 2):

@@ -7,9 +7,8 @@ frames add up to it; its bricks look alike wherever it is. Numbers are counted w
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -31,23 +30,6 @@ __all__ = ["KINDS", "Freedom", "HeldOut", "Reduced", "freedom", "held_out", "red
 
 KINDS: Final = ("global", "bricks")
 BRICK_VALUES: Final = 3 * BRICK**3
-_AT_ONCE: Final = 64  # bricks
-
-
-class _Frames:
-    """Frames on the union of their bricks, as blocks of columns; each pass reads them again."""
-
-    def __init__(self, medium: HapticMedium, places: Sequence[int]) -> None:
-        fields = [medium[i] for i in places]
-        stored = sum(len(f.bricks) for f in fields)
-        require_memory("frames", stored, 4 * BRICK_VALUES * stored)
-        self.fields = fields
-        keys = [brick_keys(medium.grid, f.bricks) for f in fields]
-        self.keys = np.unique(np.concatenate(keys))
-
-    def __iter__(self) -> Iterator[NDArray[np.float32]]:
-        for a in range(0, len(self.keys), _AT_ONCE):
-            yield np.stack([f.forces_at(self.keys[a : a + _AT_ONCE]).ravel() for f in self.fields])
 
 
 @dataclass(frozen=True)
@@ -55,23 +37,18 @@ class Reduced:
     """A medium by its modes.
 
     kind : one of `KINDS`. keys : int64 [bricks], of "global" those of the union (`brick_keys`); none of "bricks".
-    least_n : float; coefficients below are not kept.
     """
 
     medium: HapticMedium
     kind: str
     modes: Modes
     keys: NDArray[np.int64]
-    least_n: float = 0.0
-
-    def rows(self, field: ForceField) -> NDArray[np.float32]:
-        """The snapshots of a frame, float32 [n, d]; what lies outside of the union is left out."""
-        return field.forces_at(self.keys).reshape(1, -1) if len(self.keys) else _bricks(field)
 
     def coefficients(self, frame: int) -> Float64s:
-        """Of the snapshots of a frame, float64 [n, r]; 0 for what is not kept."""
-        found = self.modes.coefficients(self.rows(self.medium[frame]))
-        return np.where(np.abs(found) < self.least_n, 0.0, found)
+        """Of the snapshots of a frame, float64 [n, r]; what lies outside of the union is left out."""
+        field = self.medium[frame]
+        rows = field.forces_at(self.keys).reshape(1, -1) if len(self.keys) else _bricks(field)
+        return self.modes.coefficients(rows)
 
     def field(self, frame: int) -> ForceField:
         """A frame as the modes have it."""
@@ -94,26 +71,23 @@ def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None,
         raise InvalidArgument("--modes", repr(kind), f"one of {', '.join(KINDS)}")
     places = range(0, len(medium), step)
     if kind == "bricks":
-        modes, keys = klt((_bricks(medium[i]) for i in places), rank), np.zeros(0, np.int64)
-    else:
-        frames = _Frames(medium, places)
-        if not len(frames.keys):
-            raise InvalidArgument("medium", "no frame with a force", "a force somewhere")
-        most = len(places) if rank is None else min(rank, len(places))
-        require_memory("modes", len(frames.keys), 8 * BRICK_VALUES * len(frames.keys) * most)
-        modes, keys = pod(frames, most), frames.keys
-    return Reduced(medium, kind, modes, keys)
+        return Reduced(medium, kind, klt((_bricks(medium[i]) for i in places), rank), np.zeros(0, np.int64))
+    keys = np.unique(np.concatenate([brick_keys(medium.grid, medium[i].bricks) for i in places]))
+    if not len(keys):
+        raise InvalidArgument("medium", "no frame with a force", "a force somewhere")
+    most = min(rank or len(places), len(places))
+    require_memory("frames and modes", len(keys), 4 * BRICK_VALUES * len(keys) * (len(places) + 2 * most))
+    frames = np.stack([medium[i].forces_at(keys).ravel() for i in places])
+    return Reduced(medium, kind, pod(frames, rank), keys)
 
 
-@dataclass(frozen=True)
-class HeldOut:
+class HeldOut(NamedTuple):
     """Frames that were not learnt from, by modes of the others.
 
-    modes : int; how many were used. numbers : float; coefficients of a snapshot, the mean. nmse_db : float.
-    share : float; all numbers that a receiver needs of the medium, to those without modes: coefficients, of each that
-        is one of several its place (the entropy of the places, in numbers of 32 bits), and the modes.
-    share_of_coefficients : float; without the modes.
-    least_n : float; coefficients below were not kept.
+    `modes` are used, `numbers` the coefficients of a snapshot, the mean. `share` are all numbers that a receiver
+    needs of the medium, to those without modes: coefficients, of each that is one of several its place (the entropy
+    of the places, in numbers of 32 bits), and the modes; `share_of_coefficients` is without these. Of bricks
+    coefficients below `least_n` were not kept.
     """
 
     modes: int
@@ -153,13 +127,9 @@ def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOu
     return HeldOut(modes, numbers, nmse, of_coefficients + modes / count, of_coefficients, least)
 
 
-@dataclass(frozen=True)
-class Freedom:
-    """Degrees of freedom of a medium.
-
-    effective : float; exp of the entropy of the normalised squared singular values.
-    step_n : float; of the quantiser of the coefficients. bits : float; of a coefficient, the mean over the modes.
-    modes : int; those with a coefficient that is not 0 somewhere.
+class Freedom(NamedTuple):
+    """`effective` degrees of freedom, exp of the entropy of the normalised squared singular values; the step of the
+    coefficients, newtons; `bits` of one, the mean over the `modes` that have one that is not 0.
     """
 
     effective: float

@@ -21,27 +21,21 @@ __all__ = ["draw_reduction"]
 def draw_reduction(
     path: Path, values: NDArray[np.float64], field: ForceField, felt: NDArray[np.bool_], title: str
 ) -> None:
-    """Write a PNG: what is left of the energy after so many modes, by singular values; |F| on the fullest section
-    across z, what is left out (not `felt`, bool [nx, ny, nz]) in red.
-
-    Raises `MissingExtra` if matplotlib is not installed.
+    """Write a PNG: the error after so many modes, by singular values; |F| on the fullest section across z, in red
+    what is not `felt`, bool [nx, ny, nz]. Raises `MissingExtra` if matplotlib is not installed.
     """
     figure = titled_figure("the picture of a reduction", title, 11.0, 4.5)
     left, right = figure.subplots(1, 2)
     squares = values**2
     tail = np.append(np.cumsum(squares[::-1])[::-1], 0.0) / max(float(squares.sum()), 1e-300)
     left.plot(10 * np.log10(np.maximum(tail, 1e-10)), color="#0072b2")
-    left.set_xlabel("modes kept")
-    left.set_ylabel("error / dB of the energy")
-    left.set_ylim(-60, 3)
+    left.set(xlabel="modes kept", ylabel="error / dB of the energy", ylim=(-60, 3))
     size = np.linalg.norm(field.to_dense(), axis=-1)
     at = int(np.argmax((size > 0).sum(axis=(0, 1))))
-    low, high = (1e3 * corner for corner in field.grid.box_m)
-    extent = (low[0], high[0], low[1], high[1])
+    extent = 1e3 * np.stack(field.grid.box_m)[:, :2].T.ravel()
     image = right.imshow(size[:, :, at].T, origin="lower", extent=extent, cmap="cividis")
     gone = np.where((size[:, :, at] > 0) & ~felt[:, :, at], 1.0, np.nan)
     right.imshow(gone.T, origin="lower", extent=extent, cmap="Reds", vmin=0, vmax=1.4)
-    right.set_xlabel("x / mm")
-    right.set_ylabel("y / mm")
+    right.set(xlabel="x / mm", ylabel="y / mm")
     figure.colorbar(image, ax=right, label="|F| / N; red: never felt", shrink=0.85)
     write_png(figure, path)
