@@ -40,7 +40,7 @@ COMMANDS: Final = {
     "play": "feel",
     **dict.fromkeys(("serve", "live", "mux", "demux"), "broadcast"),
     "measure": "look",
-    "reduce": "reduction",
+    "reduce": "editing",
     **dict.fromkeys(("index", "search", "similar", "correlate"), "library"),
     **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "machine"),
 }
