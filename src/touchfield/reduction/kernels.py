@@ -91,7 +91,8 @@ def weak_cells(begin, end, cells, far_m, edges, later_m, beyond, frames, step_m,
 
     `far_m` [m]: no place of a cell is farther from A. `edges`, bool [2, nx, ny, nz]: nodes that A began with and
     those that joined it, which count as `later_m` farther, of both those with a neighbour that is none; `beyond` of
-    them on each side are outside of the box of `frames`, float32 [f, ...]. `need_n`: P + m v^2 / (2 D); `turn_nm`: m v^2
+    them on each side are outside of the box of `frames`, float32 [f, ...]. `need_n` is P + m v^2 / (2 D), `turn_nm`
+    m v^2.
     """
     found = np.empty((_MOST, 3))
     half = 0.5 * math.sqrt(step_m[0] ** 2 + step_m[1] ** 2 + step_m[2] ** 2)
