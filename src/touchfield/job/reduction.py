@@ -123,7 +123,7 @@ def reduce_medium(
         notes += ("nothing is proved to stop such a hand: less push, a lower speed or a finer lattice may help",)
     if spec.device:
         left_out["outside_workspace"] = _outside(medium, known)
-        notes += (f"nor if it stays in the workspace of {known.name}",)
+        notes += (f"and, as to what is outside, if it stays in the workspace of {known.name}",)
     if trace is not None:
         near = np.zeros(felt.shape, bool)
         near[tuple(visits(trace, medium.grid).places.T)] = True

@@ -21,7 +21,7 @@ __all__ = ["draw_reduction"]
 def draw_reduction(
     path: Path, values: NDArray[np.float64], field: ForceField, felt: NDArray[np.bool_], title: str
 ) -> None:
-    """Write a PNG: the error after so many modes, by singular values; |F| on the fullest section across z, in red
+    """Write a PNG: the error after so many modes, by singular values; |F| on the section across z that most is left out of, in red
     what is not `felt`, bool [nx, ny, nz]. Raises `MissingExtra` if matplotlib is not installed.
     """
     figure = titled_figure("the picture of a reduction", title, 11.0, 4.5)
@@ -31,7 +31,7 @@ def draw_reduction(
     left.plot(10 * np.log10(np.maximum(tail, 1e-10)), color="#0072b2")
     left.set(xlabel="modes kept", ylabel="error / dB of the energy", ylim=(-60, 3))
     size = np.linalg.norm(field.to_dense(), axis=-1)
-    at = int(np.argmax((size > 0).sum(axis=(0, 1))))
+    at = int(np.argmax((size > 0).sum(axis=(0, 1)) + 1000 * ((size > 0) & ~felt).sum(axis=(0, 1))))
     extent = 1e3 * np.stack(field.grid.box_m)[:, :2].T.ravel()
     image = right.imshow(size[:, :, at].T, origin="lower", extent=extent, cmap="cividis")
     gone = np.where((size[:, :, at] > 0) & ~felt[:, :, at], 1.0, np.nan)
