@@ -21,8 +21,8 @@ __all__ = ["draw_reduction"]
 def draw_reduction(
     path: Path, values: NDArray[np.float64], field: ForceField, felt: NDArray[np.bool_], title: str
 ) -> None:
-    """Write a PNG: the error after so many modes, by singular values; |F| on the section across z that most is left out of, in red
-    what is not `felt`, bool [nx, ny, nz]. Raises `MissingExtra` if matplotlib is not installed.
+    """Write a PNG: the error after so many modes, by singular values; |F| on the section across z that most is left
+    out of, in red what is not `felt`, bool [nx, ny, nz]. Raises `MissingExtra` if matplotlib is not installed.
     """
     figure = titled_figure("the picture of a reduction", title, 11.0, 4.5)
     left, right = figure.subplots(1, 2)
