@@ -42,8 +42,7 @@ turns = 2 * np.pi * np.arange(40) / 40
 breathes = [ball((0, 0, 0), 0.045 + 0.003 * np.sin(t)) for t in turns]
 walks = [ball((0.024 * n / 39 - 0.012, 0, 0), 0.045) for n in range(40)]
 media = {
-    name: tf.HapticMedium.from_frames(frames, 30.0)
-    for name, frames in (("breathes", breathes), ("walks", walks))
+    name: tf.HapticMedium.from_frames(frames, 30.0) for name, frames in (("breathes", breathes), ("walks", walks))
 }
 
 # %%
