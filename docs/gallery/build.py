@@ -15,7 +15,9 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-SCRIPTS = ("figure_2", "actuator_lowpass", "force_shading", "six_devices", "vibration_with_force", "deformation")
+SCRIPTS = (
+    "figure_2", "actuator_lowpass", "force_shading", "six_devices", "vibration_with_force", "fewer_numbers", "deformation",
+)  # fmt: skip
 
 
 def cells(text: str) -> list[tuple[str, str]]:

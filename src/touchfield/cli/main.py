@@ -41,6 +41,7 @@ COMMANDS: Final = {
     "play": "feel",
     **dict.fromkeys(("serve", "live", "mux", "demux"), "broadcast"),
     "measure": "look",
+    "reduce": "editing",
     **dict.fromkeys(("index", "search", "similar", "correlate"), "library"),
     **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "machine"),
 }

@@ -1,0 +1,159 @@
+"""A medium as snapshots for `modes`: whole frames on the union of their bricks, or every brick for itself.
+
+Frames are the snapshots of what deforms in place. A body that moves is somewhere else in each frame, and no few
+frames add up to it; its bricks look alike wherever it is. Numbers are counted with and without those of the modes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium import ForceField
+from touchfield.medium.budget import require_memory
+from touchfield.medium.field import brick_keys, bricks_of
+from touchfield.medium.grid import BRICK
+from touchfield.reduction.modes import Modes, klt, pod
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.medium import HapticMedium
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["KINDS", "Freedom", "HeldOut", "Reduced", "freedom", "held_out", "reduced"]
+
+KINDS: Final = ("global", "bricks")
+BRICK_VALUES: Final = 3 * BRICK**3
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """A medium by its modes.
+
+    kind : one of `KINDS`. keys : int64 [bricks], of "global" those of the union (`brick_keys`); none of "bricks".
+    """
+
+    medium: HapticMedium
+    kind: str
+    modes: Modes
+    keys: NDArray[np.int64]
+
+    def coefficients(self, frame: int) -> Float64s:
+        """Of the snapshots of a frame, float64 [n, r]; what lies outside of the union is left out."""
+        field = self.medium[frame]
+        rows = field.forces_at(self.keys).reshape(1, -1) if len(self.keys) else _bricks(field)
+        return self.modes.coefficients(rows)
+
+    def field(self, frame: int) -> ForceField:
+        """A frame as the modes have it."""
+        grid = self.medium.grid
+        rows = self.modes.rebuild(self.coefficients(frame)).astype(np.float32)
+        bricks = bricks_of(grid, self.keys) if len(self.keys) else self.medium[frame].bricks
+        return ForceField.from_bricks(grid, bricks, rows.reshape(-1, BRICK, BRICK, BRICK, 3))
+
+
+def _bricks(field: ForceField) -> NDArray[np.float32]:
+    return field.forces_n.reshape(-1, BRICK_VALUES)
+
+
+def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None, step: int = 1) -> Reduced:
+    """The modes of every `step`-th frame of a medium, all of them or the first `rank`.
+
+    Raises `InvalidArgument` if the kind is unknown, no frame has a force, or the frames are too large for the memory.
+    """
+    if kind not in KINDS:
+        raise InvalidArgument("--modes", repr(kind), f"one of {', '.join(KINDS)}")
+    places = range(0, len(medium), step)
+    if kind == "bricks":
+        return Reduced(medium, kind, klt((_bricks(medium[i]) for i in places), rank), np.zeros(0, np.int64))
+    keys = np.unique(np.concatenate([brick_keys(medium.grid, medium[i].bricks) for i in places]))
+    if not len(keys):
+        raise InvalidArgument("medium", "no frame with a force", "a force somewhere")
+    most = min(rank or len(places), len(places))
+    require_memory("frames and modes", len(keys), 4 * BRICK_VALUES * len(keys) * (len(places) + 2 * most))
+    frames = np.stack([medium[i].forces_at(keys).ravel() for i in places])
+    return Reduced(medium, kind, pod(frames, rank), keys)
+
+
+class HeldOut(NamedTuple):
+    """Frames that were not learnt from, by modes of the others.
+
+    `modes` are used, `numbers` the coefficients of a snapshot, the mean. `share` are all numbers that a receiver
+    needs of the medium, to those without modes: coefficients, of each that is one of several its place (the entropy
+    of the places, in numbers of 32 bits), and the modes; `share_of_coefficients` is without these. Of bricks
+    coefficients below `least_n` were not kept.
+    """
+
+    modes: int
+    numbers: float
+    nmse_db: float
+    share: float
+    share_of_coefficients: float
+    least_n: float
+
+
+def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOut:
+    """Modes of the even frames, and how many numbers the odd ones need for this error; all that there are may not do.
+
+    Of "global" the first modes are used, of "bricks" of each brick the greatest coefficients: those above one bound.
+    Raises `InvalidArgument` as `reduced` does, or for a medium of one frame.
+    """
+    if len(medium) < 2:
+        raise InvalidArgument("medium", "one frame", "frames to learn from and others")
+    is_global, odd = kind == "global", range(1, len(medium), 2)
+    count = len(medium) if is_global else sum(len(field.bricks) for field in medium)
+    most = count // 4 if is_global else min(BRICK_VALUES, count // 20)  # few beside the snapshots
+    learnt = reduced(medium, kind, max(1, most), step=2)
+    energy = sum(float((medium[i].forces_n.astype(np.float64) ** 2).sum()) for i in odd)
+    if not energy:
+        raise InvalidArgument("medium", "no force in its odd frames", "forces to try the modes on")
+    squares = np.concatenate([learnt.coefficients(i) ** 2 for i in odd])
+    caught = squares.sum(axis=0) if is_global else np.sort(squares.ravel())[::-1]
+    left = np.maximum(energy - np.cumsum(caught), 1e-30) / energy
+    used = min(int(np.count_nonzero(left > 10 ** (decibels / 10))), len(left) - 1) + 1
+    length, modes = len(learnt.modes.mean), used if is_global else learnt.modes.rank
+    numbers = used if is_global else used / len(squares)
+    chosen = numbers / modes
+    places = 0.0 if is_global or chosen >= 1 else (-chosen * math.log2(chosen) - (1 - chosen) * math.log2(1 - chosen))
+    of_coefficients = (numbers + places * modes / 32) / length
+    least = 0.0 if is_global else math.sqrt(float(caught[used - 1]))
+    nmse = 10 * math.log10(float(left[used - 1]))
+    return HeldOut(modes, numbers, nmse, of_coefficients + modes / count, of_coefficients, least)
+
+
+class Freedom(NamedTuple):
+    """`effective` degrees of freedom, exp of the entropy of the normalised squared singular values; the step of the
+    coefficients, newtons; `bits` of one, the mean over the `modes` that have one that is not 0.
+    """
+
+    effective: float
+    step_n: float
+    bits: float
+    modes: int
+
+
+def freedom(found: Reduced, f0_n: float) -> Freedom:
+    """How many numbers a snapshot has, effectively, and how many bits each of them.
+
+    The step is the one whose rounding makes an error of F_0 rms at each supported sample: rounding makes a squared
+    error of rank step^2 / 12 in a snapshot. Bits are the plug-in entropy of each mode's rounded coefficients.
+    """
+    modes = found.modes
+    share = modes.values**2 / max(float((modes.values**2).sum()), 1e-300)
+    effective = math.exp(float(-(share[share > 0] * np.log(share[share > 0])).sum()))
+    frames = range(len(found.medium))
+    held = sum(found.medium[i].support_count for i in frames)
+    coefficients = np.concatenate([found.coefficients(i) for i in frames])
+    step = f0_n * math.sqrt(12 * max(1, held) / (len(coefficients) * max(1, modes.rank)))
+    whole = np.rint(coefficients / step)
+    bits = []
+    for column in whole.T[np.any(whole != 0, axis=0)]:
+        counts = np.unique(column, return_counts=True)[1] / len(column)
+        bits.append(float(-(counts * np.log2(counts)).sum()))
+    return Freedom(effective, step, float(np.mean(bits)) if bits else 0.0, len(bits))

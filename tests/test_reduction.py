@@ -1,0 +1,213 @@
+"""A medium in fewer numbers (paper section 6.1): modes and their error, degrees of freedom, what no hand reaches."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import touchfield as tf
+from touchfield.cli.main import _exit_code
+from touchfield.errors import InvalidArgument
+from touchfield.job.reduction import ReductionSpec, culled, reduce_medium
+from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach_of, reduced
+
+HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
+STEP_M, COUNT = 0.003, 40
+GRID = tf.Grid((COUNT,) * 3, (STEP_M,) * 3, (0.0,) * 3)
+
+
+def matrix(seed: int, count: int = 24, length: int = 700) -> Any:
+    rng = np.random.default_rng(seed)
+    return (rng.normal(size=(count, 8)) * 10.0 ** -np.arange(8)) @ rng.normal(size=(8, length)) + 0.3
+
+
+def floor(frames: int = 1, swing_m: float = 0.0) -> tf.HapticMedium:
+    """A solid floor with a hill, which heaves: a wall of 1500 N/m up to 8 N."""
+    x = np.stack(np.meshgrid(*[GRID.axis_m(a) for a in range(3)], indexing="ij"), axis=-1)
+    fields = []
+    for i in range(frames):
+        t = 2 * np.pi * i / 30
+        turn = 2 * np.pi * x[..., 0] / (COUNT * STEP_M) - t
+        slope = -0.004 * 2 * np.pi / (COUNT * STEP_M) * np.cos(turn)
+        height = 0.09 + 0.004 * np.sin(turn) + swing_m * np.sin(t)
+        normal = np.stack([slope, 0 * slope, 1 + 0 * slope], axis=-1)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        size = np.minimum(1500 * np.maximum(height - x[..., 2], 0) * normal[..., 2], 8.0)
+        fields.append(tf.ForceField.from_dense(GRID, (size[..., None] * normal).astype(np.float32)))
+    return tf.HapticMedium.from_frames(fields, 60.0)
+
+
+# -- modes ---------------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 2**20), st.booleans())
+def test_the_error_is_the_tail_known_beforehand(seed: int, centred: bool) -> None:
+    snapshots = matrix(seed)
+    modes = pod(snapshots, centred=centred)
+    assert np.abs(modes.basis.T @ modes.basis - np.eye(modes.rank)).max() < 1e-12
+    assert modes.energy == pytest.approx((snapshots**2).sum(), rel=1e-12)
+    for rank in range(1, modes.rank + 1):
+        some = modes.first(rank)
+        error = ((snapshots - some.rebuild(some.coefficients(snapshots))) ** 2).sum()
+        assert abs(error - modes.tail(rank)) <= 1e-10 * modes.energy
+    for decibels in (-10.0, -40.0):
+        rank = modes.rank_for(decibels)
+        limit = 10 ** (decibels / 10) * modes.energy
+        assert modes.tail(rank) <= limit and (rank == 0 or modes.tail(rank - 1) > limit)
+
+
+def test_blocks_iterators_and_short_snapshots_give_the_same_modes() -> None:
+    snapshots = matrix(1)
+    whole = pod(snapshots)
+    for blocks in ([snapshots[:, :300], snapshots[:, 300:]], iter([snapshots[:, :5], snapshots[:, 5:]])):
+        assert np.allclose(pod(blocks).values[:5], whole.values[:5], rtol=1e-9)
+    short = klt([snapshots.T[:100], snapshots.T[100:]])
+    assert np.allclose(short.values[:5], whole.values[:5], rtol=1e-9)
+    assert np.allclose(np.linalg.svd(snapshots, compute_uv=False)[:5], whole.values[:5], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda: pod(np.zeros((0, 3))),
+        lambda: pod(np.full((2, 3), np.nan)),
+        lambda: pod([np.zeros((2, 3)), np.zeros((3, 3))]),
+        lambda: pod(np.ones((2, 3)), rank=3),
+        lambda: klt([]),
+        lambda: klt([np.ones((2, 3)), np.ones((2, 4))]),
+        lambda: pod(np.eye(3)).coefficients(np.ones((2, 4))),
+        lambda: pod(np.eye(3)).rebuild(np.ones((2, 4))),
+        lambda: reduced(floor(), "columns"),
+        lambda: held_out(floor(), "global"),
+        lambda: Hand(-1.0, 0.1, 0.2),
+        lambda: ReductionSpec(decibels=3.0),
+    ],
+)
+def test_what_makes_no_sense_is_refused(wrong: Any) -> None:
+    with pytest.raises(InvalidArgument):
+        wrong()
+
+
+@pytest.mark.parametrize("kind", ["global", "bricks"])
+def test_a_medium_comes_back_from_its_modes(kind: str) -> None:
+    medium = floor(8)
+    found = reduced(medium, kind)
+    energy = error = 0.0
+    for i in range(len(medium)):
+        own, back = medium[i].to_dense().astype(float), found.field(i).to_dense()
+        energy, error = energy + (own**2).sum(), error + ((own - back) ** 2).sum()
+    assert energy == pytest.approx(found.modes.energy, rel=1e-6)
+    assert error <= found.modes.tail(found.modes.rank) + 1e-10 * energy
+
+
+def test_frames_that_were_not_learnt_from_are_told_with_what_they_cost() -> None:
+    medium = floor(60)
+    found = held_out(medium, "global", -20.0)
+    assert found.nmse_db <= -20.0 and found.share > found.share_of_coefficients > 0
+    length = len(reduced(medium, "global", 1).modes.mean)
+    assert found.share == pytest.approx(found.modes * (length + 60) / (60 * length))
+
+
+def test_degrees_of_freedom_are_those_that_were_put_in() -> None:
+    base = [floor(1)[0].to_dense(), floor(30)[7].to_dense()]
+    both = [np.linalg.qr(np.stack([b.ravel() for b in base], axis=1))[0][:, k].reshape(base[0].shape) for k in (0, 1)]
+    frames = [100 * a * both[0] + 90 * b * both[1] for a in (-1, 1) for b in (-1, 1)] * 8
+    medium = tf.HapticMedium.from_array(np.array(frames, np.float32), GRID)
+    told = freedom(reduced(medium, "global"), 0.05)
+    assert 1.98 < told.effective < 2.0 and told.modes == 2
+    assert told.bits == pytest.approx(1.0, abs=1e-9)  # heads or tails
+
+
+# -- what no hand reaches ------------------------------------------------------------------------------------------
+
+
+def forces_along(medium: tf.HapticMedium, other: tf.HapticMedium, hand: Hand, seed: int) -> tuple[int, float]:
+    """Forces that differ along 500 paths of hands that do their worst, and the greatest one that they met."""
+    rng, dt, count = np.random.default_rng(seed), 1e-3, 500
+    high = GRID.to_m(np.array(GRID.shape) - 1)
+    x = rng.uniform(0, 1, (count, 3)) * [high[0], high[1], 0.012] + [0, 0, high[2] - 0.012]
+    v, differ, most = hand.speed_m_s * np.eye(3)[rng.integers(0, 3, count)], 0, 0.0
+    for t in range(700):
+        force = medium.sample_n(x, t * dt).astype(float)
+        differ += int((force != other.sample_n(x, t * dt)).any(axis=1).sum())
+        size = np.linalg.norm(force, axis=1, keepdims=True)
+        most = max(most, float(size.max()))
+        along = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-9)
+        swings = np.where(size > 0, along, [0.0, 0.0, -1.0])  # with the motion: each turn gains energy
+        presses = np.where(size > 0, -force / np.maximum(size, 1e-9), [0.0, 0.0, -1.0])
+        v = v + dt / hand.mass_kg * (force + hand.push_n * np.where(np.arange(count)[:, None] % 2, swings, presses))
+        speed = np.linalg.norm(v, axis=1, keepdims=True)
+        v = v * np.minimum(1.0, hand.speed_m_s / np.maximum(speed, 1e-9))
+        x = np.clip(x + dt * v, 0, high)
+    return differ, most
+
+
+@pytest.mark.parametrize(("frames", "swing_m"), [(1, 0.0), (45, 0.003)])
+def test_no_hand_feels_what_is_left_out_of_a_solid(frames: int, swing_m: float) -> None:
+    medium = floor(frames, swing_m)
+    reach = reach_of(medium, HAND)
+    shell = culled(medium, reach.samples)
+    assert shell[0].support_count < 0.5 * medium[0].support_count and reach.stopped_n > HAND.push_n
+    differ, most = forces_along(medium, shell, HAND, 3)
+    assert differ == 0 and most > 1.0
+    skin = np.linalg.norm(medium[0].to_dense(), axis=-1) < 2.0
+    assert forces_along(medium, culled(medium, skin), HAND, 3)[0] > 0  # these hands do come in
+
+
+def test_a_hand_that_is_stronger_than_the_field_reaches_all() -> None:
+    medium = floor()
+    assert reach_of(medium, Hand(9.0, 0.1, 0.2)).samples.all()
+    assert reach_of(medium, Hand(1.0, 0.1, 5.0)).samples.all()
+    shallow = np.where(floor()[0].to_dense()[..., 2:] > 6, 0, floor()[0].to_dense())  # a skin, and nothing behind
+    assert reach_of(tf.HapticMedium.from_array(shallow, GRID), HAND).samples.all()
+
+
+def test_a_faster_hand_reaches_farther_and_more_friction_stops_no_less() -> None:
+    medium = floor()
+    slow, fast = (int(reach_of(medium, Hand(1.0, 0.1, v)).samples.sum()) for v in (0.05, 0.3))
+    assert slow <= fast
+
+
+# -- the command ---------------------------------------------------------------------------------------------------
+
+
+def test_the_command_tells_and_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    field, log = tmp_path / "floor.npz", tmp_path / "log.csv"
+    tf.write_field(field, floor(6))
+    log.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{i / 1000},{0.03 + i * 5e-5},0.06,0.088\n" for i in range(100)))
+    names = [str(tmp_path / name) for name in ("few.touch", "shell.touch", "a.png")]
+    few, shell, picture = names
+    hand = ["--push-n", "1", "--mass-kg", "0.1"]
+    asked = ["reduce", str(field), few, "--cull", shell, "--mode", "lossless", "--plot", picture, *hand, "--json"]
+    assert _exit_code(asked) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert all(Path(name).stat().st_size for name in names)
+    assert told["nmse_db"] < -29 and told["held_out"]["modes"] >= 1 and told["behind_samples"] > 0
+    assert any("begins where no force is" in note for note in told["notes"])
+    with tf.open_stream(shell) as stream:
+        felt = reach_of(stream.medium, HAND).samples
+        assert stream.medium[3].support_count == np.count_nonzero(
+            (floor(6)[3].to_dense() != 0).any(-1) & reach_of(floor(6), HAND).samples
+        )
+        assert felt.any()
+    assert _exit_code(["reduce", str(field), "--trace", str(log), "--device", "touch", *hand, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["entropy_bits_per_visit"] > 0 and told["never_visited_samples"] > told["behind_samples"]
+
+
+def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    field = tmp_path / "floor.npz"
+    tf.write_field(field, floor(2))
+    for wrong in (["--modes", "x"], ["--rank", "0"], ["--push-n", "nan"], ["--nmse-db", "3"], ["--cull", str(field)]):
+        assert _exit_code(["reduce", str(field), *wrong]) in (1, 2)
+        assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    empty = tmp_path / "empty.npz"
+    tf.write_field(empty, tf.HapticMedium.from_array(np.zeros((2, *GRID.shape, 3)), GRID))
+    assert _exit_code(["reduce", str(empty)]) in (1, 2)
+    assert reduce_medium(field, spec=ReductionSpec(rank=1)).shown["rank"] == 1
