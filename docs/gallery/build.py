@@ -16,7 +16,8 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 SCRIPTS = (
-    "figure_2", "actuator_lowpass", "force_shading", "six_devices", "vibration_with_force", "fewer_numbers", "deformation",
+    "figure_2", "actuator_lowpass", "force_shading", "six_devices", "vibration_with_force", "fewer_numbers",
+    "deformation",
 )  # fmt: skip
 
 
