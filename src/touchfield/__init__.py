@@ -8,9 +8,8 @@
     tf.compare("sample:terrain", "terrain.touch").draw("terrain.png")
 
 Rooms, each reached as `tf.NAME`: `medium` (the values), `sources`, `devices`, `perception`, `filters`, `measure`,
-`codec`, `container`, `viewer`, `render` (the receiver), `adapters` (devices and formats at the edge), `job` (the main
-job), `cli`. After Moustakas and Lalos, *An information-theoretic treatment of passive
-haptic media*.
+`reduction`, `codec`, `container`, `viewer`, `render` (the receiver), `adapters` (devices and formats at the edge),
+`job` (the main job), `cli`. After Moustakas and Lalos, *An information-theoretic treatment of passive haptic media*.
 """
 
 from __future__ import annotations
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
         measure,
         medium,
         perception,
+        reduction,
         render,
         sources,
         viewer,
@@ -98,6 +98,7 @@ __all__ = [
     "plan",
     "play",
     "prepare",
+    "reduction",
     "render",
     "sources",
     "view",
