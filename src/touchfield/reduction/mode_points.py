@@ -1,0 +1,111 @@
+"""The fewest points that tell the coefficients of modes: Q-DEIM, a point at a time (paper section 6.2, "multi-view").
+
+A point measures a vector, three rows of the modes U at once, so that the pivots of the QR factorisation are blocks
+(Drmac and Gugercin 2016; Manohar et al. 2018): the next point is the one whose rows are the farthest from the span of
+those chosen. Once they span all coefficients, a further point is the one that lessens most the sum of the variances
+of the coefficients, trace((P^T U)^T (P^T U))^-1. With U orthonormal, what least squares rebuilds from the points is
+off by at most ||(P^T U)^+|| times what the modes cannot write: `bound`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import scipy.linalg
+
+from touchfield.errors import InvalidArgument
+from touchfield.medium.field import frozen
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from touchfield.reduction.modes import Modes
+
+    Float64s = NDArray[np.float64]
+
+__all__ = ["ModePoints", "mode_points"]
+
+_FLAT: Final = 1e-12  # of the first pivot, squared: rows below it lie in the span of those chosen
+
+
+@dataclass(frozen=True)
+class ModePoints:
+    """Points whose forces tell the coefficients of modes.
+
+    modes : Modes; of snapshots of d / 3 points, x, y and z of a point side by side.
+    points : int64 [n]; which of these points, in the order they were chosen.
+    """
+
+    modes: Modes
+    points: NDArray[np.int64]
+
+    @property
+    def rows(self) -> NDArray[np.int64]:
+        """The rows of the modes that are measured, int64 [3 n]."""
+        return (3 * self.points[:, None] + np.arange(3)).reshape(-1)
+
+    @property
+    def bound(self) -> float:
+        """||(P^T U)^+||, 1 or more: by how much what the modes cannot write may grow."""
+        return float(1.0 / scipy.linalg.svdvals(self.modes.basis[self.rows])[-1])
+
+    def coefficients(self, measured_n: Float64s) -> Float64s:
+        """What each mode has in each snapshot by least squares, float64 [m, r], of measured forces [m, n, 3]."""
+        rows = self.rows
+        apart = np.reshape(measured_n, (-1, len(rows))) - self.modes.mean[rows]
+        return np.asarray(scipy.linalg.lstsq(self.modes.basis[rows], apart.T)[0].T)
+
+
+def mode_points(modes: Modes, count: int) -> ModePoints:
+    """The points that tell the coefficients of some modes best, chosen one after the other.
+
+    count : int; a third of the number of modes or more, at most the points there are.
+    Raises `InvalidArgument` if the count is out of that range, or modes of d values are no modes of vectors.
+    """
+    length, rank = modes.basis.shape
+    if length % 3:
+        raise InvalidArgument("modes", f"{length} values", "three for each point")
+    if not -(-rank // 3) <= count <= length // 3:
+        raise InvalidArgument("points", f"{count}", f"{-(-rank // 3)} to {length // 3} for {rank} modes")
+    blocks = modes.basis.reshape(-1, 3, rank)
+    chosen = _pivots(blocks, count)
+    if len(chosen) < count:
+        _add_for_variance(blocks, chosen, count)
+    return ModePoints(modes, frozen(np.array(chosen, np.int64)))
+
+
+def _pivots(blocks: Float64s, count: int) -> list[int]:
+    """Points by block-pivoted QR, until they span all columns."""
+    rank = blocks.shape[2]
+    left, spanned = blocks.copy(), 0
+    chosen: list[int] = []
+    squares = np.einsum("pkr,pkr->p", left, left)
+    first = squares.max()
+    while spanned < rank and len(chosen) < count:
+        best = int(np.argmax(squares))
+        if not squares[best] > _FLAT * first:
+            raise InvalidArgument("modes", f"{rank} of rank {spanned}", "modes that are independent")
+        _, sizes, rows = scipy.linalg.svd(left[best], full_matrices=False)
+        rows = rows[sizes**2 > _FLAT * first]
+        left -= (left @ rows.T) @ rows
+        squares = np.einsum("pkr,pkr->p", left, left)
+        chosen.append(best)
+        squares[chosen] = 0.0
+        spanned += len(rows)
+    return chosen
+
+
+def _add_for_variance(blocks: Float64s, chosen: list[int], count: int) -> None:
+    """Further points, each that which lessens the trace of the inverse of the Gram matrix most."""
+    rows = blocks[chosen].reshape(-1, blocks.shape[2])
+    inverse = np.linalg.inv(rows.T @ rows)
+    while len(chosen) < count:
+        half = blocks @ inverse  # [p, 3, r]
+        inner = np.eye(3) + half @ blocks.transpose(0, 2, 1)
+        gains = np.einsum("pij,pji->p", np.linalg.inv(inner), half @ half.transpose(0, 2, 1))
+        gains[chosen] = -np.inf
+        best = int(np.argmax(gains))
+        inverse -= half[best].T @ np.linalg.solve(inner[best], half[best])
+        chosen.append(best)
