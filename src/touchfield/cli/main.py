@@ -41,6 +41,7 @@ COMMANDS: Final = {
     **dict.fromkeys(("serve", "live", "mux", "demux"), "broadcast"),
     "measure": "look",
     **dict.fromkeys(("index", "search", "similar", "correlate"), "library"),
+    "points": "points",
     **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "machine"),
 }
 """Module of each command, which registers it when it is imported; in the order of the help."""

@@ -81,7 +81,7 @@ class _Posterior:
         return np.asarray((1 + self.noise) * np.eye(3) - np.einsum("ksi,ksj->sij", rows, rows))
 
     def take(self, best: int) -> Float64s:
-        """Measure a candidate: the rows that are added to the factor, float64 [3, 3 m], and the corner of it [3, 3]."""
+        """Measure a candidate: the rows that are added to the factor, [3, 3 m], and its corner [3, 3]."""
         column = self.columns([best])
         corner = np.linalg.cholesky(column[3 * best : 3 * best + 3] + self.noise * np.eye(3))
         rows = scipy.linalg.solve_triangular(corner, column.T, lower=True)

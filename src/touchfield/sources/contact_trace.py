@@ -11,7 +11,6 @@ off there is no force, and what the probe never met is not made up.
 from __future__ import annotations
 
 import json
-import math
 import struct
 from pathlib import Path
 from typing import Any, Final
@@ -66,6 +65,18 @@ def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, 
     return sums[0] / counts[:, None], sums[1] / counts[:, None], side
 
 
+def require_contacts(trace: ContactTrace, where: str) -> None:
+    """`SourceError` if all is in one place, there is no force at all, or numbers are beyond what any probe meets."""
+    with np.errstate(over="ignore"):
+        extent = np.ptp(trace.positions_m, axis=0).max()
+    if not (extent < _FARTHEST_M and np.abs(trace.forces_n).max() < _STRONGEST_N):
+        found = f"{extent:g} m and {np.abs(trace.forces_n).max():g} N"
+        raise SourceError(where, found, f"less than {_FARTHEST_M:g} m and {_STRONGEST_N:g} N", "Check the units.")
+    if not extent > 0 or not trace.forces_n.any():
+        found = "a probe that never moved" if not extent > 0 else "no force"
+        raise SourceError(where, found, "forces at several places", "Record a contact.")
+
+
 class ContactScene(Scene):
     """Forces that were recorded, as a field that stands still.
 
@@ -78,14 +89,7 @@ class ContactScene(Scene):
     box_wording = "the trace"
 
     def __init__(self, trace: ContactTrace, where: str = "trace") -> None:
-        with np.errstate(over="ignore"):
-            extent = np.ptp(trace.positions_m, axis=0).max()
-        if not (extent < _FARTHEST_M and np.abs(trace.forces_n).max() < _STRONGEST_N):
-            found = f"{extent:g} m and {np.abs(trace.forces_n).max():g} N"
-            raise SourceError(where, found, f"less than {_FARTHEST_M:g} m and {_STRONGEST_N:g} N", "Check the units.")
-        if not extent > 0 or not trace.forces_n.any():
-            found = "a probe that never moved" if not extent > 0 else "no force"
-            raise SourceError(where, found, "forces at several places", "Record a contact.")
+        require_contacts(trace, where)
         points_m, forces_n, spacing_m = thinned_contacts(trace.positions_m, trace.forces_n)
         if len(points_m) < _LEAST:
             raise SourceError(where, f"{len(points_m)} places", f"at least {_LEAST}", "Record a longer contact.")
@@ -213,6 +217,13 @@ def _cdr(data: bytes, kind: str, where: str) -> Triple:
     return x, y, z
 
 
+def recorded_contacts(path: Path) -> ContactTrace | None:
+    """The contacts in a recording; None if the file is none."""
+    if not _recognise(path):
+        return None
+    return read_mcap(path) if path.suffix.lower() == ".mcap" else read_contacts(path)
+
+
 def _recognise(path: Path) -> bool:
     if not path.is_file():
         return False
@@ -222,7 +233,7 @@ def _recognise(path: Path) -> bool:
 def _open(path: Path, options: SourceOptions) -> Scene:
     if options.frame == "camera":
         raise InvalidArgument("--frame", "camera", "world: a trace has no camera")
-    return ContactScene((read_mcap if path.suffix.lower() == ".mcap" else read_contacts)(path), str(path))
+    return ContactScene(read_mcap(path) if path.suffix.lower() == ".mcap" else read_contacts(path), str(path))
 
 
 KIND = SourceKind(

@@ -37,7 +37,7 @@ class CurlFree:
     length_m: float  # l of the kernel
     missed: float  # RMS of what each force is missed by where it was left out, over that of the forces
     noise: float  # variance of what is no such field, over that of the field
-    scale_n: float  # standard deviation of a component of the field where nothing is known, by maximum likelihood
+    scale_n: float  # standard deviation of a component where nothing is known: as the forces have it
 
     @classmethod
     def through(cls, points_m: Float64s, forces_n: Float64s, length_m: float, noise: float) -> CurlFree:
@@ -67,11 +67,8 @@ class CurlFree:
         solved = inverse @ target
         own = inverse.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
         left = np.linalg.solve(own, solved.reshape(-1, 3, 1))
-        missed, scale_n = (
-            float(np.sqrt(np.mean(left**2))),
-            size * math.sqrt(max(0.0, float(target @ solved) / len(target))),
-        )
-        return cls(points_m, size * solved.reshape(-1, 3), length_m, missed, noise, scale_n)
+        missed = float(np.sqrt(np.mean(left**2)))
+        return cls(points_m, size * solved.reshape(-1, 3), length_m, missed, noise, size / math.sqrt(1 + noise))
 
     def forces_n(self, at_m: Float64s, reach_m: float = math.inf) -> Float64s:
         """Newtons, float64 [n, 3], at points, float64 [n, 3]; 0 where no point of the field is within reach."""
