@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from touchfield.errors import InvalidArgument
 from touchfield.job.editing import Written, _meter, _write
@@ -24,7 +25,7 @@ from touchfield.medium.trace import ContactTrace
 from touchfield.reduction.kernel_points import Kernel, best_kernel, error_points, most_candidates, variance_points
 from touchfield.reduction.mode_points import ModePoints, mode_points
 from touchfield.reduction.modes import pod
-from touchfield.sources.contact_trace import ContactScene, recorded_contacts, require_contacts
+from touchfield.sources.contact_trace import recorded_contacts, require_contacts, thinned_contacts
 from touchfield.sources.curl_free import CurlFree
 
 if TYPE_CHECKING:
@@ -198,7 +199,9 @@ def _by_modes(medium: HapticMedium, domain: _Domain, frames: list[int], count: i
         row[:] = domain.forces_n(medium[frame]).reshape(-1)
     if modes is not None and not 1 <= modes <= min(3 * count, len(frames)):
         raise InvalidArgument("--modes", f"{modes}", f"1 to {min(3 * count, len(frames))}")
-    return mode_points(pod(rows, min(count if modes is None else modes, len(frames))), count)
+    made = pod(rows, min(count if modes is None else modes, len(frames)))
+    rows -= made.rebuild(made.coefficients(rows)).astype(np.float32)
+    return mode_points(made, count, (rows**2).mean(axis=0, dtype=np.float64).reshape(-1, 3).sum(axis=1))
 
 
 def next_points(source: str | Path, count: int, measured: str | Path | None = None) -> FewestPoints:
@@ -216,7 +219,10 @@ def next_points(source: str | Path, count: int, measured: str | Path | None = No
     if known is None:
         mend = "Name what was measured: --measured FELT.csv."
         raise InvalidArgument(str(measured or source), "no recording of contacts", f"columns {_COLUMNS}", mend)
-    interpolant = ContactScene(known, str(measured or source)).interpolant
+    require_contacts(known, str(measured or source))
+    points_m, forces_n, side_m = thinned_contacts(known.positions_m, known.forces_n)
+    apart_m = KDTree(points_m).query(points_m, k=2)[0][:, 1]
+    interpolant = CurlFree.fitted(points_m, forces_n, max(side_m, float(np.median(apart_m))))
     if measured is None or recorded_contacts(Path(source)) is not None:
         own = known if measured is None else recorded_contacts(Path(source))
         assert own is not None
