@@ -15,7 +15,14 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-SCRIPTS = ("figure_2", "actuator_lowpass", "force_shading", "six_devices", "vibration_with_force")
+SCRIPTS = (
+    "figure_2",
+    "actuator_lowpass",
+    "force_shading",
+    "six_devices",
+    "vibration_with_force",
+    "fewest_points",
+)
 
 
 def cells(text: str) -> list[tuple[str, str]]:

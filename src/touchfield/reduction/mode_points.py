@@ -1,9 +1,9 @@
 """The fewest points that tell the coefficients of modes: Q-DEIM, a point at a time (paper section 6.2, "multi-view").
 
 A point measures a vector, three rows of the modes U at once, so that the pivots of the QR factorisation are blocks
-(Drmac and Gugercin 2016; Manohar et al. 2018). The next point is the one whose rows are the farthest from the span of
-those chosen. Once they span all coefficients, a further point is the one that lessens most the sum of the variances
-of the coefficients, trace((P^T U)^T W^2 P^T U)^-1. What the modes cannot write at a point is its noise: W has one over
+(Drmac and Gugercin 2016; Manohar et al. 2018). The next point is the one whose rows are farthest from the span of
+those chosen. Once they span all coefficients, a further point is that which lessens most the sum of the variances of
+the coefficients, trace((P^T U)^T W^2 P^T U)^-1. What the modes cannot write at a point is its noise: W has one over
 its deviation there, so that points are sought where the modes tell most of what is felt. With U orthonormal, what
 weighted least squares rebuilds is off by at most ||(W P^T U)^+ W|| times what the modes cannot write: `bound`.
 """
