@@ -10,8 +10,8 @@ those frames. As many modes as points.
 there, what is in it is left out. The error is over all samples that hold a force, or were recorded. Random points are
 the median of five draws, and with the best of all kernels that ours are tried with, known afterwards. "times" is how
 many times as many of them it takes for our error, 4 at most. The same of points of greatest variance alone, which
-do not know the forces, likewise with the best kernel: they lie at the rim of what is felt, where forces are weak and a
-point tells of few others, so that they are no better than random ones here.
+do not know the forces, likewise with the best kernel: they lie at the rim of what is felt, where forces are weak and
+a point tells of few others, so that they are no better than random ones here.
 """
 
 from __future__ import annotations

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from touchfield.cli.app import Json, command
-from touchfield.cli.editing import coder_spec
-from touchfield.cli.options import CODER, asks
+from touchfield.cli.options import CODER, asks, coder_spec
 from touchfield.cli.show import check_picture, is_same_file, progress, show, show_rows
 from touchfield.errors import InvalidArgument
 
