@@ -17,7 +17,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 SCRIPTS = (
     "figure_2", "actuator_lowpass", "force_shading", "six_devices", "vibration_with_force", "fewer_numbers",
-    "deformation",
+    "fewest_points", "deformation",
 )  # fmt: skip
 
 

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from touchfield.cli.app import Json, command
-from touchfield.cli.options import BESIDE, CODER, SCENE, asks, encode_spec, frames_of
+from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, frames_of
 from touchfield.cli.show import check_picture, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
-
-if TYPE_CHECKING:
-    from touchfield.job import EncodeSpec
 
 __all__: list[str] = []
 
@@ -22,11 +19,6 @@ RUBBED = tuple(row for row in BESIDE if row[0] != "vibration")
 Medium = Annotated[str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti).", metavar="MEDIUM")]
 Out = Annotated[Path, typer.Argument(help="OUT.touch, or a field: FIELD.npz, FIELD.vti.")]
 Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, gaussian, box, sinc, or trilinear for none.")]
-
-
-def coder_spec(asked: dict[str, Any]) -> EncodeSpec:
-    """The coder's options alone, without a scene's."""
-    return encode_spec({name.replace("-", "_"): default for name, _, default, _ in SCENE} | asked)
 
 
 def counts_of(option: str, text: str) -> list[int]:

@@ -43,6 +43,7 @@ COMMANDS: Final = {
     "measure": "look",
     "reduce": "editing",
     **dict.fromkeys(("index", "search", "similar", "correlate"), "library"),
+    "points": "points",
     **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "machine"),
 }
 """Module of each command, which registers it when it is imported; in the order of the help."""

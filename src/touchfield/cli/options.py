@@ -32,6 +32,7 @@ __all__ = [
     "Workers",
     "address_rows",
     "asks",
+    "coder_spec",
     "encode_spec",
     "filter_rows",
     "frames_of",
@@ -301,6 +302,11 @@ def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
         "filters": chain,
     }
     return EncodeSpec(**as_given, source=source, **(_coder(asked) if "coder" in asked else {}))
+
+
+def coder_spec(asked: dict[str, Any]) -> EncodeSpec:
+    """The coder's options alone, without a scene's."""
+    return encode_spec({name.replace("-", "_"): default for name, _, default, _ in SCENE} | asked)
 
 
 def target_of(asked: dict[str, Any]) -> Target | None:

@@ -1,11 +1,8 @@
 """Recorded contacts as a scene: where a probe was and what pushed it, from CSV or MCAP, as a field of forces.
 
 Forces are those on the probe, in the axes and metres of the recording. Between samples stands a field that passes
-near them and is the gradient of a potential, so has no curl. The potential is a Gaussian process with k(r) =
-exp(-r^2 / 2 l^2); the forces, its gradient, then have the covariance (I - d d^T / l^2) exp(-r^2 / 2 l^2) / l^2 for
-two points d apart (Macedo and Castro 2010; Fuselier and Wright 2017 for the same kernel as an interpolant). What a
-probe met of friction is no gradient: it is left over, and the share of the forces that is missed where they were
-left out (leave-one-out, in closed form) tells how much that is. Length and noise are those that miss least of it.
+near them and has no curl (`CurlFree`). What a probe met of friction is no gradient: it is left over, and the share of
+the forces that is missed where they were left out tells how much that is.
 
 The field is told where it can be trusted: within `REACH` lengths of its kernel of a sample that went into it. Farther
 off there is no force, and what the probe never met is not made up.
@@ -14,10 +11,7 @@ off there is no force, and what the probe never met is not made up.
 from __future__ import annotations
 
 import json
-import math
 import struct
-from dataclasses import dataclass
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +22,7 @@ from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import readable, require_plain
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_contacts
-from touchfield.parallel import for_chunks
+from touchfield.sources.curl_free import CurlFree
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
@@ -44,65 +38,12 @@ _CDR: Final = {"PoseStamped": 0, "PointStamped": 0, "TransformStamped": 0, "Wren
 _WHAT: Final = "an MCAP file of positions and forces"
 
 MOST_POINTS: Final = 350
-_LENGTHS: Final = (1.0, 1.5, 2.25, 3.5, 5.0)
-_NOISES: Final = (1e-4, 1e-2, 0.1, 0.5)
-_AT_ONCE: Final = 1024
 
 REACH: Final = 1.0  # lengths of the kernel: a sample so far off still tells 60 % of the potential
 _LEAST: Final = 4
 _FARTHEST_M: Final = 1e4
 _STRONGEST_N: Final = 1e6
 _SEVERE: Final = 0.5
-
-
-@dataclass(frozen=True)
-class CurlFree:
-    """The field of some forces."""
-
-    points_m: Float64s  # float64 [n, 3]
-    weights: Float64s  # float64 [n, 3]
-    length_m: float  # l of the kernel
-    missed: float  # RMS of what each force is missed by where it was left out, over that of the forces
-
-    @classmethod
-    def fitted(cls, points_m: Float64s, forces_n: Float64s, spacing_m: float) -> CurlFree:
-        """The field that misses least of forces left out.
-
-        `points_m`, `forces_n` float64 [n, 3]: at least 4, some force among them, no two points in one place;
-        `spacing_m` float: how far points are apart, of which the lengths that are tried are multiples.
-        """
-        size = float(np.sqrt(np.mean(forces_n**2)))
-        target = forces_n.reshape(-1) / size
-        count, fits = len(points_m), []
-        for length_m in (length * spacing_m for length in _LENGTHS):
-            kernel = _covariances(points_m / length_m)
-            for noise in _NOISES:
-                inverse = np.linalg.inv(kernel + noise * np.eye(len(target)))
-                solved = inverse @ target
-                own = inverse.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
-                left = np.linalg.solve(own, solved.reshape(-1, 3, 1))
-                fits.append((float(np.sqrt(np.mean(left**2))), length_m, solved))
-        missed, length_m, solved = min(fits, key=itemgetter(0))
-        return cls(points_m, size * solved.reshape(-1, 3), length_m, missed)
-
-    def forces_n(self, at_m: Float64s, reach_m: float = math.inf) -> Float64s:
-        """Newtons, float64 [n, 3], at points, float64 [n, 3]; 0 where no point of the field is within reach."""
-        from touchfield.sources.kernels.points import add_forces
-
-        at, points = np.ascontiguousarray(at_m / self.length_m), self.points_m / self.length_m
-        forces = np.zeros((len(at), 3))
-        reach = reach_m / self.length_m
-        for_chunks(add_forces, len(at), at, points, self.weights, reach, forces, chunk=_AT_ONCE)
-        return forces
-
-
-def _covariances(points: Float64s) -> Float64s:
-    """l^2 times the covariances of the forces at points in lengths of the kernel, float64 [3 n, 3 n]."""
-    apart = points[:, None] - points[None]
-    near = np.exp(-0.5 * (apart**2).sum(axis=-1))
-    both = (np.eye(3) - apart[..., :, None] * apart[..., None, :]) * near[..., None, None]
-    merged: Float64s = both.transpose(0, 2, 1, 3).reshape(3 * len(points), 3 * len(points))
-    return merged
 
 
 def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, Float64s, float]:
@@ -124,6 +65,18 @@ def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, 
     return sums[0] / counts[:, None], sums[1] / counts[:, None], side
 
 
+def require_contacts(trace: ContactTrace, where: str) -> None:
+    """`SourceError` if all is in one place, there is no force at all, or numbers are beyond what any probe meets."""
+    with np.errstate(over="ignore"):
+        extent = np.ptp(trace.positions_m, axis=0).max()
+    if not (extent < _FARTHEST_M and np.abs(trace.forces_n).max() < _STRONGEST_N):
+        found = f"{extent:g} m and {np.abs(trace.forces_n).max():g} N"
+        raise SourceError(where, found, f"less than {_FARTHEST_M:g} m and {_STRONGEST_N:g} N", "Check the units.")
+    if not extent > 0 or not trace.forces_n.any():
+        found = "a probe that never moved" if not extent > 0 else "no force"
+        raise SourceError(where, found, "forces at several places", "Record a contact.")
+
+
 class ContactScene(Scene):
     """Forces that were recorded, as a field that stands still.
 
@@ -136,14 +89,7 @@ class ContactScene(Scene):
     box_wording = "the trace"
 
     def __init__(self, trace: ContactTrace, where: str = "trace") -> None:
-        with np.errstate(over="ignore"):
-            extent = np.ptp(trace.positions_m, axis=0).max()
-        if not (extent < _FARTHEST_M and np.abs(trace.forces_n).max() < _STRONGEST_N):
-            found = f"{extent:g} m and {np.abs(trace.forces_n).max():g} N"
-            raise SourceError(where, found, f"less than {_FARTHEST_M:g} m and {_STRONGEST_N:g} N", "Check the units.")
-        if not extent > 0 or not trace.forces_n.any():
-            found = "a probe that never moved" if not extent > 0 else "no force"
-            raise SourceError(where, found, "forces at several places", "Record a contact.")
+        require_contacts(trace, where)
         points_m, forces_n, spacing_m = thinned_contacts(trace.positions_m, trace.forces_n)
         if len(points_m) < _LEAST:
             raise SourceError(where, f"{len(points_m)} places", f"at least {_LEAST}", "Record a longer contact.")
@@ -271,6 +217,13 @@ def _cdr(data: bytes, kind: str, where: str) -> Triple:
     return x, y, z
 
 
+def recorded_contacts(path: Path) -> ContactTrace | None:
+    """The contacts in a recording; None if the file is none."""
+    if not _recognise(path):
+        return None
+    return read_mcap(path) if path.suffix.lower() == ".mcap" else read_contacts(path)
+
+
 def _recognise(path: Path) -> bool:
     if not path.is_file():
         return False
@@ -280,7 +233,7 @@ def _recognise(path: Path) -> bool:
 def _open(path: Path, options: SourceOptions) -> Scene:
     if options.frame == "camera":
         raise InvalidArgument("--frame", "camera", "world: a trace has no camera")
-    return ContactScene((read_mcap if path.suffix.lower() == ".mcap" else read_contacts)(path), str(path))
+    return ContactScene(read_mcap(path) if path.suffix.lower() == ".mcap" else read_contacts(path), str(path))
 
 
 KIND = SourceKind(

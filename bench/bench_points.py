@@ -1,0 +1,191 @@
+"""The fewest points (paper section 6.2): on modes beside their floor, with a curl-free kernel beside random points.
+
+    python bench/bench_points.py [--quick] [--most N]
+
+"moving": media of many frames. The modes are made of all frames and the error is that of all ("same"), or made of
+the even frames and the error is that of the odd ones ("held out"); the floor is what the same modes cannot write of
+those frames. As many modes as points.
+
+"still": the middle frame of media, and a recording of a hand that guides a robot (`shared`); where that folder is not
+there, what is in it is left out. The error is over all samples that hold a force, or were recorded. Random points are
+the median of five draws, and with the best of all kernels that ours are tried with, known afterwards. "times" is how
+many times as many of them it takes for our error, 4 at most. The same of points of greatest variance alone, which
+do not know the forces, likewise with the best kernel: they lie at the rim of what is felt, where forces are weak and
+a point tells of few others, so that they are no better than random ones here.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+import touchfield as tf
+from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figure
+from touchfield.job.points import _Domain, _kept
+from touchfield.job.prepare import prepare
+from touchfield.job.spec import EncodeSpec
+from touchfield.reduction.kernel_points import _LENGTHS, _NOISES, Kernel, most_candidates, variance_points
+from touchfield.reduction.mode_points import ModePoints, mode_points
+from touchfield.reduction.modes import Modes, pod
+from touchfield.sources.curl_free import CurlFree
+
+SEEDS, TIMES, FRAMES = 5, (1, 2, 4), 200
+POINTS, MOVING_POINTS = (10, 20, 40), (10, 15, 20)
+
+
+def sphere() -> tf.HapticMedium:
+    """A ball of 15 mm that goes round, 64 frames."""
+    grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (32, 32, 32))
+    at, frames = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1)), []
+    for angle in np.linspace(0, 2 * np.pi, 64, endpoint=False):
+        apart = at - 0.012 * np.array([np.cos(angle), np.sin(angle), 0.5 * np.sin(2 * angle)])
+        far = np.linalg.norm(apart, axis=-1, keepdims=True)
+        frames.append(np.maximum(0.015 - far, 0) * 200 * apart / np.maximum(far, 1e-9))
+    return tf.HapticMedium.from_array(np.array(frames, np.float32), grid, 60.0)
+
+
+def moving_media() -> Iterator[tuple[str, tf.HapticMedium]]:
+    """Those that can be made here."""
+    yield "sphere", sphere()
+    yield "falling bodies", prepare("sample:falling-4", EncodeSpec(nw=5, representation="voxel")).medium
+    for name, path in (("fox", "fox/Fox.glb"), ("morph", "morph_stress_test/MorphStressTest.gltf")):
+        if (SHARED / "meshes" / path).exists():
+            yield name, prepare(SHARED / "meshes" / path, EncodeSpec(nw=6, representation="voxel")).medium
+
+
+def still_fields(moving: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Places and forces."""
+    for name in ("shapes", "terrain"):
+        one = prepare(f"sample:{name}", EncodeSpec(nw=5)).medium[0]
+        yield name, one.grid.to_m(one.positions()), one.vectors_n().astype(float)
+    for name in ("fox", "sphere"):
+        if name in moving:
+            places, rows = moving[name]
+            forces = rows[len(rows) // 2].reshape(-1, 3).astype(float)
+            yield f"{name}, one frame", places[forces.any(axis=1)], forces[forces.any(axis=1)]
+    recorded = SHARED / "force_panda_comanipulation" / "symbol_data.mat"
+    if recorded.exists():
+        from scipy.io import loadmat
+
+        row = loadmat(recorded, squeeze_me=True, struct_as_record=False)["symbol_data"][0]
+        yield "recording", row.pos.T.astype(float), row.F.T.astype(float)
+
+
+def share_db(error: Any, whole: Any) -> float:
+    """Energy over energy."""
+    return float(10 * np.log10((np.asarray(error) ** 2).sum() / (np.asarray(whole) ** 2).sum()))
+
+
+def on_modes(every: Modes, learnt: Any, seen: Any, count: int) -> Figures:
+    """Points on the first modes, beside the floor and random ones, on the rows `seen`."""
+    modes, rng = every.first(min(count, every.rank)), np.random.default_rng(count)
+    missed_n2 = ((learnt - modes.rebuild(modes.coefficients(learnt))) ** 2).mean(axis=0)
+    chosen = mode_points(modes, count, missed_n2.reshape(-1, 3).sum(axis=1))
+    lost = seen - modes.rebuild(modes.coefficients(seen))
+
+    def missed(points: ModePoints) -> Any:
+        return seen - modes.rebuild(points.coefficients(seen[:, points.rows]))
+
+    draws = [ModePoints(modes, rng.choice(seen.shape[1] // 3, count, replace=False)) for _ in range(SEEDS)]
+    within = np.linalg.norm(missed(chosen), axis=1) / np.maximum(np.linalg.norm(lost, axis=1), 1e-9)
+    floor, error = share_db(lost, seen), share_db(missed(chosen), seen)
+    return {
+        "modes": modes.rank,
+        "floor_db": floor,
+        "error_db": error,
+        "over_floor_db": error - floor,
+        "random_db": float(np.median([share_db(missed(one), seen) for one in draws])),
+        "bound": chosen.bound,
+        "of_bound": float(within.max() / chosen.bound),
+    }
+
+
+def rebuilt_db(places: Any, forces: Any, chosen: Any, kernel: Kernel) -> float:
+    """What is missed when the field goes through some points."""
+    through = CurlFree.through(places[chosen], forces[chosen], kernel.length_m, kernel.noise)
+    return share_db(through.forces_n(places) - forces, forces)
+
+
+def on_kernel(places: Any, forces: Any, count: int) -> Figures:
+    """Points by error and by variance beside random ones."""
+    began = time.perf_counter()
+    _, kernel, back = _kept(places, forces, count)
+    took, error = time.perf_counter() - began, share_db(back - forces, forces)
+    extent, some = np.ptp(places, axis=0).max(), np.arange(len(places))[:: -(-len(places) // most_candidates(count))]
+    kernels = [Kernel(part * extent, noise) for part in _LENGTHS for noise in _NOISES]
+    by_random = {}
+    for times in TIMES:
+        draws = [
+            np.random.default_rng(s).choice(len(places), min(times * count, len(places)), replace=False)
+            for s in range(SEEDS)
+        ]
+        by_random[times] = min(
+            float(np.median([rebuilt_db(places, forces, d, one) for d in draws])) for one in kernels
+        )
+    by_variance = min(
+        rebuilt_db(places, forces, some[variance_points(places[some], count, one)[0]], one) for one in kernels
+    )
+    levels = np.minimum.accumulate([by_random[t] for t in TIMES])
+
+    def times_of(db: float) -> float:
+        return float(2 ** np.interp(-db, -levels, np.log2(TIMES)))
+
+    return {
+        "length_mm": 1e3 * kernel.length_m,
+        "error_db": error,
+        **{f"random_{t}_db": value for t, value in by_random.items()},
+        "times": times_of(error),
+        "variance_db": by_variance,
+        "variance_times": times_of(by_variance),
+        "seconds": took,
+    }
+
+
+def measure(most: int) -> Figures:
+    """All of it."""
+    moving, rows = {}, {}
+    for name, medium in moving_media():
+        frames = np.unique(np.linspace(0, len(medium) - 1, min(len(medium), FRAMES)).astype(int)).tolist()
+        kept = [medium[i] for i in frames]
+        domain = _Domain(tf.HapticMedium.from_frames(kept, medium.rate_hz), list(range(len(kept))), name)
+        moving[name] = domain.places_m, np.stack([domain.forces_n(one).reshape(-1) for one in kept])
+        every = moving[name][1].astype(float)
+        for kind, learnt, seen in (("same", every, every), ("held out", every[::2], every[1::2])):
+            modes = pod(learnt, min(max(MOVING_POINTS), len(learnt)))
+            for count in MOVING_POINTS:
+                rows[f"{name}, {count}, {kind}"] = on_modes(modes, learnt, seen, count)
+    still = {
+        f"{name}, {count}": on_kernel(places, forces, count)
+        for name, places, forces in still_fields(moving)
+        for count in POINTS
+        if count <= most
+    }
+    many = np.random.default_rng(0).uniform(size=(20_000, 3))
+    began = time.perf_counter()
+    variance_points(many, 5 * most, Kernel(0.1, 0.01))
+    return {"moving": rows, "still": still, "variance_s": time.perf_counter() - began, "of_20000": 5 * most}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Near the floor, within the bound; half of random's points."""
+    rows, still = figures["moving"], figures["still"]
+    same, held = ({n: r for n, r in rows.items() if n.endswith(kind)} for kind in ("same", "held out"))
+    real = {n: r for n, r in still.items() if n.startswith("recording")}
+    media = {n: r for n, r in still.items() if n not in real}
+    return [
+        at_most("points over the floor of their modes, same frames", max(column(same, "over_floor_db")), 3.0, "dB"),
+        at_most("the same, frames held out", max(column(held, "over_floor_db")), 3.0, "dB"),
+        at_most("error of a frame over its bound", max(column(rows, "of_bound")), 1.0 + 1e-6),
+        at_least("random points for the same error, media", min(column(media, "times")), 2.0, "times"),
+        at_least("the same, a recording", min(column(real, "times"), default=None), 2.0, "times"),
+        at_least("by variance alone, media", min(column(media, "variance_times")), 2.0, "times"),
+        at_least("by variance alone, a recording", min(column(real, "variance_times"), default=None), 2.0, "times"),
+        at_most("200 points of 20,000 by variance", figure(figures, "variance_s"), 30.0, "s"),
+    ]
+
+
+if __name__ == "__main__":
+    bench("points", __doc__, measure, bars, most=(40, 10))
