@@ -32,7 +32,7 @@ from machine import SHARED, Bar, Figures, at_most, bench
 from touchfield import EncodeSpec, encode, prepare
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job.deformation import tracks_of
+from touchfield.job.deformation import Motion, tracks_of
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.deformation import Deformation, read_deformation
 from touchfield.medium.deformation_fit import fitted
@@ -94,7 +94,7 @@ def model(path: Path, rest: int, nw: int, folder: Path) -> Moving:
     medium, stream, out = prepare(str(path), spec).medium, folder / "rest.touch", folder / "tracks.npz"
     # the pose alone, where the whole stretch has been fitted to
     encode(str(path), stream, replace(spec, frames=(rest, rest + 1), fit_frames=(first, stop)))
-    told = tracks_of(stream, out, path, frames=(first, stop), rest_frame=rest)
+    told = tracks_of(stream, out, Motion(path, None, (first, stop), rest))
     return Moving(list(medium), medium[SIDE], read_deformation(out), told.rms_m)
 
 

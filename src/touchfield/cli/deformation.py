@@ -39,15 +39,14 @@ def deform(
     as_json: Json = False,
 ) -> None:
     """Bend STREAM at the receiver: by the motion of a model, or under the finger."""
-    from touchfield.job.deformation import tracks_of
+    from touchfield.job.deformation import Motion, tracks_of
 
     check_picture(stream, out)
     if model is not None:
         check_picture(model, out)
+    motion = Motion(model, animation, frames_of("--frames", frames), rest_frame, rate_hz) if model else None
     with progress("deform", "frame") as report:
         done = tracks_of(
-            stream, out, model, controls=controls, animation=animation, frames=frames_of("--frames", frames),
-            rest_frame=rest_frame, rate_hz=rate_hz,
-            compliance_m_per_n=yield_m_per_n, relax_s=relax_s, report=report,
-        )  # fmt: skip
+            stream, out, motion, controls=controls, compliance_m_per_n=yield_m_per_n, relax_s=relax_s, report=report
+        )
     show({"file": str(out), **done.summary()}, str(out), as_json)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     Report = Callable[[int, int], None]
     Float64s = NDArray[np.float64]
 
-__all__ = ["Tracks", "body_points_m", "lattice_of", "tracks_of"]
+__all__ = ["Motion", "Tracks", "body_points_m", "lattice_of", "tracks_of"]
 
 _MARGIN: Final = 0.05  # of the lattice beyond what it bends, of its longest side
 _BEHIND: Final = 2.0  # mean spacings below the surface, where a second layer of points is held
@@ -51,6 +51,16 @@ class Tracks:
         }
 
 
+class Motion(NamedTuple):
+    """Frames of an animated model that become tracks, first and behind the last, and the one that a stream shows."""
+
+    model: str | Path
+    animation: str | None = None
+    frames: tuple[int, int | None] | None = None
+    rest_frame: int | None = None  # None: the first of them
+    rate_hz: float = 60.0
+
+
 def lattice_of(low_m: Float64s, high_m: Float64s, controls: int, **yields: float) -> Deformation:
     """Control points over a box and a margin around it, at rest."""
     margin = _MARGIN * float((high_m - low_m).max())
@@ -72,25 +82,20 @@ def body_points_m(scene: AnimatedMeshScene, frame: int, behind_m: float) -> Floa
 def tracks_of(
     stream: str | Path,
     out: str | Path,
-    model: str | Path | None = None,
+    motion: Motion | None = None,
     *,
     controls: int = 8,
-    animation: str | None = None,
-    frames: tuple[int, int | None] | None = None,
-    rest_frame: int | None = None,
-    rate_hz: float = 60.0,
     compliance_m_per_n: float = 0.0,
     relax_s: float = 0.05,
     report: Report = lambda done, total: None,
 ) -> Tracks:
-    """Write the deformation of a stream: the motion of `model`, which it shows at `rest_frame`, and what it yields.
+    """Write the deformation of a stream: the motion of a model, which it shows at rest, and what it yields.
 
-    `frames` are those of the model's animation that become tracks, first and behind the last, and the first of them
-    is at rest unless told. What moves far from rest folds: a long motion is stretches, each with a rest of its own.
-    Without a model the lattice lies over what holds a force in the first frame. InvalidArgument if neither a model
-    nor a compliance is given, or the stream holds objects; SourceError if the model has no animation.
+    What moves far from rest folds: a long motion is stretches, each with a rest of its own. Without a motion the
+    lattice lies over what holds a force in the first frame. InvalidArgument if neither a model nor a compliance
+    is given, or the stream holds objects; SourceError if the model has no animation.
     """
-    if model is None and not compliance_m_per_n:
+    if motion is None and not compliance_m_per_n:
         raise InvalidArgument(
             "deform", "no model and no compliance", "one of both", "Name MODEL.glb, or --yield-m-per-n."
         )
@@ -100,7 +105,7 @@ def tracks_of(
             raise InvalidArgument(str(stream), "a stream of objects", "one of voxels", mend)
         first, placement = opened.medium[0], opened.placement
     spacing = np.asarray(first.grid.spacing_m)
-    if model is None:
+    if motion is None:
         at = np.asarray(first.grid.origin_m) + first.positions() * spacing
         if not len(at):
             raise InvalidArgument(str(stream), "a first frame without any force", "one that can be felt")
@@ -109,20 +114,20 @@ def tracks_of(
     else:
         from touchfield.sources.animated_mesh import AnimatedMeshScene
 
-        scene = AnimatedMeshScene(Path(model), animation, rate_hz=rate_hz)
+        scene = AnimatedMeshScene(Path(motion.model), motion.animation, rate_hz=motion.rate_hz)
         behind = _BEHIND * float(spacing.mean()) / opened.reader.head.mapping_scale
 
         def points(frame: int) -> Float64s:
             return np.asarray(placement.to_hand(body_points_m(scene, frame, behind)))
 
-        first_frame, stop = frames or (0, None)
+        first_frame, stop = motion.frames or (0, None)
         taken = range(scene.frame_count)[first_frame:stop]
         if not taken:
             raise InvalidArgument("--frames", f"{first_frame}:{stop}", f"some of the model's {scene.frame_count}")
         looks = np.concatenate([points(taken[n]) for n in np.unique(np.linspace(0, len(taken) - 1, 16).astype(int))])
         lattice = lattice_of(looks.min(axis=0), looks.max(axis=0), controls)
-        rest = points(taken[0] if rest_frame is None else rest_frame)
-        made, rms = fitted(rest, map(points, taken), lattice, rate_hz, lambda done: report(done, len(taken)))
+        rest = points(taken[0] if motion.rest_frame is None else motion.rest_frame)
+        made, rms = fitted(rest, map(points, taken), lattice, motion.rate_hz, lambda done: report(done, len(taken)))
         made = replace(made, compliance_m_per_n=compliance_m_per_n, relax_s=relax_s)
     made.write(out)
     return Tracks(made, rms, Path(out).stat().st_size)
