@@ -86,7 +86,7 @@ def test_an_affine_map_is_that_map_and_turns_forces_with_it() -> None:
     expected = spring(p @ j.T + shift) @ j
     assert np.abs(made - expected).max() < 1e-6 * np.abs(expected).max()
     assert bent.least_determinant()[0] == pytest.approx(np.linalg.det(j))
-    assert bent.most_stretch == pytest.approx(np.linalg.norm(j, 2))
+    assert np.linalg.norm(j, 2) <= bent.most_stretch < 1.15 * np.linalg.norm(j, 2)
 
 
 def test_force_and_slopes_are_those_of_the_formula() -> None:
@@ -149,6 +149,7 @@ def test_what_folds_or_is_no_deformation_is_refused() -> None:
         ({"spacing_m": (0.1, 0.1, 0.0)}, "spacing_m"),
         ({"corner_m": (0.1, 0.1)}, "corner_m"),
         ({"relax_s": 0.0}, "relax_s"),
+        ({"displacement_m": np.zeros((50, 32, 32, 32, 3))}, "cells over all frames"),
         ({"compliance_m_per_n": -1.0}, "compliance_m_per_n"),
         ({"displacement_m": swap.displacement_m, "compliance_m_per_n": 0.001}, "bend by their utmost"),
     ):
