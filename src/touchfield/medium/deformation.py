@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 MOST_CONTROLS: Final = 32
 """Along an axis."""
 
-MOST_CELLS: Final = 1 << 20
-"""Over all frames: seconds, to see that none of them folds; 8 x 8 x 8 control points for two minutes at 60 Hz."""
+MOST_CELLS: Final = 1 << 18
+"""Over all frames: a second or two, to see that none of them folds; 8 x 8 x 8 control points for 35 s at 60 Hz."""
 
 STEP_M: Final = 2e-5
 """Of displacements in a file: what no hand tells from nothing, and no slope of a map feels."""
