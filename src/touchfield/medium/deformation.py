@@ -91,9 +91,9 @@ class Deformation:
             raise InvalidArgument("displacement_m", f"{cells} cells over all frames", f"at most {MOST_CELLS}")
         for name in ("corner_m", "spacing_m"):
             three = tuple(map(float, getattr(self, name)))
-            is_good = len(three) == 3 and all(map(math.isfinite, three))
-            if not is_good or (name == "spacing_m" and min(three) <= 0):
-                raise InvalidArgument(name, repr(getattr(self, name)), "three finite lengths in metres")
+            low, high = (1e-6, 10.0) if name == "spacing_m" else (-1e3, 1e3)
+            if len(three) != 3 or not all(low <= value <= high for value in three):
+                raise InvalidArgument(name, repr(getattr(self, name)), f"three lengths from {low:g} to {high:g} m")
             object.__setattr__(self, name, three)
         if not np.isfinite(u).all() or np.abs(u).max() > 0.5:
             raise InvalidArgument("displacement_m", "a number that is not finite or beyond 0.5 m", "metres")
