@@ -169,6 +169,10 @@ def test_parameters_tell_what_was_asked_for(spec: TouchSpec) -> None:
     for bad in (parameters + b"\0", bytes([1, 24, *parameters[2:]]), bytes([1, parameters[1] ^ 32, *parameters[2:]])):
         with pytest.raises(CorruptFile):
             TouchDecoder(GRID, bad)
+    if spec.masking:
+        none = parameters[:-16] + bytes(8) + parameters[-8:]
+        with pytest.raises(CorruptFile, match="share"):
+            TouchDecoder(GRID, none)
     if len(parameters) > 2:
         with pytest.raises(CorruptFile):
             TouchDecoder(GRID, parameters[:-8] + np.float64(-np.inf).tobytes())

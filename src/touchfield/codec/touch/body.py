@@ -203,6 +203,8 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
     numbers = dict(zip(names, struct.unpack_from(f"<{len(names)}d", data, 2), strict=True))
     if not all(map(math.isfinite, numbers.values())):
         raise CorruptFile(where, repr(numbers), "finite numbers")
+    if masking and not numbers["masking"] > 0:
+        raise CorruptFile(where, f"masking with a share of {numbers['masking']}", "one above 0")
     spec = TouchSpec(mode=MODES[mode], support=SUPPORTS[support], effort=EFFORTS[effort])
     try:
         return replace(spec, **numbers)
