@@ -13,6 +13,9 @@ from browser import ROOT, drive, hour_played, needs_browser
 import touchfield as tf
 from touchfield.cli.main import app
 from touchfield.cli.main import run as run_cli
+from touchfield.job.texture import store_materials
+from touchfield.perception.vibrotactile import BANDS_HZ
+from touchfield.render.material import Material
 from touchfield.viewer.browser import empty_page
 
 pytestmark = needs_browser
@@ -144,6 +147,23 @@ def test_the_pointer_feels_and_drags(page: str, tmp_path: Path) -> None:
     assert told.answers[4]["cut"] != told.answers[2]["cut"]
     assert told.answers[6]["cut"] == told.answers[4]["cut"]
     assert told.errors == []
+
+
+def test_a_hand_that_slides_hears_the_material(page: str, tmp_path: Path) -> None:
+    levels = np.zeros((1, 1, len(BANDS_HZ)))
+    levels[..., 9] = 0.01
+    oak = Material("oak", speeds_m_s=(1e-6,), forces_n=(1e-4,), texture_rms_n=levels.tolist())
+    stream = tmp_path / "oak.touch"
+    store_materials(SOLID, [oak], stream)
+    opening = [step("goto", url=page), step("open", file=stream), step("press", key="j")]
+    slides = [step("press", key=key) for key in ("ArrowRight", "ArrowLeft", "ArrowRight")]
+    told = drive(
+        tmp_path, *opening, *slides, step("state"), step("wait", ms=400), step("press", key="j"), step("state")
+    )
+    assert told.errors == []
+    sliding, still = (told.answers[n]["sound"] for n in (6, 9))
+    assert sliding["hertz"] == pytest.approx(BANDS_HZ[9], rel=1e-4) and sliding["loudness"] > 0
+    assert still["hertz"] != pytest.approx(BANDS_HZ[9], rel=1e-4)
 
 
 def test_all_of_it_by_keys_and_told_in_words(page: str, tmp_path: Path) -> None:

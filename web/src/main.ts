@@ -4,6 +4,7 @@ import { colourOf } from "./colour";
 import { firstSegment, indexOffset } from "./container";
 import { answer, type Ask, type Cut, type Opened, type Piece, type Shown, type Triple, type What } from "./engine";
 import { differenceWords, figuresOf, type Given, keyList, millimetres } from "./panel";
+import { materialsOf, slidOver } from "./material";
 import { Sound } from "./sound";
 import { Trace } from "./trace";
 import { View } from "./view";
@@ -224,6 +225,7 @@ function begin(): void {
   byId("beside").hidden = !state!.hasSource;
   scaleNow();
   figuresOf(byId("figures"), byId("story"), opened, given);
+  surfaces = materialsOf(opened.records.story.find(([key]) => key === "materials.json")?.[1]);
   jumps();
   for (const [n, button] of [...document.querySelectorAll<HTMLButtonElement>("[data-axis]")].entries())
     button.setAttribute("aria-pressed", String(n === state!.axis));
@@ -413,6 +415,17 @@ function setPlaying(on: boolean): void {
 
 // -- the probe ----------------------------------------------------------------------------------------------------------
 
+let surfaces = materialsOf(undefined);
+let before: { point: Triple; at: number } | null = null;
+
+/** Metres a second at which the probe came to a point; 0 after a pause. */
+function speedAt(point: Triple): number {
+  const [was, now] = [before, performance.now() / 1000];
+  before = { point, at: now };
+  if (!was || now - was.at > 0.25 || now <= was.at) return 0;
+  return Math.hypot(...point.map((v, n) => v - was.point[n]!)) / (now - was.at);
+}
+
 let spokenAt = 0;
 let spokenLater = 0;
 
@@ -429,7 +442,9 @@ function felt(point: Triple, force: Float64Array): void {
   view.setProbe(point, force, `${size.toFixed(2)} ${isError() ? "of allowed" : "N"}`);
   trace.add(size);
   const side = own.ways.right.reduce((sum, way, n) => sum + way * force[n]!, 0) / (size || 1);
-  sound.tell(size / top(), side, vibration / top(), force[4]!);
+  const [texture, hertz] = slidOver(surfaces, point, speedAt(point), isError() ? 0 : size);
+  if (texture > vibration) sound.tell(size / top(), side, texture / top(), hertz);
+  else sound.tell(size / top(), side, vibration / top(), force[4]!);
   const wait = SPOKEN_MS - (performance.now() - spokenAt);
   window.clearTimeout(spokenLater);
   spokenLater = window.setTimeout(speak, Math.max(wait, 250));
