@@ -26,7 +26,7 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.medium.field import brick_keys, bricks_of, frozen
+from touchfield.medium.field import brick_keys, bricks_of, frozen, spread_keys
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -38,8 +38,6 @@ SCIPY_MODES: Final = {"zero": "constant", "nearest": "nearest", "reflect": "refl
 """The name of each in `scipy.ndimage`."""
 
 BOUNDARIES: Final = tuple(SCIPY_MODES)
-
-_MAX_PAIRS: Final = 1 << 27
 
 
 def checked_boundary(boundary: str, where: str = "boundary") -> str:
@@ -185,7 +183,8 @@ def keys_of_passes(field: ForceField, axes: Axes) -> list[Int64s]:
     lattice = field.grid.brick_shape
     keys = [brick_keys(field.grid, field.bricks)]
     for axis in range(3):
-        keys.append(_spread(keys[-1], lattice, axis, axes[axis]))
+        margins = -(-axes[axis].origin // BRICK), -(-axes[axis].before // BRICK)
+        keys.append(spread_keys(keys[-1], lattice, axis, margins))
     return keys
 
 
@@ -200,22 +199,6 @@ def sums_of_bricks(grid: Grid, forces_n: NDArray[np.float32], axes: Axes, keys: 
     return kernels.bricks_filtered_and_tops(
         frozen(forces_n), tuple(keys), grid.brick_shape, before, deep, _packed(axes)
     )
-
-
-def _spread(keys: Int64s, lattice: tuple[int, int, int], axis: int, taps: AxisTaps) -> Int64s:
-    """Keys of the bricks that hold something after a pass along one axis, ascending, each once."""
-    back, ahead = -(-taps.origin // BRICK), -(-taps.before // BRICK)
-    if len(keys) * (back + ahead + 1) > _MAX_PAIRS:
-        found = f"{taps.reach} samples around {len(keys)} bricks"
-        raise InvalidArgument("filter reach", found, "a smaller reach", "Take a coarser grid.")
-    step = int(np.prod(lattice[axis + 1 :]))
-    place = keys // step % lattice[axis]
-    moved = [
-        keys[(place + d >= 0) & (place + d < lattice[axis])] + d * step
-        for d in range(max(-back, 1 - lattice[axis]), min(ahead, lattice[axis] - 1) + 1)
-    ]
-    every = np.sort(np.concatenate(moved), kind="stable")  # several ascending rows: quickly merged
-    return np.asarray(every[np.append(True, np.diff(every) > 0)])
 
 
 def _packed(axes: Axes) -> tuple[Int64s, NDArray[np.float32], Int64s]:

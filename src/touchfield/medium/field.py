@@ -80,18 +80,29 @@ def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
     Ascending, all within the grid, `bricks` among them.
     Raises `InvalidArgument` if the reach makes more than 2^27 pairs of bricks.
     """
-    reached = bricks
+    keys = np.sort(brick_keys(grid, bricks))
     for axis in range(3):
-        margin = min(-(-int(reach[axis]) // BRICK), grid.brick_shape[axis])
-        if len(reached) * (2 * margin + 1) > _MAX_PAIRS:
-            asked = f"{reach} samples around {len(bricks)} bricks"
-            raise InvalidArgument("filter reach", asked, "a smaller reach", "Take a coarser grid.")
-        moved = np.repeat(reached[:, None], 2 * margin + 1, axis=1)
-        moved[:, :, axis] += np.arange(-margin, margin + 1, dtype=np.int32)
-        inside = (moved[:, :, axis] >= 0) & (moved[:, :, axis] < grid.brick_shape[axis])
-        keys = np.unique(brick_keys(grid, moved[inside]))
-        reached = bricks_of(grid, keys)
-    return reached
+        margin = -(-int(reach[axis]) // BRICK)
+        keys = spread_keys(keys, grid.brick_shape, axis, (margin, margin))
+    return bricks_of(grid, keys)
+
+
+def spread_keys(
+    keys: NDArray[np.int64], lattice: tuple[int, int, int], axis: int, margins: tuple[int, int]
+) -> NDArray[np.int64]:
+    """Ascending keys of bricks, int64 [m], each once: `keys` [n] and, on `axis`, up to `margins` before and behind.
+
+    Raises `InvalidArgument` if that makes more than 2^27 pairs of bricks.
+    """
+    size, step = lattice[axis], int(np.prod(lattice[axis + 1 :]))
+    back, ahead = (min(margin, size - 1) for margin in margins)
+    if len(keys) * (back + ahead + 1) > _MAX_PAIRS:
+        reach = f"{max(margins) * BRICK} samples around {len(keys)} bricks"
+        raise InvalidArgument("filter reach", reach, "a smaller reach", "Take a coarser grid.")
+    place = keys // step % size
+    moved = [keys[(place + d >= 0) & (place + d < size)] + d * step for d in range(-back, ahead + 1)]
+    every = np.sort(np.concatenate(moved), kind="stable")  # several ascending rows: quickly merged
+    return np.asarray(every[np.diff(every, prepend=-1) > 0])
 
 
 def neighbour_slots(grid: Grid, bricks: Int32s) -> Int32s:

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from touchfield.medium.grid import BRICK, Grid
+from touchfield.medium.grid import Grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-_B3 = BRICK**3
 
 
 @njit(cache=True, nogil=True)
