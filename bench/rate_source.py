@@ -25,8 +25,8 @@ from touchfield.filters.device_filter import device_medium
 from touchfield.job.placing import law_of
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.medium import ForceField
-from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.depth_scene import DepthScene, noise_step_per_m
+from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m
+from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.laws import profile_of
 from touchfield.sources.scene import CAMERA_AXES, Scene

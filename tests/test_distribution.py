@@ -16,6 +16,7 @@ from scipy.spatial import distance
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure import distribution as d
+from touchfield.measure.quantity import NORMALISATIONS
 
 COVER_THOMAS = np.array([[4, 2, 1, 1], [2, 4, 1, 1], [2, 2, 2, 2], [8, 0, 0, 0]]).T / 32
 """Example 2.2.1 of Elements of Information Theory, x along axis 0."""
@@ -125,7 +126,7 @@ def test_variation_of_information_is_a_metric(table: Vector) -> None:
 
 
 def test_nothing_varies() -> None:
-    for by in d.NORMALISATIONS:
+    for by in NORMALISATIONS:
         q = d.normalised_mutual_information([[1.0, 0], [0, 0]], by)
         assert math.isnan(float(q)) and "0/0" in q.notes[0]
     half = d.normalised_mutual_information([[0.5, 0.5]], "min")

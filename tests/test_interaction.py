@@ -17,10 +17,11 @@ from scipy import io, stats
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.interaction import Trace, interaction_entropy, read_trace, visits
+from touchfield.measure.interaction import interaction_entropy, visits
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium import Grid
 from touchfield.medium import trace as trace_module
+from touchfield.medium.trace import Trace, read_trace
 
 GRID = Grid((5, 12, 9), (0.01, 0.02, 0.005), (-0.02, 0.1, 0.0))
 LOW_M, HIGH_M = GRID.box_m

@@ -23,7 +23,7 @@ from touchfield.measure.field_information import field_entropy, field_joint
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.histogram import Histogram, JointHistogram, SymbolCounter
 from touchfield.measure.limits import block_rates
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.quantity import NORMALISATIONS, Quantity
 from touchfield.medium import Grid
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
@@ -155,7 +155,7 @@ def test_every_road_leads_to_the_oracle(quantity: str, samples: tuple[Symbols, S
         assert found == pytest.approx(dict.fromkeys(found, expected), abs=1e-12, rel=0)
 
 
-@pytest.mark.parametrize("by", exact.NORMALISATIONS)
+@pytest.mark.parametrize("by", NORMALISATIONS)
 @given(samples=pairs)
 def test_normalised_information_leads_to_the_oracle(by: str, samples: tuple[Symbols, Symbols]) -> None:
     x, y = samples

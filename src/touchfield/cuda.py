@@ -18,8 +18,6 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument, import_extra
 
-__all__ = ["COMPUTE", "computing", "empty", "filled", "for_each", "on_device", "on_host", "uses_gpu"]
-
 COMPUTE: Final = ("cpu", "cuda", "auto")
 """Where kernels of sources run: the processor (the default), a GPU, or a GPU where there is one."""
 

@@ -22,22 +22,6 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
-__all__ = [
-    "CorruptFile",
-    "DeviceError",
-    "ForeignFile",
-    "FormatError",
-    "InvalidArgument",
-    "MissingExtra",
-    "SourceError",
-    "TouchfieldError",
-    "TruncatedFile",
-    "UnsupportedVersion",
-    "blamed_on",
-    "import_extra",
-    "require_positive",
-]
-
 
 class TouchfieldError(Exception):
     """The root of all errors that touchfield raises on purpose.

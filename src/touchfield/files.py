@@ -15,8 +15,6 @@ from typing import IO
 
 from touchfield.errors import SourceError
 
-__all__ = ["exactly", "plain_size", "readable", "require_beside", "require_plain", "standard_input"]
-
 
 def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: bool = False) -> None:
     """Refuse what is there and is no plain file: a pipe, a socket, a device, and a folder unless that is taken.

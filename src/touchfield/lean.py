@@ -8,8 +8,6 @@ import numba
 from numba import njit
 from numba.core import compiler
 
-__all__ = ["LEAN", "UNCOUNTED", "entry", "inlined", "lean"]
-
 _CONFIG: Any = numba.config
 _COMPILER: Any = compiler.CompilerBase
 _PASSES: Any = compiler.DefaultPassBuilder

@@ -13,8 +13,6 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from typing import Any
 
-__all__ = ["Report", "for_chunks", "silent", "worker_count"]
-
 Report = Callable[[int, int], None]
 """``report(done, total)``: how far a long job has come."""
 

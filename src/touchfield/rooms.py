@@ -7,8 +7,6 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-__all__ = ["modules_of"]
-
 
 def modules_of(room: str) -> Callable[[str], Any]:
     """The ``__getattr__`` of a room."""

@@ -24,9 +24,9 @@ from touchfield.job import EncodeSpec, encode, open_stream
 from touchfield.job.encode import encode_prepared
 from touchfield.job.exchange import export, import_effect
 from touchfield.job.prepare import Prepared
-from touchfield.job.spec import silent
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.placement import Placement
+from touchfield.parallel import silent
 
 K = 0.02
 FINE = EncodeSpec(touch=TouchSpec(k=K, f0_n=0.0, effort="fast"))

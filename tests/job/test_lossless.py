@@ -10,9 +10,10 @@ import pytest
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, compare, encode, open_stream
-from touchfield.job.spec import FILTERED, OWN_FORCES
+from touchfield.job.spec import OWN_FORCES
 from touchfield.medium import Grid
 from touchfield.medium.npz import read_npz
+from touchfield.stream.opened import FILTERED
 
 SPEC = EncodeSpec(nw=4, touch=TouchSpec(mode="lossless"))
 SMALL = ((11, 9, 10), 0.002)

@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -38,13 +38,7 @@ from touchfield.adapters.symbolic import (
     checked_frames,
     checked_rate,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["SHARPNESS_HZ", "read_ahap"]
+from touchfield.arrays import Float64s
 
 SHARPNESS_HZ: Final = (65.0, 300.0)
 """Frequencies of sharpness 0 and 1."""

@@ -22,15 +22,13 @@ import numpy as np
 
 from touchfield.adapters.links import Address, address, reason, service_check, web_socket
 from touchfield.adapters.registry import Check, DeviceKind, library_check, steps_of
+from touchfield.arrays import Float32s, Int64s
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.array_device import ArrayDevice
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.devices import Device
 
-__all__ = ["COLUMNS", "KIND", "POSITIONS", "ROWS_OF", "BHaptics"]
 
 PLAYER: Final[Address] = ("127.0.0.1", 15881)
 _NAME: Final = "bHaptics Player"
@@ -81,9 +79,7 @@ class BHaptics(ArrayDevice):
             close_timeout=_PATIENCE_S / 2, max_queue=_MOST_WAITING,
         )  # fmt: skip
 
-    def put_drives(
-        self, drives: NDArray[np.float32], frequencies_hz: NDArray[np.float32] | None, seconds: float
-    ) -> None:
+    def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
         """See `ArrayDevice`; the motors have one frequency each, their own."""
         levels = min(self.profile.levels or _FULL + 1, _FULL + 1)
         steps = steps_of(self.profile, drives, levels)
@@ -111,7 +107,7 @@ class BHaptics(ArrayDevice):
         with suppress(Exception):
             line.close()
 
-    def _message(self, intensities: NDArray[np.int64], lasts_ms: int) -> str:
+    def _message(self, intensities: Int64s, lasts_ms: int) -> str:
         submissions = []
         for panel, position in zip(intensities, POSITIONS):
             dots = panel[self._rows].reshape(-1).tolist()

@@ -52,27 +52,14 @@ from touchfield.adapters.ahap import SHARPNESS_HZ
 from touchfield.adapters.bhaptics import COLUMNS, POSITIONS, ROWS_OF
 from touchfield.adapters.hjif_write import thinned
 from touchfield.adapters.symbolic import TRANSIENT_S, filled_hz
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.atomic import atomic_path
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.adapters.symbolic import ArrayEffect
+Points = tuple[tuple[float, float], ...]
 
-    Float64s = NDArray[np.float64]
-    Points = tuple[tuple[float, float], ...]
-
-__all__ = [
-    "LEAST_SPAN_MS",
-    "RATE_HZ",
-    "fits_vest",
-    "write_ahap",
-    "write_haptic",
-    "write_tact",
-    "write_wav",
-    "write_wav_array",
-]
 
 ROWS: Final = 5
 LEAST_SPAN_MS: Final = 20
@@ -133,7 +120,7 @@ def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front", n
         temporary.write_text(json.dumps(document) + "\n", encoding="utf-8")
 
 
-def _spans(effect: ArrayEffect) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+def _spans(effect: ArrayEffect) -> Iterator[tuple[int, int, Int64s]]:
     """Spans of equal hundredths, int64 [5, 4], from and to a time, milliseconds; without those of silence."""
     frame_ms = 1000 / effect.rate_hz
     each = max(1, math.ceil(LEAST_SPAN_MS / frame_ms - 1e-9))
@@ -147,7 +134,7 @@ def _spans(effect: ArrayEffect) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
             yield times[first], max(times[stop], times[first] + 1), steps[first]
 
 
-def _dot_mode(spans: list[tuple[int, int, NDArray[np.int64]]], length_ms: int) -> dict[str, Any]:
+def _dot_mode(spans: list[tuple[int, int, Int64s]], length_ms: int) -> dict[str, Any]:
     feedback = [
         {
             "startTime": start,
@@ -281,8 +268,8 @@ class OneTrack:
 
 
 def _without_taps(
-    drives: NDArray[np.float64], sharp: NDArray[np.float64], rate_hz: float
-) -> tuple[NDArray[np.float64], tuple[tuple[float, float, float], ...]]:
+    drives: Float64s, sharp: Float64s, rate_hz: float
+) -> tuple[Float64s, tuple[tuple[float, float, float], ...]]:
     longest = int(TRANSIENT_S * rate_hz)  # frames between nothing and nothing
     edges = np.flatnonzero(np.diff(np.concatenate([[0], (drives > 0).astype(np.int8), [0]])))
     left, taps = drives.copy(), []
@@ -294,7 +281,7 @@ def _without_taps(
     return left, tuple(taps)
 
 
-def _points(values: NDArray[np.float64], rate_hz: float) -> tuple[tuple[float, float], ...]:
+def _points(values: Float64s, rate_hz: float) -> tuple[tuple[float, float], ...]:
     kept = thinned(np.arange(len(values)), np.round(values, DIGITS)[:, None], (_HALF_STEP,))
     return tuple((round(n / rate_hz, 6), round(float(values[n]), DIGITS)) for n in kept.tolist())
 

@@ -21,7 +21,6 @@ from touchfield.render.point_device import PointDevice, Quaternion
 if TYPE_CHECKING:
     from touchfield.medium.trace import Trace
 
-__all__ = ["DRIVER", "KIND", "ForceDimension"]
 
 DRIVER: Final = DriverLibrary(
     "Force Dimension",

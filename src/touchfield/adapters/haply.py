@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from touchfield.medium.trace import Trace
 
-__all__ = ["KIND", "SERVICE", "Haply"]
 
 SERVICE: Final[Address] = ("127.0.0.1", 10001)
 _QUEUE: Final = 256

@@ -40,16 +40,11 @@ from touchfield.adapters.symbolic import (
     checked_frames,
     checked_rate,
 )
+from touchfield.arrays import Float32s, Float64s, Int64s
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-    Cells = NDArray[np.int64]
-
-__all__ = ["MODALITIES", "read_hjif_array", "read_hjif_force"]
 
 MODALITIES: Final = ("Vibrotactile", "Vibrotactile Texture", "Pressure", "Force", "Other")
 """Perception modalities that actuators can show. "Other" is shown as a vibration: the reference encoder calls
@@ -190,7 +185,7 @@ def _check_work(perception: Perception, instants: int) -> None:
         raise perception.place.wrong(f"{bands} bands at {instants} instants", f"at most {_MOST_WORK} of both")
 
 
-def _cells(perception: Perception, frames: int) -> tuple[list[Cells], int, int, int]:
+def _cells(perception: Perception, frames: int) -> tuple[list[Int64s], int, int, int]:
     """For each channel the actuators that it drives, counted row by row from the lower left; rows, columns, parts."""
     channels = perception.channels
     parts: dict[tuple[str, ...], list[int]] = {}
@@ -207,7 +202,7 @@ def _cells(perception: Perception, frames: int) -> tuple[list[Cells], int, int, 
     if max(reached, rows * columns) * frames > MAX_VALUES:
         found = f"{frames} frames of {max(reached, rows * columns)} actuators"
         raise perception.place.wrong(found, f"at most {MAX_VALUES} drives", "Take a lower rate.")
-    cells: list[Cells] = [np.zeros(0, np.int64)] * len(channels)
+    cells: list[Int64s] = [np.zeros(0, np.int64)] * len(channels)
     for body, members in parts.items():
         in_a_row = not any(channels[n].resolution or channels[n].targets for n in members)
         for place, n in enumerate(members):
@@ -225,14 +220,14 @@ def _extent(channels: list[Channel]) -> tuple[int, int]:
     return (max(x for x, _ in told), max(y for _, y in told))
 
 
-def _targets(channel: Channel, size: tuple[int, int]) -> NDArray[np.int64]:
+def _targets(channel: Channel, size: tuple[int, int]) -> Int64s:
     if channel.targets:
         return np.array(sorted(set(channel.targets)), np.int64)
     columns, rows = channel.resolution or size
     return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
 
 
-def _images(of: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
+def _images(of: Float32s, rows: int, columns: int) -> Float32s:
     """[actuators from the lower left, frames] as [frames, rows from the top, columns]."""
     return np.ascontiguousarray(of.reshape(rows, columns, -1).transpose(2, 0, 1)[:, ::-1])
 

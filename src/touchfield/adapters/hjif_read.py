@@ -18,31 +18,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from touchfield.adapters.json_values import JsonValue, read_json
+from touchfield.arrays import Float64s, Int64s
 from touchfield.medium.vibration import MAX_FREQUENCY_HZ
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = [
-    "DEFAULT_TIMESCALE",
-    "MAX_CHANNELS",
-    "MAX_TIMESCALE",
-    "Band",
-    "Channel",
-    "Effect",
-    "Hjif",
-    "Perception",
-    "block_samples",
-    "hjif_of",
-    "read_hjif",
-]
 
 DEFAULT_TIMESCALE: Final = 1000
 """Ticks a second."""
@@ -87,7 +69,7 @@ class Effect:
     """
 
     position: int
-    ticks: NDArray[np.int64]
+    ticks: Int64s
     amplitudes: Float64s
     frequencies_hz: Float64s
     samples: Float64s | None = None

@@ -31,6 +31,7 @@ import numpy as np
 
 from touchfield.adapters.hjif_read import DEFAULT_TIMESCALE, MAX_CHANNELS
 from touchfield.adapters.symbolic import filled_hz
+from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.vibration import MAX_FREQUENCY_HZ
@@ -38,14 +39,8 @@ from touchfield.medium.vibration import MAX_FREQUENCY_HZ
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from touchfield.adapters.symbolic import ArrayEffect
 
-    Float64s = NDArray[np.float64]
-    Int64s = NDArray[np.int64]
-
-__all__ = ["AMPLITUDE_STEP", "MAX_SPAN_TICKS", "thinned", "write_hjif_array", "write_hjif_force"]
 
 AMPLITUDE_STEP: Final = 1e-5
 """Of full scale."""
@@ -208,7 +203,7 @@ def _write(
         file.write("]}]}\n")
 
 
-def _wave(ticks: Int64s, drives: NDArray[np.float32], hertz: NDArray[np.float32]) -> dict[str, Any]:
+def _wave(ticks: Int64s, drives: Float32s, hertz: Float32s) -> dict[str, Any]:
     """The VectorialWave of one actuator."""
     amplitudes = np.round(drives.astype(np.float64), _DIGITS)
     samples = np.stack([amplitudes, np.maximum(np.round(hertz.astype(np.float64)), 1)], axis=1)

@@ -17,8 +17,6 @@ from typing import Any, Final
 from touchfield.adapters.json_values import JsonValue, read_bytes
 from touchfield.errors import SourceError
 
-__all__ = ["read_hmpg"]
-
 _WHAT: Final = "an HMPG file (ISO/IEC 23090-31, binary)"
 _MOST_BYTES: Final = 1 << 22
 _UNIT_HEAD: Final = 9

@@ -15,8 +15,6 @@ from typing import Any, Final
 from touchfield.errors import SourceError
 from touchfield.files import require_plain
 
-__all__ = ["JsonValue", "read_bytes", "read_json"]
-
 _SHOWN: Final = 60
 _MISSING: Final = object()
 

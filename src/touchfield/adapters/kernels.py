@@ -23,22 +23,6 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.numpy_support import carray
 
-__all__ = [
-    "BOX",
-    "CALLS",
-    "DONE",
-    "ERROR",
-    "FORCE",
-    "HANDLE",
-    "STOP",
-    "WORDS",
-    "clock",
-    "compiled_callback",
-    "follow",
-    "spring",
-    "turned",
-]
-
 BOX = 24
 """Words of the box, as below."""
 

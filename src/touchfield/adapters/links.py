@@ -24,19 +24,6 @@ from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
-__all__ = [
-    "Address",
-    "DriverLibrary",
-    "Line",
-    "SerialLine",
-    "TcpLine",
-    "address",
-    "connected",
-    "reason",
-    "serial_ports",
-    "service_check",
-    "web_socket",
-]
 
 Address = tuple[str, int]
 MOST_MESSAGE_BYTES = 1 << 16

@@ -26,7 +26,6 @@ from touchfield.render.point_device import PointDevice
 if TYPE_CHECKING:
     from touchfield.medium.trace import Trace
 
-__all__ = ["DRIVER", "KIND", "OpenHaptics"]
 
 DRIVER: Final = DriverLibrary(
     "OpenHaptics",

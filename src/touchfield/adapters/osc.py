@@ -29,15 +29,13 @@ import numpy as np
 
 from touchfield.adapters.links import Address, address, reason
 from touchfield.adapters.registry import Check, DeviceKind, drives_of, steps_of
+from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import DeviceError
 from touchfield.render.array_device import ArrayDevice
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.devices import Device
 
-__all__ = ["KIND", "Osc"]
 
 MOST_BYTES: Final = 8192
 """Of a datagram: one that needs no more than a few fragments on any net."""
@@ -74,9 +72,7 @@ class Osc(ArrayDevice):
         line.settimeout(1.0)
         self._socket, self._number, self._began_s = line, 0, monotonic()
 
-    def put_drives(
-        self, drives: NDArray[np.float32], frequencies_hz: NDArray[np.float32] | None, seconds: float
-    ) -> None:
+    def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
         """See `ArrayDevice`."""
         levels = self.profile.levels
         if levels is None:
@@ -109,7 +105,7 @@ class Osc(ArrayDevice):
         with suppress(Exception):
             line.close()
 
-    def _datagrams(self, drives: NDArray[np.float64], frequencies_hz: NDArray[np.float32] | None) -> Iterator[bytes]:
+    def _datagrams(self, drives: Float64s, frequencies_hz: Float32s | None) -> Iterator[bytes]:
         """The bundles of one frame."""
         values = {"drives": drives}
         if frequencies_hz is not None:
@@ -131,7 +127,7 @@ class Osc(ArrayDevice):
             yield _AT_ONCE + b"".join(struct.pack(">i", len(m)) + m for m in messages)
 
 
-_Piece = tuple[str, int, "NDArray[np.float64]"]
+_Piece = tuple[str, int, "Float64s"]
 
 
 def _filled(pieces: list[_Piece]) -> list[list[_Piece]]:

@@ -30,18 +30,16 @@ import numpy as np
 
 from touchfield.adapters.links import SerialLine, TcpLine, address, serial_ports
 from touchfield.adapters.registry import Check, DeviceKind, library_check, steps_of
+from touchfield.arrays import Float32s, Int64s
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.array_device import ArrayDevice
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from touchfield.adapters.links import Line
     from touchfield.devices import Device
 
-__all__ = ["KIND", "Pins", "checked_line"]
 
 DIGITS: Final = b"0123456789abcdefghijklmnopqrstuvwxyz"
 MOST_ANSWER_BYTES: Final = 256
@@ -91,9 +89,7 @@ class Pins(ArrayDevice):
                 raise
             self._exchange(size, 0, self._patience_s)  # many a board starts anew when its port is opened
 
-    def put_drives(
-        self, drives: NDArray[np.float32], frequencies_hz: NDArray[np.float32] | None, seconds: float
-    ) -> None:
+    def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
         """See `ArrayDevice`: a drive is a height; pins do not vibrate."""
         self._show(steps_of(self.profile, drives, self._levels), self._patience_s)
 
@@ -108,7 +104,7 @@ class Pins(ArrayDevice):
         with suppress(Exception):
             line.close()
 
-    def _show(self, steps: NDArray[np.int64], patience_s: float) -> None:
+    def _show(self, steps: Int64s, patience_s: float) -> None:
         heights = self._digits[steps.reshape(-1)].tobytes()
         if heights == self._shown:
             return

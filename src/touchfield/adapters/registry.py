@@ -18,30 +18,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.render.point_device import PointDevice
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.devices import Device
     from touchfield.medium.trace import Trace
     from touchfield.render.array_device import ArrayDevice
 
-__all__ = [
-    "Check",
-    "DeviceKind",
-    "Opener",
-    "PointChoice",
-    "array_device",
-    "array_kinds",
-    "drives_of",
-    "is_array_device",
-    "library_check",
-    "point_device",
-    "point_kinds",
-    "steps_of",
-]
 
 POINTS = ("sim", "haply", "openhaptics", "forcedimension")
 ARRAYS = ("bhaptics", "osc", "pins")
@@ -180,7 +165,7 @@ def array_device(words: str, profile: Device | None = None) -> ArrayDevice:
     return array
 
 
-def drives_of(profile: Device, drives: NDArray[np.float32]) -> NDArray[np.float64]:
+def drives_of(profile: Device, drives: Float32s) -> Float64s:
     """Drives from 0 to 1, float64 [panels, rows, columns], a NaN as 0; InvalidArgument if of another shape."""
     columns, rows, _ = profile.lattice
     shape = (profile.panels, rows, columns)
@@ -189,6 +174,6 @@ def drives_of(profile: Device, drives: NDArray[np.float32]) -> NDArray[np.float6
     return np.clip(np.nan_to_num(np.asarray(drives, np.float64), nan=0.0), 0.0, 1.0)
 
 
-def steps_of(profile: Device, drives: NDArray[np.float32], levels: int) -> NDArray[np.int64]:
+def steps_of(profile: Device, drives: Float32s, levels: int) -> Int64s:
     """The nearest of so many levels, 0 to levels - 1, int64 [panels, rows, columns]; halves go up."""
     return np.floor(drives_of(profile, drives) * (levels - 1) + 0.5).astype(np.int64)

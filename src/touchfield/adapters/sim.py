@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from touchfield.medium.trace import Trace
 
-__all__ = ["KIND", "STIFFNESS_N_PER_M", "SimHand"]
 
 HandKind = Literal["follow", "spring"]
 

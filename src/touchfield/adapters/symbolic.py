@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.arrays import Float32s, Float64s
 from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, HapticMedium
@@ -26,28 +27,8 @@ from touchfield.sources.scene import UP_Y_AXES
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from touchfield.medium import Grid
 
-    Float32s = NDArray[np.float32]
-
-__all__ = [
-    "DEFAULT_CARRIER_HZ",
-    "DEFAULT_RATE_HZ",
-    "MAX_MEDIUM_VALUES",
-    "MAX_SECONDS",
-    "MAX_VALUES",
-    "TRANSIENT_S",
-    "ArrayEffect",
-    "Drive",
-    "ImportedEffect",
-    "checked_frames",
-    "checked_rate",
-    "effect_device",
-    "effect_medium",
-    "filled_hz",
-]
 
 DEFAULT_RATE_HZ: Final = 100.0
 """Frames a second that an effect is sampled at: two to each of the shortest transients."""
@@ -139,8 +120,8 @@ class ImportedEffect:
 class Drive:
     """Amplitudes and frequencies (0: none known) over the frames, float64 [frames] each."""
 
-    amplitudes: NDArray[np.float64]
-    frequencies_hz: NDArray[np.float64]
+    amplitudes: Float64s
+    frequencies_hz: Float64s
 
     @classmethod
     def silent(cls, frames: int) -> Drive:

@@ -19,23 +19,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.pose_track import rotation_matrices, slerp
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace
 from touchfield.render.axes import BOX_AXES, axes_matrix
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Query = Callable[[Float64s], Float64s]
 
-    Float64s = NDArray[np.float64]
-    Query = Callable[[Float64s], Float64s]
-
-__all__ = ["SECONDS", "touch_down"]
 
 SECONDS: Final = 3.0
 SHARE: Final = 0.6
@@ -123,7 +119,7 @@ def _following(scene: HapticScene, frame: int, met: Float64s, places: Float64s, 
     return moved
 
 
-def _between(at: Float64s, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64s]:
+def _between(at: Float64s, count: int) -> tuple[Int64s, Int64s, Float64s]:
     """The frames before and after each place in time, and its share of the way between them."""
     before = np.clip(at, 0, count - 1).astype(np.int64)
     return before, np.minimum(before + 1, count - 1), np.clip(at - before, 0.0, 1.0)

@@ -18,8 +18,6 @@ from typing import Any, Final
 
 from touchfield.parallel import worker_count
 
-__all__ = ["helpers"]
-
 _MOST: Final = 3
 _NICE: Final = 5
 

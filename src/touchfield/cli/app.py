@@ -10,8 +10,6 @@ import typer
 
 from touchfield.sources.samples import SAMPLES
 
-__all__ = ["PANELS", "FieldFile", "Json", "Source", "Stream", "Trajectory", "app", "command"]
-
 PANELS = ("Make", "Look", "Feel", "Broadcast", "Study", "Set up")
 """The groups of commands, by what one is about to do."""
 

@@ -11,9 +11,10 @@ import json
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.cli.show import progress, show
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
@@ -26,11 +27,6 @@ from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.shapes import Box
 from touchfield.viewer.page import titled_figure, write_png
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["run_demo"]
 
 FRICTION: Final = 0.4
 

@@ -20,8 +20,6 @@ from touchfield.render.spec import RenderSpec
 from touchfield.render.tool import SPHERE_POINTS, Tool
 from touchfield.sources.mesh import read_triangles
 
-__all__ = ["PLAY", "RENDER", "render_spec", "tool_of"]
-
 RENDER: Final[tuple[Row, ...]] = (
     ("rate-hz", float, 1000.0, "Ticks of the servo a second."),
     ("friction", float | None, None, "mu; default: the stream's."),

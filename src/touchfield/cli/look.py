@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from touchfield.measure.passivity import Passivity
     from touchfield.measure.quantity import Quantity
 
-__all__ = ["show_measurement"]
-
 
 @command("Look", "view room.touch", "view room.touch --source scan.ply --out room.html --no-open")
 def view(

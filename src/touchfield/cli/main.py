@@ -20,8 +20,6 @@ from touchfield._version import __version__
 from touchfield.cli.app import app
 from touchfield.errors import TouchfieldError
 
-__all__ = ["open_rooms", "run"]
-
 # typer carries a click of its own in some versions and imports it in others; its errors' base is found either way
 USAGE_ERROR: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 

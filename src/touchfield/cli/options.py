@@ -22,25 +22,6 @@ from touchfield.filters.registry import field_filters
 from touchfield.job import EncodeSpec, Target
 from touchfield.sources.options import SourceOptions
 
-__all__ = [
-    "ALLOW_OUTSIDE",
-    "BESIDE",
-    "CODER",
-    "SCENE",
-    "TARGET",
-    "DeviceCompute",
-    "Workers",
-    "address_rows",
-    "asks",
-    "coder_spec",
-    "encode_spec",
-    "filter_rows",
-    "frames_of",
-    "numbers_of",
-    "target_of",
-    "workers_of",
-]
-
 DeviceCompute = Annotated[
     str, typer.Option("--device-compute", help="Where forces are computed: cpu, cuda (extra cuda), or auto.")
 ]

@@ -17,18 +17,6 @@ from touchfield.errors import InvalidArgument
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = [
-    "check_picture",
-    "compilation_told",
-    "is_same_file",
-    "keep_source",
-    "literal_console",
-    "progress",
-    "show",
-    "show_motion",
-    "show_notes",
-    "show_rows",
-]
 
 _GAP = 2  # blanks between columns
 

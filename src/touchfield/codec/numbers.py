@@ -7,12 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.codec.kernels.bits import end_of, fresh, reader, writer
 from touchfield.codec.kernels.whole_numbers import CONTEXTS, ROOM, SETS, code_numbers
 from touchfield.codec.support import check_end
 from touchfield.errors import CorruptFile, InvalidArgument
-
-Int64s = NDArray[np.int64]
 
 LARGEST: Final = (1 << 30) - 1  # no number is farther from zero
 

@@ -17,18 +17,6 @@ if TYPE_CHECKING:
     from touchfield.codec.segment import CodedSegment, FrameCost, FrameStats
     from touchfield.medium import ForceField, Grid
 
-__all__ = [
-    "AnchoringEncoder",
-    "Coder",
-    "CoderOption",
-    "FieldDecoder",
-    "FieldEncoder",
-    "coder",
-    "coder_of_spec",
-    "field_coders",
-    "field_decoder",
-    "field_encoder",
-]
 
 ENTRIES: Final = {
     "touch": "touchfield.codec.touch.spec",

@@ -9,8 +9,6 @@ from typing import Final, NamedTuple
 
 from touchfield.codec.rate import BitAccount
 
-__all__ = ["CodedSegment", "FrameCost", "FrameKind", "FrameStats", "Worst", "longest_segment", "segment_length"]
-
 SEGMENT_S: Final = 0.5
 """Seconds of the medium that a receiver which joins in the middle, or seeks, decodes before its first frame."""
 

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Int32s, Int64s
 from touchfield.codec.kernels import support as kernels
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, Bits, code, end_of, fresh, reader, writer
 from touchfield.codec.kernels.support import NEIGHBOURS, UNKNOWN, Level, code_level
@@ -23,10 +24,8 @@ from touchfield.medium.field import slots_around
 from touchfield.medium.grid import BRICK, Grid
 
 X = 1
-Int64s = NDArray[np.int64]
-Int32s = NDArray[np.int32]
 # brick coordinates int32 [n, 3], ascending, and the mask of their samples, bool [n, 8, 8, 8]
-Bricks = tuple[Int32s, NDArray[np.bool_]]
+Bricks = tuple[Int32s, Bools]
 BRICKS_FREE: Final = 64
 # A payload of n bytes lists at most `BRICKS_FREE` + 16 n bricks, of 6 KiB each when decoded
 BRICKS_PER_BYTE: Final = 16
@@ -132,11 +131,11 @@ def code_support(
     return bricks, mask
 
 
-def _rows(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _rows(mask: Bools) -> NDArray[np.uint8]:
     return np.array(mask.reshape(-1, BRICK**3), np.uint8)
 
 
-def encode_support(grid: Grid, bricks: Int32s, mask: NDArray[np.bool_], previous: Bricks | None = None) -> bytes:
+def encode_support(grid: Grid, bricks: Int32s, mask: Bools, previous: Bricks | None = None) -> bytes:
     """The bytes of a support by itself; InvalidArgument if it is none that `code_support` takes."""
     bits = writer(len(bricks) * ROOM + 64, fresh(CONTEXTS, SETS))
     told = code_support(bits, 0, 0, grid, (bricks, mask), previous)

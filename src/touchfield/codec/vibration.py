@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.codec import support
 from touchfield.codec.kernels import whole_numbers
 from touchfield.codec.kernels.bits import Bits, end_of, fresh, reader, writer
@@ -26,9 +27,7 @@ from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.kernels import raster_slots
 from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationFrame
 
-Int32s = NDArray[np.int32]
-Int64s = NDArray[np.int64]
-Bricks = tuple[NDArray[np.int32], NDArray[np.bool_]]
+Bricks = tuple[Int32s, Bools]
 
 _IN_OCTAVE: Final = 4
 _LEAST_EXPONENT: Final = -22
@@ -76,7 +75,7 @@ def frame_of(grid: Grid, symbols: VibrationSymbols) -> VibrationFrame:
     return VibrationFrame(grid, symbols.positions, _amplitudes_n(symbols.amplitudes), hertz)
 
 
-def _amplitudes_n(steps: NDArray[np.integer]) -> NDArray[np.float32]:
+def _amplitudes_n(steps: NDArray[np.integer]) -> Float32s:
     octaves, within = np.divmod(steps.astype(np.int64), _IN_OCTAVE)
     shares = (_IN_OCTAVE + within).astype(np.float32)
     return np.ldexp(shares, (octaves + _LEAST_EXPONENT).astype(np.int32))
@@ -161,14 +160,14 @@ def _code_numbers(bits: Bits, numbers: Int64s) -> None:
         )
 
 
-def _same_samples(before: tuple[Int64s, Int64s], places: Int64s) -> tuple[NDArray[np.bool_], Int64s]:
+def _same_samples(before: tuple[Int64s, Int64s], places: Int64s) -> tuple[Bools, Int64s]:
     """Samples that the frame before has too, bool [L], and the values of those, int64 [2, n]."""
     slots = np.searchsorted(before[0], places)
     known = np.append(before[0], -1)[slots] == places
     return known, before[1][:, slots[known]]
 
 
-def _summed(numbers: Int64s, known: NDArray[np.bool_], past: Int64s) -> Int64s:
+def _summed(numbers: Int64s, known: Bools, past: Int64s) -> Int64s:
     """Values, int64 [2, L], of differences: to `past` where it is known, and to the sample before elsewhere."""
     sums, latest = np.cumsum(numbers, axis=1), np.cumsum(known)
     shift = np.append(np.zeros((2, 1), np.int64), past + numbers[:, known] - sums[:, known], axis=1)
@@ -204,7 +203,7 @@ def _bricks_of(grid: Grid, positions: Int32s) -> Bricks:
     return bricks, mask
 
 
-def _positions(bricks: Int32s, mask: NDArray[np.bool_]) -> Int32s:
+def _positions(bricks: Int32s, mask: Bools) -> Int32s:
     """The samples of bricks in raster order, int32 [L, 3]."""
     brick, local = np.divmod(raster_slots(bricks, mask), BRICK**3)
     within = np.stack(np.unravel_index(local, (BRICK,) * 3), axis=-1)

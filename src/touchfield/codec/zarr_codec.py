@@ -23,8 +23,6 @@ from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.parallel import worker_count
 
-__all__ = ["NAME", "TouchCodec"]
-
 NAME: Final = "touchfield.touch"
 _OPTIONS: Final = ("k", "f0_n", "mode", "effort")
 _MOST_SAMPLES: Final = 1 << 25

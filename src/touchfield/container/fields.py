@@ -20,23 +20,6 @@ from typing import Any, Final
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium.grid import BRICK
 
-__all__ = [
-    "LINES",
-    "NAME",
-    "TEXT",
-    "Array",
-    "Cursor",
-    "FieldType",
-    "Listed",
-    "Octets",
-    "Pattern",
-    "Real",
-    "Rest",
-    "Shape",
-    "Text",
-    "Whole",
-]
-
 
 class Cursor:
     """How far the reading of a run of bytes has come.

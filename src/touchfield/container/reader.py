@@ -39,8 +39,6 @@ from touchfield.container.wire import (
 )
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 
-__all__ = ["TouchReader"]
-
 END_SIZE: Final = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
 MIN_SEGMENT: Final = FRAME_SIZE + RECORD_OF["SEGM"].kind.smallest + CRC_SIZE
 MAX_WALKED: Final = 1 << 12

@@ -29,32 +29,6 @@ from touchfield.container.fields import (
 )
 from touchfield.errors import InvalidArgument
 
-__all__ = [
-    "MAGIC",
-    "MAX_OBJECTS",
-    "OBJECTS_CODER",
-    "RECORDS",
-    "RECORD_OF",
-    "REQUIRED",
-    "VERSION_MAJOR",
-    "VERSION_MINOR",
-    "End",
-    "Head",
-    "Index",
-    "ObjectRecord",
-    "Pair",
-    "Provenance",
-    "Record",
-    "Row",
-    "Segment",
-    "SegmentEntry",
-    "Struct",
-    "Vibration",
-    "row",
-    "rows_of",
-]
-
-
 ROW: Final = "touchfield row"
 
 

@@ -20,8 +20,6 @@ from urllib.parse import urljoin, urlsplit
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 
-__all__ = ["RemoteFile", "is_live", "is_remote", "sender", "without_secret"]
-
 _HEAD: Final = 1 << 12
 _TAIL: Final = 1 << 14
 _LEAST: Final = 1 << 12

@@ -29,21 +29,6 @@ from touchfield.errors import (
 )
 from touchfield.files import require_plain
 
-__all__ = [
-    "CRC_SIZE",
-    "FRAME_SIZE",
-    "OPENING_SIZE",
-    "ByteSource",
-    "FoundRecord",
-    "check_crc",
-    "encode_opening",
-    "encode_record",
-    "find_record",
-    "known_record",
-    "read_opening",
-    "read_record",
-]
-
 
 class ByteSource:
     """A file that is read at given places.

@@ -29,8 +29,6 @@ from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, encode_opening, enco
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.atomic import atomic_path
 
-__all__ = ["TouchWriter"]
-
 MENDS: Final = {
     errno.ENOSPC: "Free some space, or write to another disk.",
     errno.EDQUOT: "Free some of your quota, or write to another disk.",

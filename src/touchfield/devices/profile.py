@@ -32,8 +32,6 @@ from typing import Any, Final
 from touchfield.errors import DeviceError, InvalidArgument, SourceError
 from touchfield.files import require_plain
 
-__all__ = ["Device", "device", "device_names", "device_of_table", "devices"]
-
 MAX_SAMPLES_PER_AXIS: Final = 1 << 20
 LARGEST: Final = 1e6
 MAX_PROFILE_BYTES: Final = 1 << 16

@@ -40,7 +40,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import BRICK, ForceField
@@ -49,12 +51,8 @@ from touchfield.medium.field import blocks_around, dilated
 from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.medium import Grid, HapticMedium
-
-    Float64s = NDArray[np.float64]
-    Triple = tuple[int, int, int]
+Triple = tuple[int, int, int]
 
 SLIP_SPEED_M_S = 0.001
 
@@ -282,7 +280,7 @@ class TextureFilter(FieldFilter):
             forces[some] = _shortened(field.forces_n[some] * factor[..., None], ceiling_n)
         return ForceField.from_bricks(field.grid, field.bricks, forces)
 
-    def _shares(self, bricks: NDArray[np.int32], grain: Triple, half: Triple) -> Float64s:
+    def _shares(self, bricks: Int32s, grain: Triple, half: Triple) -> Float64s:
         """g (h * s) at the samples of some bricks, float64 [n, 8, 8, 8], not yet limited."""
         first = bricks.astype(np.int64) * BRICK // grain
         samples = bricks[:, :, None] * BRICK + np.arange(BRICK)
@@ -334,7 +332,7 @@ def mixed(z: Any) -> Any:
     return z ^ (z >> np.uint64(31))
 
 
-def _impulses(places: list[NDArray[np.int64]], law: TextureFilter) -> NDArray[np.int64]:
+def _impulses(places: list[Int64s], law: TextureFilter) -> Int64s:
     """-1, 0 or 1 at grains, int64 [n, p, q, r]: the splitmix64 stream of the seed, jumped into.
 
     places : int64 [n, p], [n, q], [n, r]; coordinates of the grains, -1 to 2^20.

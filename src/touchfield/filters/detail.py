@@ -10,17 +10,16 @@ behind such a wall, takes the mean of the forces on it: the wall stays closed, t
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float32s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import interpolated
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.field import blocks_around, brick_keys, bricks_of, dilated
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _OFFSETS: Final = tuple(o for o in product((-1, 0, 1), repeat=3) if any(o))
 _A_WALL: Final = 3  # neighbours with a force, from which on they are a wall
@@ -70,9 +69,9 @@ def _next(field: ForceField) -> ForceField:
     return ForceField.from_bricks(grid, bricks_of(grid, coarse), made)
 
 
-def _kept(wide: NDArray[Any], spacing: NDArray[np.float32]) -> NDArray[np.float32]:
+def _kept(wide: NDArray[Any], spacing: Float32s) -> Float32s:
     """Next samples [n, 4, 4, 4, 3] in bricks [n, 11, 11, 11, 3] that have two samples before and one after."""
-    held: NDArray[np.bool_] = np.asarray(wide.any(axis=-1))
+    held: Bools = np.asarray(wide.any(axis=-1))
 
     def at(values: NDArray[Any], offset: tuple[int, ...]) -> NDArray[Any]:
         x, y, z = (slice(2 + o, 9 + o, 2) for o in offset)

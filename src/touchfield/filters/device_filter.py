@@ -29,20 +29,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import axis_weights, low_pass, resample
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 from touchfield.medium.placement import Placement
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.devices import Device
     from touchfield.sources.analytic_scene import AnalyticScene
     from touchfield.sources.profile import ForceProfile
     from touchfield.sources.scene import Scene
-
-    Float64s = NDArray[np.float64]
 
 NW_RANGE: Final = (3, 10)
 """Least and greatest n_w; the paper takes 5 to 7."""
@@ -168,7 +165,7 @@ class DeviceFilter:
         law = profile_hand.rescaled(self.placement.scale)
         return scene.field(frame, self.placement.to_scene(grid), law).on_grid(grid)
 
-    def _pooled(self, scene: Scene, frame: int, profile_hand: ForceProfile) -> tuple[NDArray[np.float64], Grid]:
+    def _pooled(self, scene: Scene, frame: int, profile_hand: ForceProfile) -> tuple[Float64s, Grid]:
         """|F| pooled along the depth, float64 [x, y], and the lattice that it was taken on."""
         from touchfield.filters.kernels import forces as kernels
 
@@ -211,7 +208,7 @@ class DeviceFilter:
         margins = (math.ceil(reach * fx) + 1, math.ceil(reach * fy) + 1, 0)
         return _padded(Grid.over_box(low, high, (nx * fx, ny * fy, depths)), margins)
 
-    def _at_actuators(self, image_n: NDArray[np.float64], fine: Grid) -> ForceField:
+    def _at_actuators(self, image_n: Float64s, fine: Grid) -> ForceField:
         """The image through the low-pass, at the actuators, as forces along the array's normal."""
         amplitude = image_n
         for axis in (0, 1):
@@ -231,7 +228,7 @@ class DeviceFilter:
 @lru_cache(maxsize=8)
 def _axis_matrix(
     source: tuple[int, float, float], target: tuple[int, float, float], kernel: str, cutoff: str
-) -> NDArray[np.float64]:
+) -> Float64s:
     """The low-pass along one axis of an array, float64 [actuators, samples]; kept, as most frames ask alike."""
     share = 0.5 if cutoff == "nyquist" else 2.0
     matrix = axis_weights(source, target, low_pass(kernel), share / target[1]).dense(source[0])

@@ -12,10 +12,11 @@ from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import TYPE_CHECKING, ClassVar, Final, Protocol
+from typing import ClassVar, Final, Protocol
 
 import numpy as np
 
+from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.region import Region, weights
@@ -24,9 +25,6 @@ from touchfield.filters.resample import BRICKS_AT_ONCE, LOCAL, RigidMotion, inte
 from touchfield.medium import BRICK, ForceField, HapticMedium
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, bricks_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 COMPOSITIONS: Final = ("replace", "over", "add", "max")
 
@@ -162,7 +160,7 @@ class Composed:
         return ForceField.from_bricks(field.grid, bricks_of(field.grid, keys), forces_n)
 
 
-def _keys_of_both(first: ForceField, second: ForceField) -> NDArray[np.int64]:
+def _keys_of_both(first: ForceField, second: ForceField) -> Int64s:
     """The bricks of either field, ascending."""
     return np.union1d(*(brick_keys(one.grid, one.bricks) for one in (first, second)))
 
@@ -231,9 +229,7 @@ def _check_other(other: HapticMedium, medium: HapticMedium, needed: int) -> None
         raise InvalidArgument("compose", f"a medium of {len(other)} frames", f"at least the {needed} to be edited")
 
 
-def _blended(
-    before_n: NDArray[np.float32], after_n: NDArray[np.float32], share: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def _blended(before_n: Float32s, after_n: Float32s, share: Float64s) -> Float32s:
     """`before_n` where the share is 0, `after_n` where it is 1, both to the bit; between them a mixture."""
     result = np.where((share == 1)[..., None], after_n, before_n)
     between = (share > 0) & (share < 1)

@@ -15,7 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.files import require_plain
 from touchfield.filters.registry import Claims, FieldFilter
@@ -38,12 +40,8 @@ from touchfield.medium.field import blocks_around, bricks_of
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.filters.separable import Axes
     from touchfield.medium import Grid
-
-    Float64s = NDArray[np.float64]
 
 ANCHORS: Final = ("centred", "causal")
 METHODS: Final = ("auto", "direct", "fft")

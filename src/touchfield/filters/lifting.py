@@ -26,17 +26,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys, dilated, frozen, neighbour_slots
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 Site = tuple[int, ...]
 
@@ -125,7 +124,7 @@ def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
 class LatticeSamples:
     """Values at the sites of a sublattice, in raster order."""
 
-    positions: NDArray[np.int64]  # [m, dimensions]; indices into the array
+    positions: Int64s  # [m, dimensions]; indices into the array
     values: NDArray[Any]  # [m, ...]; with the components of the array
 
 
@@ -308,7 +307,7 @@ def _coarse(field: ForceField, stages: int) -> ForceField:
     return ForceField.from_bricks(grid, bricks, forces)
 
 
-def _step(place: Any, forces: NDArray[np.float32], split: Split, kind: str, hold: float, sign: int) -> None:
+def _step(place: Any, forces: Float32s, split: Split, kind: str, hold: float, sign: int) -> None:
     from touchfield.filters.kernels import steps as kernels
 
     offsets = split.offsets_in(place[2])

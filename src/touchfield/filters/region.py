@@ -16,16 +16,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.medium import ForceField, Grid
-
-    Float64s = NDArray[np.float64]
-    Bools = NDArray[np.bool_]
 
 
 class Region(ABC):
@@ -208,11 +205,11 @@ class Voxels(Region):
         return np.where(is_within, -distance, distance)
 
     @cached_property
-    def _places(self) -> NDArray[np.int64]:
+    def _places(self) -> Int64s:
         """The samples in raster order (x slowest), each once."""
         return np.unique(np.ravel_multi_index(tuple(np.asarray(self.positions).T), self.grid.shape))
 
-    def _among(self, positions: NDArray[np.int64]) -> Bools:
+    def _among(self, positions: Int64s) -> Bools:
         if not len(self._places):
             return np.zeros(len(positions), np.bool_)
         places = np.ravel_multi_index(tuple(positions.T), self.grid.shape)

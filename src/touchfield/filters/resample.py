@@ -31,20 +31,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, bricks_of
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Float64s = NDArray[np.float64]
-    Int64s = NDArray[np.int64]
 
 MAX_WEIGHTS: Final = 1 << 24
 MAX_PAIRS: Final = 1 << 26
@@ -110,7 +106,7 @@ class AxisWeights(NamedTuple):
     """The weights of source samples for each target sample of one axis; beyond the source counts as zero."""
 
     first: Int64s  # [target]; the first source sample, which may lie beyond the source; ascending
-    weights: NDArray[np.float32]  # [target, taps]; of that sample and those that follow
+    weights: Float32s  # [target, taps]; of that sample and those that follow
 
     def dense(self, source_count: int) -> Float64s:
         """The same as a matrix, float64 [target, source]."""
@@ -360,9 +356,7 @@ def interpolated(
     return ForceField.from_bricks(grid, bricks, forces)
 
 
-def _values(
-    field: ForceField, grid: Grid, motion: RigidMotion | None, border: str, bricks: NDArray[np.int32]
-) -> NDArray[Any]:
+def _values(field: ForceField, grid: Grid, motion: RigidMotion | None, border: str, bricks: Int32s) -> NDArray[Any]:
     """The forces of some bricks, newtons [m, 8, 8, 8, 3]."""
     from touchfield.medium import kernels
 

@@ -11,19 +11,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.filters.separable import factors
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import frozen
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Float64s = NDArray[np.float64]
 
 _FLOOR: Final = 1e-15  # -300 dB: a gain of zero has no decibels
 _SCAN: Final = 4096

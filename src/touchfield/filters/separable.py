@@ -20,19 +20,17 @@ that lie near its border to a wider grid; where there are none, nothing is done.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.field import brick_keys, bricks_of, frozen, spread_keys
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Axes = tuple["AxisTaps", "AxisTaps", "AxisTaps"]
-    Int64s = NDArray[np.int64]
+Axes = tuple["AxisTaps", "AxisTaps", "AxisTaps"]
 
 SCIPY_MODES: Final = {"zero": "constant", "nearest": "nearest", "reflect": "reflect", "wrap": "wrap"}
 """The name of each in `scipy.ndimage`."""
@@ -104,7 +102,7 @@ def cropped(field: ForceField, grid: Grid) -> ForceField:
 class AxisTaps:
     """The taps of one axis: y[n] = sum over k of taps[k] x[n + origin - k]."""
 
-    taps: NDArray[np.float64]  # [N]; the impulse response h of equation 4
+    taps: Float64s  # [N]; the impulse response h of equation 4
     origin: int  # the tap over the sample itself: 0 for the causal form of equation 4, (N - 1) / 2 for the centred
 
     def __post_init__(self) -> None:
@@ -140,7 +138,7 @@ def reach_of(axes: Axes) -> tuple[int, int, int]:
     return (axes[0].reach, axes[1].reach, axes[2].reach)
 
 
-def factors(kernel: NDArray[np.float64], tolerance: float = 1e-12) -> list[NDArray[np.float64]] | None:
+def factors(kernel: Float64s, tolerance: float = 1e-12) -> list[Float64s] | None:
     """One row of taps for each axis whose product is the kernel float64, N-D; None if there are none.
 
     tolerance : float; how far the product may be from the kernel, of its greatest tap.
@@ -188,7 +186,7 @@ def keys_of_passes(field: ForceField, axes: Axes) -> list[Int64s]:
     return keys
 
 
-def sums_of_bricks(grid: Grid, forces_n: NDArray[np.float32], axes: Axes, keys: list[Int64s]) -> Any:
+def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s]) -> Any:
     """The sums in the bricks ``keys[3]``, float32 [n, 8, 8, 8, 3], and the greatest size of each, float32 [n].
 
     `forces_n` float32 [m, 8, 8, 8, 3] lie in ``keys[0]``; ``keys[1]`` and ``keys[2]`` are made on the way.
@@ -201,7 +199,7 @@ def sums_of_bricks(grid: Grid, forces_n: NDArray[np.float32], axes: Axes, keys: 
     )
 
 
-def _packed(axes: Axes) -> tuple[Int64s, NDArray[np.float32], Int64s]:
+def _packed(axes: Axes) -> tuple[Int64s, Float32s, Int64s]:
     """Places int64 [3, n] from the first sample of a sum, weights [3, n] and counts [3] of taps that are not zero."""
     shape, counts = (3, max(len(a.taps) for a in axes)), np.zeros(3, np.int64)
     places, weights = np.zeros(shape, np.int64), np.zeros(shape, np.float32)
@@ -213,9 +211,7 @@ def _packed(axes: Axes) -> tuple[Int64s, NDArray[np.float32], Int64s]:
     return places, weights, counts
 
 
-def brick_field(
-    grid: Grid, bricks: NDArray[np.int32], forces_n: NDArray[np.float32], is_held: NDArray[np.bool_]
-) -> ForceField:
+def brick_field(grid: Grid, bricks: Int32s, forces_n: Float32s, is_held: Bools) -> ForceField:
     """The field of the bricks that a kernel made: without what lies beyond the grid, and without empty bricks.
 
     `forces_n` float32 [n, 8, 8, 8, 3] and `is_held` bool [n], which bricks hold a force, are changed in place.
@@ -233,12 +229,12 @@ def brick_field(
     return ForceField(grid, bricks, forces_n)
 
 
-def places_of(bricks: NDArray[np.int32], axis: int) -> NDArray[np.int32]:
+def places_of(bricks: Int32s, axis: int) -> Int32s:
     """Indices of the samples of each brick along one axis, int32 [n, 8]."""
     return np.asarray(bricks[:, axis, None] * BRICK + np.arange(BRICK), np.int32)
 
 
-def within_grid(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.bool_]:
+def within_grid(grid: Grid, bricks: Int32s) -> Bools:
     """The samples of the bricks that are those of the grid, bool [n, 8, 8, 8]."""
     x, y, z = (places_of(bricks, axis) < count for axis, count in enumerate(grid.shape))
     return np.asarray(x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :])

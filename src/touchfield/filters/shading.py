@@ -37,7 +37,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import AxisTaps, keys_of_passes, places_of, sums_of_bricks, within_grid
@@ -47,12 +49,7 @@ from touchfield.medium.field import brick_keys, bricks_of, dilated, neighbour_sl
 from touchfield.parallel import worker_count
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.filters.separable import Axes
-
-    Float32s = NDArray[np.float32]
-    Float64s = NDArray[np.float64]
 
 SMOOTHED: Final = ("both", "direction", "amplitude")
 
@@ -195,7 +192,7 @@ def _check_scratch(sigma_m: float, grid: Grid, axes: Axes) -> None:
         raise InvalidArgument("shading sigma_m", found, f"at most {allowed / 2**30:.1f} GiB", mend)
 
 
-def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[NDArray[np.int64]]) -> Float32s:
+def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[Int64s]) -> Float32s:
     """Weighted sums of vectors that lie in the bricks of the field, in the last bricks, float32 [n, 8, 8, 8, 3]."""
     sums: Float32s
     sums, tops = sums_of_bricks(grid, vectors, axes, keys)
@@ -203,7 +200,7 @@ def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[NDArray[np.i
     return sums
 
 
-def _whole_weights(grid: Grid, axes: Axes, bricks: NDArray[np.int32]) -> Float64s:
+def _whole_weights(grid: Grid, axes: Axes, bricks: Int32s) -> Float64s:
     """The sum of all weights that lie within the grid, at each sample of the bricks, float64 [n, 8, 8, 8]."""
     sums = []
     for axis, row in enumerate(axes):
@@ -301,7 +298,7 @@ def perona_malik(
     lam: float | None = None,
     conductance: str = "exponential",
     where: ArrayLike | None = None,
-) -> NDArray[np.float32]:
+) -> Float32s:
     """Perona-Malik diffusion of a dense array, sample by sample; see the head of this module.
 
     values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]; taken as float32.
@@ -370,7 +367,7 @@ def _lambda(lam: float | None, axes: int) -> float:
     return float(lam)
 
 
-def _check_size(what: str, values: NDArray[np.float32]) -> None:
+def _check_size(what: str, values: Float32s) -> None:
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
     if not (low >= -_MOST and high <= _MOST):  # also where one is NaN
         raise InvalidArgument(what, f"values from {low:g} to {high:g}", f"finite values up to {_MOST:g}")

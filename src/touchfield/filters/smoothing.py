@@ -19,7 +19,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.fir import all_finite, direct_sums, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
@@ -28,8 +30,6 @@ from touchfield.filters.separable import AxisTaps, checked_boundary, filter_fiel
 from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.filters.separable import Axes
 
 MAX_RADIUS_SAMPLES: Final = 1 << 15
@@ -46,7 +46,7 @@ _FIRWIN_HALF_WIDTH: Final = 3.75  # over the cut-off in Nyquist rates: 31 taps a
 _MAX_TAPS: Final = 1 << 16
 
 
-def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> NDArray[np.float64]:
+def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> Float64s:
     """The taps of one axis, unit sum, float64 [2 r + 1], with r = floor(truncate * sigma + 1/2).
 
     sigma_samples : float; standard deviation in samples, 0 or more; 0 gives the one tap that changes nothing.
@@ -63,7 +63,7 @@ def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> NDArray[np.flo
         raise InvalidArgument("sigma_samples", f"{sigma_samples:g}", expected)
     if not radius:
         return np.ones(1)
-    taps: NDArray[np.float64] = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma_samples) ** 2)
+    taps: Float64s = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma_samples) ** 2)
     taps /= taps.sum()
     return taps
 
@@ -188,9 +188,7 @@ def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
     return CUTOFFS[cutoff] / pitch_m
 
 
-def actuator_taps(
-    spacing_m: float, pitch_m: float, cutoff: str = "nyquist", kernel: str = "firwin"
-) -> NDArray[np.float64]:
+def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", kernel: str = "firwin") -> Float64s:
     """The centred taps of one axis, unit sum, float64 [odd].
 
     spacing_m : float; distance between the field's samples, metres.
@@ -221,14 +219,14 @@ def actuator_taps(
     return taps
 
 
-def _firwin(ratio: float) -> NDArray[np.float64]:
+def _firwin(ratio: float) -> Float64s:
     from scipy import signal
 
     half = math.ceil(_FIRWIN_HALF_WIDTH / ratio - 1e-9)
     return np.asarray(signal.firwin(2 * half + 1, ratio), np.float64)
 
 
-def _sampled(kernel: str, ratio: float) -> NDArray[np.float64]:
+def _sampled(kernel: str, ratio: float) -> Float64s:
     """A kernel of `LOW_PASSES` at the samples, which lie ratio/2 apart in units of 1 over the cut-off."""
     chosen, step = LOW_PASSES[kernel], ratio / 2
     radius = math.floor(chosen.half_width / step + (0.5 if kernel == "box" else 0.0))

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.arrays import Float32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.job.placing import law_of, mapping_of
 from touchfield.job.spec import EncodeSpec
@@ -27,15 +28,10 @@ from touchfield.sources.laws import profile_of
 from touchfield.sources.stored import StoredScene
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.devices import Device
     from touchfield.medium.placement import Placement
     from touchfield.stream.opened import OpenStream
 
-    Float32s = NDArray[np.float32]
-
-__all__ = ["PANELS", "ArrayMedium", "Drives", "array_medium", "is_top_first"]
 
 PANELS: Final = ("front", "back")
 """Names of the panels of an array, in their order."""
@@ -171,9 +167,7 @@ def _pooled_band(band: VibrationBand, placement: Placement, grid: Grid) -> Vibra
     return VibrationBand(grid, len(band), make)
 
 
-def _reached(
-    source: Grid, placement: Placement, grid: Grid, axis: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _reached(source: Grid, placement: Placement, grid: Grid, axis: int) -> tuple[Int64s, Int64s]:
     """The actuators that each sample of the source reaches along an axis: first, and behind the last, int64 [n].
 
     A sample reaches the actuator in whose area it lies, and those whose middle lies in its own cell.

@@ -23,10 +23,9 @@ if TYPE_CHECKING:
     from touchfield.medium import ForceField, HapticMedium
     from touchfield.medium.vibration import VibrationFrame
 
-    Group = tuple[list[ForceField], list[VibrationFrame], ForceField | None]
     """The frames of one segment; what vibrates in each, none where the medium does not vibrate; and an anchor."""
+    Group = tuple[list[ForceField], list[VibrationFrame], ForceField | None]
 
-__all__ = ["Coded", "Stretch", "coded_segments", "groups_of", "head_of", "stretches"]
 
 MOST_BYTES_HELD = 1 << 27
 """A segment ends once its fields take more memory than this: eight of the largest are coded at a time."""

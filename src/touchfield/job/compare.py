@@ -14,11 +14,12 @@ from touchfield.codec.rate import BitAccount
 from touchfield.errors import InvalidArgument
 from touchfield.job.joining import spread
 from touchfield.job.prepare import open_scene, prepare
-from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
+from touchfield.job.spec import NO_FLOOR_N, EncodeSpec
 from touchfield.job.stream_scene import Source
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.histogram import SymbolCounter
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+from touchfield.parallel import Report, silent
 from touchfield.perception.hand_motion import HandMotion, HoldMeter, SlideMeter, SlideSpec
 from touchfield.perception.human import vibration_threshold
 from touchfield.render.segment_blend import with_blends
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from touchfield.job.prepare import Prepared
     from touchfield.perception.slides import Forces
 
-__all__ = ["Comparison", "HandMeter", "Original", "compare", "hand_motion", "source_medium"]
 
 _SLIDE_FRAMES: Final = 4
 

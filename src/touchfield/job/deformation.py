@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.deformation import Deformation
 from touchfield.medium.deformation_fit import fitted
@@ -16,14 +17,10 @@ from touchfield.stream.opened import open_stream
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from touchfield.sources.animated_mesh import AnimatedMeshScene
 
     Report = Callable[[int, int], None]
-    Float64s = NDArray[np.float64]
 
-__all__ = ["Motion", "Tracks", "body_points_m", "lattice_of", "tracks_of"]
 
 _MARGIN: Final = 0.05  # of the lattice beyond what it bends, of its longest side
 _BEHIND: Final = 2.0  # mean spacings below the surface, where a second layer of points is held

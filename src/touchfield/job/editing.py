@@ -34,13 +34,12 @@ from touchfield.filters.resample import RigidMotion
 from touchfield.job.encode import encode_prepared, provenance_of
 from touchfield.job.joining import joined, lattice_of, read_medium, resampled, retimed, spread, with_history
 from touchfield.job.prepare import Prepared
-from touchfield.job.spec import FILTERED, EncodeSpec, Report, silent
+from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import is_stream
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, HapticMedium
-from touchfield.stream.opened import write_field
-
-__all__ = ["Detail", "Written", "edit", "levels_of_detail", "operator_of", "region_of", "resample_file", "splice"]
+from touchfield.parallel import Report, silent
+from touchfield.stream.opened import FILTERED, write_field
 
 _TOLD: Final = ("edits", "splices", "resampled")
 _MOST_TOLD: Final = 1000  # characters of a history that a file keeps

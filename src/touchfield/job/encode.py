@@ -8,7 +8,9 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from numpy.typing import ArrayLike
 
 from touchfield._version import __version__
 from touchfield.codec.objects.encoder import ObjectsEncoder
@@ -19,16 +21,13 @@ from touchfield.container.remote import is_remote, sender
 from touchfield.job.coding import coded_segments, groups_of, head_of, stretches
 from touchfield.job.parts import Sent, spread_voxels
 from touchfield.job.prepare import Prepared, prepare
-from touchfield.job.spec import DEFAULT_F0_N, FILTERED, EncodeSpec, Report, silent
+from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec
 from touchfield.job.stream_scene import Source, as_source, is_stream
 from touchfield.medium import Grid
+from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene
 from touchfield.stream.objects import write_objects
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-__all__ = ["Encoded", "encode", "encode_prepared", "provenance_of"]
+from touchfield.stream.opened import FILTERED
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.adapters.effect_files import RATE_HZ as WAV_RATE_HZ
 from touchfield.adapters.effect_files import write_wav
@@ -33,6 +34,7 @@ from touchfield.adapters.symbolic import (
     effect_device,
     effect_medium,
 )
+from touchfield.arrays import Float32s
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
@@ -41,22 +43,19 @@ from touchfield.filters.registry import felt_medium
 from touchfield.job.array_medium import PANELS, array_medium
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.spec import EncodeSpec
 from touchfield.job.view import view
 from touchfield.medium.placement import Placement
 from touchfield.medium.trace import HAPTIC_RATE_HZ, read_trace
+from touchfield.parallel import Report, silent
 from touchfield.stream.opened import OpenStream, open_stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from touchfield.job.stream_scene import Source
     from touchfield.medium.trace import Trace
 
-
-__all__ = ["EXPORTS", "IMPORTS", "Exported", "export", "import_effect"]
 
 EXPORTS: Final = (".hjif", ".tact", ".wav", ".haptic", ".ahap", ".html")
 _FORCES: Final = (".hjif", ".wav")
@@ -247,7 +246,7 @@ def _effect(stream: OpenStream, chosen: Device, panel: str, report: Report) -> A
     columns, rows, _ = chosen.lattice
     checked_frames("stream", len(drives), columns * rows, MAX_MEDIUM_VALUES)
     shown, nth = np.zeros((len(drives), rows, columns), np.float32), PANELS.index(panel)
-    hertz: NDArray[np.float32] | None = None
+    hertz: Float32s | None = None
     for i in range(len(drives)):
         shown[i] = drives.drives(i)[nth]
         own = drives.frequencies(i)

@@ -17,8 +17,6 @@ from typing import Any, Final, TypeVar
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
 from touchfield.parallel import worker_count
 
-__all__ = ["executor_of", "in_order"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

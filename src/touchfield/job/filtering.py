@@ -19,13 +19,12 @@ from touchfield.filters.device_filter import limited
 from touchfield.filters.registry import FieldFilter
 from touchfield.job.objects import felt_objects
 from touchfield.job.prepare import Prepared, prepare
-from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec, Report, silent
+from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.histogram import SymbolCounter
 from touchfield.medium import ForceField
+from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene
-
-__all__ = ["FilterReport", "draw_filtered", "filter_report"]
 
 
 @dataclass(frozen=True)

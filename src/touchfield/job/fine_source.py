@@ -11,13 +11,13 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.compare import source_medium
 from touchfield.job.encode import encode_prepared
 from touchfield.job.prepare import Prepared
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.spec import EncodeSpec
+from touchfield.parallel import Report, silent
 
 if TYPE_CHECKING:
     from touchfield.job.stream_scene import Source
     from touchfield.stream.opened import OpenStream
 
-__all__ = ["MOST_BYTES", "FineSource", "fine_source"]
 
 MOST_BYTES: Final = 1 << 25
 """Of the source within a page."""

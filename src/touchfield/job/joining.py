@@ -25,8 +25,6 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.render.axes import axes_matrix
 from touchfield.sources.registry import open_source
 
-__all__ = ["joined", "lattice_of", "read_medium", "resampled", "retimed", "spread", "taken", "with_history"]
-
 KERNELS: Final = (*LOW_PASSES, "trilinear")
 
 

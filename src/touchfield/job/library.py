@@ -14,26 +14,20 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.job.executors import in_order
-from touchfield.job.spec import Report, silent
 from touchfield.job.stream_scene import decode
 from touchfield.measure.descriptors import Descriptor, descriptor
 from touchfield.measure.retrieval import Match, MediumIndex
 from touchfield.medium import HapticMedium
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.npz import NpzArchive
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["Entry", "Indexed", "Library", "Retrieved", "index_folder", "library_path", "search"]
+from touchfield.parallel import Report, silent
 
 MOST_BYTES_UNDER_WAY: Final = 1 << 24
 """No further file is begun while those under way take more, packed."""

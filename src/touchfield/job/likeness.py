@@ -10,16 +10,17 @@ import math
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
 from touchfield.job.joining import joined, spread, taken
 from touchfield.job.mapping import SymbolFrames
 from touchfield.job.prepare import prepare
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import Source, StreamScene
 from touchfield.measure.correlation import Correlation, contact_along_axis, contact_along_rays, picture_correlation
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, descriptor, part_slots
@@ -27,17 +28,11 @@ from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.measure.similarity import Similarity, similarity
 from touchfield.medium import HapticMedium
 from touchfield.medium.placement import Placement
+from touchfield.parallel import Report, silent
 from touchfield.render.axes import BOX_AXES, axes_matrix
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import CAMERA_AXES
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["Alike", "Looked", "correlate", "similar"]
 
 _LUMA: Final = (0.2126, 0.7152, 0.0722)
 

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from touchfield.job.stream_scene import Source
     from touchfield.medium.vibration import VibrationFrame
 
-__all__ = ["LiveSpec", "Sent", "broadcast", "coarse_layer", "opened_sender"]
 
 Send = Callable[[LiveSegment], bytes | None]
 

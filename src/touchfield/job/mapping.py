@@ -17,25 +17,24 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Int64s
 from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.resample import resample
 from touchfield.job.placing import Mapping, mapping_of
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.spec import EncodeSpec
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.partition import BoxLosses, DyadicLattice, Partition, optimal_partition
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.parallel import Report, silent
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.stored import StoredScene
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.codec.paper.field_quantiser import FieldQuantiser
 
-__all__ = ["FrameRange", "Mapped", "SymbolFrames", "mapped", "partition_workspace"]
 
 _COARSE_QUANTISER: Final = "weber:0.25/ico1"
 """Ten amplitudes by twelve directions: few enough symbols that a box holds many samples of each."""
@@ -100,7 +99,7 @@ def _shown(scene: StoredScene, mapping: Mapping, density: float | None) -> tuple
     return _cropped(scene.medium, own, low, high), (note,)
 
 
-def _window(own: Grid, nominal: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _window(own: Grid, nominal: Grid) -> tuple[Int64s, Int64s]:
     """The samples of `own` that lie in the workspace, from and to, int64 [3] each; one at least."""
     first, last = (own.to_index(corner) for corner in nominal.box_m)
     low = np.clip(np.ceil(first - 1e-6), 0, np.subtract(own.shape, 1))
@@ -108,7 +107,7 @@ def _window(own: Grid, nominal: Grid) -> tuple[NDArray[np.int64], NDArray[np.int
     return low.astype(np.int64), high.astype(np.int64)
 
 
-def _cropped(medium: HapticMedium, own: Grid, low: NDArray[np.int64], high: NDArray[np.int64]) -> HapticMedium:
+def _cropped(medium: HapticMedium, own: Grid, low: Int64s, high: Int64s) -> HapticMedium:
     """Samples `low` to `high` of a medium, on the part of the grid `own` that they are."""
     x, y, z = (high - low).tolist()
     grid = Grid((x, y, z), own.spacing_m, tuple(own.to_m(low).tolist()))

@@ -23,8 +23,9 @@ from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.job.mapping import FrameRange, SymbolFrames, mapped
 from touchfield.job.prepare import prepare
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import StreamScene, is_stream
+from touchfield.measure.bootstrap import Interval
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
 from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.measure.field_count import shared_counts
@@ -33,17 +34,16 @@ from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.interaction import interaction_entropy
 from touchfield.measure.limits import coding_limits
 from touchfield.measure.passivity import passivity
-from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
+from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
+from touchfield.parallel import Report, silent
 
 if TYPE_CHECKING:
     from touchfield.measure.limits import CodingLimits
     from touchfield.measure.passivity import Passivity
     from touchfield.sources.scene import Scene
     from touchfield.viewer.information import Bar
-
-__all__ = ["MeasureSpec", "Measurement", "measure_medium"]
 
 
 @dataclass(frozen=True)

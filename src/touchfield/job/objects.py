@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from touchfield.job.spec import EncodeSpec
     from touchfield.sources.scene import Body, Scene
 
-__all__ = ["felt_objects", "haptic_scene", "takes_objects"]
 
 REPRESENTATIONS: Final = ("auto", "voxel", "object")
 

@@ -21,7 +21,9 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
+
+from numpy.typing import ArrayLike
 
 from touchfield._version import __version__
 from touchfield.codec.registry import coder, field_encoder
@@ -30,14 +32,10 @@ from touchfield.errors import CorruptFile, InvalidArgument, SourceError, Touchfi
 from touchfield.job.coding import Coded, Stretch, coded_segments, groups_of, head_of, stretches
 from touchfield.job.executors import in_order
 from touchfield.job.prepare import Prepared, prepare
-from touchfield.job.spec import EncodeSpec, Report
+from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import as_source
 from touchfield.medium import ForceField, Grid
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-__all__ = ["ALONE", "Sent", "Task", "code_part", "name_of", "spread_voxels"]
+from touchfield.parallel import Report
 
 _MOST_NOTES: Final = 40
 ALONE: Final = Lock()

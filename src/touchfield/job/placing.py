@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import device_grid, device_medium
 from touchfield.medium import Grid, HapticMedium
@@ -16,14 +17,11 @@ from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.units import unit_notes
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.devices import Device
     from touchfield.job.spec import EncodeSpec
     from touchfield.sources.profile import ForceProfile
     from touchfield.sources.scene import Scene
 
-__all__ = ["FIT_MARGIN", "Mapping", "law_of", "mapping_of", "stored_medium"]
 
 FIT_MARGIN: Final = 0.05
 """Of the workspace's shortest side, what a fit leaves free on every side: a hand comes from outside the surface."""
@@ -160,9 +158,7 @@ def _wording(scene: Scene, chosen: Device, placement: Placement, spec: EncodeSpe
     )
 
 
-def _placement(
-    box_m: NDArray[np.float64], workspace_m: tuple[float, float, float], mapping: str, margin_m: float
-) -> Placement:
+def _placement(box_m: Float64s, workspace_m: tuple[float, float, float], mapping: str, margin_m: float) -> Placement:
     if mapping in ("fit", "fill"):
         return Placement.fit(box_m, workspace_m, margin_m=margin_m)
     if mapping == "crop":

@@ -27,15 +27,15 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import interpolated
 from touchfield.job.executors import in_order
 from touchfield.job.prepare import Prepared, open_scene, prepare
-from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
+from touchfield.job.spec import NO_FLOOR_N, EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
+from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene
 
 if TYPE_CHECKING:
     from touchfield.codec.segment import CodedSegment
 
-__all__ = ["Budget", "Plan", "PlanGrid", "Trial", "amount", "parse_budget", "plan"]
 
 _BITS: Final = {"bit": 1, "kbit": 1_000, "Mbit": 1_000_000, "B": 8, "kB": 8_000, "MB": 8_000_000}
 _BUDGET: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(?:(bit|kbit|Mbit|B|kB)/s|(B|kB|MB))")

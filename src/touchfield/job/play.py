@@ -15,6 +15,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.adapters.registry import array_device, array_kinds, is_array_device, point_device, point_kinds
 from touchfield.adapters.sim import STIFFNESS_N_PER_M
@@ -23,8 +24,8 @@ from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
 from touchfield.job.array_medium import array_medium
 from touchfield.job.play_files import write_log, write_sound
-from touchfield.job.spec import Report, silent
 from touchfield.medium.trace import Trace, read_trace
+from touchfield.parallel import Report, silent
 from touchfield.render.array_player import ArrayPlayer
 from touchfield.render.block.record import FLAGS
 from touchfield.render.frame_source import FrameSource
@@ -36,13 +37,10 @@ from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.medium import HapticMedium, HapticScene
 
 Tell = Callable[[str], None]
 
-__all__ = ["PlaySpec", "Played", "check_play", "play", "stream_device"]
 
 _LOOK_S: Final = 0.1
 MOST_NOTHING: Final = 0.01

@@ -12,8 +12,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.adapters.effect_files import RATE_HZ, write_wav
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.atomic import atomic_path
 from touchfield.render.block.record import FLAGS
@@ -21,9 +23,6 @@ from touchfield.render.block.record import FLAGS
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
-__all__ = ["BAND_HZ", "COLUMNS", "TONE_HZ", "sound_of", "write_log", "write_sound"]
 
 COLUMNS: Final = (
     "t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s",
@@ -66,9 +65,7 @@ def _words(flags: int) -> str:
     return "+".join(name for name, bit in FLAGS.items() if flags & bit) or "idle"
 
 
-def sound_of(
-    times_s: NDArray[np.float64], forces_n: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], tuple[float, float]]:
+def sound_of(times_s: Float64s, forces_n: Float64s) -> tuple[Float64s, tuple[float, float]]:
     """The sound of forces over time, float64 [m, 2] from -1 to 1 at `RATE_HZ`, and the newtons at 1 in each channel.
 
     times_s : float64 [n], ascending, n at least 2. forces_n : float64 [n, 3].

@@ -9,31 +9,27 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.job.editing import Written, _meter, _write
 from touchfield.job.joining import read_medium, spread, with_history
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.trace import ContactTrace
+from touchfield.parallel import Report, silent
 from touchfield.reduction.kernel_points import Kernel, best_kernel, error_points, most_candidates, variance_points
 from touchfield.reduction.mode_points import ModePoints, mode_points
 from touchfield.reduction.modes import pod
 from touchfield.sources.contact_trace import recorded_contacts, require_contacts, thinned_contacts
 from touchfield.sources.curl_free import CurlFree
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["FewestPoints", "fewest_points", "next_points"]
 
 MOST_POINTS: Final = 1000
 _LEARNT: Final = 400
@@ -83,10 +79,10 @@ class _Domain:
         self.index = np.stack(np.unravel_index(keys, self.grid.shape), axis=1)
         self.places_m = self.grid.to_m(self.index)
 
-    def _keys(self, one: ForceField) -> NDArray[np.int64]:
+    def _keys(self, one: ForceField) -> Int64s:
         return np.asarray(np.ravel_multi_index(tuple(one.positions().T.astype(np.int64)), self.grid.shape))
 
-    def forces_n(self, one: ForceField) -> NDArray[np.float32]:
+    def forces_n(self, one: ForceField) -> Float32s:
         """Of a field at the samples, float32 [m, 3]."""
         own, forces = self._keys(one), np.zeros((len(self.keys), 3), np.float32)
         at = np.minimum(np.searchsorted(self.keys, own), len(self.keys) - 1)
@@ -184,7 +180,7 @@ def _of_recording(trace: ContactTrace, source: str, count: int, out: str | Path 
     return _with_points(done, out, trace.forces_n[chosen])
 
 
-def _kept(points_m: Float64s, forces_n: Float64s, count: int) -> tuple[NDArray[np.int64], Kernel, Float64s]:
+def _kept(points_m: Float64s, forces_n: Float64s, count: int) -> tuple[Int64s, Kernel, Float64s]:
     """Points of a known field that stands still, the kernel, and the field rebuilt."""
     some = np.arange(len(points_m))[:: -(-len(points_m) // most_candidates(count))]
     kernel = best_kernel(points_m[some], forces_n[some], count)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from touchfield.arrays import Float64s
 from touchfield.codec.registry import coder
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
@@ -15,7 +16,7 @@ from touchfield.filters.device_filter import exact_forces, same_lattice
 from touchfield.filters.registry import felt_medium
 from touchfield.job.objects import felt_objects, haptic_scene, takes_objects
 from touchfield.job.placing import Mapping, mapping_of, stored_medium
-from touchfield.job.spec import FILTERED, OWN_FORCES, EncodeSpec
+from touchfield.job.spec import OWN_FORCES, EncodeSpec
 from touchfield.job.stream_scene import Source, StreamScene, as_source, is_stream
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.medium.placement import Placement
@@ -24,14 +25,10 @@ from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
 from touchfield.sources.stored import StoredScene
+from touchfield.stream.opened import FILTERED
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+Forces = Callable[[Float64s], Float64s]
 
-    Forces = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-
-__all__ = ["Prepared", "open_scene", "prepare"]
 
 _MOST_NAMES: Final = 8
 

@@ -21,14 +21,13 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.joining import taken
 from touchfield.job.prepare import Prepared, prepare
-from touchfield.job.spec import NO_FLOOR_N, EncodeSpec, Report, silent
+from touchfield.job.spec import NO_FLOOR_N, EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.atomic import atomic_path
+from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene
 from touchfield.stream.opened import open_stream
-
-__all__ = ["MOST_ENCODES", "RootSearch", "Target", "encode_to_target"]
 
 MOST_ENCODES: Final = 8
 NMSE_WITHIN_DB: Final = 0.13

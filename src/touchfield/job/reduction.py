@@ -14,27 +14,26 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from touchfield.arrays import Bools, Float64s
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.job.editing import _write
 from touchfield.job.joining import read_medium, spread, with_history
 from touchfield.job.measure import MeasureSpec, measure_medium
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.spec import EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.interaction import visits
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.grid import BRICK
 from touchfield.medium.trace import read_trace
+from touchfield.parallel import Report, silent
 from touchfield.reduction import Hand, Reduced, freedom, held_out, reach_of, reduced
 from touchfield.render.axes import BOX_AXES, axes_matrix
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.devices import Device
     from touchfield.job.prepare import Prepared
 
-__all__ = ["Reduction", "ReductionSpec", "culled", "hand_of", "reduce_medium"]
 
 _LOOKED_AT: Final = 8
 _HAND_KG, _INERTIA_KG = 0.05, 0.045  # as `touchfield.render.walls` has them, the second of the least device
@@ -70,9 +69,9 @@ class Reduction(NamedTuple):
 
     shown: dict[str, Any]
     notes: tuple[str, ...]
-    values: NDArray[np.float64]
+    values: Float64s
     field: ForceField
-    felt: NDArray[np.bool_]
+    felt: Bools
 
 
 def hand_of(known: Device, spec: ReductionSpec) -> Hand:
@@ -83,7 +82,7 @@ def hand_of(known: Device, spec: ReductionSpec) -> Hand:
     return Hand(*(own if asked is None else asked for asked, own in pairs))
 
 
-def culled(medium: HapticMedium, felt: NDArray[np.bool_]) -> HapticMedium:
+def culled(medium: HapticMedium, felt: Bools) -> HapticMedium:
     """The medium with no force but at these samples, bool [nx, ny, nz]; there it keeps its bits."""
 
     def make(i: int) -> ForceField:
@@ -187,10 +186,10 @@ def _modes(given: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any
     return found, shown
 
 
-def _outside(medium: HapticMedium, known: Device) -> NDArray[np.bool_]:
+def _outside(medium: HapticMedium, known: Device) -> Bools:
     """Samples that a device's point cannot be at nor beside, bool [nx, ny, nz]."""
     grid, half_m = medium.grid, np.array(known.physical_mm or known.workspace_mm) / 2000
     half_m = np.abs(axes_matrix(BOX_AXES, medium.axes, "lattice")) @ half_m
     inside = [np.abs(grid.axis_m(axis)) <= half_m[axis] + grid.spacing_m[axis] for axis in range(3)]
-    outside: NDArray[np.bool_] = ~(inside[0][:, None, None] & inside[1][:, None] & inside[2])
+    outside: Bools = ~(inside[0][:, None, None] & inside[1][:, None] & inside[2])
     return outside

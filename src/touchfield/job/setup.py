@@ -24,12 +24,10 @@ from touchfield.job.compare import compare
 from touchfield.job.encode import encode
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.play import PlaySpec, play
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.spec import EncodeSpec
 from touchfield.medium import HapticMedium
-from touchfield.parallel import worker_count
+from touchfield.parallel import Report, silent, worker_count
 from touchfield.render.sampler import FieldSampler
-
-__all__ = ["GROUPS", "examine", "host_checks", "library_checks", "sleep_lateness_us", "warm_up"]
 
 LIBRARIES: Final = (
     ("numpy", "numpy", "", "everything"),

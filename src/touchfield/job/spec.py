@@ -15,12 +15,8 @@ from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.contact import VibrationRule
 from touchfield.filters.device_filter import DeviceFilterSpec
 from touchfield.filters.registry import FieldFilter, filter_of
-from touchfield.parallel import Report, silent
 from touchfield.perception.human import figure
 from touchfield.sources.options import SourceOptions
-from touchfield.stream.opened import FILTERED
-
-__all__ = ["CODERS", "DEFAULT_F0_N", "FILTERED", "NO_FLOOR_N", "OWN_FORCES", "EncodeSpec", "Report", "silent"]
 
 CODERS: Final = tuple(field_coders())
 """Coders of fields; the first is the default."""

@@ -22,7 +22,6 @@ from touchfield.stream.opened import opened
 if TYPE_CHECKING:
     from touchfield.medium import HapticScene
 
-__all__ = ["MediumScene", "Source", "StreamScene", "as_source", "decode", "is_stream"]
 
 Source = str | Path | Scene | HapticMedium | ForceField
 """Sources of an encoding: a path or "sample:NAME", a scene, a medium, or a field, which is a medium of one frame."""

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from touchfield.perception.human import VibrationThreshold
     from touchfield.sources.recording import Recording
 
-__all__ = ["merged", "store_materials", "texture_of"]
-
 
 def texture_of(
     recordings: Sequence[Recording],

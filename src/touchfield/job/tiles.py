@@ -26,13 +26,12 @@ from touchfield.job.executors import in_order
 from touchfield.job.parts import ALONE, Sent, name_of
 from touchfield.job.placing import Mapping, mapping_of
 from touchfield.job.prepare import Prepared, prepare
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import as_source
 from touchfield.medium import Grid
 from touchfield.medium.zarr_store import boxes, create, whole_folder, write_box
+from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene
-
-__all__ = ["Tiled", "encode_tiles"]
 
 _MADE: Final = 128
 """Samples an axis of what is made at once: the lattice before the low-pass is finer, and may be full."""

@@ -19,10 +19,11 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.compare import compare
 from touchfield.job.encode import encode
 from touchfield.job.fine_source import fine_source
-from touchfield.job.spec import EncodeSpec, Report, silent
+from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import Source
 from touchfield.medium import HapticMedium
 from touchfield.medium.atomic import atomic_path
+from touchfield.parallel import Report, silent
 from touchfield.render.axes import BOX_AXES, axes_matrix
 from touchfield.stream.mux import demux
 from touchfield.stream.opened import OpenStream, open_stream
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from touchfield.job.plan import Plan, Trial
     from touchfield.job.prepare import Prepared
 
-__all__ = ["Page", "draw_medium", "draw_plan", "draw_preview", "page_of_medium", "view"]
 
 _MOST_FRAMES: Final = 30
 """Of a medium in memory, which is coded for the page."""

@@ -19,7 +19,7 @@ A measured result is a `Quantity`: its unit, quantiser, weighting, estimator and
 """
 
 from touchfield.measure import distribution
-from touchfield.measure.bootstrap import interval
+from touchfield.measure.bootstrap import Interval, interval
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits
 from touchfield.measure.context import context_entropy
 from touchfield.measure.correlation import (
@@ -48,7 +48,7 @@ from touchfield.measure.interaction import interaction_entropy, visits
 from touchfield.measure.limits import CodingLimits, block_rates, coding_limits, scan_line_rates
 from touchfield.measure.passivity import Passivity, curl_n_per_m, loop_work_j, passivity
 from touchfield.measure.prequential import prequential_code_length
-from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
+from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.measure.retrieval import MediumIndex, chance_average_precision, mean_average_precision
 from touchfield.measure.similarity import Similarity, compression_distance, similarity
 from touchfield.medium.trace import Trace, read_trace

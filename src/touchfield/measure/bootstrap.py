@@ -43,17 +43,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.symbol_keys import as_array
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-__all__ = ["Interval", "interval", "ratio_interval"]
 
 MIN_BLOCKS: Final = 8
 MIN_REPLICATES: Final = 50
@@ -84,7 +81,7 @@ class Interval:
 
 
 def interval(
-    statistic: Callable[[NDArray[np.int64]], float],
+    statistic: Callable[[Int64s], float],
     block_counts: ArrayLike,
     replicates: int = 200,
     level: float = 0.95,
@@ -138,8 +135,8 @@ def interval(
 
 
 def ratio_interval(
-    above: Callable[[NDArray[np.int64]], float],
-    below: Callable[[NDArray[np.int64]], float],
+    above: Callable[[Int64s], float],
+    below: Callable[[Int64s], float],
     counts: tuple[ArrayLike, ArrayLike],
     replicates: int = 200,
     level: float = 0.95,
@@ -162,7 +159,7 @@ def ratio_interval(
         raise InvalidArgument("block_counts", f"shapes {first.shape} and {second.shape}", "[B, K] and [B, K']")
     cells = first.shape[1]
 
-    def ratio(both: NDArray[np.int64]) -> float:
+    def ratio(both: Int64s) -> float:
         divisor = below(both[cells:])
         if divisor == 0:
             raise ZeroDivisionError
@@ -176,7 +173,7 @@ def ratio_interval(
     return Interval(made.low, made.high, level, f"paired {made.method}")
 
 
-def _basic(estimate: float, values: NDArray[np.float64], blocks: int, level: float) -> tuple[float, float]:
+def _basic(estimate: float, values: Float64s, blocks: int, level: float) -> tuple[float, float]:
     centre = float(values.mean())
     low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
     reach = _few_blocks(blocks, level)
@@ -184,7 +181,7 @@ def _basic(estimate: float, values: NDArray[np.float64], blocks: int, level: flo
     return middle - reach * float(high - centre), middle + reach * float(centre - low)
 
 
-def _normal(estimate: float, values: NDArray[np.float64], blocks: int, level: float) -> tuple[float, float]:
+def _normal(estimate: float, values: Float64s, blocks: int, level: float) -> tuple[float, float]:
     from scipy.special import ndtri
 
     deviation = float(values.std(ddof=1)) if values.min() < values.max() else 0.0  # without rounding where all agree
@@ -198,7 +195,7 @@ def _held(made: tuple[float, float], estimate: float, bounds: tuple[float, float
     return min(low, estimate) + 0.0, max(high, estimate) + 0.0  # 0, and not -0
 
 
-def _checked(block_counts: ArrayLike, replicates: int, level: float) -> NDArray[np.int64]:
+def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
     given = as_array(block_counts, "block_counts")
     if given.ndim < 2:
         raise InvalidArgument("block_counts", f"shape {given.shape}", "[B, cells]")
@@ -224,9 +221,7 @@ def _finite(value: float) -> float:
     return float(value)
 
 
-def _resampled(
-    statistic: Callable[[NDArray[np.int64]], float], counts: NDArray[np.int64], replicates: int, seed: int
-) -> NDArray[np.float64]:
+def _resampled(statistic: Callable[[Int64s], float], counts: Int64s, replicates: int, seed: int) -> Float64s:
     """The statistic of each resample [replicates]: multinomial weights times counts, a bounded part at a time."""
     blocks, cells = len(counts), counts.shape[1:]
     flat = counts.reshape(blocks, -1)

@@ -22,18 +22,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from numbers import Integral
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import ratio_interval
+from touchfield.measure.bootstrap import Interval, ratio_interval
 from touchfield.measure.estimators import ESTIMATORS, estimate_bits
-from touchfield.measure.quantity import Interval, Quantity
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-__all__ = ["READINGS", "Capacity", "capacity", "codomain_bits", "paired_ratio"]
+from touchfield.measure.quantity import Quantity
 
 READINGS: Final = ("realised", "literal")
 
@@ -169,7 +164,7 @@ def capacity(
 
 
 def paired_ratio(
-    counts: tuple[NDArray[np.int64], NDArray[np.int64]],
+    counts: tuple[Int64s, Int64s],
     voxels: tuple[int, int],
     alphabets: tuple[int, int],
     codomain_bits: float,
@@ -187,10 +182,10 @@ def paired_ratio(
     blocks of a resample.
     """
 
-    def held(c: NDArray[np.int64]) -> float:
+    def held(c: Int64s) -> float:
         return voxels[0] * estimate_bits(c, estimator, alphabets[0])
 
-    def told(c: NDArray[np.int64]) -> float:
+    def told(c: Int64s) -> float:
         return min(voxels[1] * estimate_bits(c, estimator, alphabets[1]), codomain_bits)
 
     corrects_bias = ESTIMATORS[estimator].corrects_bias

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.symbol_keys import as_array
@@ -20,25 +22,8 @@ from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Place = tuple[int, int, int]
 
-    Place = tuple[int, int, int]
-
-__all__ = [
-    "MOST_SYMBOLS",
-    "CellCounter",
-    "array_frames",
-    "array_of",
-    "boxes_of",
-    "checked_symbols",
-    "extents_of",
-    "frames_of",
-    "haloed",
-    "reached_bricks",
-    "scan_order",
-    "scan_relabelled",
-]
 
 _FIRST_KEYS = 1 << 12
 _MOST_KEYS = 1 << 30
@@ -69,7 +54,7 @@ class CellCounter:
         self._keys = np.zeros((size, self.words), np.uint64)
         self._counts = np.zeros(size, np.int64)
 
-    def add(self, rows: NDArray[np.uint64], weights: NDArray[np.int64] | None = None) -> None:
+    def add(self, rows: NDArray[np.uint64], weights: Int64s | None = None) -> None:
         """Count rows, uint64 [n, words], each once or as often as its weight says."""
         from touchfield.measure.kernels.context import insert
 
@@ -92,7 +77,7 @@ class CellCounter:
         """n, the rows counted."""
         return int(self._counts[: self._used].sum()) + self.zeros
 
-    def counts(self, columns: tuple[int, ...] | None = None) -> NDArray[np.int64]:
+    def counts(self, columns: tuple[int, ...] | None = None) -> Int64s:
         """How often each cell was counted, int64 [K]; of the marginal of some columns if they are named."""
         found = self if columns is None else self.marginal(columns)
         counts = found._counts[: found._used]
@@ -223,7 +208,7 @@ def boxes_of(shape: Sequence[int], most: int) -> Iterator[tuple[Place, Place]]:
         yield (x, y, z), (min(nx, x + dx), min(ny, y + dy), min(nz, z + dz))
 
 
-def haloed(x: NDArray[Any], box: tuple[Place, Place], low: int, high: int) -> NDArray[np.int32]:
+def haloed(x: NDArray[Any], box: tuple[Place, Place], low: int, high: int) -> Int32s:
     """A box of an array [nx, ny, nz] with `low` samples before it and `high` after it along each axis.
 
     Of a box [a, b, c], int32 [a + low + high, b + low + high, c + low + high]; 0 beyond the array.
@@ -238,11 +223,11 @@ def haloed(x: NDArray[Any], box: tuple[Place, Place], low: int, high: int) -> ND
     return out
 
 
-def _corners(low: int) -> NDArray[np.int32]:
+def _corners(low: int) -> Int32s:
     return np.stack(np.meshgrid(*[np.arange(low, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.int32)
 
 
-def reached_bricks(grid: Grid, frame: FieldSymbols, previous: FieldSymbols | None) -> NDArray[np.int32]:
+def reached_bricks(grid: Grid, frame: FieldSymbols, previous: FieldSymbols | None) -> Int32s:
     """The bricks outside which a voxel, its causal neighbours and its predecessor are all 0, int32 [n, 3]."""
     held = frame.bricks[frame.symbols.any(axis=(1, 2, 3))]
     there = (held[:, None] + _corners(0)).reshape(-1, 3)
@@ -253,6 +238,6 @@ def reached_bricks(grid: Grid, frame: FieldSymbols, previous: FieldSymbols | Non
     return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
 
 
-def extents_of(grid: Grid, bricks: NDArray[np.int32]) -> NDArray[np.int64]:
+def extents_of(grid: Grid, bricks: Int32s) -> Int64s:
     """Samples of each brick within the grid along x, y, z, int64 [n, 3]."""
     return np.clip(np.asarray(grid.shape) - bricks.astype(np.int64) * BRICK, 0, BRICK)

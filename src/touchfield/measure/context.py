@@ -26,7 +26,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.causal import (
     CellCounter,
@@ -44,11 +46,8 @@ from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium.field import slots_around
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.measure.field_symbols import FieldSymbols
 
-__all__ = ["NEIGHBOURHOODS", "ContextCounter", "ContextEntropy", "context_entropy"]
 
 NEIGHBOURHOODS: Final = {"none": 0, "previous": 1, "axes": 3, "corner": 7}
 """Names, and how many causal neighbours each takes."""
@@ -154,7 +153,7 @@ class ContextCounter:
             self._cells.add(rows)
             self._cells.add_zeros(nx * ny * nz - len(rows))
 
-    def symbol_counts(self) -> tuple[NDArray[np.int64], int]:
+    def symbol_counts(self) -> tuple[Int64s, int]:
         """How often each symbol but 0 was counted, int64 [K], and how often 0."""
         alone = self._cells.marginal((_SYMBOL,))
         held = alone.counts()[: len(alone.counts()) - bool(alone.zeros)]

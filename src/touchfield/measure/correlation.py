@@ -26,7 +26,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.information import mutual_information
 from touchfield.measure.quantity import Entropies, FewSamplesWarning, Quantity
@@ -34,23 +36,8 @@ from touchfield.medium import BRICK
 from touchfield.medium.field import brick_keys
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.medium import ForceField
 
-    Float64s = NDArray[np.float64]
-    Int64s = NDArray[np.int64]
-
-__all__ = [
-    "READINGS",
-    "Contact",
-    "Correlation",
-    "classes_of_equal_share",
-    "contact_along_axis",
-    "contact_along_rays",
-    "correlation_length_px",
-    "picture_correlation",
-]
 
 READINGS: Final = ("first", "peak")
 MOST_LOOKUPS: Final = 1 << 31
@@ -167,7 +154,7 @@ def _followed(
     return found, at
 
 
-def _amplitudes_at(field: ForceField, index: NDArray[np.int64]) -> Float64s:
+def _amplitudes_at(field: ForceField, index: Int64s) -> Float64s:
     """|F| at lattice points, newtons, float64 [n], of int64 [n, 3]; 0 outside the grid."""
     found = np.zeros(len(index))
     inside = ((index >= 0) & (index < field.grid.shape)).all(axis=1)

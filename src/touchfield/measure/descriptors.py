@@ -45,7 +45,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float32s, Float64s, Int32s
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, HapticMedium
@@ -53,24 +55,8 @@ from touchfield.medium.field import brick_keys
 from touchfield.perception.weber import WeberLadder
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.medium import Grid
 
-    Float64s = NDArray[np.float64]
-
-__all__ = [
-    "DESCRIPTOR_LENGTH",
-    "DESCRIPTOR_VERSION",
-    "LEVELS",
-    "PARTS",
-    "Descriptor",
-    "DirectionSums",
-    "descriptor",
-    "icosahedral_directions",
-    "octree_levels",
-    "real_harmonics",
-]
 
 SPREAD: Final = 0.3
 """Radians: about half the angle between neighbouring directions."""
@@ -165,7 +151,7 @@ LEVELS: Final = 5
 
 
 def octree_levels(
-    grid: Grid, positions: NDArray[np.int32], amplitudes_n: NDArray[np.float32], thresholds_n: Float64s
+    grid: Grid, positions: Int32s, amplitudes_n: Float32s, thresholds_n: Float64s
 ) -> tuple[Float64s, Float64s]:
     """Support fractions, float64 [LEVELS], and entropies in bits a cell, float64 [LEVELS], of one frame.
 
@@ -364,7 +350,7 @@ def thresholds_n() -> Float64s:
     return WeberLadder.spanning(WEBER_FRACTION, *FORCES_N).thresholds_n
 
 
-def _shared(amplitudes_n: NDArray[np.float32]) -> Float64s:
+def _shared(amplitudes_n: Float32s) -> Float64s:
     """How many voxels each level of `thresholds_n` has, of felt ones, each shared between the two nearest."""
     levels = np.log(thresholds_n())
     place = np.interp(np.log(amplitudes_n.astype(np.float64)), levels, np.arange(len(levels)))

@@ -12,30 +12,15 @@ import operator
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.quantity import NORMALISATIONS, Quantity, normaliser_bits
+from touchfield.measure.quantity import Quantity, normaliser_bits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = [
-    "NORMALISATIONS",
-    "conditional_entropy",
-    "entropy",
-    "jensen_shannon_distance",
-    "jensen_shannon_divergence",
-    "joint_entropy",
-    "kullback_leibler_divergence",
-    "mutual_information",
-    "normalised_mutual_information",
-    "normaliser_bits",
-    "variation_of_information",
-]
 
 TOLERANCE: Final = 1e-9
 """How far from 1 probabilities may add up."""

@@ -27,29 +27,15 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.symbol_keys import as_array
 from touchfield.medium.field import frozen
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = [
-    "ESTIMATORS",
-    "Estimator",
-    "Tally",
-    "binary_entropy_bits",
-    "entropy_bits",
-    "estimate_bits",
-    "nsb_nats",
-    "tally",
-]
 
 
 def entropy_bits(counts: ArrayLike) -> float:
@@ -203,8 +189,8 @@ class Tally:
     many symbols were counted so often.
     """
 
-    counts: NDArray[np.float64]
-    times: NDArray[np.float64]
+    counts: Float64s
+    times: Float64s
 
     @property
     def samples(self) -> float:

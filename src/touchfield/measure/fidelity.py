@@ -17,17 +17,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
 from touchfield.perception.mask import SpatialMasking, violations
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.medium import ForceField
 
-__all__ = ["FidelityMeter"]
 
 _CHUNK = 4096  # bricks at a time: 25 MB of float32 forces
 
@@ -66,9 +64,7 @@ class FidelityMeter:
                 around[np.isin(part, mine)] = hidden[np.isin(mine, part)]
             self._add_bricks(original.forces_at(part), decoded.forces_at(part), around)
 
-    def _add_bricks(
-        self, original: NDArray[np.float32], decoded: NDArray[np.float32], hidden: NDArray[np.float32]
-    ) -> None:
+    def _add_bricks(self, original: Float32s, decoded: Float32s, hidden: Float32s) -> None:
         x = original.reshape(-1, 3)
         y = decoded.reshape(-1, 3)
         held = (x != 0).any(axis=1) | (y != 0).any(axis=1)

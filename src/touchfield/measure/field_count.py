@@ -13,23 +13,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import Fields, FramePairs, Frames, frames_changed
 from touchfield.measure.histogram import LEAST_BLOCKS, MOST_BLOCK_CELLS, Histogram
 from touchfield.measure.quantity import Counted
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Int64s = NDArray[np.int64]
-
-__all__ = ["BrickBoxes", "BrickGroups", "SharedBoxes", "SymbolCount", "count_symbols", "no_support", "shared_counts"]
 
 # -- parts of space for a block bootstrap: boxes of a lattice, or groups of bricks of the support
 
@@ -70,7 +64,7 @@ class BrickGroups:
         """B."""
         return int(self.owners.max()) + 1 if len(self.owners) else 0
 
-    def owner(self, grid: Grid, bricks: NDArray[np.int32]) -> Int64s:
+    def owner(self, grid: Grid, bricks: Int32s) -> Int64s:
         """The block of each brick, int64 [m], of int32 [m, 3]; bricks without a symbol may be anywhere."""
         place = np.minimum(np.searchsorted(self.keys, brick_keys(grid, bricks)), len(self.keys) - 1)
         owner: Int64s = self.owners[place]
@@ -110,7 +104,7 @@ class BrickBoxes:
         """B."""
         return math.prod(self.cuts)
 
-    def owner(self, grid: Grid, bricks: NDArray[np.int32]) -> Int64s:
+    def owner(self, grid: Grid, bricks: Int32s) -> Int64s:
         """The block of each brick, int64 [m], of int32 [m, 3]."""
         a, b, c = (bricks.astype(np.int64) * self.cuts // grid.brick_shape).T
         owner: Int64s = (a * self.cuts[1] + b) * self.cuts[2] + c
@@ -266,8 +260,8 @@ class SharedBoxes:
     `low_m`, `high_m` float64 [3]: the box that is cut. `cuts` (int, int, int): boxes along each axis.
     """
 
-    low_m: NDArray[np.float64]
-    high_m: NDArray[np.float64]
+    low_m: Float64s
+    high_m: Float64s
     cuts: tuple[int, int, int]
 
     @classmethod
@@ -295,7 +289,7 @@ class SharedBoxes:
         """B."""
         return math.prod(self.cuts)
 
-    def owner(self, grid: Grid, bricks: NDArray[np.int32]) -> Int64s:
+    def owner(self, grid: Grid, bricks: Int32s) -> Int64s:
         """The box of each sample of bricks of a lattice, int64 [m, 512], of int32 [m, 3]."""
         x, y, z = (
             np.pad(o, (0, -len(o) % BRICK)).reshape(-1, BRICK)[b]
@@ -352,7 +346,7 @@ def _counts(frames: Frames, grid: Grid, histogram: Histogram, boxes: SharedBoxes
     return out
 
 
-def _along_m(grid: Grid) -> Sequence[NDArray[np.float64]]:
+def _along_m(grid: Grid) -> Sequence[Float64s]:
     """Where the samples lie along each axis, metres."""
     return [
         o + h * np.arange(n, dtype=np.float64)

@@ -18,7 +18,9 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_count import SymbolCount, count_symbols, no_support
 from touchfield.measure.field_symbols import Fields, FramePairs, Frames
@@ -26,13 +28,8 @@ from touchfield.measure.histogram import LEAST_BLOCKS
 from touchfield.measure.quantity import Counted, Entropies, check_normalisation, measured
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.measure.quantity import Quantity
 
-    Int64s = NDArray[np.int64]
-
-__all__ = ["FieldCounts", "FieldJoint", "field_counts", "field_entropy", "field_joint"]
 
 BLOCKS = 27
 """Three along each side of a cube: fewer, larger blocks cover more of what neighbours share, see `bootstrap`."""

@@ -10,20 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import brick_keys, frozen
 from touchfield.medium.grid import BRICK, Grid
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Int64s = NDArray[np.int64]
-
-__all__ = ["FieldSymbols", "Fields", "FramePairs", "Frames", "Part", "aligned", "frames_changed"]
 
 
 @dataclass(frozen=True)
@@ -48,8 +43,8 @@ class FieldSymbols:
     """
 
     grid: Grid
-    bricks: NDArray[np.int32]
-    symbols: NDArray[np.int32]
+    bricks: Int32s
+    symbols: Int32s
     alphabet: int
     quantiser: str
 
@@ -105,7 +100,7 @@ class FieldSymbols:
         held = np.argwhere(tiled.any(axis=(3, 4, 5))).astype(np.int32)
         return cls(grid, held, np.ascontiguousarray(tiled[tuple(held.T)]), alphabet, quantiser)
 
-    def to_dense(self) -> NDArray[np.int32]:
+    def to_dense(self) -> Int32s:
         """All symbols, int32 [nx, ny, nz]."""
         bx, by, bz = self.grid.brick_shape
         tiled = np.zeros((bx, by, bz, BRICK, BRICK, BRICK), np.int32)
@@ -115,9 +110,9 @@ class FieldSymbols:
         return np.ascontiguousarray(dense[:nx, :ny, :nz])
 
     @property
-    def object_symbols(self) -> NDArray[np.int32]:
+    def object_symbols(self) -> Int32s:
         """The symbols that are not 0, brick after brick, int32 [L]."""
-        found: NDArray[np.int32] = self.symbols[self.symbols != 0]
+        found: Int32s = self.symbols[self.symbols != 0]
         return found
 
     @property
@@ -130,7 +125,7 @@ class FieldSymbols:
         """V, all voxels of the lattice."""
         return self.grid.voxel_count
 
-    def symbols_at(self, index: ArrayLike) -> NDArray[np.int32]:
+    def symbols_at(self, index: ArrayLike) -> Int32s:
         """The symbols at lattice points, int32 [m], of indices int [m, 3]; 0 outside the grid."""
         i = np.asarray(index, np.int64).reshape(-1, 3)
         inside = ((i >= 0) & (i < self.grid.shape)).all(axis=1)
@@ -164,7 +159,7 @@ def aligned(fields: tuple[FieldSymbols, ...]) -> list[NDArray[Any]]:
     return out
 
 
-Part = tuple["NDArray[np.int32]", "NDArray[np.int64]"]
+Part = tuple["Int32s", "Int64s"]
 """Bricks int32 [m, 3], and the symbols of their samples, int64 [m, 512], 0 where nothing is."""
 
 Fields = FieldSymbols | Sequence[FieldSymbols]

@@ -9,23 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import entropy_bits
 from touchfield.measure.symbol_keys import STRETCH, SymbolKeys, checked_symbols, keys_of, stretch
 from touchfield.medium.field import frozen
 from touchfield.parallel import for_chunks
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+Counted = tuple[Int64s, Int64s]
 
-    Int64s = NDArray[np.int64]
-    Counted = tuple[Int64s, Int64s]
-
-__all__ = ["Histogram", "JointHistogram", "SymbolCounter", "block_counts", "merged"]
 
 MOST_BLOCK_CELLS = 1 << 24
 """Blocks times symbols that `block_counts` may hold: 128 MiB."""

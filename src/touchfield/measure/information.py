@@ -15,31 +15,19 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
+from touchfield.measure.bootstrap import Interval
 from touchfield.measure.distribution import jensen_shannon_bits
 from touchfield.measure.histogram import Histogram, JointHistogram, block_counts
-from touchfield.measure.quantity import Counted, Entropies, Interval, Quantity, check_normalisation, measured
+from touchfield.measure.quantity import Counted, Entropies, Quantity, check_normalisation, measured
 from touchfield.measure.symbol_keys import checked_symbols
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.measure.quantity import Quantity
 
-    Int64s = NDArray[np.int64]
-    Float64s = NDArray[np.float64]
-
-__all__ = [
-    "conditional_entropy",
-    "entropy",
-    "jensen_shannon_distance",
-    "joint_entropy",
-    "ksg_mutual_information",
-    "mutual_information",
-    "normalised_mutual_information",
-    "variation_of_information",
-]
 
 # -- mutual information of continuous pairs, from nearest neighbours
 
@@ -141,7 +129,7 @@ def _ksg_nats(x: Float64s, y: Float64s, k: int) -> float:
     return float(digamma(k) + digamma(len(x)) - mean)
 
 
-def _nearer(points: Float64s, reach: Float64s) -> NDArray[np.int64]:
+def _nearer(points: Float64s, reach: Float64s) -> Int64s:
     """How many points lie strictly nearer than `reach` to each point, itself among them: n_x + 1."""
     from scipy.spatial import cKDTree
 

@@ -17,19 +17,17 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.quantity import LEAST_BLOCKS, Counted, Entropies, measured
 from touchfield.medium.field import frozen
-from touchfield.medium.trace import Trace, read_trace
+from touchfield.medium.trace import Trace
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.measure.quantity import Quantity
     from touchfield.medium import Grid
 
-__all__ = ["Trace", "Visits", "interaction_entropy", "read_trace", "visits"]
 
 _MOST_CELLS: Final = 1 << 24  # blocks times symbols of one table
 _LATE: Final = 1e-6  # share of a frame by which a time stamp may fall short of it, for stamps rounded to decimals
@@ -43,8 +41,8 @@ class Visits(NamedTuple):
     int64 [m]: samples of the trace in the cell of each. `outside`: samples of the trace in no cell of the grid.
     """
 
-    places: NDArray[np.int64]
-    counts: NDArray[np.int64]
+    places: Int64s
+    counts: Int64s
     outside: int
 
 
@@ -115,7 +113,7 @@ def interaction_entropy(
     return measured("H(S)", entropies.joint, counted, most=entropies.most_bits())
 
 
-def _cells(positions_m: NDArray[np.float64], grid: Grid) -> NDArray[np.int64]:
+def _cells(positions_m: Float64s, grid: Grid) -> Int64s:
     """The raster number of the cell of each position, int64 [n]; -1 outside the grid."""
     with np.errstate(over="ignore"):  # a position of 1e300 m is far away, and no error
         nearest = np.floor(grid.to_index(positions_m) + 0.5)
@@ -125,7 +123,7 @@ def _cells(positions_m: NDArray[np.float64], grid: Grid) -> NDArray[np.int64]:
     return cells
 
 
-def _per_block(place: NDArray[np.int64], symbols: int, blocks: int) -> NDArray[np.int64] | None:
+def _per_block(place: Int64s, symbols: int, blocks: int) -> Int64s | None:
     """Counts of symbols 0 .. symbols - 1 in contiguous blocks of `place`, int64 [B, symbols]; None below 8 blocks."""
     fit = min(blocks, len(place), _MOST_CELLS // max(1, symbols))
     if fit < LEAST_BLOCKS:
@@ -137,7 +135,7 @@ def _per_block(place: NDArray[np.int64], symbols: int, blocks: int) -> NDArray[n
 
 def _met(
     trace: Trace, symbols: FieldSymbols | Sequence[FieldSymbols], rate_hz: float | None
-) -> tuple[FieldSymbols, NDArray[np.int32], int]:
+) -> tuple[FieldSymbols, Int32s, int]:
     """The first field; the symbol at each sample that meets the medium, in order of time; the samples during it."""
     if isinstance(symbols, FieldSymbols):
         return symbols, _at(symbols, trace.positions_m), len(trace)
@@ -155,7 +153,7 @@ def _met(
 
 def _frames_met(
     trace: Trace, symbols: Sequence[FieldSymbols], rate_hz: float, first: FieldSymbols
-) -> Iterator[tuple[FieldSymbols, NDArray[np.float64]]]:
+) -> Iterator[tuple[FieldSymbols, Float64s]]:
     """Each frame that the trace meets, and the positions during it; times never fall, so that these are slices."""
     frame = np.floor(trace.times_s * rate_hz + _LATE)
     for number in np.unique(frame[(frame >= 0) & (frame < len(symbols))]):
@@ -170,7 +168,7 @@ def _frames_met(
         yield field, trace.positions_m[begin:end]
 
 
-def _at(field: FieldSymbols, positions_m: NDArray[np.float64]) -> NDArray[np.int32]:
+def _at(field: FieldSymbols, positions_m: Float64s) -> Int32s:
     """The symbols at the positions inside the grid, in their order."""
     cells = _cells(positions_m, field.grid)
     index = np.stack(np.unravel_index(cells[cells >= 0], field.grid.shape), axis=-1)

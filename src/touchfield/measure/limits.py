@@ -18,7 +18,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.causal import CellCounter, checked_symbols, frames_of, scan_order, scan_relabelled
 from touchfield.measure.context import NEIGHBOURHOODS, ContextCounter, ContextEntropy
@@ -29,11 +31,8 @@ from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.measure.field_symbols import FieldSymbols
 
-__all__ = ["BlockCounter", "BlockRates", "CodingLimits", "block_rates", "coding_limits", "scan_line_rates"]
 
 MOST_IN_BLOCK = 64
 _SAMPLES_AT_ONCE = 1 << 18
@@ -130,7 +129,7 @@ class BlockCounter:
         return BlockRates(tuple(entropies), tuple(rates))
 
 
-def _scan_lines(frame: FieldSymbols, axis: int, longest: int) -> Iterator[NDArray[np.int32]]:
+def _scan_lines(frame: FieldSymbols, axis: int, longest: int) -> Iterator[Int32s]:
     """Pieces of the lines along an axis, int32 [m, b + longest - 1], some at a time.
 
     The first b samples of each piece are those of a brick; any block of the lines that is not all 0 begins at one of
@@ -147,7 +146,7 @@ def _scan_lines(frame: FieldSymbols, axis: int, longest: int) -> Iterator[NDArra
             yield _lines_from(frame, axis, some[start : start + at_once], width)
 
 
-def _begins(frame: FieldSymbols, axis: int, longest: int) -> NDArray[np.int64]:
+def _begins(frame: FieldSymbols, axis: int, longest: int) -> Int64s:
     """The bricks at whose samples blocks begin that reach a symbol but 0, each once, int64 [n, 3]."""
     grid = frame.grid
     held = frame.bricks[frame.symbols.any(axis=(1, 2, 3))].astype(np.int64)
@@ -158,7 +157,7 @@ def _begins(frame: FieldSymbols, axis: int, longest: int) -> NDArray[np.int64]:
     return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int64)
 
 
-def _lines_from(frame: FieldSymbols, axis: int, bricks: NDArray[np.int64], width: int) -> NDArray[np.int32]:
+def _lines_from(frame: FieldSymbols, axis: int, bricks: Int64s, width: int) -> Int32s:
     """The 64 lines along an axis from each of some bricks on, int32 [n * 64, width], closed to rings."""
     grid = frame.grid
     keys = brick_keys(grid, frame.bricks)

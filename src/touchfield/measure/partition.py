@@ -17,24 +17,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.histogram import merged
 from touchfield.medium.grid import BRICK, Grid
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Counts = tuple[Int64s, Int64s]
 
-    Float64s = NDArray[np.float64]
-
-    Int64s = NDArray[np.int64]
-    Counts = tuple[Int64s, Int64s]
-
-__all__ = ["BoxLosses", "DyadicBox", "DyadicLattice", "Partition", "optimal_partition"]
 
 # -- Bits that a device leaves out when it is filled by a dyadic box of the workspace (paper section 4)
 
@@ -257,7 +252,7 @@ def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalt
         raise InvalidArgument("losses", f"shapes {[np.shape(loss) for loss in losses]}", str(shapes))
     if not all(np.isfinite(loss).all() for loss in losses):
         raise InvalidArgument("losses", "one that is not finite", "finite bits")
-    kept: list[NDArray[np.bool_]] = [np.ones(shapes[-1], np.bool_)]
+    kept: list[Bools] = [np.ones(shapes[-1], np.bool_)]
     cost, count = np.asarray(losses[-1], np.float64) + penalty_bits, np.ones(shapes[-1], np.int64)
     for d in reversed(range(lattice.depth)):
         alone = losses[d] + penalty_bits
@@ -284,7 +279,7 @@ def _of_children(values: NDArray[Any], shape: tuple[int, int, int]) -> NDArray[A
     return total
 
 
-def _to_children(values: NDArray[np.bool_], shape: tuple[int, int, int]) -> NDArray[np.bool_]:
+def _to_children(values: Bools, shape: tuple[int, int, int]) -> Bools:
     for axis in range(3):
         values = np.repeat(values, shape[axis] // values.shape[axis], axis=axis)
     return values

@@ -22,22 +22,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import ForceField, brick_keys, dilated, frozen, neighbour_slots
 from touchfield.medium.grid import BRICK, Grid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-    from numpy.typing import ArrayLike, NDArray
-
-__all__ = ["Passivity", "best_loop", "curl_n_per_m", "loop_work_j", "passivity"]
 
 # -- The work of a field around closed loops, exact for the field that a renderer plays (theory: energy passivity)
 
@@ -115,9 +109,7 @@ def _random_loops(force_field: ForceField, edges: bool, loops: int, rng: np.rand
     return np.asarray(centres[fits, None] + stars[fits])
 
 
-def _random_samples(
-    force_field: ForceField, count: int, rng: np.random.Generator
-) -> tuple[NDArray[np.int64], Float64s]:
+def _random_samples(force_field: ForceField, count: int, rng: np.random.Generator) -> tuple[Int64s, Float64s]:
     """Supported samples, each as likely as any other: indices [count, 3] and newtons [count, 3]."""
     mask = force_field.mask.reshape(-1, BRICK**3)
     until = np.cumsum(np.count_nonzero(mask, axis=1))
@@ -130,7 +122,7 @@ def _random_samples(
     return index.astype(np.int64), forces.astype(np.float64)
 
 
-def _fit(force_field: ForceField, paths_m: Float64s) -> NDArray[np.bool_]:
+def _fit(force_field: ForceField, paths_m: Float64s) -> Bools:
     """True where all cells that a path of [p, v, 3] crosses have their eight corners in the support, bool [p]."""
     index = force_field.grid.to_index(paths_m)
     corners = _cells_held(force_field, index.reshape(-1, 3)).reshape(index.shape[:2])
@@ -145,7 +137,7 @@ def _fit(force_field: ForceField, paths_m: Float64s) -> NDArray[np.bool_]:
     return fits
 
 
-def _cells_held(force_field: ForceField, index: Float64s) -> NDArray[np.bool_]:
+def _cells_held(force_field: ForceField, index: Float64s) -> Bools:
     """True where the eight lattice points around fractional indices [m, 3] are in the support, bool [m]."""
     grid = force_field.grid
     low = np.floor(index)
@@ -180,7 +172,7 @@ def _works_j(force_field: ForceField, paths_m: Float64s) -> Float64s:
 
 def _pieces(
     starts: Float64s, ends: Float64s, shape: tuple[int, int, int]
-) -> Iterator[tuple[NDArray[np.int64], Float64s, Float64s]]:
+) -> Iterator[tuple[Int64s, Float64s, Float64s]]:
     """Segments [n, 3] in samples, cut where they cross a lattice plane: segment, and from and to which share of it.
 
     Beyond one sample from the grid there is no force, and nothing to cut. A bounded number of pieces at a time.
@@ -321,7 +313,7 @@ def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, se
     )
 
 
-def curl_n_per_m(force_field: ForceField, edges: bool = False) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def curl_n_per_m(force_field: ForceField, edges: bool = False) -> tuple[Int32s, Float32s]:
     """The curl at lattice points by central differences.
 
     Returns
@@ -342,9 +334,7 @@ def curl_n_per_m(force_field: ForceField, edges: bool = False) -> tuple[NDArray[
     return (bricks[brick] * BRICK + offset).astype(np.int32), curls.reshape(-1, 3)[slots]
 
 
-def _looked_at(
-    force_field: ForceField, edges: bool, keep: bool
-) -> tuple[Float64s, NDArray[np.int32], NDArray[np.float32]]:
+def _looked_at(force_field: ForceField, edges: bool, keep: bool) -> tuple[Float64s, Int32s, Float32s]:
     """Rows of `kernels.passivity.COLUMNS`, the bricks they are of, and their curls [m, 512, 3], NaN where unseen."""
     from touchfield.measure.kernels.passivity import curl_and_loops
 

@@ -23,10 +23,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.causal import (
     array_frames,
@@ -43,11 +45,6 @@ from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.quantity import Quantity
 from touchfield.medium.field import slots_around
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-__all__ = ["FrameBits", "PrequentialCoder", "PrequentialLength", "kt_code_length_bits", "prequential_code_length"]
-
 _LOWER: Final = (0, 1, 3, 4, 9, 10, 12)  # of the 27 bricks around one, those of {-1, 0}^3
 _BEFORE: Final = 1 << 7
 _AXES: Final = 1 << 3 | 1 << 5 | 1 << 6  # bricks 4, 10 and 12
@@ -58,7 +55,7 @@ flag in the previous frame."""
 _VOXELS_AT_ONCE: Final = 1 << 15
 
 
-def kt_code_length_bits(zeros: ArrayLike, ones: ArrayLike) -> NDArray[np.float64]:
+def kt_code_length_bits(zeros: ArrayLike, ones: ArrayLike) -> Float64s:
     """Bits of the Krichevsky-Trofimov code for binary sequences with so many zeros and ones, in any order.
 
     -log2 B(zeros + 1/2, ones + 1/2) / pi, B being the beta function: the chance of the next one is (ones + 1/2) /
@@ -72,7 +69,7 @@ def kt_code_length_bits(zeros: ArrayLike, ones: ArrayLike) -> NDArray[np.float64
     for name, n in (("zeros", n0), ("ones", n1)):
         if not (np.isfinite(n) & (n >= 0)).all():
             raise InvalidArgument(name, "a count that is negative or not finite", "at least 0")
-    length: NDArray[np.float64] = (math.log(math.pi) - betaln(n0 + 0.5, n1 + 0.5)) / math.log(2)
+    length: Float64s = (math.log(math.pi) - betaln(n0 + 0.5, n1 + 0.5)) / math.log(2)
     return np.maximum(length, 0.0)
 
 
@@ -187,7 +184,7 @@ class PrequentialCoder:
         self._array_before = frame
         return self._told(0.0, start, frame.size, int(np.count_nonzero(frame)))
 
-    def _told(self, brick_bits: float, start: NDArray[np.float64], voxels: int, supported: int) -> FrameBits:
+    def _told(self, brick_bits: float, start: Float64s, voxels: int, supported: int) -> FrameBits:
         support, symbols, _ = (self._model.totals - start).tolist()
         found = FrameBits(brick_bits, support, symbols)
         self._frames.append(found)
@@ -227,7 +224,7 @@ class PrequentialCoder:
         )
 
 
-def _mixture_bits(flags: NDArray[np.int64]) -> float:
+def _mixture_bits(flags: Int64s) -> float:
     """-log2 of the mean over the models of the chance each gives to all flags so far."""
     context = np.arange(256)
     lengths = []

@@ -15,20 +15,14 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.bootstrap import Interval, interval
 from touchfield.measure.estimators import ESTIMATORS, estimate_bits
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Int64s = NDArray[np.int64]
-
-__all__ = ["WEIGHTINGS", "Counted", "Entropies", "FewSamplesWarning", "Interval", "Quantity", "Statistic", "measured"]
 
 WEIGHTINGS = ("samples", "voxel", "object", "interaction")
 """mu: each sample of an array as often as it is there; each voxel of the lattice; each voxel whose quantised force
@@ -127,7 +121,7 @@ class Quantity:
         return f"{self.name} = {self.value:.6g}{spread} {self.unit} (Q {self.quantiser}, mu {self.weighting})"
 
 
-Statistic = Callable[["NDArray[np.int64]"], float]
+Statistic = Callable[["Int64s"], float]
 """Of the counts int64 [K] of cells; NaN where it does not exist."""
 
 LEAST_BLOCKS = 8

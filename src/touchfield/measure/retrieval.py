@@ -19,29 +19,15 @@ import zipfile
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, DESCRIPTOR_VERSION, PARTS, Descriptor, part_slots
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.npz import NpzArchive
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = [
-    "ANY_POSE",
-    "MOST_MEDIA",
-    "Match",
-    "MediumIndex",
-    "average_precision",
-    "chance_average_precision",
-    "mean_average_precision",
-]
 
 # -- How good a ranking is: mean average precision, and what chance gives
 

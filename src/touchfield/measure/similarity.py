@@ -31,10 +31,11 @@ import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.distribution import jensen_shannon_bits
 from touchfield.measure.field_count import count_symbols, no_support
@@ -42,13 +43,6 @@ from touchfield.measure.field_symbols import Fields, FramePairs, Frames
 from touchfield.measure.quantity import Entropies, Quantity, check_normalisation, measured
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Int64s = NDArray[np.int64]
-
-__all__ = ["COMPRESSORS", "Similarity", "compression_distance", "packed", "similarity"]
 
 MOST_BYTES: Final = 1 << 25
 """Of the packed symbols of both media; lzma takes about twelve times as much memory."""

@@ -9,19 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.parallel import for_chunks
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Int64s = NDArray[np.int64]
-
-__all__ = ["STRETCH", "SymbolKeys", "as_array", "checked_symbols", "keys_of", "stretch"]
 
 STRETCH = 1 << 18
 """Samples handled at once: 2 MiB of int64."""

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import os
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.grid import BRICK
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 BYTES_PER_BRICK = BRICK**3 * 3 * 4
 _UNKNOWN_MACHINE_BYTES = 4 << 30
@@ -39,7 +36,7 @@ def memory_budget_bytes() -> int:
         return _physical_bytes() // 2
 
 
-def zero_forces(count: int) -> NDArray[np.float32]:
+def zero_forces(count: int) -> Float32s:
     """Zero forces for `count` bricks, float32 [count, 8, 8, 8, 3].
 
     Raises `InvalidArgument` if they would take more than `memory_budget_bytes`.

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium.budget import memory_budget_bytes, require_memory, zero_forces
 from touchfield.medium.field import ForceField, bricks_of
@@ -21,13 +23,8 @@ from touchfield.parallel import for_chunks
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.medium.grid import Grid
     from touchfield.medium.haptic_scene import HapticScene
-
-    Int64s = NDArray[np.int64]
-    Float64s = NDArray[np.float64]
 
 _FLOOR_SHARE: Final = 1e-9
 """An object's own force below this share of F_max is the rounding of a place on the edge of its support."""
@@ -53,8 +50,8 @@ class CellPool:
     lattices: Float64s
     boxes: Int64s  # int64 [objects, 5]
     starts: Int64s  # int64 [objects + 1]
-    bricks: NDArray[np.int32]  # int32 [n, 3]; of cells, from the corner
-    cells: NDArray[np.float32]  # float32 [n * 9 * 9 * 9 * 3]
+    bricks: Int32s  # int32 [n, 3]; of cells, from the corner
+    cells: Float32s  # float32 [n * 9 * 9 * 9 * 3]
     held: NDArray[np.uint64]  # uint64 [n, 8]
     tables: Int64s  # int64 [m, 2]
 
@@ -134,7 +131,7 @@ class PlacedFields:
         self._velocities: list[tuple[Float64s, Float64s]] = []
         self._latest: tuple[int, CellPool, Float64s] | None = None
 
-    def sample_n(self, frame: int, positions_m: ArrayLike) -> NDArray[np.float32]:
+    def sample_n(self, frame: int, positions_m: ArrayLike) -> Float32s:
         """See `HapticScene.sample_n`."""
         from touchfield.medium.kernels import placed as kernels
 
@@ -219,7 +216,7 @@ class PlacedFields:
         return joined
 
 
-def _stamps(grid: Grid) -> NDArray[np.int32]:
+def _stamps(grid: Grid) -> Int32s:
     """Zero for each brick of the lattice."""
     count, allowed = math.prod(grid.brick_shape), memory_budget_bytes() // 4
     if count > allowed:

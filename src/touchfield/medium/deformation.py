@@ -22,7 +22,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import frozen
@@ -30,10 +32,6 @@ from touchfield.medium.npz import NpzArchive
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from numpy.typing import ArrayLike, NDArray
-
-    Float64s = NDArray[np.float64]
 
 MOST_CONTROLS: Final = 32
 """Along an axis."""
@@ -163,7 +161,7 @@ class Deformation:
                 jacobian[..., axis] = made
             yield jacobian + np.eye(3)
 
-    def design(self, points_m: Float64s) -> tuple[NDArray[np.int64], Float64s]:
+    def design(self, points_m: Float64s) -> tuple[Int64s, Float64s]:
         """Control points, flat, and weights of each point [n, 64]: u(x) is the weighted sum."""
         shape = np.array(self.displacement_m.shape[1:4])
         s = np.clip((points_m - np.array(self.corner_m)) / np.array(self.spacing_m), 0, shape - 3)

@@ -7,17 +7,13 @@ the control points along each axis, which carry the fit on to where there is no 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.deformation import Deformation
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
 
 _SMOOTH: Final = (3e-3, 3e-2, 0.3)
 """Weights of the second differences, over the mean weight of a vertex; the first that does not fold is taken."""

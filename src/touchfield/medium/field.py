@@ -14,18 +14,15 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
-    Float32s = NDArray[np.float32]
-    Int32s = NDArray[np.int32]
 
 
 _MAX_PAIRS = 1 << 27
@@ -39,14 +36,14 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> Int64s:
     """The place of each brick in the fixed order (x slowest, z fastest), int64 [n], of int [n, 3]."""
     _, by, bz = grid.brick_shape
     b = bricks.astype(np.int64)
     return (b[:, 0] * by + b[:, 1]) * bz + b[:, 2]
 
 
-def bricks_of(grid: Grid, keys: NDArray[np.int64]) -> NDArray[np.int32]:
+def bricks_of(grid: Grid, keys: Int64s) -> Int32s:
     """The bricks of these keys, int32 [n, 3]; the inverse of `brick_keys`."""
     return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
 
@@ -54,9 +51,9 @@ def bricks_of(grid: Grid, keys: NDArray[np.int64]) -> NDArray[np.int32]:
 def slots_around(
     bricks: NDArray[np.integer[Any]],
     others: NDArray[np.integer[Any]],
-    count: Sequence[int] | NDArray[np.int64],
+    count: Sequence[int] | Int64s,
     neighbours: int = 27,
-) -> NDArray[np.int64]:
+) -> Int64s:
     """Places among others of the bricks around each brick, int64 [n, neighbours]; -1 for none.
 
     bricks, others : int [n, 3], int [m, 3]; the others in raster order, x slowest.
@@ -87,9 +84,7 @@ def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
     return bricks_of(grid, keys)
 
 
-def spread_keys(
-    keys: NDArray[np.int64], lattice: tuple[int, int, int], axis: int, margins: tuple[int, int]
-) -> NDArray[np.int64]:
+def spread_keys(keys: Int64s, lattice: tuple[int, int, int], axis: int, margins: tuple[int, int]) -> Int64s:
     """Ascending keys of bricks, int64 [m], each once: `keys` [n] and, on `axis`, up to `margins` before and behind.
 
     Raises `InvalidArgument` if that makes more than 2^27 pairs of bricks.
@@ -277,7 +272,7 @@ class ForceField:
             nx, ny, nz = (n - slab * BRICK if a == axis else n for a, n in enumerate(self.grid.shape))
             yield np.ascontiguousarray(tiled.reshape(*size, 3)[:nx, :ny, :nz])
 
-    def raster_slots(self) -> NDArray[np.int64]:
+    def raster_slots(self) -> Int64s:
         """Places of the supported samples in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
         from touchfield.medium import kernels
 
@@ -303,7 +298,7 @@ class ForceField:
             frozen(self.positions()), frozen(amplitudes.astype(np.float32)), frozen(directions.astype(np.float32))
         )
 
-    def forces_at(self, keys: NDArray[np.int64]) -> Float32s:
+    def forces_at(self, keys: Int64s) -> Float32s:
         """The forces of the bricks with these keys (`brick_keys`), float32 [n, 8, 8, 8, 3].
 
         Zero where a brick is not stored.
@@ -317,7 +312,7 @@ class ForceField:
         return forces
 
     @cached_property
-    def mask(self) -> NDArray[np.bool_]:
+    def mask(self) -> Bools:
         """Samples of the stored bricks that hold a force, bool [n, 8, 8, 8]."""
         holds = self.forces_n[..., 0] != 0
         holds |= self.forces_n[..., 1] != 0

@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 BRICK = 8
 """Samples along each edge of a brick (docs/decisions/0001)."""
@@ -86,22 +84,22 @@ class Grid:
         return (-(-nx // BRICK), -(-ny // BRICK), -(-nz // BRICK))
 
     @property
-    def box_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def box_m(self) -> tuple[Float64s, Float64s]:
         """Low and high corner of the cells, metres, each float64 [3]."""
         spacing = np.asarray(self.spacing_m)
         low = np.asarray(self.origin_m) - spacing / 2
         return low, low + spacing * np.asarray(self.shape)
 
-    def axis_m(self, axis: int) -> NDArray[np.float64]:
+    def axis_m(self, axis: int) -> Float64s:
         """Positions of the samples along one axis, metres, float64 [shape[axis]]."""
         places = np.arange(self.shape[axis], dtype=np.float64)
         return np.asarray(self.origin_m[axis] + self.spacing_m[axis] * places)
 
-    def to_m(self, index: ArrayLike) -> NDArray[np.float64]:
+    def to_m(self, index: ArrayLike) -> Float64s:
         """Positions in metres, float64 [..., 3], of (fractional) indices [..., 3]."""
         return np.asarray(np.asarray(self.spacing_m) * np.asarray(index, np.float64) + np.asarray(self.origin_m))
 
-    def to_index(self, position_m: ArrayLike) -> NDArray[np.float64]:
+    def to_index(self, position_m: ArrayLike) -> Float64s:
         """Fractional indices, float64 [..., 3], of positions in metres [..., 3]."""
         offset = np.asarray(position_m, np.float64) - np.asarray(self.origin_m)
         return np.asarray(offset / np.asarray(self.spacing_m))

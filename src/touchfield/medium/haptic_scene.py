@@ -16,7 +16,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import Grid
@@ -24,8 +26,6 @@ from touchfield.medium.medium import HapticMedium
 from touchfield.medium.pose_track import PoseTrack
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.medium.cells import PlacedFields
 
 
@@ -118,7 +118,7 @@ class HapticScene:
 
         return replace(self, objects=tuple(map(cut, self.objects)))
 
-    def sample_n(self, frame: int, positions_m: ArrayLike) -> NDArray[np.float32]:
+    def sample_n(self, frame: int, positions_m: ArrayLike) -> Float32s:
         """Force at points of the scene in metres [..., 3], newtons, float32 [..., 3]: the receiver's own query.
 
         Each object's field is interpolated in its own frame as `ForceField.sample_n` does.

@@ -13,18 +13,17 @@ from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import Grid
 from touchfield.medium.vibration import VibrationBand
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 _AT_A_FRAME = 1e-6
 """As near to a frame as this share of the time between two, a time is that of the frame."""
@@ -176,7 +175,7 @@ class HapticMedium:
             return self[first]
         return self[first].scaled(1 - share) + self[second].scaled(share)
 
-    def sample_n(self, positions_m: ArrayLike, time_s: float = 0.0) -> NDArray[np.float32]:
+    def sample_n(self, positions_m: ArrayLike, time_s: float = 0.0) -> Float32s:
         """Force at points in metres [..., 3] and a time in seconds, newtons, float32 [..., 3]; see `at`.
 
         For many times take `touchfield.FieldSampler`, which keeps its frames.

@@ -24,19 +24,18 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, TYPE_CHECKING, Any, Final, Literal
+from typing import IO, Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.files import require_plain
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 DEFLATE_LEVEL: Final = 1
 """Of a field that is 3 % force, level 1 writes a twentieth of the bytes; level 6 takes longer for little."""
@@ -191,7 +190,7 @@ class _Frames:
         self._next = index + 1
         return field
 
-    def _slabs(self, where: str) -> Iterator[NDArray[np.float32]]:
+    def _slabs(self, where: str) -> Iterator[Float32s]:
         assert self._stream is not None
         nx, ny, nz = self._grid.shape
         for first in range(0, nx, BRICK):

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, overload
+from typing import Final, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.grid import Grid
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-__all__ = ["Placement"]
 
 _UNITS: Final = (("km", 1e3), ("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
 
@@ -72,8 +69,8 @@ class Placement:
     @overload
     def to_hand(self, what: Grid) -> Grid: ...
     @overload
-    def to_hand(self, what: ArrayLike) -> NDArray[np.float64]: ...
-    def to_hand(self, what: Grid | ArrayLike) -> Grid | NDArray[np.float64]:
+    def to_hand(self, what: ArrayLike) -> Float64s: ...
+    def to_hand(self, what: Grid | ArrayLike) -> Grid | Float64s:
         """Points of the scene [..., 3], or a grid, metres, where the hand finds them, metres, float64 [..., 3]."""
         if isinstance(what, Grid):
             return what.moved(self.scale, -self.scale * np.asarray(self.offset_m))
@@ -82,8 +79,8 @@ class Placement:
     @overload
     def to_scene(self, what: Grid) -> Grid: ...
     @overload
-    def to_scene(self, what: ArrayLike) -> NDArray[np.float64]: ...
-    def to_scene(self, what: Grid | ArrayLike) -> Grid | NDArray[np.float64]:
+    def to_scene(self, what: ArrayLike) -> Float64s: ...
+    def to_scene(self, what: Grid | ArrayLike) -> Grid | Float64s:
         """Points of the hand's space [..., 3], or a grid, metres, in the scene, metres, float64 [..., 3]."""
         if isinstance(what, Grid):
             return what.moved(1 / self.scale, self.offset_m)
@@ -101,7 +98,7 @@ class Placement:
         return {"mapping_scale": [self.scale], "mapping_offset_m": list(self.offset_m)}
 
 
-def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[Float64s, Float64s]:
     box = np.asarray(scene_box_m, np.float64)
     extent = box[1] - box[0] if box.shape == (2, 3) and np.isfinite(box).all() else np.zeros(3)
     if (extent < 0).any() or not extent.any() or not np.isfinite(extent).all():
@@ -110,7 +107,7 @@ def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[NDArray[np.float64], NDA
     return box[0] + extent / 2, extent
 
 
-def _workspace(workspace_m: ArrayLike) -> NDArray[np.float64]:
+def _workspace(workspace_m: ArrayLike) -> Float64s:
     workspace = np.asarray(workspace_m, np.float64)
     if workspace.shape != (3,) or not (workspace > 0).all():
         raise InvalidArgument("workspace_m", f"{workspace.tolist()}", "three positive extents in metres")

@@ -7,17 +7,14 @@ A pose takes points of the body's own frame into the scene: x_scene = R x_body +
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Float64s = NDArray[np.float64]
 
 _UNIT = 1e-3
 """Tolerance of a quaternion's length: what three digits in a text file give."""

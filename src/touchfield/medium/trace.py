@@ -22,18 +22,17 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple, TextIO
+from typing import Final, NamedTuple, TextIO
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.files import readable, require_plain
 from touchfield.medium.field import frozen
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Lines = Iterator[tuple[int, str]]
+Lines = Iterator[tuple[int, str]]
 
 HAPTIC_RATE_HZ: Final = 1000.0
 """The usual rate of a haptic loop (paper section 4); that of a trace without times."""
@@ -66,9 +65,9 @@ class Trace:
     length 1, or time falls.
     """
 
-    times_s: NDArray[np.float64]
-    positions_m: NDArray[np.float64]
-    quaternions: NDArray[np.float64] | None = None
+    times_s: Float64s
+    positions_m: Float64s
+    quaternions: Float64s | None = None
 
     def __post_init__(self) -> None:
         t, p = np.array(self.times_s, np.float64), np.array(self.positions_m, np.float64)
@@ -115,8 +114,8 @@ class Trace:
 class ContactTrace(NamedTuple):
     """Places of a probe and the forces on it, float64 [n, 3] each."""
 
-    positions_m: NDArray[np.float64]
-    forces_n: NDArray[np.float64]
+    positions_m: Float64s
+    forces_n: Float64s
 
 
 class _Columns(NamedTuple):
@@ -179,7 +178,7 @@ def has_forces(path: Path) -> bool:
     return True
 
 
-def _table(where: Path, forces: tuple[str, ...]) -> tuple[NDArray[np.float64], NDArray[np.int64], _Columns]:
+def _table(where: Path, forces: tuple[str, ...]) -> tuple[Float64s, Int64s, _Columns]:
     """The wanted columns, the line of each row, and what the columns are."""
     require_plain(where, "a trace file")
     with (
@@ -252,7 +251,7 @@ def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...]
     return _Columns(delimiter, places, factors, names)
 
 
-def _rows(lines: Lines, columns: _Columns, where: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _rows(lines: Lines, columns: _Columns, where: str) -> tuple[Float64s, Int64s]:
     """The wanted columns, float64 [n, 3 or 4], and the line of each row."""
     parts, numbers, count = [], [], 0
     while chunk := list(itertools.islice(lines, _LINES_AT_ONCE)):
@@ -266,7 +265,7 @@ def _rows(lines: Lines, columns: _Columns, where: str) -> tuple[NDArray[np.float
     return np.concatenate(parts), np.concatenate(numbers)
 
 
-def _numbers(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> NDArray[np.float64]:
+def _numbers(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> Float64s:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from touchfield.arrays import Float32s, Int32s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import ForceField, frozen
 from touchfield.medium.grid import Grid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 MAX_FREQUENCY_HZ: Final = 10000.0
 """As in ISO/IEC 23090-31."""
@@ -34,9 +32,9 @@ class VibrationFrame:
     """
 
     grid: Grid
-    positions: NDArray[np.int32]
-    amplitudes_n: NDArray[np.float32]
-    frequencies_hz: NDArray[np.float32]
+    positions: Int32s
+    amplitudes_n: Float32s
+    frequencies_hz: Float32s
 
     def __post_init__(self) -> None:
         p, a, f = self.positions, self.amplitudes_n, self.frequencies_hz

@@ -13,17 +13,15 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, Final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from touchfield.arrays import Float32s
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
 from touchfield.medium.medium import HapticMedium
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 BLOCK_BYTES: Final = 1 << 20
 DEFLATE_LEVEL: Final = 1
@@ -122,19 +120,19 @@ compressor="vtkZLibDataCompressor">
     return text.encode("utf-8")
 
 
-def _vectors(field: ForceField) -> Iterator[NDArray[np.float32]]:
+def _vectors(field: ForceField) -> Iterator[Float32s]:
     """Newtons with x fastest, as VTK has it, slab by slab along z."""
     for slab in field.slabs(2):
         yield slab.transpose(2, 1, 0, 3)
 
 
-def _magnitudes(field: ForceField) -> Iterator[NDArray[np.float32]]:
+def _magnitudes(field: ForceField) -> Iterator[Float32s]:
     for slab in _vectors(field):
         wide = slab.astype(np.float64)
         yield np.sqrt((wide * wide).sum(axis=-1)).astype(np.float32)
 
 
-def _write_blocks(stream: IO[bytes], total: int, pieces: Iterator[NDArray[np.float32]]) -> None:
+def _write_blocks(stream: IO[bytes], total: int, pieces: Iterator[Float32s]) -> None:
     """One array: the table of block sizes, then the blocks; `total` bytes in all before compression."""
     blocks = -(-total // BLOCK_BYTES)
     table = stream.tell()

@@ -22,18 +22,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Box = tuple[tuple[int, int, int], tuple[int, int, int]]
     """First sample and shape of a part of a lattice."""
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
-__all__ = ["boxes", "create", "read_zarr", "write_box", "write_zarr"]
 
 ARRAY: Final = "forces_n"
 DIMENSIONS: Final = ("t", "x", "y", "z", "component")
@@ -121,9 +119,7 @@ def _create_array(group: Any, medium: HapticMedium, level: int, coding: Mapping[
     )
 
 
-def write_box(
-    store: str | Path, frame: int, low: Sequence[int], forces_n: NDArray[np.float32], level: int = 0
-) -> None:
+def write_box(store: str | Path, frame: int, low: Sequence[int], forces_n: Float32s, level: int = 0) -> None:
     """Write newtons [nx, ny, nz, 3] of one of `boxes`, whose first sample is `low`; nothing where there are none."""
     if forces_n.any():
         array = _zarr().open_array(store, path=_level_name(level), mode="r+")
@@ -273,7 +269,7 @@ def _names(codecs: Any) -> Iterator[str]:
 def _frame(array: Any, frame: int, grid: Grid, chunk: Sequence[int], name: str) -> ForceField:
     """A frame, slab by slab of chunks along x, and in each chunk by chunk."""
 
-    def slab(x: int) -> NDArray[np.float32]:
+    def slab(x: int) -> Float32s:
         high = min(x + step, grid.shape[0])
         dense = np.zeros((high - x, *grid.shape[1:], 3), np.float32)
         for y, z in product(range(0, grid.shape[1], chunk[2]), range(0, grid.shape[2], chunk[3])):

@@ -19,17 +19,14 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.perception.human import THIRDS_HZ, VibrationThreshold, vibration_threshold
 from touchfield.perception.slides import LEAST_S, MARGIN_S, BandSums, points_on_surface, slide_m, surface_walks
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.medium import ForceField
     from touchfield.perception.slides import Forces
-
-    Float64s = NDArray[np.float64]
 
 SPEEDS_MM_S: Final = (50.0, 100.0, 200.0)
 
@@ -276,7 +273,7 @@ class _HoldSum:
         self._still = 0.0, 0.0
         self._band = BandSums(2)  # error, source
 
-    def add_steps(self, forces_n: Float64s, starts: NDArray[np.bool_], k: float, f0_n: float) -> None:
+    def add_steps(self, forces_n: Float64s, starts: Bools, k: float, f0_n: float) -> None:
         """Count the steps of a part."""
         change = np.diff(forces_n, axis=1)
         source, decoded = np.linalg.norm(change, axis=-1)

@@ -13,14 +13,13 @@ from dataclasses import dataclass, fields
 from functools import cache
 from importlib import resources
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 
 @dataclass(frozen=True)
@@ -78,17 +77,17 @@ class VibrationThreshold:
     source: str
     conditions: str
 
-    def displacement_peak_um(self, frequency_hz: ArrayLike) -> NDArray[np.float64]:
+    def displacement_peak_um(self, frequency_hz: ArrayLike) -> Float64s:
         """Peak displacement at the threshold, micrometres, float64 as `frequency_hz` (Hz, positive)."""
         f = np.log(np.asarray(frequency_hz, np.float64))
-        um: NDArray[np.float64] = np.exp(np.interp(f, np.log(self.frequency_hz), np.log(self.displacement_um)))
+        um: Float64s = np.exp(np.interp(f, np.log(self.frequency_hz), np.log(self.displacement_um)))
         return um
 
-    def force_rms_mn(self, frequency_hz: ArrayLike = THIRDS_HZ) -> NDArray[np.float64]:
+    def force_rms_mn(self, frequency_hz: ArrayLike = THIRDS_HZ) -> Float64s:
         """Force at the threshold, millinewtons rms, float64 as `frequency_hz`."""
         w = 2 * np.pi * np.asarray(frequency_hz, np.float64)
         n_per_m = np.abs(self.stiffness_n_per_m - self.mass_kg * w**2 + 1j * self.damping_n_s_per_m * w)
-        rms: NDArray[np.float64] = 1e-3 * self.displacement_peak_um(frequency_hz) * n_per_m / np.sqrt(2)
+        rms: Float64s = 1e-3 * self.displacement_peak_um(frequency_hz) * n_per_m / np.sqrt(2)
         return rms
 
 

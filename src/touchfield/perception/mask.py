@@ -25,18 +25,16 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import blocks_around
 from touchfield.medium.grid import BRICK
 from touchfield.perception.human import figure, human
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.medium import ForceField
-
-    Float64s = NDArray[np.float64]
 
 ROUNDING = 1e-9
 """An error counts as a violation beyond mask (1 + ROUNDING), which is above the rounding of the comparison."""
@@ -62,9 +60,7 @@ def _check(k: float, f0_n: float) -> None:
             raise InvalidArgument(name, repr(value), f"{expected}, 0 or more")
 
 
-def mask_n(
-    amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0, *, masking_n: ArrayLike = 0.0
-) -> NDArray[np.float64]:
+def mask_n(amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0, *, masking_n: ArrayLike = 0.0) -> Float64s:
     """The mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
 
     masking_n : float [...], optional; what stimuli at other sites hide here, newtons.
@@ -77,8 +73,8 @@ def mask_n(
 
 
 def violations(
-    original_n: NDArray[np.float32],
-    decoded_n: NDArray[np.float32],
+    original_n: Float32s,
+    decoded_n: Float32s,
     k: float,
     f0_n: float = 0.0,
     *,
@@ -164,11 +160,11 @@ class SpatialMasking:
             raise InvalidArgument("k", "none", f"a Weber fraction: there is no figure for {site!r}")
         return cls(figure(SITE_WEBER_FIGURES[site]) if k is None else k, f0_n, beta, radius_m)
 
-    def hidden_n(self, field: ForceField) -> NDArray[np.float32]:
+    def hidden_n(self, field: ForceField) -> Float32s:
         """Beta times the mean of |F| around, at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]."""
         return replace(self, k=0.0, f0_n=0.0).field_mask_n(field)
 
-    def field_mask_n(self, field: ForceField) -> NDArray[np.float32]:
+    def field_mask_n(self, field: ForceField) -> Float32s:
         """Delta at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]; beta = 0 looks at no neighbour.
 
         Raises `InvalidArgument` if beta > 0 and R is below the spacing along every axis of more than one sample, or

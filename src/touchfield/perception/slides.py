@@ -14,16 +14,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.perception.human import THIRDS_HZ
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.medium import ForceField
-
-    Float64s = NDArray[np.float64]
 
 Forces = Callable[["Float64s"], "NDArray[Any]"]
 """``forces(points_m [n, 3]) -> newtons [n, 3]``: what a hand meets, for example `ForceField.sample_n`."""
@@ -46,7 +44,7 @@ class SurfaceWalks(NamedTuple):
     """
 
     points_m: Float64s
-    steps: NDArray[np.int64]
+    steps: Int64s
     step_m: float
 
 
@@ -110,9 +108,7 @@ def slide_m(walks: SurfaceWalks, walk: int, speed_m_per_s: float, duration_s: fl
     return np.asarray(CubicSpline(knots_s, points)(np.arange(0.0, knots_s[-1], 1 / rate_hz)))
 
 
-def _to_level(
-    field: ForceField, points_m: Float64s, level_n: float, rounds: int
-) -> tuple[Float64s, NDArray[np.bool_]]:
+def _to_level(field: ForceField, points_m: Float64s, level_n: float, rounds: int) -> tuple[Float64s, Bools]:
     """Points moved along the force to where it is `level_n`; where that came within 2 %."""
     most_m = 0.5 * min(field.grid.spacing_m)
     points = points_m.copy()

@@ -21,18 +21,15 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Bools, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument, require_positive
 from touchfield.perception.human import VibrationThreshold, figure, vibration_threshold
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import ArrayLike, NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["BANDS_HZ", "Crossover", "Reduced", "Stft", "band_rms", "dft321", "handle_force_n", "reduced"]
 
 BANDS_HZ: Final = tuple(float(1000 * 10 ** (n / 10)) for n in range(-15, 1))
 """Centres of the sixteen thirds of an octave from 31.6 Hz to 1 kHz; a band reaches a factor 10 ** 0.05 either way."""
@@ -283,7 +280,7 @@ class Reduced:
     Bands are what lies below the lowest third of `BANDS_HZ`, and the thirds from there to half the rate.
     """
 
-    symbols: NDArray[np.int32]
+    symbols: Int32s
     exponents: NDArray[np.int16]
     rate_hz: float
     count: int  # samples of the signal
@@ -335,7 +332,7 @@ def _steps(exponents: NDArray[np.int16]) -> Float64s:
     return np.asarray(2.0 ** (np.where(exponents == _NOTHING, 0, exponents) / _PER_OCTAVE))
 
 
-def _bands_of_bins(length: int, rate_hz: float) -> NDArray[np.int64]:
+def _bands_of_bins(length: int, rate_hz: float) -> Int64s:
     """The band of each bin; the same for a receiver."""
     return np.searchsorted(_edges(rate_hz), (np.arange(length // 2) + 0.5) * rate_hz / length, side="right")
 
@@ -374,7 +371,7 @@ def reduced(
     def made(exponents: NDArray[np.int16]) -> Reduced:
         return Reduced(_symbols(spectra, band, exponents), exponents, rate_hz, len(x))
 
-    def beyond(exponents: NDArray[np.int16]) -> NDArray[np.bool_]:
+    def beyond(exponents: NDArray[np.int16]) -> Bools:
         lost = _window_power(x - made(exponents).decoded(), rate_hz, edges)
         return np.asarray(np.sqrt(lost.max(axis=0)) > limits)
 
@@ -393,7 +390,7 @@ def reduced(
 
 
 def _fine_enough(
-    exponents: NDArray[np.int16], begin: NDArray[np.int16], beyond: Callable[[NDArray[np.int16]], NDArray[np.bool_]]
+    exponents: NDArray[np.int16], begin: NDArray[np.int16], beyond: Callable[[NDArray[np.int16]], Bools]
 ) -> NDArray[np.int16]:
     """Steps that shrink until no band is `beyond` its limit; a band that was not sent is, if nothing else helps."""
     failed = np.zeros(len(begin), np.int64)
@@ -410,7 +407,7 @@ def _fine_enough(
     raise InvalidArgument("vibration_n", "what no step makes fine enough", "forces of a hand", "Check its unit.")
 
 
-def _symbols(spectra: Float64s, band: NDArray[np.int64], exponents: NDArray[np.int16]) -> NDArray[np.int32]:
+def _symbols(spectra: Float64s, band: Int64s, exponents: NDArray[np.int16]) -> Int32s:
     """Coefficients in steps; nothing of what is below a share of a step, or in a band of which nothing is sent."""
     parts = spectra / _steps(exponents)[band]
     if np.abs(parts).max(initial=0.0) >= 2**31:

@@ -39,18 +39,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Bools, Float32s, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.parallel import for_chunks
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Float32s = NDArray[np.float32]
-    Bools = NDArray[np.bool_]
 
 
 def _check(k: float = 1.0, step_n: float = 1.0) -> None:
@@ -66,7 +61,7 @@ def jnd_gain(k: float) -> float:
     return k * math.floor(1 / k + 0.5)
 
 
-def quantise_literal(forces_n: ArrayLike, k: float) -> NDArray[np.float64]:
+def quantise_literal(forces_n: ArrayLike, k: float) -> Float64s:
     """Eq. 6 with Delta = k |x|, of forces [...] in newtons, float64 [...].
 
     By the gain, not sample by sample: |x| / (k |x|) is 1 / k in exact arithmetic only, and its rounding would
@@ -75,11 +70,11 @@ def quantise_literal(forces_n: ArrayLike, k: float) -> NDArray[np.float64]:
     return jnd_gain(k) * np.asarray(forces_n, np.float64)
 
 
-def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> NDArray[np.float64]:
+def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> Float64s:
     """Eq. 6 with one Delta = `step_n` for all forces [...] in newtons, float64 [...]."""
     _check(step_n=step_n)
     x = np.asarray(forces_n, np.float64)
-    result: NDArray[np.float64] = np.sign(x) * step_n * np.floor(np.abs(x) / step_n + 0.5)
+    result: Float64s = np.sign(x) * step_n * np.floor(np.abs(x) / step_n + 0.5)
     return result
 
 
@@ -151,7 +146,7 @@ class WeberLadder:
         return (1 + self.kappa) / (1 - self.kappa)
 
     @cached_property
-    def thresholds_n(self) -> NDArray[np.float64]:
+    def thresholds_n(self) -> Float64s:
         """t_0 .. t_{N-1}, newtons, float64 [N]: an amplitude of t_i or more and less than t_{i+1} takes level i + 1.
 
         By multiplication one after the other, so that every machine has the same bits.
@@ -161,7 +156,7 @@ class WeberLadder:
         return thresholds
 
     @cached_property
-    def levels_n(self) -> NDArray[np.float32]:
+    def levels_n(self) -> Float32s:
         """0, r_0 .. r_{N-1}, newtons, float32 [N + 1]."""
         levels = np.concatenate([[0.0], (1 + self.kappa) * self.thresholds_n]).astype(np.float32)
         levels.flags.writeable = False

@@ -22,17 +22,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import scipy.linalg
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.sources.curl_free import CurlFree, covariances
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["Kernel", "best_kernel", "error_points", "most_candidates", "variance_points"]
 
 _MOST_BYTES: Final = 1 << 29
 _SHORTLIST: Final = 48
@@ -66,7 +62,7 @@ class _Posterior:
         self.variances = np.full(len(points_m), 3.0)  # traces of each own 3 x 3
         self.chosen: list[int] = []
 
-    def columns(self, at: Sequence[int] | NDArray[np.int64], places: slice = slice(None)) -> Float64s:
+    def columns(self, at: Sequence[int] | Int64s, places: slice = slice(None)) -> Float64s:
         """Covariances of the places with those `at`, as they are now, float64 [3 m, 3 s]."""
         prior = covariances(self.points[places], self.points[at])
         known, own = self.factor[: 3 * len(self.chosen)], 3 * np.repeat(at, 3) + np.tile(np.arange(3), len(at))
@@ -75,7 +71,7 @@ class _Posterior:
         rows = known.reshape(len(known), len(self.points), 3)[:, places].reshape(len(known), -1)
         return np.asarray(prior - rows.T @ known[:, own])
 
-    def own(self, at: NDArray[np.int64]) -> Float64s:
+    def own(self, at: Int64s) -> Float64s:
         """Covariances of what is measured at each of these places, noise in it, float64 [s, 3, 3]."""
         rows = self.factor[: 3 * len(self.chosen)].reshape(3 * len(self.chosen), len(self.points), 3)[:, at]
         return np.asarray((1 + self.noise) * np.eye(3) - np.einsum("ksi,ksj->sij", rows, rows))
@@ -92,9 +88,7 @@ class _Posterior:
         return np.concatenate([rows, corner], axis=1)
 
 
-def variance_points(
-    points_m: Float64s, count: int, kernel: Kernel, measured: int = 0
-) -> tuple[NDArray[np.int64], Float64s]:
+def variance_points(points_m: Float64s, count: int, kernel: Kernel, measured: int = 0) -> tuple[Int64s, Float64s]:
     """Candidates, each the one of greatest variance once those before it are measured.
 
     points_m : float64 [m, 3]; the first `measured` of them are known already.
@@ -118,7 +112,7 @@ def variance_points(
 
 def error_points(
     points_m: Float64s, forces_n: Float64s, count: int, kernel: Kernel, targets: int = _TARGETS
-) -> NDArray[np.int64]:
+) -> Int64s:
     """Points of a known field, each the one after which least of it is missed; int64 [count].
 
     points_m, forces_n : float64 [m, 3]; the field. targets : int; how many places the error is added up over.

@@ -16,17 +16,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import scipy.linalg
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.reduction.modes import Modes
 
-    Float64s = NDArray[np.float64]
-
-__all__ = ["ModePoints", "mode_points"]
 
 _LEAST_NOISE: Final = 0.1  # of the mean over all points
 _WEAK: Final = 0.1  # of the first row of a point: weaker ones count only where points are too few
@@ -43,11 +39,11 @@ class ModePoints:
     """
 
     modes: Modes
-    points: NDArray[np.int64]
+    points: Int64s
     weights: Float64s | None = None
 
     @property
-    def rows(self) -> NDArray[np.int64]:
+    def rows(self) -> Int64s:
         """The rows of the modes that are measured, int64 [3 n]."""
         return (3 * self.points[:, None] + np.arange(3)).reshape(-1)
 

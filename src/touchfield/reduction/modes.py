@@ -13,20 +13,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["Modes", "klt", "pod"]
 
 _BLOCK_VALUES: Final = 1 << 21
 _NOISE: Final = 1e-15  # of the greatest eigenvalue, times the order of the matrix: below it there is rounding only

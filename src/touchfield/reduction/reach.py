@@ -29,21 +29,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, label
 
+from touchfield.arrays import Bools, Float32s, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import require_memory
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.medium import ForceField, HapticMedium
 
-    Bools = NDArray[np.bool_]
-    Float64s = NDArray[np.float64]
-
-__all__ = ["Hand", "Reach", "reach_of"]
 
 _MARGIN: Final = 1.05  # of the force that (*) asks for: it comes a tick late
 _USED: Final = (0.4, 0.6)  # of the field's greatest force: what (*) asks for
@@ -178,7 +174,7 @@ class _Flood:
             self.away_m = self._away()
             weak, _ = self._weak(changed)
 
-    def _parts(self) -> Iterator[NDArray[np.float32]]:
+    def _parts(self) -> Iterator[Float32s]:
         """The frames, float32 [f, nx, ny, nz, 3], as many at a time as memory allows."""
         count = len(self.medium)
         most = max(1, _FRAMES_BYTES // (12 * self.medium.grid.voxel_count))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField
 from touchfield.medium.budget import require_memory
@@ -20,13 +21,8 @@ from touchfield.medium.grid import BRICK
 from touchfield.reduction.modes import Modes, klt, pod
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.medium import HapticMedium
 
-    Float64s = NDArray[np.float64]
-
-__all__ = ["KINDS", "Freedom", "HeldOut", "Reduced", "freedom", "held_out", "reduced"]
 
 KINDS: Final = ("global", "bricks")
 BRICK_VALUES: Final = 3 * BRICK**3
@@ -42,7 +38,7 @@ class Reduced:
     medium: HapticMedium
     kind: str
     modes: Modes
-    keys: NDArray[np.int64]
+    keys: Int64s
 
     def coefficients(self, frame: int) -> Float64s:
         """Of the snapshots of a frame, float64 [n, r]; what lies outside of the union is left out."""
@@ -58,7 +54,7 @@ class Reduced:
         return ForceField.from_bricks(grid, bricks, rows.reshape(-1, BRICK, BRICK, BRICK, 3))
 
 
-def _bricks(field: ForceField) -> NDArray[np.float32]:
+def _bricks(field: ForceField) -> Float32s:
     return field.forces_n.reshape(-1, BRICK_VALUES)
 
 

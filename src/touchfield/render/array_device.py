@@ -8,10 +8,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from touchfield.arrays import Float32s
 
+if TYPE_CHECKING:
     from touchfield.devices import Device
 
 
@@ -25,9 +24,7 @@ class ArrayDevice(ABC):
         """Find the device and make it ready; `DeviceError` if it is not there, or answers wrongly."""
 
     @abstractmethod
-    def put_drives(
-        self, drives: NDArray[np.float32], frequencies_hz: NDArray[np.float32] | None, seconds: float
-    ) -> None:
+    def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
         """Show drives, float32 [panels, rows, columns] from 0 to 1, for about so many seconds.
 
         Row 0 is the top row as one looks at the panel, column 0 the left one; panel 0 is the front. The frequencies

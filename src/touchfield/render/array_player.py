@@ -21,16 +21,14 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.render.array_device import ArrayDevice
 
-    Float32s = NDArray[np.float32]
-    Shown = tuple[Float32s, Float32s | None]
     """Drives, 0 to 1, and frequencies, Hz; float32 [panels, rows, columns] each."""
+Shown = tuple[Float32s, Float32s | None]
 
 AHEAD_S: Final = 0.5  # how much is decoded ahead, in seconds of the player
 MOST_AHEAD: Final = 256  # frames that are held at most; of the largest array known, 6240 pins, 13 MB

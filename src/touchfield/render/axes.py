@@ -14,14 +14,11 @@ up is up for the hand; any axis can be named instead. The lattice keeps the exte
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
+from touchfield.arrays import Float64s
 
 BOX_AXES: Final = "x right, y up, z towards the user"
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from touchfield.medium import HapticMedium
     from touchfield.medium.haptic_scene import HapticScene
 
-__all__ = ["DeviceSampler"]
-
 
 class DeviceSampler:
     """Forces of a medium or a scene of objects at points in the memory of a GPU (extra ``cuda``).

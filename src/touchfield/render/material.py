@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on
 from touchfield.files import plain_size, readable
 from touchfield.medium.atomic import atomic_path
@@ -30,14 +31,9 @@ from touchfield.perception.vibrotactile import BANDS_HZ
 from touchfield.render.block import words as W
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.render.block.memory import Memory
+Levels = tuple[tuple[tuple[float, ...], ...], ...]
 
-    Levels = tuple[tuple[tuple[float, ...], ...], ...]
-
-__all__ = ["KEY", "Material", "material_words", "materials_json", "read_materials", "stored_materials",
-           "write_materials", "write_table"]  # fmt: skip
 
 KEY: Final = "materials.json"
 """Of a medium's provenance."""
@@ -94,7 +90,7 @@ class Material:
             raise InvalidArgument(whose + "texture_rms_n", "a number below 0 or not finite", "newtons rms, 0 or more")
 
     @property
-    def levels_n(self) -> NDArray[np.float64]:
+    def levels_n(self) -> Float64s:
         """The table, newtons rms, float64 [speeds, forces, 16]; [0] where there is none."""
         try:
             return np.array(self.texture_rms_n, np.float64)

@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from numpy.typing import NDArray
+
 from touchfield.errors import InvalidArgument
 from touchfield.render.block import words as W
 from touchfield.render.block.memory import DEFAULT_BYTES, Memory
@@ -17,8 +19,6 @@ from touchfield.render.session import Session, is_over
 from touchfield.render.spec import RenderSpec
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.devices import Device
     from touchfield.medium import HapticMedium, HapticScene
 

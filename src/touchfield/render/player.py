@@ -14,6 +14,7 @@ import time
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
 from touchfield.render.block import words as W
@@ -24,8 +25,6 @@ from touchfield.render.session import Session, is_over
 from touchfield.render.spec import RenderSpec
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.devices import Device
     from touchfield.medium import HapticMedium, HapticScene
     from touchfield.render.feeder import Feeder

@@ -14,7 +14,9 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.haptic_scene import HapticScene
 from touchfield.parallel import for_chunks
@@ -24,15 +26,10 @@ from touchfield.render.block.frames import FieldName, FrameParts, FrameStore
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import ArrayLike, NDArray
-
     from touchfield.medium.cells import CellPool
     from touchfield.medium.deformation import Deformation
     from touchfield.medium.medium import HapticMedium
     from touchfield.render.block.memory import Memory
-
-    Float32s = NDArray[np.float32]
-    Float64s = NDArray[np.float64]
 
 _POINTS_AT_ONCE: Final = 8192
 _ALWAYS: Final = sys.float_info.max
@@ -152,9 +149,7 @@ class FieldSampler:
         a, blend = int(firsts[0]), float(blends[0])
         return a, (a + 1) % self._parts.frame_count if blend else a, blend
 
-    def _instants(
-        self, time_s: ArrayLike, shape: tuple[int, ...], loop: bool
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def _instants(self, time_s: ArrayLike, shape: tuple[int, ...], loop: bool) -> tuple[Int64s, Float64s]:
         """First frames int64 [m] and blends [m] of one time, or of one for each of the points."""
         times = np.asarray(time_s, np.float64)
         if times.ndim and times.shape != shape:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.axes import UPS, axes_matrix, axes_notes
 from touchfield.render.block import words as W
@@ -18,8 +19,6 @@ from touchfield.render.tool import Tool
 from touchfield.render.walls import delay_s
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.devices import Device
     from touchfield.medium.deformation import Deformation
     from touchfield.render.block.memory import Memory
@@ -204,7 +203,7 @@ def write_parameters(
     return tuple(notes)
 
 
-def _write_limits(words: NDArray[np.float64], spec: RenderSpec, device: Device) -> None:
+def _write_limits(words: Float64s, spec: RenderSpec, device: Device) -> None:
     """Limits of the force and, where the device states one, of the torque."""
     if not _LEAST_N <= device.force_max_n <= _MOST_N:
         peak_n = f"{device.force_max_n:g} N"

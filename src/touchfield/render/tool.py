@@ -17,17 +17,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
 from touchfield.render.block import words as W
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.render.block.memory import Memory
-
-    Float64s = NDArray[np.float64]
 
 MOST_POINTS: Final = 100_000
 SPHERE_POINTS: Final = 1000
@@ -125,7 +123,7 @@ class Tool:
         return cls(places[near], normals[near], name)
 
 
-def _along_a_curve(places: Float64s) -> NDArray[np.int64]:
+def _along_a_curve(places: Float64s) -> Int64s:
     """An order in which neighbours in space are near each other (Morton 1966), int64 [n], of places [n, 3]."""
     low = places.min(axis=0)
     step = max(float((places.max(axis=0) - low).max()), 1e-300)

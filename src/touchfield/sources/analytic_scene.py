@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_positive
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.options import SourceOptions
@@ -65,24 +65,24 @@ class AnalyticScene(Scene):
         self.shapes, self.combine = tuple(shapes), combine
         self.axes, self.rate_hz = axes, float(rate_hz)
 
-    def bounds_m(self) -> NDArray[np.float64]:
+    def bounds_m(self) -> Float64s:
         """The box of the shapes; a plane counts with a square of one metre alone, with its point among others."""
         boxes = [shape.box_m() for shape in self.shapes if not isinstance(shape, Plane)]
         planes = [shape for shape in self.shapes if isinstance(shape, Plane)]
         boxes += [np.array([p.point_m, p.point_m], np.float64) if boxes else p.box_m() for p in planes]
         return np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
 
-    def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> AnalyticScene:
+    def moved(self, rotation: Float64s, shift_m: Float64s) -> AnalyticScene:
         """See `Scene.moved`; `InvalidArgument` if `rotation` is not a rotation, or a number is not finite."""
         other = copy.copy(self)
         other.shapes = tuple(moved(shape, rotation, shift_m) for shape in self.shapes)
         return other
 
-    def forces_n(self, points_m: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
+    def forces_n(self, points_m: Float64s, profile: ForceProfile) -> Float64s:
         """Newtons, float64 [n, 3], at points in metres, float64 [n, 3]."""
         first, *rest = (shape.signed_distance_and_normal(points_m) for shape in self.shapes)
         if self.combine == "sum":
-            total: NDArray[np.float64] = profile(first[0])[:, None] * first[1]
+            total: Float64s = profile(first[0])[:, None] * first[1]
             for phi, normal in rest:
                 total += profile(phi)[:, None] * normal
             return total
@@ -91,14 +91,14 @@ class AnalyticScene(Scene):
             nearer = other_phi < phi
             phi = np.where(nearer, other_phi, phi)
             normal = np.where(nearer[:, None], other_normal, normal)
-        forces: NDArray[np.float64] = profile(phi)[:, None] * normal
+        forces: Float64s = profile(phi)[:, None] * normal
         return forces
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` does not matter."""
         acting = [piece for piece in profile.pieces if piece[2] or piece[3]]
 
-        def may_act(centres: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
+        def may_act(centres: Float64s, radius_m: float) -> Bools:
             met = np.zeros(len(centres), np.bool_)
             for low, high in (shape.distance_range(centres, radius_m) for shape in self.shapes):
                 for piece_low, piece_high, *_ in acting:

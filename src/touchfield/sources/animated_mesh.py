@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid, PoseTrack
 from touchfield.medium.pose_track import checked_rotation
@@ -34,8 +34,6 @@ from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.rigid_parts import RigidPart, rigid_parts
 from touchfield.sources.scene import UP_Y_AXES, Body, MovingScene, size_note
-
-Floats = NDArray[np.float64]
 
 _RATE_HZ: Final = 60.0
 _MOST_FRAMES: Final = 100_000
@@ -74,7 +72,7 @@ class AnimatedMeshScene(MovingScene):
         require_positive(rate_hz=rate_hz)
         self.name, self.rate_hz, self.shell = str(path), float(rate_hz), shell
         self._unit_m = 1.0 if unit_m is None else unit_m
-        self._placed: tuple[Floats, Floats] | None = None
+        self._placed: tuple[Float64s, Float64s] | None = None
         self._block = lru_cache(maxsize=2)(self._poses)  # a frame may lie at the edge of its block
         self._latest: tuple[int, MeshScene] | None = None
         with np.errstate(all="ignore"):
@@ -115,7 +113,7 @@ class AnimatedMeshScene(MovingScene):
         return f"{text}; there are also {others}." if others else f"{text}."
 
     # -- the surface -----------------------------------------------------------------------------------------------
-    def vertices_m(self, frame: int) -> Floats:
+    def vertices_m(self, frame: int) -> Float64s:
         """The vertices of a frame in metres, float64 [n, 3].
 
         Raises `InvalidArgument` if there is no such frame; `SourceError` if a coordinate is not finite there.
@@ -123,7 +121,7 @@ class AnimatedMeshScene(MovingScene):
         require_frame(frame, self.frame_count, self.name)
         return self._at_step(2 * frame)
 
-    def velocities_m_s(self, frame: int) -> Floats:
+    def velocities_m_s(self, frame: int) -> Float64s:
         """The velocities of the vertices of a frame in metres a second, float64 [n, 3].
 
         Central differences of the animation over one frame, half of it before and half after; at both ends of the
@@ -136,14 +134,14 @@ class AnimatedMeshScene(MovingScene):
         before, after = self._time_s(step - 1), self._time_s(step + 1)
         if after <= before:
             return np.zeros_like(self._surface.vertices_m)
-        velocities: Floats = (self._at_step(step + 1) - self._at_step(step - 1)) / (after - before)
+        velocities: Float64s = (self._at_step(step + 1) - self._at_step(step - 1)) / (after - before)
         return velocities
 
     def surface(self, frame: int) -> Surface:
         """The surface of a frame: the triangles are the same in all, but each begins with its longest edge."""
         return self._scene(frame).surface
 
-    def _box_m(self, start: int, stop: int) -> Floats:
+    def _box_m(self, start: int, stop: int) -> Float64s:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         used = np.unique(self._surface.triangles)
         for frame in range(start, stop):
@@ -160,13 +158,13 @@ class AnimatedMeshScene(MovingScene):
         times = np.array([self._time_s(first + i) for i in range(self._steps_in_block)])
         return self._model.poses(self._animation, times)
 
-    def _at_step(self, step: int) -> Floats:
+    def _at_step(self, step: int) -> Float64s:
         block, place = divmod(step + 1, self._steps_in_block)  # step -1 is the first: before frame 0
         with np.errstate(all="ignore"):
             vertices = self._model.vertices(self._block(block), place)
         return self._in_metres(vertices, f"at {self._time_s(step):.4g} s")
 
-    def _in_metres(self, vertices: Floats, when: str) -> Floats:
+    def _in_metres(self, vertices: Float64s, when: str) -> Float64s:
         with np.errstate(all="ignore"):
             vertices = vertices * self._unit_m
             if self._placed is not None:
@@ -201,7 +199,7 @@ class AnimatedMeshScene(MovingScene):
 
     # -- bodies ----------------------------------------------------------------------------------------------------
     @cached_property
-    def _parts(self) -> tuple[list[RigidPart], NDArray[np.bool_]]:
+    def _parts(self) -> tuple[list[RigidPart], Bools]:
         return rigid_parts(self._surface, self.vertices_m, self.frame_count)
 
     @cached_property
@@ -236,7 +234,7 @@ class AnimatedMeshScene(MovingScene):
         other.__dict__.pop("_parts", None)
         return other
 
-    def _cut(self, has_vertex: NDArray[np.bool_], vertices_m: Floats, keep_all: bool = False) -> Mended:
+    def _cut(self, has_vertex: Bools, vertices_m: Float64s, keep_all: bool = False) -> Mended:
         """The surface of some vertices only."""
         number = np.arange(len(has_vertex)) if keep_all else np.cumsum(has_vertex) - 1
         number = number.astype(np.int32)
@@ -247,7 +245,7 @@ class AnimatedMeshScene(MovingScene):
         surface = Surface(vertices_m if keep_all else vertices_m[has_vertex], faces, self.name)
         return replace(whole, surface=surface, lids=lids, rim=rim, notes=())
 
-    def moved(self, rotation: Floats, shift_m: Floats) -> AnimatedMeshScene:
+    def moved(self, rotation: Float64s, shift_m: Float64s) -> AnimatedMeshScene:
         """See `Scene.moved`; `InvalidArgument` if `rotation` is not a rotation."""
         other, more = self._copy(), checked_rotation(rotation)
         turn, shift = self._placed or (np.eye(3), np.zeros(3))

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, require_positive
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
@@ -20,8 +20,6 @@ from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
 from touchfield.sources.shapes import Plane
-
-Float64s = NDArray[np.float64]
 
 _AT_REST = (0.0,) * 9
 

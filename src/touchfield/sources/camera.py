@@ -22,14 +22,10 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import InvalidArgument, require_positive
 from touchfield.medium.pose_track import quaternions_of, rotation_matrices
 from touchfield.sources.poses import checked_poses, poses_between
-
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
-
-__all__ = ["CodedSequence", "DepthCode", "DepthSequence", "Frames", "InterpolatedSequence", "Intrinsics", "at_rate"]
 
 DEFAULT_RATE_HZ: Final = 30.0
 
@@ -85,7 +81,7 @@ class DepthSequence(ABC):
     height: int
     intrinsics: Intrinsics
     rate_hz: float
-    poses: NDArray[np.float64] | None = None
+    poses: Float64s | None = None
     is_captured = False
     notes: tuple[str, ...] = ()
 
@@ -228,7 +224,7 @@ class InterpolatedSequence(DepthSequence):
             self.poses = self._poses_between(source.poses)
         self.notes = (*source.notes, *self._note())
 
-    def depth_m(self, frame: int) -> NDArray[np.float32]:
+    def depth_m(self, frame: int) -> Float32s:
         require_frame(frame, self.frame_count, self.name)
         before, share = divmod(float(self.positions[frame]), 1.0)
         if share == 0.0:

@@ -18,7 +18,9 @@ from threading import Condition, Thread
 from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import exactly, standard_input
 from touchfield.sources.camera import DepthCode, DepthSequence
@@ -31,15 +33,10 @@ from touchfield.sources.pictures import PICTURE_SUFFIXES, read_picture
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from touchfield.sources.camera import Intrinsics
     from touchfield.sources.options import SourceOptions
     from touchfield.sources.scene import Scene
 
-    Float32s = NDArray[np.float32]
-
-__all__ = ["CaptureEnd", "CapturedSequence", "Pictures", "captured"]
 
 MOST_FRAMES: Final = 1 << 20  # frames of a captured sequence: nine hours at 30 Hz
 PATIENCE_S: Final = 10.0  # where no picture comes for so long, the sequence is over

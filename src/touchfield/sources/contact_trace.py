@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import readable, require_plain
 from touchfield.medium import ForceField, Grid
@@ -28,7 +28,6 @@ from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Scene, bricks_that, field_of_points
 
-Float64s = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 _POSITIONS: Final = ("pose.position", "position", "point", "transform.translation", "translation")
@@ -118,8 +117,8 @@ class ContactScene(Scene):
 
         tree = KDTree(self.interpolant.points_m)
 
-        def may_hold(centres: Float64s, radius_m: float) -> NDArray[np.bool_]:
-            near: NDArray[np.bool_] = tree.query(centres, distance_upper_bound=self.reach_m + radius_m)[0] < np.inf
+        def may_hold(centres: Float64s, radius_m: float) -> Bools:
+            near: Bools = tree.query(centres, distance_upper_bound=self.reach_m + radius_m)[0] < np.inf
             return near
 
         bricks = bricks_that(may_hold, grid)

@@ -10,18 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.parallel import for_chunks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["CurlFree", "covariances"]
 
 _LENGTHS: Final = (1.0, 1.5, 2.25, 3.5, 5.0)
 _NOISES: Final = (1e-4, 1e-2, 0.1, 0.5)

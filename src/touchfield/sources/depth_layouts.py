@@ -31,6 +31,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import MissingExtra, SourceError
 from touchfield.medium.npz import read_npy_header
 from touchfield.sources.camera import Intrinsics
@@ -48,10 +49,6 @@ from touchfield.sources.pictures import (
 from touchfield.sources.placed_frames import POSE_TOLERANCE_S, PlacedFrames, posed_frames
 from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text
 from touchfield.sources.registry import kinds
-
-Float64s = NDArray[np.float64]
-
-__all__ = ["KINDS", "LAYOUTS"]
 
 _ANY_PNG: Final = r".+\.png"
 _STAMPED_PNG: Final = r"\d+(\.\d+)?\.png"

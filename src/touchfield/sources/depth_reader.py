@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import SourceError
 from touchfield.files import readable
 from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, DepthSequence, at_rate
@@ -25,12 +26,9 @@ from touchfield.sources.placed_frames import PlacedFrames, placed_frames
 from touchfield.sources.registry import SourceKind
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.sources.options import SourceOptions
     from touchfield.sources.scene import Scene
 
-__all__ = ["Layout", "Shots", "contents", "depth_kind", "depth_scene", "has_files", "list_files", "source_rate"]
 
 _MOST_SEEN: Final = 10_000
 _MOST_KINDS: Final = 5
@@ -98,7 +96,7 @@ class Shots(NamedTuple):
     where: Path
     places: tuple[Path, ...] | None
     camera_places: tuple[Path, ...]
-    times_s: NDArray[np.float64] | None = None
+    times_s: Float64s | None = None
     notes: tuple[str, ...] = ()
     one_file: Any = None  # frames as of `PictureFrames`
     rate_hz: float | None = None
@@ -181,7 +179,7 @@ class Layout:
         return placed_frames(str(shots.where), frames, options, shots.places, times_s)
 
 
-def _rate_of_stamps(stamps_s: NDArray[np.float64] | None, options: SourceOptions) -> float:
+def _rate_of_stamps(stamps_s: Float64s | None, options: SourceOptions) -> float:
     """Frames a second from the median gap of time stamps; where there are none, `source_rate`."""
     gaps = np.diff(np.empty(0) if stamps_s is None else stamps_s)
     gaps = gaps[gaps > 1e-6]  # not NaN, and no stamp given twice

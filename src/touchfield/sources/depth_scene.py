@@ -40,8 +40,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int32s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m, require_frame
@@ -52,19 +52,6 @@ from touchfield.sources.poses import checked_poses
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
-
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
-
-__all__ = [
-    "RAY_LIMIT",
-    "DepthScene",
-    "force_bricks",
-    "noise_step_per_m",
-    "plane_forces",
-    "query_of",
-    "surface_planes",
-]
 
 RAY_LIMIT: Final = 4.0
 """A force lies no farther from the surface along the ray than this many times the reach of the profile."""
@@ -118,7 +105,7 @@ class DepthScene(MovingScene):
         self._bodies: tuple[Body, ...] = ()
         self._latest: tuple[int, SurfacePlanes] | None = None
 
-    def _box_m(self, start: int, stop: int) -> NDArray[np.float64]:
+    def _box_m(self, start: int, stop: int) -> Float64s:
         """From the 0.5th to the 99.5th percentile along each axis of every eighth pixel of every eighth row.
 
         Fewer, if that would be more than four million points in all; so stray readings do not count. Reads every
@@ -134,7 +121,7 @@ class DepthScene(MovingScene):
         box: Float64s = np.percentile(points, _BOX_PERCENTILES, axis=0)
         return box
 
-    def pose(self, frame: int) -> NDArray[np.float64]:
+    def pose(self, frame: int) -> Float64s:
         """The camera's pose in the scene: scene from camera, float64 [4, 4]."""
         return np.eye(4) if self._poses is None else self._poses[frame]
 
@@ -156,7 +143,7 @@ class DepthScene(MovingScene):
             self.notes = (*self.notes, note)
         return self._bodies
 
-    def _noise_step_per_m(self, first_m: NDArray[np.float32] | None = None) -> float:
+    def _noise_step_per_m(self, first_m: Float32s | None = None) -> float:
         """Of the first frame (`first_m`, where it is at hand), so that a field depends on nothing but its frame."""
         if self._step_per_m is None:
             self._step_per_m = noise_step_per_m(self._depth_m(0) if first_m is None else first_m)
@@ -166,7 +153,7 @@ class DepthScene(MovingScene):
         """The force field of one frame at the points of `grid`; see the module."""
         return plane_forces(self.planes(frame), self.pose(frame), grid, profile)
 
-    def _depth_m(self, frame: int) -> NDArray[np.float32]:
+    def _depth_m(self, frame: int) -> Float32s:
         sequence = self.sequence
         require_frame(frame, self.frame_count)
         depth = np.ascontiguousarray(sequence.depth_m(frame), np.float32)
@@ -207,7 +194,7 @@ def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: Fo
     return ForceField(grid, bricks, kernels.brick_forces(bricks, query))
 
 
-def force_bricks(query: Query, grid: Grid) -> NDArray[np.int32]:
+def force_bricks(query: Query, grid: Grid) -> Int32s:
     """Bricks of `grid` with at least one force, int32 [n, 3], ascending."""
     candidates = _candidates(query, grid)
     return candidates[kernels.holds_force(candidates, query)]
@@ -225,7 +212,7 @@ def query_of(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceP
     return Query(surface, lattice, grid.shape, turn.astype(np.float32), pieces.astype(np.float32), reach)
 
 
-def _candidates(query: Query, grid: Grid) -> NDArray[np.int32]:
+def _candidates(query: Query, grid: Grid) -> Int32s:
     """Bricks that cannot be ruled out, int32 [n, 3], ascending.
 
     Cubes of bricks are halved from a size at which they are few, so that the work and the memory follow the

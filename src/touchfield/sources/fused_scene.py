@@ -32,7 +32,9 @@ from threading import Lock
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import require_memory
@@ -45,15 +47,10 @@ from touchfield.sources.kernels.fusion import Rules, Samples, View
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from touchfield.sources.camera import DepthSequence
     from touchfield.sources.kernels.planes import SurfacePlanes
     from touchfield.sources.profile import ForceProfile
 
-    Float64s = NDArray[np.float64]
-
-__all__ = ["WORLDS", "FusedScene", "FusedVolume", "stands"]
 
 WORLDS: Final = ("fused", "causal")
 
@@ -114,7 +111,7 @@ class FusedVolume:
         bricks = force_bricks(query_of(surface, pose, self.grid, self.profile), self.grid)
         self.add(bricks[self._slots[tuple(bricks.T)] < 0])
 
-    def add(self, bricks: NDArray[np.int32]) -> None:
+    def add(self, bricks: Int32s) -> None:
         """Have these bricks, int32 [n, 3], none of which the volume has, if there is memory for them."""
         count = len(self.bricks) + len(bricks)
         if count > len(self._samples.weight):
@@ -146,9 +143,9 @@ class FusedVolume:
         self,
         surface: SurfacePlanes,
         pose: Float64s,
-        wanted: NDArray[np.bool_],
+        wanted: Bools,
         choose: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
-        out: NDArray[np.bool_],
+        out: Bools,
     ) -> None:
         """Set in `out`, bool [n, 512], what lies at and behind surfaces of this view.
 
@@ -160,12 +157,12 @@ class FusedVolume:
         if view.marked.any():
             kernels.mark(self.bricks, view, self._rules, out)
 
-    def forces_n(self) -> NDArray[np.float32]:
+    def forces_n(self) -> Float32s:
         """The forces of what is known, newtons, float32 [n, 8, 8, 8, 3], in the order of `bricks`."""
         pieces = self.profile.table().astype(np.float32)
         return kernels.brick_forces(self.samples, pieces, self.grid.shape, self.bricks)
 
-    def field(self, forces_n: NDArray[np.float32] | None = None) -> ForceField:
+    def field(self, forces_n: Float32s | None = None) -> ForceField:
         """The force field of what is known, or of these forces of `bricks`."""
         forces = self.forces_n() if forces_n is None else forces_n
         order = np.lexsort(self.bricks.T[::-1])
@@ -173,7 +170,7 @@ class FusedVolume:
         order = order[pushes[order]]
         return ForceField(self.grid, self.bricks[order], forces[order])
 
-    def _view(self, surface: SurfacePlanes, pose: Float64s, wanted: NDArray[np.bool_]) -> tuple[View, float | None]:
+    def _view(self, surface: SurfacePlanes, pose: Float64s, wanted: Bools) -> tuple[View, float | None]:
         """The view, its pixels marked whose surface lies at a sample of `wanted`; its residual, metres."""
         query = query_of(surface, pose, self.grid, self.profile)
         height, width = surface.size_px
@@ -191,7 +188,7 @@ class FusedVolume:
         return view, kernels.surfaces_in(view, self._slots, self.grid.shape, self.samples, wanted)
 
 
-def _nearest_per_m(surface: SurfacePlanes) -> NDArray[np.float32]:
+def _nearest_per_m(surface: SurfacePlanes) -> Float32s:
     """Largest inverse depth of each finest tile and its eight neighbours, 1/m, float32 [rows, columns]."""
     from scipy.ndimage import maximum_filter
 
@@ -251,7 +248,7 @@ class FusedScene(DepthScene):
 class _Planes:
     """The planes and poses of the key frames by number, kept as far as memory is small."""
 
-    def __init__(self, scene: DepthScene, keys: NDArray[np.int64]) -> None:
+    def __init__(self, scene: DepthScene, keys: Int64s) -> None:
         self.scene, self.keys = scene, keys
         self._kept: dict[int, SurfacePlanes] = {}
         of = scene.sequence
@@ -260,12 +257,12 @@ class _Planes:
     def __len__(self) -> int:
         return len(self.keys)
 
-    def at_rate(self, rate_hz: float) -> NDArray[np.bool_]:
+    def at_rate(self, rate_hz: float) -> Bools:
         """True for the first key frame and for those that begin another period, whole frames long, bool [n]."""
         frames = max(1, round(self.scene.rate_hz / rate_hz))
         return np.asarray(np.diff((self.keys - self.keys[0]) // frames, prepend=-1) > 0)
 
-    def __getitem__(self, i: int) -> tuple[SurfacePlanes, NDArray[np.float64]]:
+    def __getitem__(self, i: int) -> tuple[SurfacePlanes, Float64s]:
         frame = int(self.keys[i])
         planes = self._kept.get(i)
         if planes is None:
@@ -352,7 +349,7 @@ class _Fused:
         self._part, self._seen = FusedVolume(*self._asked), 0
         self._part.add(self._volume.bricks[self._rows])
 
-    def _moving_samples(self) -> NDArray[np.bool_]:
+    def _moving_samples(self) -> Bools:
         """Samples at and behind the patches that changed, in any frame, bool [bricks, 512]."""
         changed = self._volume.samples.changes > 0
         moving = np.zeros(changed.shape, np.bool_)

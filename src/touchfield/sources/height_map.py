@@ -20,6 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import SourceError, blamed_on, import_extra
 from touchfield.medium.npz import NpzArchive, map_npy, read_npy_header
 from touchfield.sources.height_scene import HeightScene
@@ -48,7 +49,6 @@ _WGS84_AXIS_M: Final = 6378137.0
 _WGS84_E2: Final = 0.00669437999014
 
 
-Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
 
@@ -162,7 +162,7 @@ def _from_npz(path: Path) -> _Map:
     return _Map(heights, GeoTags((dy, dx), middle, is_degrees))
 
 
-def _coordinates(archive: NpzArchive, shape: tuple[int, ...]) -> tuple[Floats, Floats, bool | None] | None:
+def _coordinates(archive: NpzArchive, shape: tuple[int, ...]) -> tuple[Float64s, Float64s, bool | None] | None:
     """Coordinates of the rows and columns, and whether they are degrees, where the archive holds them as arrays."""
     for y_name, x_name in COORDINATE_KEYS:
         if not {y_name, x_name} <= set(archive.names):

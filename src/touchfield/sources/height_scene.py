@@ -15,8 +15,9 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.camera import DepthSequence, noise_step_per_m
@@ -131,7 +132,7 @@ class HeightScene(MovingScene):
     ) -> HeightScene:
         """The depths of a sequence as heights on a lattice."""
 
-        def heights(frame: int) -> NDArray[np.float64]:
+        def heights(frame: int) -> Float64s:
             depth = sequence.depth_m(frame).astype(np.float64)
             depth[~(depth > 0)] = np.nan
             return depth
@@ -152,7 +153,7 @@ class HeightScene(MovingScene):
             self.notes = (*self.notes, note)
         return self._bodies
 
-    def _box_m(self, start: int, stop: int) -> NDArray[np.float64]:
+    def _box_m(self, start: int, stop: int) -> Float64s:
         """Reads every frame."""
         low, high, shape = math.inf, -math.inf, (2, 2)
         for frame in range(start, stop):
@@ -183,7 +184,7 @@ class HeightScene(MovingScene):
         dy, dx = self._cell_m
         return HeightLattice(0.0, dx, dy * (shape[0] - 1), -dy)
 
-    def _heights(self, frame: int) -> NDArray[np.float64]:
+    def _heights(self, frame: int) -> Float64s:
         heights = np.array(self._frames(frame), np.float64)
         if heights.ndim != 2 or min(heights.shape) < 2:
             raise InvalidArgument(self.name, f"heights of shape {heights.shape}", "[rows, cols], at least 2 x 2")
@@ -192,7 +193,7 @@ class HeightScene(MovingScene):
         heights[~np.isfinite(heights)] = np.nan
         return heights
 
-    def _prepare(self, frame: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    def _prepare(self, frame: int) -> tuple[Float64s, Float32s]:
         from touchfield.sources.kernels import height
 
         heights = self._heights(frame)
@@ -200,7 +201,7 @@ class HeightScene(MovingScene):
         return heights, height.gradients(heights, at.step_m, at.dx_m, at.dy_m)
 
 
-def _as_frames(heights_m: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[np.float64]]:
+def _as_frames(heights_m: ArrayLike | Sequence[ArrayLike]) -> list[Float64s]:
     """The frames of an array or a sequence of arrays, checked."""
     expected = "maps [rows, cols] of one size, at least 2 x 2"
     try:

@@ -16,13 +16,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.poses import read_text
-
-__all__ = ["INTRINSICS_NAMES", "CameraFile", "camera_of", "named_like_intrinsics", "parse_intrinsics"]
 
 INTRINSICS_NAMES: Final = (
     "camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "camera_intrinsics.txt", "intrinsic.txt",
@@ -55,7 +53,7 @@ class CameraFile:
     notes: tuple[str, ...] = ()
     is_mirrored: bool = False
 
-    def poses_of_pictures(self, poses: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+    def poses_of_pictures(self, poses: Float64s | None) -> Float64s | None:
         """Poses float64 [n, 4, 4] in the axes of the pictures: turned over where the camera is mirrored."""
         return _TURN_OVER @ poses @ _TURN_OVER if self.is_mirrored and poses is not None else poses
 

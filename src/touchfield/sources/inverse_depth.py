@@ -27,6 +27,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra
 from touchfield.medium.npz import NpzArchive
 from touchfield.sources import pictures
@@ -64,7 +65,7 @@ class StereoRig:
             raise InvalidArgument("disparity_offset_px", repr(self.disparity_offset_px), "a finite number of pixels")
 
 
-def depth_of_disparity(disparity_px: NDArray[Any], rig: StereoRig) -> NDArray[np.float32]:
+def depth_of_disparity(disparity_px: NDArray[Any], rig: StereoRig) -> Float32s:
     """Depth in metres, float32, of disparities in pixels; 0 where 0, not finite, or behind the camera."""
     disparity = np.asarray(disparity_px, np.float64)
     known = np.isfinite(disparity) & (disparity > 0)
@@ -115,7 +116,7 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
     return _of_disparity(str(path), disparity, StereoRig(camera.intrinsics, baseline_m, offset_px or 0.0), notes)
 
 
-def _disparity_px(path: Path, options: SourceOptions) -> NDArray[np.float64]:
+def _disparity_px(path: Path, options: SourceOptions) -> Float64s:
     """Float64 [height, width]."""
     suffix, units_per_px = path.suffix.lower(), options.depth_scale
     values = {".pfm": _pfm, ".npz": _npz}.get(suffix, pictures.read_picture)(path)
@@ -127,7 +128,7 @@ def _disparity_px(path: Path, options: SourceOptions) -> NDArray[np.float64]:
         return np.asarray(values.astype(np.float64) / units_per_px)
 
 
-def _pfm(path: Path) -> NDArray[np.float32]:
+def _pfm(path: Path) -> Float32s:
     """A grey PFM picture, of any byte order."""
     with pictures.opened(path, ("PPM",), "a grey PFM picture, which begins with Pf") as image:
         pictures.bound_pixels(path, image.width, image.height)
@@ -184,7 +185,7 @@ class InverseDepth:
     near_m: float
     far_m: float
 
-    def __call__(self, values: NDArray[Any]) -> NDArray[np.float32]:
+    def __call__(self, values: NDArray[Any]) -> Float32s:
         """Depth in metres, float32, linear in 1/z; 0 where a value is not finite."""
         known = np.isfinite(values)
         share = (np.where(known, values, self.low).astype(np.float64) - self.low) / (self.high - self.low)

@@ -13,8 +13,6 @@ from dataclasses import dataclass, replace
 from touchfield.errors import InvalidArgument, require_positive
 from touchfield.sources.profile import ForceProfile
 
-__all__ = ["LAWS", "LawSpec", "magnetic", "penalty", "profile_of", "proximity"]
-
 
 @dataclass(frozen=True)
 class LawSpec:

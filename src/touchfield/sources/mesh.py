@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import SourceError
 from touchfield.files import require_beside, require_plain
 from touchfield.sources.gltf.document import members_of
@@ -30,7 +30,7 @@ _EMPTY_PER_BYTE: Final = 16
 """glTF lets an accessor be of zeros without any bytes; more than this for each byte of the file are refused."""
 
 
-def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], tuple[str, ...]]:
+def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
     """Vertices float64 [n, 3] in the file's units, triangles int32 [m, 3], and notes.
 
     Raises `SourceError` if the file cannot be read, or holds no triangle.
@@ -71,7 +71,7 @@ class _Beside:
     __getitem__ = get  # trimesh asks in both ways
 
 
-def _pieces(path: Path, loaded: Any, kind: Any) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+def _pieces(path: Path, loaded: Any, kind: Any) -> list[tuple[Float64s, Int64s]]:
     """Each use of a geometry in the scene graph: its vertices in the world, and its triangles."""
     pieces = []
     total = 0

@@ -18,10 +18,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.sources.mesh_surface import Edges, Surface
-
-Int32s = NDArray[np.int32]
 
 HOLES: Final = {"small": 0.05, "close": np.inf, "leave": -1.0}  # of its part: the largest hole that is closed
 # a part with more of its area missing is a sheet: its wall lies behind its faces, not within what they enclose
@@ -45,7 +44,7 @@ class Mended:
 
 @dataclass(frozen=True)
 class _Hole:
-    loop: NDArray[np.int64]
+    loop: Int64s
     patch: Int32s
     part: int  # connected part of the surface that it lies in
     area_m2: float
@@ -106,7 +105,7 @@ def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
 
 
 # -- loops ---------------------------------------------------------------------------------------------------
-def _loops(surface: Surface) -> list[NDArray[np.int64]] | None:
+def _loops(surface: Surface) -> list[Int64s] | None:
     """The loops of the edges that lack a partner, each in the direction of the triangles that would close it.
 
     None if they are too many.
@@ -141,7 +140,7 @@ def _loops(surface: Surface) -> list[NDArray[np.int64]] | None:
     return [loop for loop in loops if len(loop) > 2]
 
 
-def _measured(surface: Surface, loops: list[NDArray[np.int64]]) -> list[_Hole]:
+def _measured(surface: Surface, loops: list[Int64s]) -> list[_Hole]:
     part_of, vertices = surface.part_of_vertex(), surface.vertices_m
     areas = np.bincount(part_of[surface.triangles[:, 0]], _areas(vertices, surface.triangles))
     most = _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY
@@ -154,14 +153,14 @@ def _measured(surface: Surface, loops: list[NDArray[np.int64]]) -> list[_Hole]:
     return gaps
 
 
-def _areas(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> NDArray[np.float64]:
+def _areas(vertices: Float64s, triangles: NDArray[Any]) -> Float64s:
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    areas: NDArray[np.float64] = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    areas: Float64s = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
     return areas
 
 
 # -- patches -------------------------------------------------------------------------------------------------
-def _patch(loop: NDArray[np.int64], vertices: NDArray[np.float64], most: int) -> Int32s:
+def _patch(loop: Int64s, vertices: Float64s, most: int) -> Int32s:
     """Triangles that close a loop, int32 [len(loop) - 2, 3]."""
     triangles = []
     while len(loop) > most:
@@ -172,7 +171,7 @@ def _patch(loop: NDArray[np.int64], vertices: NDArray[np.float64], most: int) ->
     return np.concatenate(triangles).astype(np.int32)
 
 
-def _least_area(points: NDArray[np.float64]) -> NDArray[np.int64]:
+def _least_area(points: Float64s) -> Int64s:
     """The triangulation of least area of a loop of points, int64 [n - 2, 3]."""
     n = len(points)
     cost = np.zeros((n, n))

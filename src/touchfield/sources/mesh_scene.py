@@ -18,8 +18,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.pose_track import checked_rotation
@@ -29,7 +30,8 @@ from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
-    from touchfield.sources.kernels.mesh import Band, Motion
+    from touchfield.sources.kernels.mesh import Band
+    from touchfield.sources.kernels.mesh_samples import Motion
 
 
 _UNSURE: Final = 2e-9  # of the largest coordinate: so near, rounding spoils the direction to the nearest point
@@ -85,7 +87,7 @@ class MeshScene(Scene):
             raise InvalidArgument("shell", repr(shell), "auto, one or two")
         self.name, self.surface = name, whole.surface
         self._lids, self._rim_edges = whole.lids, whole.rim
-        self.velocities_m_s: NDArray[np.float64] | None = None
+        self.velocities_m_s: Float64s | None = None
         self.is_closed = self.surface.is_closed
         edges = self.surface.edges
         is_sheet = edges.unbalanced_count > 0
@@ -113,10 +115,10 @@ class MeshScene(Scene):
             return f"without a boundary but not closed, as at {count} edges triangles do not pair off"
         return "a sheet laid double"
 
-    def bounds_m(self) -> NDArray[np.float64]:
+    def bounds_m(self) -> Float64s:
         return self.surface.bounds_m
 
-    def moved(self, rotation: NDArray[np.float64], shift_m: NDArray[np.float64]) -> MeshScene:
+    def moved(self, rotation: Float64s, shift_m: Float64s) -> MeshScene:
         """See `Scene.moved`; edges, closedness and normals are taken over.
 
         Raises `InvalidArgument` if `rotation` is not a rotation; `SourceError` if a vertex comes to lie where no
@@ -142,6 +144,7 @@ class MeshScene(Scene):
         fine for float64.
         """
         from touchfield.sources.kernels import mesh, mesh_sign
+        from touchfield.sources.kernels.mesh_samples import Rim
 
         if frame != 0:
             raise InvalidArgument(f"{self.name}, frame", str(frame), "0, the only one")
@@ -160,7 +163,7 @@ class MeshScene(Scene):
             events = mesh_sign.crossings(self.surface.vertices_m, faces, grid)
         rim = None
         if band.sidedness in (mesh.ONE_SIDED, mesh.LIDDED) and len(self._rim_edges):
-            rim = mesh.Rim(self._rim_table, max(band.inner_m, band.outer_m))
+            rim = Rim(self._rim_table, max(band.inner_m, band.outer_m))
         motion = None
         if profile.surface_damping_n_s_per_m > 0 and self.velocities_m_s is not None:
             motion = self._motion(self.velocities_m_s, profile.surface_damping_n_s_per_m)
@@ -193,7 +196,7 @@ class MeshScene(Scene):
         return union_of(self.surface) if self.is_closed else None
 
     @cached_property
-    def _felt(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _felt(self) -> tuple[Float64s, Float64s]:
         """The table of the triangles that are felt, and their normals."""
         from touchfield.sources.kernels.mesh_triangle import triangle_table
 
@@ -205,9 +208,9 @@ class MeshScene(Scene):
         normals = np.repeat(self._normals[union.parents, :1], 7, axis=1)
         return np.concatenate([table[union.kept], pieces]), np.concatenate([self._normals[union.kept], normals])
 
-    def _motion(self, velocities_m_s: NDArray[np.float64], damping_n_s_per_m: float) -> Motion:
+    def _motion(self, velocities_m_s: Float64s, damping_n_s_per_m: float) -> Motion:
         """Motion of the triangles that are felt."""
-        from touchfield.sources.kernels.mesh import Motion
+        from touchfield.sources.kernels.mesh_samples import Motion
 
         faces, union = self.surface.triangles, self._union
         if union is None:
@@ -223,13 +226,13 @@ class MeshScene(Scene):
         return Motion(faces, np.concatenate([velocities_m_s, at_corners]), damping_n_s_per_m)
 
     @cached_property
-    def _rim_table(self) -> NDArray[np.float64]:
+    def _rim_table(self) -> Float64s:
         from touchfield.sources.kernels.mesh_triangle import triangle_table
 
         return triangle_table(self.surface.vertices_m, self._rim_edges[:, [0, 1, 0]])
 
     @cached_property
-    def _normals(self) -> NDArray[np.float64]:
+    def _normals(self) -> Float64s:
         normals = self.surface.pseudo_normals()
         if self.is_closed and self.surface.volume_m3() < 0:
             normals *= -1.0
@@ -240,9 +243,9 @@ class MeshScene(Scene):
 class Union(NamedTuple):
     """The boundary of a union."""
 
-    kept: NDArray[np.int64]  # int64 [k]; triangles that are whole in it
-    corners_m: NDArray[np.float64]  # float64 [p, 3, 3]; pieces of others, each beginning with its longest edge
-    parents: NDArray[np.int32]  # int32 [p]; the triangle that each is a piece of
+    kept: Int64s  # int64 [k]; triangles that are whole in it
+    corners_m: Float64s  # float64 [p, 3, 3]; pieces of others, each beginning with its longest edge
+    parents: Int32s  # int32 [p]; the triangle that each is a piece of
 
 
 def union_of(surface: Surface) -> Union | None:
@@ -272,7 +275,7 @@ def union_of(surface: Surface) -> Union | None:
     return Union(kept, np.take_along_axis(mine, from_longest(mine)[:, :, None], axis=1), parents[ours])
 
 
-def _parts_meet(surface: Surface, boxes: NDArray[np.float64]) -> bool:
+def _parts_meet(surface: Surface, boxes: Float64s) -> bool:
     """True if the boxes of two connected parts overlap."""
     part_of = surface.part_of_vertex()[surface.triangles[:, 0]]
     order = np.argsort(part_of, kind="stable")

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import SourceError
 
 _LARGEST_M: Final = 1e15
@@ -26,13 +27,13 @@ _WELD, _TOGETHER = 1e-7, 1e-3
 class Edges:
     """Edges at which the triangles of a mesh meet."""
 
-    edge_of: NDArray[np.int64]  # int64 [m, 3]; the edge from vertex i to vertex i + 1 of each triangle
+    edge_of: Int64s  # int64 [m, 3]; the edge from vertex i to vertex i + 1 of each triangle
     boundary_count: int  # edges of one triangle only
     unbalanced_count: int  # edges that are not run through as often in one direction as in the other
     repeated_count: int  # edges run through twice in one direction: neighbours that face opposite ways, or fans
 
     @classmethod
-    def of(cls, triangles: NDArray[np.int32], vertex_count: int) -> Edges:
+    def of(cls, triangles: Int32s, vertex_count: int) -> Edges:
         """The edges of triangles int32 [m, 3]."""
         begin, end = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1)
         key = np.minimum(begin, end) * vertex_count + np.maximum(begin, end)
@@ -79,9 +80,9 @@ class Surface:
         self.is_closed = self.edges.unbalanced_count == 0 and not _is_double_sheet(self.triangles)
         self._hold(vertices)
 
-    def _hold(self, vertices: NDArray[np.float64]) -> None:
+    def _hold(self, vertices: Float64s) -> None:
         used = vertices[self._used]
-        self.bounds_m: NDArray[np.float64] = np.stack([used.min(axis=0), used.max(axis=0)])
+        self.bounds_m: Float64s = np.stack([used.min(axis=0), used.max(axis=0)])
         self.vertices_m = vertices
         for array in (self.vertices_m, self.triangles, self.bounds_m):
             array.flags.writeable = False
@@ -108,11 +109,11 @@ class Surface:
         other._hold(vertices)
         return other
 
-    def with_triangles(self, triangles: NDArray[np.int32]) -> Surface:
+    def with_triangles(self, triangles: Int32s) -> Surface:
         """Other triangles on the same vertices, checked anew."""
         return Surface(self.vertices_m, triangles, self._name)
 
-    def part_of_vertex(self) -> NDArray[np.int32]:
+    def part_of_vertex(self) -> Int32s:
         """The connected part of each vertex, int32 [n]; a vertex of no triangle is a part of its own."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
@@ -120,7 +121,7 @@ class Surface:
         begin, end = self.triangles.reshape(-1), np.roll(self.triangles, -1, axis=1).reshape(-1)
         count = len(self.vertices_m)
         graph = coo_array((np.ones(len(begin), np.int8), (begin, end)), shape=(count, count))
-        parts: NDArray[np.int32] = connected_components(graph, directed=False)[1]
+        parts: Int32s = connected_components(graph, directed=False)[1]
         return parts
 
     def volume_m3(self) -> float:
@@ -128,12 +129,12 @@ class Surface:
         a, b, c = ((self.vertices_m - self.bounds_m[0])[self.triangles[:, i]] for i in range(3))
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
-    def face_normals(self) -> NDArray[np.float64]:
+    def face_normals(self) -> Float64s:
         """Unit normals of the triangles, float64 [m, 3]; 0 for one without area."""
         a, b, c = (self.vertices_m[self.triangles[:, i]] for i in range(3))
         return _unit(np.cross(b - a, c - a))
 
-    def pseudo_normals(self) -> NDArray[np.float64]:
+    def pseudo_normals(self) -> Float64s:
         """Unit normals of each triangle's face, vertices 0 to 2 and edges 01, 12, 20, float64 [m, 7, 3].
 
         Where they cancel (opposite faces that meet), the face's own normal stands.
@@ -158,7 +159,7 @@ class Surface:
         return normals
 
 
-def _checked(vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _checked(vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> tuple[Float64s, Int32s]:
     vertices, faces = np.array(vertices_m, np.float64), np.asarray(triangles)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
         raise SourceError(name, f"vertices of shape {vertices.shape}", "vertices [n, 3]")
@@ -170,33 +171,33 @@ def _checked(vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> tuple[ND
     return vertices, faces.astype(np.int32)
 
 
-def _check_finite(vertices: NDArray[np.float64], name: str) -> None:
+def _check_finite(vertices: Float64s, name: str) -> None:
     bad = int(np.count_nonzero(~(np.abs(vertices) < _LARGEST_M).all(axis=1)))
     if bad:
         raise SourceError(name, f"{bad} vertices with a coordinate that is NaN or infinite", "finite metres")
 
 
-def from_longest(corners: NDArray[np.float64]) -> NDArray[np.int64]:
+def from_longest(corners: Float64s) -> Int64s:
     """The order of the corners of triangles, [m, 3, 3], that begins with the longest edge of each, int64 [m, 3]."""
     sides = _lengths(np.roll(corners, -1, axis=1) - corners)
-    order: NDArray[np.int64] = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
+    order: Int64s = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
     return order
 
 
-def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lengths(vectors: Float64s) -> Float64s:
     """The lengths of vectors [..., 3], several times as fast as `numpy.linalg.norm` along so short an axis."""
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    lengths: NDArray[np.float64] = np.sqrt(x * x + y * y + z * z)
+    lengths: Float64s = np.sqrt(x * x + y * y + z * z)
     return lengths
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit(vectors: Float64s) -> Float64s:
     lengths = _lengths(vectors)[..., None]
-    scaled: NDArray[np.float64] = vectors / np.where(lengths > 0, lengths, 1.0)
+    scaled: Float64s = vectors / np.where(lengths > 0, lengths, 1.0)
     return scaled
 
 
-def _is_double_sheet(triangles: NDArray[np.int32]) -> bool:
+def _is_double_sheet(triangles: Int32s) -> bool:
     """True if every triangle has a twin that faces the other way: balanced edges, but nothing within."""
     low, high = triangles.min(axis=1), triangles.max(axis=1)
     middle = triangles.sum(axis=1, dtype=np.int64) - low - high
@@ -207,16 +208,14 @@ def _is_double_sheet(triangles: NDArray[np.int32]) -> bool:
     return not np.bincount(group, np.where(is_odd[order], -1.0, 1.0)).any()
 
 
-def joined(
-    vertices: NDArray[Any], triangles: NDArray[Any], tolerance: float = 0.0
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def joined(vertices: NDArray[Any], triangles: NDArray[Any], tolerance: float = 0.0) -> tuple[Float64s, Int32s]:
     """The mesh with vertices at one place made one: equal, or equal after rounding to `tolerance`."""
     points = np.asarray(vertices, np.float64) + 0.0  # -0.0 is 0.0
     first, number = places(points, tolerance)
     return points[first], number[triangles].astype(np.int32)
 
 
-def places(points: NDArray[np.float64], tolerance: float = 0.0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def places(points: Float64s, tolerance: float = 0.0) -> tuple[Int64s, Int64s]:
     """Places of points [n, d]: one of the points at each, and the place of each point, int64 [n]."""
     rounded = np.round(points / tolerance) if tolerance > 0 else points
     order = np.lexsort(rounded.T)
@@ -228,7 +227,7 @@ def places(points: NDArray[np.float64], tolerance: float = 0.0) -> tuple[NDArray
 
 
 # -- which vertices are one: those at one place, and in a mesh that moves only if they stay together ---------
-def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[Float64s, Int32s]:
     """The mesh with equal vertices made one; nearly equal ones too, if that closes it."""
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         return vertices, triangles.astype(np.int32)  # the scene will say so
@@ -241,9 +240,7 @@ def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.
     return points, faces
 
 
-def welded_in_motion(
-    poses: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def welded_in_motion(poses: Float64s, triangles: Int64s) -> tuple[Int64s, Int32s]:
     """Vertices of a mesh in motion to keep, ascending, and the triangles in their numbers.
 
     Vertices that are at the same place in every pose are one. If that leaves the mesh open, those that meet at rest

@@ -16,16 +16,14 @@ from itertools import chain, count
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int32s
 from touchfield.errors import SourceError, blamed_on
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import joined
 from touchfield.sources.scene import UP_Z_AXES, Scene
 from touchfield.sources.shapes import SHAPES, Shape, moved
-
-Float64s = NDArray[np.float64]
 
 _SHOWN_GROUPS: Final = 3
 _HERE: Final = (0.0, 0.0, 0.0)
@@ -47,7 +45,7 @@ def pieces_of(mujoco: Any, model: Any, where: str, shell: str = "auto") -> tuple
     """
     chosen, notes = _touchable(model)
     # of each body: its shapes, and geom, vertices and triangles of its meshes
-    parts: defaultdict[int, tuple[list[Shape], list[tuple[int, Float64s, NDArray[np.int32]]]]]
+    parts: defaultdict[int, tuple[list[Shape], list[tuple[int, Float64s, Int32s]]]]
     parts = defaultdict(lambda: ([], []))
     left_out = int(model.nflex) + int(model.nskin)
     for geom in chosen:
@@ -107,7 +105,7 @@ def _shape(mujoco: Any, model: Any, geom: int) -> Shape | None:
     return moved(shape, rotation, shift) if is_placed else shape
 
 
-def _triangles(mujoco: Any, model: Any, geom: int) -> tuple[Float64s, NDArray[np.int32]] | None:
+def _triangles(mujoco: Any, model: Any, geom: int) -> tuple[Float64s, Int32s] | None:
     """The triangles of a mesh or height field in its body's frame; None where a geom is neither."""
     kinds, kind = mujoco.mjtGeom, int(model.geom_type[geom])
     which = int(model.geom_dataid[geom])
@@ -127,14 +125,14 @@ def _frame(mujoco: Any, model: Any, geom: int) -> tuple[Float64s, Float64s]:
     return matrix.reshape(3, 3), np.array(model.geom_pos[geom], np.float64)
 
 
-def _mesh(model: Any, which: int) -> tuple[Float64s, NDArray[np.int32]]:
+def _mesh(model: Any, which: int) -> tuple[Float64s, Int32s]:
     first, number = int(model.mesh_vertadr[which]), int(model.mesh_vertnum[which])
     begin, faces = int(model.mesh_faceadr[which]), int(model.mesh_facenum[which])
     vertices = np.array(model.mesh_vert[first : first + number], np.float64)
     return joined(vertices, np.array(model.mesh_face[begin : begin + faces], np.int32))
 
 
-def _height_field(model: Any, which: int) -> tuple[Float64s, NDArray[np.int32]]:
+def _height_field(model: Any, which: int) -> tuple[Float64s, Int32s]:
     """A height field as a closed mesh: its surface, four walls and a bottom.
 
     Each cell is cut from its corner of least x and y to that of most, as MuJoCo's collision does.

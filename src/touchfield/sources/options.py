@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from touchfield.errors import InvalidArgument, require_positive
 
-__all__ = ["SourceOptions"]
-
 
 @dataclass(frozen=True)
 class SourceOptions:

@@ -44,8 +44,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.sources.analytic_scene import AnalyticScene
@@ -60,7 +60,7 @@ from touchfield.sources.shapes import Plane
 from touchfield.sources.simulation import frames_of, load_mujoco, simulated
 from touchfield.sources.toml_values import read_toml
 
-Poses = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+Poses = tuple[Float64s, Float64s, Float64s]
 
 _SECONDS: Final = 2.0
 

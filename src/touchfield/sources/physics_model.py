@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int32s
 from touchfield.errors import SourceError
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.sources.mesh_scene import MeshScene
@@ -23,8 +23,6 @@ from touchfield.sources.physics_table import PhysicsTable, RigidBody, World
 from touchfield.sources.poses import quaternion_of_turns
 from touchfield.sources.shapes import Superquadric, rotation_matrix
 from touchfield.sources.simulation import START, compiled
-
-Float64s = NDArray[np.float64]
 
 _HARD: Final = (0.99, 0.99, 0.001, 0.5, 2.0)
 """Impedance: nearly all of the acceleration at a contact is the spring's and damper's."""
@@ -176,7 +174,7 @@ def _check_thick(body: RigidBody, points: Float64s) -> None:
         raise SourceError(f"{body.where}: size", found, f"{_THINNEST:g} or more")
 
 
-def _solid(scene: MeshScene) -> tuple[Float64s, NDArray[np.int32], bool]:
+def _solid(scene: MeshScene) -> tuple[Float64s, Int32s, bool]:
     """Vertices, triangles that face outwards, and whether they enclose a volume."""
     triangles = np.array(scene.surface.triangles)
     volume = scene.surface.volume_m3() if scene.is_closed else 0.0

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import SourceError
 from touchfield.files import require_beside
 from touchfield.sources.analytic_scene import AnalyticScene, shape_of_table
@@ -51,7 +51,7 @@ def _triple(where: str, value: Any) -> Triple:
     return x, y, z
 
 
-def _rows(where: str, value: Any) -> NDArray[np.float64]:
+def _rows(where: str, value: Any) -> Float64s:
     if not isinstance(value, list) or not value:
         raise SourceError(where, repr(value)[:60], "a list of lists of three numbers")
     return np.array([_triple(where, row) for row in value], np.float64)

@@ -26,8 +26,6 @@ from touchfield.files import readable, require_plain
 from touchfield.medium.npz import map_npy, read_npy_header
 from touchfield.sources.camera import require_frame
 
-__all__ = ["MAX_PIXELS", "PICTURE_SUFFIXES", "PictureHeader", "bound_pixels", "picture_header", "read_picture"]
-
 MAX_PIXELS: Final = 1 << 26  # pixels of the largest picture that is decoded (8192 x 8192)
 PICTURE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy")
 PHOTO_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.poses import (
@@ -27,8 +27,6 @@ from touchfield.sources.poses import (
     read_text,
     seconds,
 )
-
-__all__ = ["POSE_TOLERANCE_S", "PlacedFrames", "placed_frames", "posed_frames"]
 
 POSE_TOLERANCE_S: Final = 0.020  # a frame takes a pose at most this far from it in time
 _LISTS: Final = tuple(
@@ -51,7 +49,7 @@ class PlacedFrames(NamedTuple):
     """The frames that have a pose, ascending (all where there are none); the poses, float64 [n, 4, 4]; and notes."""
 
     kept: tuple[int, ...]
-    poses: NDArray[np.float64] | None
+    poses: Float64s | None
     notes: tuple[str, ...]
 
 
@@ -61,9 +59,9 @@ class _Frames:
 
     names: tuple[str, ...]
     paths: tuple[Path, ...]
-    stamps_s: NDArray[np.float64] | None
+    stamps_s: Float64s | None
 
-    def times_s(self) -> NDArray[np.float64] | None:
+    def times_s(self) -> Float64s | None:
         """Time stamps: those given, or those that file names hold; None where one holds none."""
         if self.stamps_s is not None or not self.paths:
             return self.stamps_s
@@ -76,7 +74,7 @@ def placed_frames(
     frames: Sequence[Path] | int,
     options: SourceOptions,
     folders: Sequence[Path],
-    stamps_s: NDArray[np.float64] | None = None,
+    stamps_s: Float64s | None = None,
 ) -> PlacedFrames:
     """The poses of frames: those asked for, or those that lie in one of the folders.
 
@@ -98,9 +96,7 @@ def placed_frames(
     return placed._replace(notes=(*placed.notes, match.note, *unread))
 
 
-def posed_frames(
-    name: str, poses: Sequence[NDArray[np.float64] | None], why: str, needs_all: bool = False
-) -> PlacedFrames:
+def posed_frames(name: str, poses: Sequence[Float64s | None], why: str, needs_all: bool = False) -> PlacedFrames:
     """Leave out the frames without a pose, and say so: a frame that is not placed would be felt in a wrong place."""
     kept = tuple(i for i, pose in enumerate(poses) if pose is not None)
     present, count = [pose for pose in poses if pose is not None], len(poses)
@@ -121,7 +117,7 @@ def frame_number(name: str) -> float | None:
 class _Match(NamedTuple):
     """A pose or None for each frame, a note on them, why a frame may have none, and their files."""
 
-    poses: list[NDArray[np.float64] | None]
+    poses: list[Float64s | None]
     note: str
     why: str
     files: set[Path]
@@ -216,7 +212,7 @@ def _of_files(name: str, files: Sequence[Path], frames: _Frames) -> _Match:
     return _a_file_each(name, poses, set(files))
 
 
-def _a_file_each(name: str, poses: list[NDArray[np.float64] | None], files: set[Path]) -> _Match:
+def _a_file_each(name: str, poses: list[Float64s | None], files: set[Path]) -> _Match:
     note = f"Poses of {name}, a file a frame, scene from camera."
     return _Match(poses, note, "no pose, or tracking was lost", files)
 

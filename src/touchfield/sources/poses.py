@@ -27,18 +27,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import SourceError
 from touchfield.files import plain_size, readable
 from touchfield.medium.pose_track import PoseTrack, rotation_matrices, slerp
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.sources.shapes import Triple
 
-    Float64s = NDArray[np.float64]
-
-__all__ = ["PoseList", "checked_poses", "parse_poses", "poses_between", "read_pose_csv", "read_text", "track_at_rate"]
 
 MAX_TIME_S: Final = 1e12  # time stamps stay below this: 32 thousand years
 COLUMNS: Final = ("t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
@@ -63,7 +59,7 @@ class PoseList:
     poses: Float64s
     form: str
     times_s: Float64s | None = None
-    numbers: NDArray[np.int64] | None = None
+    numbers: Int64s | None = None
     names: tuple[str, ...] | None = None
 
 
@@ -171,7 +167,7 @@ def seconds(stamps: Float64s) -> Float64s:
     return stamps / unit
 
 
-def parse_trajectory_log(text: str, where: str) -> tuple[NDArray[np.int64], Float64s]:
+def parse_trajectory_log(text: str, where: str) -> tuple[Int64s, Float64s]:
     """Redwood's ``trajectory.log``: the first number of each entry, int64 [n], and its pose, float64 [n, 4, 4]."""
     entries = _entries(text, 19, where, "entry (3 and a 4x4 matrix)")
     names = entries[:, 0]
@@ -195,7 +191,7 @@ def read_pose_file(path: Path) -> Float64s | None:
     return pose
 
 
-def nearest_in_time(times_s: Float64s, wanted_s: Float64s, tolerance_s: float) -> NDArray[np.int64]:
+def nearest_in_time(times_s: Float64s, wanted_s: Float64s, tolerance_s: float) -> Int64s:
     """Index of the nearest of the ascending `times_s` for each of `wanted_s`, int64 [m]; -1 beyond the tolerance."""
     if not len(times_s):
         return np.full(len(wanted_s), -1, np.int64)

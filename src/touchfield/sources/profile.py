@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 
 
@@ -41,7 +42,7 @@ class ForceProfile:
             found = repr(self.surface_damping_n_s_per_m)
             raise InvalidArgument("surface_damping_n_s_per_m", found, "0 or a positive number")
 
-    def __call__(self, phi_m: ArrayLike) -> NDArray[np.float64]:
+    def __call__(self, phi_m: ArrayLike) -> Float64s:
         """f at signed distances in metres, newtons, positive along the outward normal."""
         phi = np.asarray(phi_m, np.float64)
         amplitude = np.zeros_like(phi)
@@ -60,7 +61,7 @@ class ForceProfile:
         """Above this signed distance there is no force."""
         return self.pieces[-1][1]
 
-    def table(self) -> NDArray[np.float64]:
+    def table(self) -> Float64s:
         """The pieces for a kernel, float64 [pieces, 4]: low, high, intercept, slope."""
         return np.array(self.pieces, np.float64)
 

@@ -12,19 +12,15 @@ import struct
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.files import plain_size, readable
 from touchfield.medium.field import frozen
 from touchfield.sources.poses import read_text
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["STANDARD_GRAVITY_M_S2", "Recording", "read_recording"]
 
 STANDARD_GRAVITY_M_S2: Final = 9.80665
 _UNITS: Final = {"m_s2": 1.0, "g": STANDARD_GRAVITY_M_S2}
@@ -45,7 +41,7 @@ class Recording:
     """
 
     rate_hz: float
-    acceleration_m_s2: NDArray[np.float64]
+    acceleration_m_s2: Float64s
 
     def __post_init__(self) -> None:
         require_positive(rate_hz=self.rate_hz)
@@ -77,7 +73,7 @@ def read_recording(path: str | Path, full_scale_m_s2: float = STANDARD_GRAVITY_M
     return Recording(rate_hz, own)
 
 
-def _read_wav(where: Path) -> tuple[float, NDArray[np.float64]]:
+def _read_wav(where: Path) -> tuple[float, Float64s]:
     from scipy.io import wavfile
 
     with readable(where, "a .wav file", "Check path and rights."):
@@ -103,7 +99,7 @@ def _read_wav(where: Path) -> tuple[float, NDArray[np.float64]]:
     return float(rate_hz), samples
 
 
-def _read_csv(where: Path) -> tuple[float, NDArray[np.float64]]:
+def _read_csv(where: Path) -> tuple[float, Float64s]:
     lines = [(n, line) for n, line in enumerate(read_text(where).splitlines(), 1) if line.strip()]
     if len(lines) < 3:
         raise SourceError(str(where), f"{len(lines)} lines", f"{_EXAMPLE}, and two samples or more")

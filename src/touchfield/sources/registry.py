@@ -21,8 +21,6 @@ from touchfield.files import require_plain
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import Scene
 
-__all__ = ["SourceKind", "kinds", "open_source"]
-
 MODULES = (  # in the order in which they are asked: the particular before the general
     "physics",
     "analytic_scene",

@@ -13,13 +13,11 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float64s, Int32s, Int64s
 from touchfield.medium import PoseTrack
 from touchfield.medium.pose_track import quaternions_of
 from touchfield.sources.mesh_surface import Surface
-
-Floats = NDArray[np.float64]
 
 _RIGID: Final = 1e-5
 _LOOKS: Final = 16
@@ -28,14 +26,14 @@ _LOOKS: Final = 16
 class RigidPart(NamedTuple):
     """Connected parts that move alike."""
 
-    has_vertex: NDArray[np.bool_]  # bool [n]; which vertices are its own
-    origin_m: Floats  # float64 [3]; where the origin of its own frame lies in frame 0, in which it is not turned
+    has_vertex: Bools  # bool [n]; which vertices are its own
+    origin_m: Float64s  # float64 [3]; where the origin of its own frame lies in frame 0, in which it is not turned
     track: PoseTrack  # scene from its own frame
 
 
 def rigid_parts(
-    surface: Surface, vertices_m: Callable[[int], Floats], frame_count: int
-) -> tuple[list[RigidPart], NDArray[np.bool_]]:
+    surface: Surface, vertices_m: Callable[[int], Float64s], frame_count: int
+) -> tuple[list[RigidPart], Bools]:
     """The rigid parts of a surface in motion, and which vertices deform, bool [n].
 
     `surface` Surface: its triangles tell what is connected; `vertices_m` callable: the vertices of a frame, float64
@@ -66,12 +64,12 @@ def rigid_parts(
 
 
 def _fitted(
-    order: NDArray[np.int64],
-    part_of: NDArray[np.int32],
-    start: Floats,
-    vertices_m: Callable[[int], Floats],
+    order: Int64s,
+    part_of: Int32s,
+    start: Float64s,
+    vertices_m: Callable[[int], Float64s],
     frames: list[int] | range,
-) -> tuple[NDArray[np.int64], Floats]:
+) -> tuple[Int64s, Float64s]:
     """The vertices of those parts that are rigid in these frames, and x -> R x + t of each, [parts, frames, 3, 4]."""
     names = part_of[order]
     first = np.flatnonzero(np.append(True, names[1:] != names[:-1]))[: len(names)]
@@ -100,7 +98,7 @@ def _fitted(
     return order[is_rigid[number]], poses[is_rigid]
 
 
-def _alike(names: NDArray[np.int32], poses: Floats, points: Floats) -> list[tuple[NDArray[np.int32], Floats, Floats]]:
+def _alike(names: Int32s, poses: Float64s, points: Float64s) -> list[tuple[Int32s, Float64s, Float64s]]:
     """Parts in groups that move alike: their names, and the rotations [f, 3, 3] and shifts [f, 3] of each group."""
     if not len(names):
         return []

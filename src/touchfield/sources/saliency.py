@@ -38,6 +38,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, require_positive
 from touchfield.files import readable
 from touchfield.medium import BRICK, ForceField, Grid
@@ -51,9 +52,6 @@ from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene
-
-Float32s = NDArray[np.float32]
-
 
 LONGER_SIDE_M: Final = 1.0
 THICKNESS: Final = 0.05  # of the plate, as a share of its longer side
@@ -199,7 +197,7 @@ class SaliencyScene(Scene):
         self._cell_m = self._size_m[0] / columns, self._size_m[1] / rows
         self.finest_m = (*self._cell_m, self._depth_m)
 
-    def bounds_m(self) -> NDArray[np.float64]:
+    def bounds_m(self) -> Float64s:
         """The box of the plate, metres, float64 [2, 3], its middle in the origin."""
         half = np.array([*self._size_m, self._depth_m]) / 2
         return np.stack([-half, half])
@@ -230,7 +228,7 @@ class SaliencyScene(Scene):
         return ForceField(grid, bricks, forces)
 
 
-def _weights(places: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def _weights(places: Float64s, count: int) -> Float64s:
     """Bilinear weights of `count` cells, cell i from i to i + 1, at places along them, float64 [places, count].
 
     Beyond the last half cell the cell's own value holds, and beyond the picture there is none.

@@ -10,7 +10,6 @@ from touchfield.sources.options import SourceOptions
 if TYPE_CHECKING:
     from touchfield.sources.scene import Scene
 
-__all__ = ["SAMPLES", "sample"]
 
 SAMPLES = ("shapes", "terrain", "motorcycle", "falling-4", "falling-7")
 

@@ -14,19 +14,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float64s, Int32s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid, PoseTrack
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, frozen
 from touchfield.parallel import for_chunks
 from touchfield.sources.profile import ForceProfile
-
-__all__ = [
-    "CAMERA_AXES", "DEPTH_UNIT", "UP_Y_AXES", "UP_Z_AXES", "Body", "MovingScene", "Scene", "bricks_that",
-    "field_of_points",
-]  # fmt: skip
-
-Float64s = NDArray[np.float64]
 
 CAMERA_AXES: Final = "x right, y down, z forward"
 UP_Y_AXES: Final = "x right, y up, z towards the viewer"
@@ -38,7 +32,7 @@ DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
 _BRICKS_AT_ONCE: Final = 64
 
 
-def bricks_that(may_hold: Callable[[Float64s, float], NDArray[np.bool_]], grid: Grid) -> NDArray[np.int32]:
+def bricks_that(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int32s:
     """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may.
 
     ``may_hold(centres, radius_m)``, bool [n]: whether there may be a force so near to points, float64 [n, 3].
@@ -58,7 +52,7 @@ def bricks_that(may_hold: Callable[[Float64s, float], NDArray[np.bool_]], grid: 
 
 
 def field_of_points(
-    grid: Grid, bricks: NDArray[np.int32], forces_n: Callable[[Float64s], NDArray[np.floating[Any]]]
+    grid: Grid, bricks: Int32s, forces_n: Callable[[Float64s], NDArray[np.floating[Any]]]
 ) -> ForceField:
     """The forces of a function of points in metres, float64 [n, 3], at the samples of bricks, int32 [m, 3] ascending.
 

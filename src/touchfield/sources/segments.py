@@ -30,13 +30,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.sources.camera import DepthSequence, require_frame
 from touchfield.sources.scene import Body, Scene
 
-Float32s = NDArray[np.float32]
-Labels = NDArray[np.int32]
+Labels = Int32s
 
 LARGEST_AT_MOST: Final = 254
 BACKGROUND: Final = 0
@@ -120,7 +120,7 @@ def surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> tuple[L
     return np.ascontiguousarray(labels[::2, ::2], np.int32), int(count)
 
 
-def _linked(a: Float32s, b: Float32s, step: float, noise_step_per_m: float) -> NDArray[np.bool_]:
+def _linked(a: Float32s, b: Float32s, step: float, noise_step_per_m: float) -> Bools:
     """True where neighbours belong together: |a - b| <= max(step * nearer, g a b), as |1/a - 1/b| <= g."""
     nearer = np.minimum(a, b)
     allowed = np.maximum(np.float32(step) * nearer, np.float32(noise_step_per_m) * a * b)
@@ -186,7 +186,7 @@ class Segmentation:
     def _followed(self) -> list[list[_Surface]]:
         """The large surfaces of each frame."""
         sequence = self.sequence
-        places: dict[int, NDArray[np.int64]] = {}  # by name, the latest seen last: its pixels
+        places: dict[int, Int64s] = {}  # by name, the latest seen last: its pixels
         followed: list[list[_Surface]] = []
         next_name = 0
         for frame in range(sequence.frame_count):
@@ -205,9 +205,7 @@ class Segmentation:
         return followed
 
 
-def _matched(
-    labels: Labels, large: list[int], places: dict[int, NDArray[np.int64]], next_name: int
-) -> dict[int, int]:
+def _matched(labels: Labels, large: list[int], places: dict[int, Int64s], next_name: int) -> dict[int, int]:
     """A name for each of the `large` labels: of the object whose pixels, `places`, it shares most, else a new one."""
     rank = np.full(int(labels.max(initial=0)) + 1, len(large))
     rank[large] = np.arange(len(large))
@@ -237,7 +235,7 @@ class MaskedSequence(DepthSequence):
         self.width, self.height, self.intrinsics = source.width, source.height, source.intrinsics
         self.poses, self.notes = source.poses, source.notes
 
-    def depth_m(self, frame: int) -> NDArray[np.float32]:
+    def depth_m(self, frame: int) -> Float32s:
         require_frame(frame, self.frame_count, self.name)
         return self.segmentation.depth_m(frame, self.number)
 

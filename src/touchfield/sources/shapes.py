@@ -19,12 +19,11 @@ from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.pose_track import checked_rotation
-
-Float64s = NDArray[np.float64]
 
 Triple = tuple[float, float, float]
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int32s
 from touchfield.errors import SourceError
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 from touchfield.medium.npz import NpzArchive, read_npz
@@ -42,7 +42,7 @@ class StoredScene(Scene):
         self.finest_m = medium.grid.spacing_m
         self.notes = ("The stored forces are used as they are; the force law is ignored.",)
 
-    def bounds_m(self) -> NDArray[np.float64]:
+    def bounds_m(self) -> Float64s:
         """The box of the stored grid, metres, float64 [2, 3]."""
         return np.stack(self.medium.grid.box_m)
 
@@ -54,7 +54,7 @@ class StoredScene(Scene):
         return field_of_points(grid, _touched(stored, grid), stored.sample_n)
 
 
-def _touched(stored: ForceField, grid: Grid) -> NDArray[np.int32]:
+def _touched(stored: ForceField, grid: Grid) -> Int32s:
     """Bricks of `grid` that a stored brick can reach: each sample acts within one spacing around it."""
     low = grid.to_index(stored.grid.to_m(stored.bricks * BRICK - 1.0))
     high = grid.to_index(stored.grid.to_m(stored.bricks * BRICK + float(BRICK)))

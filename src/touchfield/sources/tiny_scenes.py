@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s
 from touchfield.medium import PoseTrack
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
@@ -15,8 +15,6 @@ from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.scene import Body, Scene
 from touchfield.sources.shapes import Ellipsoid, Sphere
-
-__all__ = ["tiny_scenes"]
 
 
 class _Ramp(DepthSequence):
@@ -31,7 +29,7 @@ class _Ramp(DepthSequence):
         self.poses = np.stack([np.eye(4), np.eye(4)])
         self.poses[1, 0, 3] = 0.01
 
-    def depth_m(self, frame: int) -> NDArray[np.float32]:
+    def depth_m(self, frame: int) -> Float32s:
         depth = np.tile(np.linspace(1.0, 1.5, self.width, dtype=np.float32), (self.height, 1))
         depth[10:14, 10:14] = 0
         return depth

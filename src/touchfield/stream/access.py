@@ -18,11 +18,10 @@ from weakref import WeakSet
 from touchfield.errors import InvalidArgument, MissingExtra
 
 try:
-    from aiohttp import web
+    from aiohttp import web as web
 except ImportError:
     raise MissingExtra("a server of streams", "aiohttp", "broadcast") from None
 
-__all__ = ["Access", "Background", "Pages", "add_pages", "guarded", "run", "web"]
 
 _OWN: Final = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache", "X-Frame-Options": "SAMEORIGIN"}
 _PATIENCE_S: Final = 10.0

@@ -10,8 +10,6 @@ from urllib.parse import quote
 from touchfield.stream.access import Access, Background, Pages, add_pages, guarded, web
 from touchfield.stream.server import MEDIA_TYPE
 
-__all__ = ["Bridge"]
-
 _PERIOD_S: Final = 1 / 60
 _PATIENCE_S: Final = 5.0
 

@@ -15,8 +15,6 @@ from xml.etree import ElementTree
 
 from touchfield.errors import InvalidArgument, SourceError
 
-__all__ = ["BEGINS", "write_dash"]
-
 MEDIA_TYPE: Final = "haptics/vnd.touchfield"
 BEGINS: Final = "urn:touchfield:begins-s"
 _SPACE: Final = "urn:mpeg:dash:schema:mpd:2011"

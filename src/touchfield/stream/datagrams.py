@@ -25,7 +25,6 @@ try:
 except ImportError:
     raise MissingExtra("datagrams with parity", "raptorq", "broadcast") from None
 
-__all__ = ["MOST_DATAGRAM", "MOST_OPEN", "Datagrams", "Gathering"]
 
 _MAGIC: Final = b"TF"
 _HEAD: Final = struct.Struct("<2sIIIHI")

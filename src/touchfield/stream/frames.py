@@ -18,8 +18,6 @@ from touchfield.medium import ForceField, Grid, Segments
 from touchfield.medium.vibration import VibrationBand, VibrationFrame
 from touchfield.parallel import worker_count
 
-__all__ = ["SegmentFrames", "VibrationFrames", "segments_of"]
-
 MOST_BYTES_AHEAD: Final = 1 << 28
 """Bytes of a segment before it is asked for; its other frames are decoded then."""
 

@@ -33,11 +33,6 @@ from touchfield.container.wire import (
 from touchfield.container.writer import index_and_end
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument
 
-__all__ = [
-    "ENDLESS", "MOST_BYTES", "Ended", "Event", "LiveReceiver", "LiveSegment", "LiveSender", "Lost", "Opened",
-    "Refused", "Subscriber", "file_of",
-]  # fmt: skip
-
 ENDLESS: Final = (1 << 31) - 1
 """`HEAD.frame_count` of a live stream."""
 

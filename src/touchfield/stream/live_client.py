@@ -22,8 +22,6 @@ from touchfield.stream.live import MOST_BYTES, Ended, LiveReceiver, LiveSegment,
 from touchfield.stream.live_medium import PATIENCE_S, LiveFrames, LiveStream
 from touchfield.stream.pipe import messages
 
-__all__ = ["open_live"]
-
 _PAUSES_S: Final = (0.1, 0.3, 1.0, 2.0)
 _POLL_S: Final = 0.05
 _MOST_MANIFEST: Final = 1 << 16

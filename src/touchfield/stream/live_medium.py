@@ -15,8 +15,7 @@ from collections.abc import Callable, Mapping
 from threading import Condition
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
-import numpy as np
-
+from touchfield.arrays import Int64s
 from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import coder
 from touchfield.codec.vibration import decode_vibration
@@ -28,12 +27,9 @@ from touchfield.stream.live import ENDLESS, Ended, Event, LiveSegment, Lost, Ope
 from touchfield.stream.opened import OpenStream
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.codec.registry import FieldDecoder
     from touchfield.container import Head
 
-__all__ = ["LiveEnd", "LiveFrames", "LiveStream"]
 
 KEPT: Final = 4
 """Segments that are kept decoded."""
@@ -406,7 +402,7 @@ class LiveStream(OpenStream):
         """See `bits`."""
         raise SourceError(self.reader.name, "a live stream", "a file, whose bits can be counted")
 
-    def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
+    def quantiser(self) -> Callable[[ForceField], Int64s]:
         """See `bits`."""
         raise SourceError(self.reader.name, "a live stream", "a file, whose symbols are known")
 

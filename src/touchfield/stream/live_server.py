@@ -14,8 +14,6 @@ from touchfield.stream.access import Access, Background, Pages, add_pages, guard
 from touchfield.stream.live import LiveSegment, LiveSender, file_of
 from touchfield.stream.server import MEDIA_TYPE
 
-__all__ = ["LiveServer"]
-
 _PATIENCE_S: Final = 10.0
 """How long a receiver may take for a message."""
 

@@ -23,8 +23,6 @@ from touchfield.medium.atomic import atomic_path
 from touchfield.parallel import Report, silent
 from touchfield.stream.dash import write_dash
 
-__all__ = ["Muxed", "demux", "mux"]
-
 _CLOCK: Final = Fraction(1, 90000)
 _MOST_BYTES: Final = 1 << 30
 """Of all touch in a movie that is taken out."""

@@ -17,7 +17,6 @@ from touchfield.medium import ForceField, Grid
 if TYPE_CHECKING:
     from touchfield.container import TouchReader
 
-__all__ = ["decoder", "is_for"]
 
 MOST_BYTES: Final = 1 << 28
 """Of a file: all of it lies in memory."""

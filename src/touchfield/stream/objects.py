@@ -24,7 +24,6 @@ from touchfield.stream.frames import SegmentFrames, segments_of
 if TYPE_CHECKING:
     from touchfield.codec.objects.encoder import ObjectsEncoder
 
-__all__ = ["ObjectStream", "coded_object", "record_of", "write_objects"]
 
 _BYTES_PER_POSE: Final = 2 * 7 * 8
 """Seven float64, held twice while the segments are put together."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Int64s
 from touchfield.codec.rate import BitAccount, compression_ratio
 from touchfield.codec.registry import coder
 from touchfield.codec.touch.body import Promise, TouchCost
@@ -25,22 +26,11 @@ from touchfield.stream import native
 from touchfield.stream.frames import SegmentFrames, VibrationFrames, segments_of
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.codec.registry import FieldDecoder
     from touchfield.codec.segment import FrameCost
     from touchfield.devices import Device
     from touchfield.medium.placement import Placement
 
-__all__ = [
-    "FILTERED",
-    "OpenStream",
-    "SceneStream",
-    "VoxelStream",
-    "open_stream",
-    "opened",
-    "write_field",
-]
 
 FILTERED: Final = "the device-filtered field, behind any haptic filters"
 """The reference of a promise, unless a file tells otherwise; `touchfield field` writes it."""
@@ -123,7 +113,7 @@ class OpenStream(ABC):
         """Mean bits of a frame of each kind."""
 
     @abstractmethod
-    def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
+    def quantiser(self) -> Callable[[ForceField], Int64s]:
         """Q: each supported force of a frame to a symbol, the same for all frames."""
 
     @abstractmethod
@@ -239,9 +229,9 @@ class VoxelStream(OpenStream):
         kinds = dict.fromkeys(c.kind for c in self.costs)
         return {k.name.lower(): float(np.mean([c.bits.total for c in self.costs if c.kind == k])) for k in kinds}
 
-    def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
+    def quantiser(self) -> Callable[[ForceField], Int64s]:
         """See `OpenStream`: the intra tables of the first segment."""
-        symbols: Callable[[ForceField], NDArray[np.int64]] = self.decoder.quantiser(self.reader.read_segment(0))
+        symbols: Callable[[ForceField], Int64s] = self.decoder.quantiser(self.reader.read_segment(0))
         return symbols
 
     def _coder(self) -> dict[str, Any]:
@@ -315,7 +305,7 @@ class SceneStream(OpenStream):
         count, bits = self.reader.head.frame_count, self.objects.bits
         return {"poses": bits.poses / count, "fields": (bits.total - bits.poses) / count}
 
-    def quantiser(self) -> Callable[[ForceField], NDArray[np.int64]]:
+    def quantiser(self) -> Callable[[ForceField], Int64s]:
         """See `OpenStream`: the Weber ladder and directions that measures take by default."""
         from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 

@@ -10,8 +10,6 @@ from touchfield.errors import SourceError
 from touchfield.files import exactly
 from touchfield.stream.live import MOST_BYTES
 
-__all__ = ["messages", "write_message"]
-
 _LENGTH: Final = struct.Struct("<I")
 
 

@@ -17,8 +17,6 @@ from aiohttp.abc import AbstractStreamWriter
 from touchfield.errors import InvalidArgument
 from touchfield.stream.access import Access, Pages, add_pages, guarded, run, web
 
-__all__ = ["MEDIA_TYPE", "application", "serve"]
-
 MEDIA_TYPE: Final = "haptics/vnd.touchfield"
 """Of a ``.touch`` file (RFC 9695 makes the tree; haptics/hmpg is MPEG's)."""
 

@@ -13,8 +13,6 @@ from touchfield.errors import InvalidArgument
 from touchfield.stream.datagrams import MOST_DATAGRAM, MOST_OPEN, Datagrams, Gathering
 from touchfield.stream.live import LiveSender
 
-__all__ = ["REPAIR", "Layer", "UdpSender", "listen", "place_of"]
-
 _OPENED_EVERY: Final = 4
 """Segments, before which the opening is told again for those who come."""
 

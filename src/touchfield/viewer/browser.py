@@ -14,8 +14,6 @@ from hashlib import sha256
 from importlib import resources
 from typing import Any, Final
 
-__all__ = ["empty_page", "page_of", "served_page"]
-
 _FIGURES: Final = '<script type="application/json" id="given-figures">null</script>'
 _MOVIE: Final = '<script type="text/plain" id="given-movie" data-type="" data-at="0"></script>'
 _SOURCE: Final = '<script type="text/plain" id="given-source"></script>'

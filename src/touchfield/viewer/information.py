@@ -16,7 +16,6 @@ from touchfield.viewer.page import shortened, titled_figure, write_png
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["Bar", "DeviceBars", "InformationView", "draw_information"]
 
 _LIMIT, _ACTUAL, _KEPT, _LOST = "#0072b2", "#d55e00", "#0072b2", "0.82"
 _WIDTH_INCH = 9.5

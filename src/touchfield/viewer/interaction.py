@@ -10,18 +10,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from touchfield.medium import ForceField
 
-    Float64s = NDArray[np.float64]
-
-__all__ = ["InteractionView", "contacts", "draw_interaction"]
 
 _HUES: Final = ("#0072b2", "#d55e00", "#009e73")
 _PUT, _FIELD, _FRICTION, _CONTACT = "0.1", "#0072b2", "#d55e00", "#f0e442"

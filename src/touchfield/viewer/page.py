@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-__all__ = ["is_our_picture", "lines_that_fit", "shortened", "titled_figure", "write_png"]
 
 _DOTS_PER_INCH = 110
 _HEAD_BYTES = 1 << 12

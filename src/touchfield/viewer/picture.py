@@ -10,18 +10,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float32s, Float64s
 from touchfield.perception.mask import mask_n
 from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from touchfield.medium import ForceField
 
-__all__ = ["PictureSpec", "draw_comparison"]
 
 _X, _Y, _Z = 0, 1, 2
 _ARROWS = 30  # along the longer side of the direction panels
@@ -158,7 +157,7 @@ class _Panels:
         figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("|F| / N", fontsize=8)
         self._mask_bar(figure, row[2], _Y, self.error[:, :, 0], "error, in units of the mask")
 
-    def _contact_mm(self, force: NDArray[np.float32]) -> NDArray[np.float64]:
+    def _contact_mm(self, force: Float32s) -> Float64s:
         felt = force > self.spec.f0_n
         index = felt.argmax(axis=_Z) if self.from_low_z else felt.shape[_Z] - 1 - felt[:, :, ::-1].argmax(axis=_Z)
         z = self.low_mm[_Z] + (index + 0.5) * self.step_mm[_Z]
@@ -189,7 +188,7 @@ class _Panels:
         worst = self._image(row[2], _Z, angle, "direction error", vmin=0, vmax=20, cmap="cividis")
         figure.colorbar(worst, ax=row[2], shrink=0.85, extend="max").set_label("angle / degrees", fontsize=8)
 
-    def _quiver(self, panel: Any, unit: NDArray[np.float32], title: str) -> Any:
+    def _quiver(self, panel: Any, unit: Float32s, title: str) -> Any:
         extent = self._frame(panel, _Z, title)
         cell_mm = max(extent[1] - extent[0], extent[3] - extent[2]) / _ARROWS
         # the first supported sample of each cell of the page, so that thin walls are not jumped over
@@ -209,7 +208,7 @@ class _Panels:
         return arrows
 
 
-def _span(held: NDArray[np.bool_], count: int) -> slice:
+def _span(held: Bools, count: int) -> slice:
     """The range that is held, with a margin of a twentieth; all if nothing is."""
     places = np.flatnonzero(held)
     if not len(places):
@@ -218,7 +217,7 @@ def _span(held: NDArray[np.bool_], count: int) -> slice:
     return slice(max(0, int(places[0] - margin)), min(count, int(places[-1] + margin + 1)))
 
 
-def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+def _unit(vectors: Float32s) -> Float32s:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    unit: NDArray[np.float32] = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    unit: Float32s = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
     return unit

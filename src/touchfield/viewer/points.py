@@ -6,17 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.perception.mask import mask_n
 from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    Float64s = NDArray[np.float64]
-
-__all__ = ["draw_points"]
 
 
 def draw_points(

@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
     from touchfield.medium import ForceField, Grid
 
-__all__ = ["PreviewSpec", "draw_shadows", "shadows"]
 
 _PANELS: Final = (
     ("from the viewer", (1, 0, 0), (0, 1, 0)),
@@ -46,7 +45,7 @@ class PreviewSpec:
 
     title: str
     caption: str
-    turn: NDArray[np.float64]
+    turn: Float64s
 
 
 def draw_shadows(path: Path, fields: Sequence[ForceField], spec: PreviewSpec) -> None:
@@ -106,7 +105,7 @@ def _seen(spec: PreviewSpec, way: tuple[int, int, int]) -> tuple[int, bool]:
     return axis, bool(along[axis] < 0)
 
 
-def _shadow(fields: Sequence[ForceField], grid: Grid, across: int, up: int) -> NDArray[np.float64]:
+def _shadow(fields: Sequence[ForceField], grid: Grid, across: int, up: int) -> Float64s:
     """The greatest force along the third axis, newtons, float64 [shape[across], shape[up]]."""
     shadow = np.zeros((grid.shape[across], grid.shape[up]))
     for field in fields:

@@ -6,21 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from touchfield.arrays import Bools, Float64s
 from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from touchfield.medium import ForceField
 
-__all__ = ["draw_reduction"]
 
-
-def draw_reduction(
-    path: Path, values: NDArray[np.float64], field: ForceField, felt: NDArray[np.bool_], title: str
-) -> None:
+def draw_reduction(path: Path, values: Float64s, field: ForceField, felt: Bools, title: str) -> None:
     """Write a PNG: the error after so many modes, by singular values; |F| on the section across z that most is left
     out of, in red what is not `felt`, bool [nx, ny, nz]. Raises `MissingExtra` if matplotlib is not installed.
     """

@@ -6,19 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
 
-__all__ = ["draw_textures"]
-
-
-def draw_textures(
-    path: Path, bands_hz: tuple[float, ...], rows: dict[str, NDArray[np.float64]], threshold_n: NDArray[np.float64]
-) -> None:
+def draw_textures(path: Path, bands_hz: tuple[float, ...], rows: dict[str, Float64s], threshold_n: Float64s) -> None:
     """Write a PNG with a line for each row, newtons rms [bands] by its label, and the threshold, likewise.
 
     Raises `MissingExtra` if matplotlib is not installed.

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.lean import entry, inlined, lean
 
 X, RANGE, PLACE, TASK = range(4)  # places in the state, int64 [4]
@@ -31,7 +32,7 @@ _RATE: Final = 14
 _WEIGHT: Final = 14000
 
 
-def _logistic_tables() -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+def _logistic_tables() -> tuple[Int32s, Int32s, Int32s]:
     """65536 / (1 + e^-x), its inverse, and learning rates, all by whole numbers."""
     power, half = 1 << 31, []  # 2^31 e^-x
     for _ in range(_REACH + 1):
@@ -50,20 +51,20 @@ SQUASH, STRETCH, RATES = _logistic_tables()
 class Bits(NamedTuple):
     """A range coder with its models."""
 
-    state: NDArray[np.int64]  # [4]
+    state: Int64s  # [4]
     buffer: NDArray[np.uint8]  # [n]; takes the code, or holds it
     chances: NDArray[np.uint32]  # [contexts]
-    weights: NDArray[np.int32]  # [sets, INPUTS]; of the inputs that are mixed, 1/65536
-    inputs: NDArray[np.int64]  # [INPUTS]; contexts of the next mixed bit
-    drawn: NDArray[np.int64]  # [INPUTS]; room for their logits
-    cost: NDArray[np.float64]  # [1]; bits priced
+    weights: Int32s  # [sets, INPUTS]; of the inputs that are mixed, 1/65536
+    inputs: Int64s  # [INPUTS]; contexts of the next mixed bit
+    drawn: Int64s  # [INPUTS]; room for their logits
+    cost: Float64s  # [1]; bits priced
 
 
 class Models(NamedTuple):
     """Chances and weights as a frame left them, for the next frame of the segment."""
 
     chances: NDArray[np.uint32]  # [contexts]
-    weights: NDArray[np.int32]  # [sets, INPUTS]
+    weights: Int32s  # [sets, INPUTS]
 
 
 def fresh(contexts: int, sets: int) -> Models:

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, mix
 from touchfield.lean import entry
 
@@ -26,14 +27,14 @@ LIST_SETS: Final = 2
 class Level(NamedTuple):
     """Boxes of one size whose parents hold bricks."""
 
-    keys: NDArray[np.int64]  # [n]; their places, ascending
-    parents: NDArray[np.int64]  # [n]; their parents' places in the level above
-    left: NDArray[np.int64]  # left, found: [parents]; children not told yet, and those that hold bricks
-    found: NDArray[np.int64]
+    keys: Int64s  # [n]; their places, ascending
+    parents: Int64s  # [n]; their parents' places in the level above
+    left: Int64s  # left, found: [parents]; children not told yet, and those that hold bricks
+    found: Int64s
     before: NDArray[np.uint8]  # [n + 1]; 1 where the list known before has bricks; the last is 0
     state: NDArray[np.uint8]  # [n + 1]; `UNKNOWN`, and when told 1 or 0; the last, of all that is not listed, is 0
-    steps: NDArray[np.int64]  # steps, places: [12]; from a key to its neighbours', and where in `keys` they are
-    places: NDArray[np.int64]
+    steps: Int64s  # steps, places: [12]; from a key to its neighbours', and where in `keys` they are
+    places: Int64s
 
 
 @entry
@@ -87,9 +88,9 @@ class Samples(NamedTuple):
     before: NDArray[np.uint8]  # [m + 1, 512]; the same of the support before
     # around, around_before: [n, 27]; places in both of each brick and of those around it, x slowest; -1 of those not
     # listed
-    around: NDArray[np.int64]
-    around_before: NDArray[np.int64]
-    inside: NDArray[np.int64]  # [n, 3]; samples of a brick within the grid
+    around: Int64s
+    around_before: Int64s
+    inside: Int64s  # [n, 3]; samples of a brick within the grid
     # window, old: [1728]; room for a brick of both, whose first sample is at (2, 2, 2), and what is around it
     window: NDArray[np.uint8]
     old: NDArray[np.uint8]

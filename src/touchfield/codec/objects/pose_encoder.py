@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.codec.kernels.bits import end_of, fresh, price, writer
 from touchfield.codec.kernels.whole_numbers import ROOM, code_numbers
 from touchfield.codec.objects import poses
@@ -20,8 +20,6 @@ from touchfield.codec.objects.poses import MODELS, MOST_STEPS, PoseSteps, code_r
 from touchfield.codec.objects.promise import displacement_m
 from touchfield.errors import InvalidArgument
 from touchfield.medium import PoseTrack
-
-Int64s = NDArray[np.int64]
 
 _POSITION_COST, _QUATERNION_COST = 3, 4  # numbers that a power of two makes a bit longer
 

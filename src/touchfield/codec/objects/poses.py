@@ -13,15 +13,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Int64s
 from touchfield.codec.kernels.bits import Bits, fresh, reader
 from touchfield.codec.kernels.whole_numbers import CONTEXTS, SETS, code_numbers
 from touchfield.codec.support import check_end
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.pose_track import PoseTrack
-
-Int64s = NDArray[np.int64]
 
 MOST_POSES: Final = (1 << 16) - 1  # poses in one piece of code; a segment of a file has no more frames
 MOST_STEPS: Final = 1 << 50  # of a position; seven of them, as the quadratic predictor adds, stay exact
@@ -68,11 +66,11 @@ class PoseSteps:
         """The largest |number| of each component, int64 [7]."""
         return np.array([MOST_STEPS] * 3 + [round(1 / self.quaternion)] * 4, np.int64)
 
-    def are_units(self, turns: Int64s) -> NDArray[np.bool_]:
+    def are_units(self, turns: Int64s) -> Bools:
         """True for quaternions int64 [n, 4] within one step of length 1; rounding keeps to it."""
         one = round(1 / self.quaternion)
         squares = (turns * turns).sum(axis=1)
-        held: NDArray[np.bool_] = (squares >= (one - 1) ** 2) & (squares <= (one + 1) ** 2)
+        held: Bools = (squares >= (one - 1) ** 2) & (squares <= (one + 1) ** 2)
         return held
 
     def track(self, numbers: Int64s) -> PoseTrack:

@@ -14,13 +14,11 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
 from touchfield.parallel import for_chunks
-
-Float64s = NDArray[np.float64]
 
 _FLOOR_SHARE: Final = 1e-9  # of F_max: a body's own force below it is the rounding of a place, as the receiver has it
 _FRAMES_AT_ONCE: Final = 32
@@ -31,7 +29,7 @@ class Found:
     """Result of a check."""
 
     ratios: Float64s  # [bodies]; the largest |error| / mask at the voxels that each body has a part in
-    places: NDArray[np.int64]  # [bodies, 4]; frame and voxel of it; -1 for none
+    places: Int64s  # [bodies, 4]; frame and voxel of it; -1 for none
     beyond: int  # voxels of all frames whose error is beyond the mask
 
     @classmethod

@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float32s, Int32s
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
 from touchfield.codec.paper.quantisers import AmplitudeLevels
@@ -31,9 +32,7 @@ from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys
 from touchfield.medium.kernels import raster_slots
 
-Int32s = NDArray[np.int32]
-Float32s = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+Mask = Bools
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class FrameSymbols:
     kind: FrameKind
     bricks: Int32s  # [n, 3]
     mask: Mask  # [n, 8, 8, 8]; the support (of the differences, in a DIFFERENCE frame)
-    sent: NDArray[np.bool_]  # [L]; per supported sample in raster order: sent, or held
+    sent: Bools  # [L]; per supported sample in raster order: sent, or held
     # levels, directions: [sent.sum()]; amplitude level and direction index of the sent samples
     levels: NDArray[np.uint16]
     directions: NDArray[np.uint16]
@@ -131,7 +130,7 @@ class BodyReader:
 
     def frames(self, frame_count: int) -> Iterator[tuple[FrameSymbols, FrameStats]]:
         """The symbols of each frame in turn; the last one must end the body."""
-        previous: tuple[NDArray[np.int32], NDArray[np.bool_]] | None = None
+        previous: tuple[Int32s, Bools] | None = None
         for i in range(frame_count):
             frame = self._frame(first=i == 0)
             kind = frame.cost.kind

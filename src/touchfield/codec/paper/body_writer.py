@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Int64s
 from touchfield.codec.numbers import encode_numbers
 from touchfield.codec.paper.body import INTER_SET, INTRA_SET, FrameSymbols, TableSet, set_of
 from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode
@@ -18,8 +19,6 @@ from touchfield.codec.paper.quantisers import AmplitudeLevels
 from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import CodedSegment, FrameStats
 from touchfield.codec.varint import chunk, write_varint
-
-Int64s = NDArray[np.int64]
 
 _LONGEST_RUN = (1 << RUN_SYMBOLS) - 1
 
@@ -59,7 +58,7 @@ def code_bytes(code: HuffmanCode) -> bytes:
 
 
 def pack_runs(
-    sent: NDArray[np.bool_], levels: NDArray[np.uint16], level_count: int, *, single: bool
+    sent: Bools, levels: NDArray[np.uint16], level_count: int, *, single: bool
 ) -> tuple[Int64s, Int64s, Int64s]:
     """The symbols of the samples bool [L], with the raw bits behind each: symbols, values, and numbers of bits.
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.codec.paper.body import BodyReader
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.paper.quantisers import amplitudes_n
@@ -49,14 +49,14 @@ class PaperDecoder:
             return {"stage": self._called}
         return {"stage": "none", "directions": self._called, "direction_count": len(Codebook.get(self._called))}
 
-    def quantiser(self, body: bytes) -> Callable[[ForceField], NDArray[np.int64]]:
+    def quantiser(self, body: bytes) -> Callable[[ForceField], Int64s]:
         """Q of a segment: each supported force to a symbol, by its intra levels and directions, or its step."""
         reader = self._reader(body)
         if isinstance(reader, StageReader):
             return reader.quantise
         levels, codebook = reader.levels(FrameKind.INTRA), Codebook.get(self._called)
 
-        def quantise(field: ForceField) -> NDArray[np.int64]:
+        def quantise(field: ForceField) -> Int64s:
             vectors = field.vectors_n()
             return levels.encode(amplitudes_n(vectors)).astype(np.int64) * len(codebook) + codebook.nearest(vectors)
 

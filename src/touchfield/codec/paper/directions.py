@@ -35,12 +35,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int32s
 from touchfield.errors import InvalidArgument
 from touchfield.parallel import for_chunks
-
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
-Int32s = NDArray[np.int32]
 
 DEFAULT: Final = "ico5"
 

@@ -13,8 +13,8 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s
 from touchfield.codec.paper import quantisers
 from touchfield.codec.paper.body import INTER_SET, INTRA_SET, FrameSymbols, rebuilt, set_of
 from touchfield.codec.paper.body_writer import CodedFrame, pack_runs, write_body
@@ -28,8 +28,6 @@ from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys
 from touchfield.perception.weber import gate, gate_in_time
-
-Float32s = NDArray[np.float32]
 
 _LEAST_FORCE_N: Final = 1e-6
 _TRAINING_SAMPLES: Final = 1 << 18

@@ -25,6 +25,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Int32s
 from touchfield.codec.paper import quantisers
 from touchfield.codec.paper.directions import DEFAULT as DEFAULT_DIRECTIONS
 from touchfield.codec.paper.directions import Codebook
@@ -34,9 +35,6 @@ from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium import ForceField
 from touchfield.medium.grid import BRICK
 from touchfield.perception.weber import WeberLadder
-
-Float32s = NDArray[np.float32]
-Int32s = NDArray[np.int32]
 
 DEFAULT_QUANTISER: Final = "weber:0.1"
 FORMS: Final = ("weber", "uniform", "lloyd-max", "components", "weber-components", "distinct")

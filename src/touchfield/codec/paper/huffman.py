@@ -18,6 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Int64s
 from touchfield.codec.numbers import decode_numbers
 from touchfield.codec.paper.kernels import loops as kernels
 from touchfield.codec.paper.kernels.loops import LONGEST
@@ -62,7 +63,7 @@ class HuffmanCode:
             raise CorruptFile("Huffman code", error.found, error.expected, "The file was changed or cut.") from None
 
     @cached_property
-    def tables(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint16]]:
+    def tables(self) -> tuple[Int64s, Int64s, NDArray[np.uint16]]:
         """Tables that tell canonical codes.
 
         `limits`, int64 [25], by length: the least code of 24 bits that begins with none of that length or less;
@@ -83,7 +84,7 @@ class HuffmanCode:
 
 def decode_symbols(
     code: HuffmanCode, bits: BitStream, sample_count: int, level_count: int
-) -> tuple[NDArray[np.bool_], NDArray[np.uint16]]:
+) -> tuple[Bools, NDArray[np.uint16]]:
     """The samples of a stream: which are sent, bool [sample_count], and the levels of these, uint16 [any].
 
     The symbols of `code` from `level_count` on are runs; a stream without runs has as many levels as symbols.

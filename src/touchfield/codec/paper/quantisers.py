@@ -13,11 +13,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.perception.weber import WeberLadder
-
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
 
 WEBER_FORCE_MIN_N: Final = 0.03
 _SMALLEST_FORCE_N = 1e-30

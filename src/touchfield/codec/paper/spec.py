@@ -9,8 +9,6 @@ from touchfield.codec.paper.quantisers import weber_ladder
 from touchfield.codec.registry import Coder, CoderOption
 from touchfield.errors import InvalidArgument
 
-__all__ = ["CODER", "STAGES", "PaperSpec"]
-
 STAGES: Final = ("none", "dpcm", "adpcm", "dct", "wavelet", "runs")
 """In the order of their numbers."""
 

@@ -6,8 +6,8 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.codec.numbers import LARGEST, encode_numbers
 from touchfield.codec.paper.stages import GRAIN, LEVELS, ORDER, is_by_brick, lifted
 from touchfield.codec.rate import BitAccount
@@ -17,9 +17,6 @@ from touchfield.codec.varint import chunk, write_varint
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField
 from touchfield.medium.grid import BRICK
-
-Int64s = NDArray[np.int64]
-Float64s = NDArray[np.float64]
 
 _PASSES = 4
 _ROUNDING = 1 / 3  # of the DCT: a coefficient below two thirds of a step is none

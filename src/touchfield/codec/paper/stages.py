@@ -21,8 +21,8 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.codec.numbers import decode_numbers
 from touchfield.codec.paper.body import MOST_NEWTONS, field_of
 from touchfield.codec.rate import BitAccount
@@ -34,9 +34,6 @@ from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
 from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels import raster_slots
-
-Int64s = NDArray[np.int64]
-Int32s = NDArray[np.int32]
 
 LEVELS: Final = 3  # of the wavelet: 8 samples, 4, 2
 GRAIN: Final = 16  # parts of the finest step that ADPCM counts in

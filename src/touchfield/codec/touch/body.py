@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Int64s
 from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import FrameCost, FrameKind, Worst
 from touchfield.codec.touch.lattice import Lattice
@@ -216,12 +216,12 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
 class Exceptions:
     """Forces that replace decoded ones."""
 
-    keys: NDArray[np.int64]  # [m]; of the bricks
-    places: NDArray[np.int64]  # [m]; samples in them, 0 to 511; (key, place) ascends
-    forces_n: NDArray[np.float32]  # [m, 3]; newtons, to the bit
+    keys: Int64s  # [m]; of the bricks
+    places: Int64s  # [m]; samples in them, 0 to 511; (key, place) ascends
+    forces_n: Float32s  # [m, 3]; newtons, to the bit
 
     @classmethod
-    def of(cls, original: ForceField, keys: NDArray[np.int64], places: NDArray[np.int64]) -> Exceptions:
+    def of(cls, original: ForceField, keys: Int64s, places: Int64s) -> Exceptions:
         """The forces of a field at some voxels, in any order and perhaps named twice."""
         pairs = np.unique(np.stack([keys, places], axis=1), axis=0)
         bricks, slot = np.unique(pairs[:, 0], return_inverse=True)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.codec.kernels.bits import PLACE, fresh, reader
 from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE
 from touchfield.codec.touch.kernels import guess as kernels
@@ -64,7 +64,7 @@ def least_size(view: View, bricks: int) -> int:
     return max(tiles - TILES_FREE, -(-(bricks - BRICKS_FREE) // BRICKS_PER_BYTE), 0)
 
 
-def columns_of(view: View, heads: NDArray[np.int64]) -> kernels.Columns:
+def columns_of(view: View, heads: Int64s) -> kernels.Columns:
     """Columns of a box that nothing is known of."""
     row = 2 * (view.box[3] * BRICK + 2)
     surfaces = np.zeros(((view.box[2] * BRICK + 1) * row, kernels.NUMBERS), np.int64)

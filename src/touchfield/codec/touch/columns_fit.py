@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.touch import columns as guess
 from touchfield.codec.touch.kernels import guess as kernels
@@ -81,7 +81,7 @@ def _view_of(frame: ForceField) -> guess.View | None:
     return None if large or row * BRICK**2 * view.depth > _ROOM else view
 
 
-def _heads(view: guess.View, frame: ForceField, unit_n: float, mask: NDArray[np.float64]) -> NDArray[np.int64] | None:
+def _heads(view: guess.View, frame: ForceField, unit_n: float, mask: Float64s) -> Int64s | None:
     """Numbers that all columns share; None where no force grows behind a surface, or none is above the mask."""
     forces = frame.forces_n
     lengths = np.moveaxis(np.sqrt(np.einsum("...i,...i", forces, forces)), 1 + view.axis, -1) / unit_n
@@ -103,11 +103,11 @@ def _heads(view: guess.View, frame: ForceField, unit_n: float, mask: NDArray[np.
     heads[kernels.XY_STEP], heads[kernels.A_STEP] = 16384 * share * _XY_SHARE, 65536 * share * _A_SHARE
     heads[kernels.Z_STEP] = 256 * max(f0 / top, 0.1 * k) / ramp * _Z_SHARE
     least_heads = np.array([1, 1, 0, 0, 16, 4, 16])
-    whole: NDArray[np.int64] = np.rint(np.clip(heads, least_heads, np.array(kernels.HEADS) - 1)).astype(np.int64)
+    whole: Int64s = np.rint(np.clip(heads, least_heads, np.array(kernels.HEADS) - 1)).astype(np.int64)
     return whole
 
 
-def _laid_out(view: guess.View, frame: ForceField, tiles: int, scale: float) -> NDArray[np.float32]:
+def _laid_out(view: guess.View, frame: ForceField, tiles: int, scale: float) -> Float32s:
     """Columns of a row of tiles, [8, columns, depth, 4]: across, across, outward and length, units, from outside."""
     a, b, axis = view.order
     bricks = np.flatnonzero(frame.bricks[:, a] == view.box[0] + tiles)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.codec.segment import FrameStats
 from touchfield.codec.touch.body import BodyReader, FrameRecord, Promise, TouchCost, numbers_of, read_parameters
 from touchfield.codec.touch.lattice import TOP, FixedField
@@ -57,7 +57,7 @@ class TouchDecoder:
         """Stable keys for people and programs."""
         return {name: getattr(self.spec, name) for name in ("mode", "effort", "support", *numbers_of(self.spec))}
 
-    def quantiser(self, body: bytes) -> Callable[[ForceField], NDArray[np.int64]]:
+    def quantiser(self, body: bytes) -> Callable[[ForceField], Int64s]:
         """Q of the measures: this coder has no symbols of its own, so the default Weber ladder and directions.
 
         The ladder reaches to twice the longest force of the segment; what is longer counts as that long.
@@ -68,7 +68,7 @@ class TouchDecoder:
         top_n = 2 * TOP * lattice.unit_n if lattice is not None else _TOP_UNKNOWN_N
         fitted = FieldQuantiserSpec.parse(DEFAULT_QUANTISER).fit((), top_n)
 
-        def quantise(field: ForceField) -> NDArray[np.int64]:
+        def quantise(field: ForceField) -> Int64s:
             vectors = field.vectors_n().astype(np.float64)
             sizes = np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
             kept = vectors * (top_n / np.maximum(sizes, top_n))

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Int32s, Int64s
 from touchfield.codec.kernels.bits import Models, fresh, reader
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.support import check_end, code_bricks, padded
@@ -19,9 +19,6 @@ from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import slots_around
 
-Int64s = NDArray[np.int64]
-Floats = NDArray[np.float32]
-
 _WHERE: Final = "exact frame"
 
 
@@ -29,7 +26,7 @@ class Palette(NamedTuple):
     """How symbols become forces."""
 
     book: int  # 1 + the place of a codebook in `codebook_names`; 0: symbols are components
-    levels: Floats  # [k]; ascending, where there is a codebook
+    levels: Float32s  # [k]; ascending, where there is a codebook
 
     @property
     def codebook(self) -> Codebook:
@@ -41,7 +38,7 @@ class Palette(NamedTuple):
         """How many symbols each plane has, int64 [planes]."""
         return np.array([len(self.levels), len(self.codebook)] if self.book else [1 << 32] * 3)
 
-    def forces(self, symbols: Int64s) -> Floats:
+    def forces(self, symbols: Int64s) -> Float32s:
         """Float32 [n, 3] of symbols, int64 [n, planes]."""
         if self.book:
             return self.levels[symbols[:, :1]] * self.codebook.vertices_float32[symbols[:, 1]]
@@ -83,7 +80,7 @@ def _turned(numbers: Int64s) -> Int64s:
     return np.where(numbers < 0, numbers ^ 0x7FFFFFFF, numbers)
 
 
-def components(forces: Floats) -> Int64s:
+def components(forces: Float32s) -> Int64s:
     """Symbols of forces, float32 [..., 3], as they are: int64 [any, 3]; -1 where there is none."""
     words = forces.reshape(-1, 3).view(np.int32)
     return np.where(words.any(axis=1, keepdims=True), _turned(words.astype(np.int64)) + (1 << 31), -1)
@@ -123,9 +120,7 @@ def decode_exact(data: bytes, grid: Grid, before: Told | None) -> Told:
     return Told(ForceField(grid, bricks, forces), palette, symbols, models)
 
 
-def frame_of(
-    grid: Grid, bricks: NDArray[np.int32], palette: Palette, symbols: Int64s, before: Told | None
-) -> kernels.Frame:
+def frame_of(grid: Grid, bricks: Int32s, palette: Palette, symbols: Int64s, before: Told | None) -> kernels.Frame:
     """The work of the pass over the samples; `symbols`, int64 [512 * bricks, planes], are told or filled in."""
     places = bricks.astype(np.int64)
     near, then = slots_around(places, places, grid.brick_shape), np.full_like(symbols, -1)

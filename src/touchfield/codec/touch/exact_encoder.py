@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.codec.kernels.bits import end_of, writer
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.support import code_bricks, padded
@@ -16,7 +16,7 @@ from touchfield.codec.touch.kernels import exact as kernels
 from touchfield.medium import ForceField
 
 Shares = tuple[float, float, float]
-Bounds = NDArray[np.float64]
+Bounds = Float64s
 
 _TRIED: Final = ("ico5", "octa3", "ico3", "ico1", "ico2", "ico4", "octa1", "octa2", "ico8", "ico10")
 _MOST_LEVELS: Final = (1 << 16) - 1
@@ -81,14 +81,14 @@ def _products(frames: Sequence[ForceField]) -> Palette | None:
     return None
 
 
-def _symbols(vectors: NDArray[np.float32], palette: Palette) -> NDArray[np.int64]:
+def _symbols(vectors: Float32s, palette: Palette) -> Int64s:
     """The level and the vertex, int64 [n, 2], of vectors that the palette has."""
     levels = palette.levels.astype(np.float64)
     level = np.searchsorted(levels[1:] + levels[:-1], _bounds(vectors, palette.codebook).sum(axis=0))
     return np.stack([level, palette.codebook.nearest(vectors)], axis=1).astype(np.int64)
 
 
-def _bounds(vectors: NDArray[np.float32], codebook: Codebook) -> Bounds:
+def _bounds(vectors: Float32s, codebook: Codebook) -> Bounds:
     """Between which levels the rounded products with the nearest vertices are vectors, float64 [2, n]."""
     vertices = codebook.vertices_float32[codebook.nearest(vectors)]
     v, d = np.abs(vectors.astype(np.float64)), np.abs(vertices.astype(np.float64))

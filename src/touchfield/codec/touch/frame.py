@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Int32s, Int64s
 from touchfield.codec.kernels.bits import Models, fresh, reader
 from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
 from touchfield.codec.support import check_end, code_bricks
@@ -25,8 +26,6 @@ from touchfield.codec.varint import read_varint
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.field import slots_around
 from touchfield.medium.grid import BRICK, Grid
-
-Int64s = NDArray[np.int64]
 
 SLOPE_LIMIT: Final = 1 << 17
 _SAMPLES: Final = BRICK**3
@@ -56,7 +55,7 @@ class Course:
         """The course of such a number, below 32 and not 3 modulo 4."""
         return cls(grid, code & 3, (bool(code & 4), bool(code & 8), bool(code & 16)))
 
-    def order(self, bricks: NDArray[np.int32]) -> tuple[Int64s, Int64s]:
+    def order(self, bricks: Int32s) -> tuple[Int64s, Int64s]:
         """Bricks of the grid in the scan's coordinates, int64 [n, 3] in scan order, and which each of them is."""
         axes = self.axes
         turned = bricks[:, axes].astype(np.int64)
@@ -73,7 +72,7 @@ class Course:
         kernels.turned(vectors.reshape(-1, _SAMPLES, 3), slots, self.axes, np.array(self.down), factor, out)
         return out
 
-    def turned_back(self, cells: NDArray[np.int32], slots: Int64s) -> NDArray[np.int32]:
+    def turned_back(self, cells: Int32s, slots: Int64s) -> Int32s:
         """Vectors int32 [n, 8, 8, 8, 3] of the grid, of the cells [n, 512, 8] of a scan."""
         out = np.empty((len(slots), BRICK, BRICK, BRICK, 3), np.int32)
         kernels.turned_back(cells, slots, self.axes, np.array(self.down), out.reshape(-1, _SAMPLES, 3))
@@ -102,7 +101,7 @@ class Memory:
     """Lessons of a frame: the chances and weights of its code, and the weights of the blend."""
 
     models: Models
-    weights: NDArray[np.int64]  # [16, 13]
+    weights: Int64s  # [16, 13]
 
     def copy(self) -> Memory:
         """One that may be changed without this one."""
@@ -126,7 +125,7 @@ def fresh_memory() -> Memory:
     return Memory(models, np.zeros((CLASSES, FEATURES), np.int64))
 
 
-def law_of(lattice: Lattice, slope: NDArray[np.int64]) -> Law:
+def law_of(lattice: Lattice, slope: Int64s) -> Law:
     """The force law of a frame, for its pass."""
     steps = lattice.floor, lattice.rate, lattice.cross_floor, lattice.cross_rate
     return Law(slope, *steps, *warp_of(lattice.floor, lattice.rate))

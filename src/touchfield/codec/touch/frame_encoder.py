@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.codec.kernels.bits import end_of, writer
 from touchfield.codec.support import code_bricks, padded
 from touchfield.codec.touch.frame import SLOPE_LIMIT, Course, Known, Memory, fresh_memory, law_of
@@ -100,15 +100,15 @@ class Sketch:
     """A frame as its pass takes it, whatever it is predicted from."""
 
     course: Course
-    bricks: NDArray[np.int32]  # [n, 3]; of the grid, ascending, without those that hold no force worth coding
-    places: NDArray[np.int64]  # [n, 3]; in scan order
-    order: NDArray[np.int64]  # [n]; which of the bricks each of these is
+    bricks: Int32s  # [n, 3]; of the grid, ascending, without those that hold no force worth coding
+    places: Int64s  # [n, 3]; in scan order
+    order: Int64s  # [n]; which of the bricks each of these is
     # [n, 512, 3]; in scan order, units; with spatial masking [n, 512, 4], the last what forces around hide
-    forces: NDArray[np.float64]
-    slope: NDArray[np.int64]  # [3]
+    forces: Float64s
+    slope: Int64s  # [3]
 
 
-def sketch_of(frame: ForceField, unit_n: float, limits: Limits, hidden_n: NDArray[np.float32]) -> Sketch:
+def sketch_of(frame: ForceField, unit_n: float, limits: Limits, hidden_n: Float32s) -> Sketch:
     """Course, law and forces of a frame; `hidden_n` as `promise.hidden_of` has it."""
     bricks, vectors, scale = frame.bricks, frame.forces_n, 1.0 / np.float64(np.float32(unit_n))
     if not limits.exact and len(bricks):
@@ -126,7 +126,7 @@ def sketch_of(frame: ForceField, unit_n: float, limits: Limits, hidden_n: NDArra
     return Sketch(course, bricks, places, order, forces, slope)
 
 
-def _course_of(vectors: NDArray[np.float32], grid: Grid) -> Course:
+def _course_of(vectors: Float32s, grid: Grid) -> Course:
     """With the force along every axis; the slowest is the one along which it points most.
 
     Of two alike, it is not that of the finest sampling, whose neighbours are worth more in the plane.
@@ -140,7 +140,7 @@ def _course_of(vectors: NDArray[np.float32], grid: Grid) -> Course:
     return Course(grid, axis, (down[0], down[1], down[2]))
 
 
-def _slope_of(forces: NDArray[np.float64], grid: Grid, axes: NDArray[np.int64]) -> NDArray[np.int64]:
+def _slope_of(forces: Float64s, grid: Grid, axes: Int64s) -> Int64s:
     """Loss of a force in a step along each axis, from some bricks."""
     some = forces[:: max(1, len(forces) // _LOOKED_AT)].reshape(-1, 8, 8, 8, 3)
     spacing = np.asarray(grid.spacing_m, np.float64)[axes]
@@ -150,7 +150,7 @@ def _slope_of(forces: NDArray[np.float64], grid: Grid, axes: NDArray[np.int64]) 
     lost = TOP / 12 * spacing[0] / spacing.max()
     if tells.any():
         lost = max(0.0, float(np.median((here - there)[tells] * here[tells] / along[tells])))
-    slope: NDArray[np.int64] = np.rint(np.minimum(lost * spacing / spacing[0], SLOPE_LIMIT - 1)).astype(np.int64)
+    slope: Int64s = np.rint(np.minimum(lost * spacing / spacing[0], SLOPE_LIMIT - 1)).astype(np.int64)
     return slope
 
 
@@ -221,7 +221,7 @@ class Chooser:
         self._memory: Memory = fresh_memory()
         self._looks = self.spec.guess == "auto"
 
-    def add(self, frame: ForceField, hidden_n: NDArray[np.float32]) -> tuple[CodedFrame, bool, bytes]:
+    def add(self, frame: ForceField, hidden_n: Float32s) -> tuple[CodedFrame, bool, bytes]:
         """Code the next frame; whether it knows the one before, and the bytes of its guess."""
         sketch = sketch_of(frame, self.lattice.unit_n, self._limits, hidden_n)
         limits = self._limits._replace(thorough=False)

@@ -16,8 +16,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Int32s, Int64s
 from touchfield.codec.kernels.bits import PLACE, fresh, reader
 from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
 from touchfield.codec.support import code_bricks
@@ -29,8 +29,6 @@ from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium import Grid
 from touchfield.medium.grid import BRICK
 from touchfield.parallel import for_chunks
-
-Int64s = NDArray[np.int64]
 
 SPLINE_CONTEXTS: Final = LIST_CONTEXTS + NODE_CONTEXTS
 
@@ -74,7 +72,7 @@ class Nodes:
     (`code_nodes`).
     """
 
-    def __init__(self, bricks: NDArray[np.int32], shifts: tuple[int, int, int]) -> None:
+    def __init__(self, bricks: Int32s, shifts: tuple[int, int, int]) -> None:
         first = bricks.astype(np.int64) * BRICK >> np.array(shifts)
         first -= first.min(axis=0) - 1  # none lies before the first layer
         counts = [max(BRICK >> shift, 1) + 3 for shift in shifts]
@@ -102,7 +100,7 @@ def weights(shift: int) -> Int64s:
     return out
 
 
-def forces_of(head: Head, grid: Grid, bricks: NDArray[np.int32], values: Int64s) -> FixedField:
+def forces_of(head: Head, grid: Grid, bricks: Int32s, values: Int64s) -> FixedField:
     """The forces in bricks, int32 [n, 3], by the values of the nodes that they need, int64 [n, x, y, z]."""
     vectors = np.zeros((len(bricks), BRICK, BRICK, BRICK, 3), np.int32)
     tables = [weights(shift) for shift in head.shifts]
@@ -124,7 +122,7 @@ def forces_of(head: Head, grid: Grid, bricks: NDArray[np.int32], values: Int64s)
     return FixedField(bricks, vectors)
 
 
-def _fill(corners: Int64s, head: Head, out: NDArray[np.int32]) -> None:
+def _fill(corners: Int64s, head: Head, out: Int32s) -> None:
     """Forces [n, 8, 8, 8, 3] of a potential at the corners around them, int64 [n, 9, 9, 9]."""
     size, *slopes = (_mixed(corners, axis) for axis in (-1, 0, 1, 2))
     size = np.clip((size + 864) // 1728, 0, TOP)

@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Int32s
 from touchfield.codec.kernels.bits import end_of, fresh, writer
 from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
 from touchfield.codec.support import code_bricks, padded
@@ -49,8 +49,8 @@ class _Frame(NamedTuple):
     """A frame in units, and what is asked of its guess."""
 
     grid: Grid
-    bricks: NDArray[np.int32]
-    forces: NDArray[np.float32]  # [n, 8, 8, 8, 3]
+    bricks: Int32s
+    forces: Float32s  # [n, 8, 8, 8, 3]
     k: float
     f0: float
     stiffness: float  # units a metre

@@ -13,8 +13,8 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Int32s, Int64s
 from touchfield.codec.varint import Parts, write_varint
 from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid
@@ -27,9 +27,9 @@ class FixedField:
     """Vectors in units, sparse in bricks of 8x8x8 samples."""
 
     # [n, 3]; in ascending order (x slowest, z fastest), as in `ForceField`; a brick may hold no force at all
-    bricks: NDArray[np.int32]
+    bricks: Int32s
     # [n, 8, 8, 8, 3]; axes (brick, x, y, z, component), units; each component within 2^17 - 1
-    vectors: NDArray[np.int32]
+    vectors: Int32s
 
     def field(self, grid: Grid, unit_n: float) -> ForceField:
         """The forces in newtons: one float32 product each, the only floating-point step of decoding."""
@@ -98,7 +98,7 @@ class Lattice:
 
 
 @lru_cache(maxsize=8)
-def warp_of(floor: int, rate: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def warp_of(floor: int, rate: int) -> tuple[Int64s, Int64s]:
     """The amplitude at each sixteenth of a step, and where to look for an amplitude in it; nobody writes into them.
 
     ``border[0] = 0``; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border,

@@ -11,8 +11,8 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Int64s
 from touchfield.codec.touch.kernels import compare as kernels
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.spec import TouchSpec
@@ -28,8 +28,8 @@ class Compared(NamedTuple):
     """Result of a comparison."""
 
     # keys, places: [m]; brick and sample (0 to 511) of each voxel that breaks the rule, ascending
-    keys: NDArray[np.int64]
-    places: NDArray[np.int64]
+    keys: Int64s
+    places: Int64s
     worst: float  # the largest error as a share of what is allowed; infinite where nothing is
     worst_key: int  # worst_key, worst_place: where it is
     worst_place: int
@@ -40,7 +40,7 @@ class Compared(NamedTuple):
     decoded: int
 
 
-def hidden_of(frame: ForceField, spec: TouchSpec) -> NDArray[np.float32]:
+def hidden_of(frame: ForceField, spec: TouchSpec) -> Float32s:
     """Error that forces around hide at each sample of a frame's bricks, newtons, float32 [n, 512]; [0, 512]: none."""
     if not spec.masking:
         return _NOTHING
@@ -52,7 +52,7 @@ def compared(
     decoded: ForceField,
     spec: TouchSpec,
     within_step: bool = False,
-    hidden_n: NDArray[np.float32] = _NOTHING,
+    hidden_n: Float32s = _NOTHING,
 ) -> Compared:
     """How a decoded frame keeps what was asked for, or in mode "nmse" half a step; "lossless" is every bit."""
     mine, theirs = ((brick_keys(f.grid, f.bricks), f.forces_n.reshape(-1, 512, 3)) for f in (original, decoded))

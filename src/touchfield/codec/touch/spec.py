@@ -9,8 +9,6 @@ from typing import Any, Final
 from touchfield.codec.registry import Coder, CoderOption
 from touchfield.errors import InvalidArgument
 
-__all__ = ["CODER", "EFFORTS", "MODES", "SUPPORTS", "TouchSpec"]
-
 MODES: Final = ("mask", "mask-direction", "nmse", "lossless")
 EFFORTS: Final = ("fast", "default", "max")
 SUPPORTS: Final = ("movable", "exact")

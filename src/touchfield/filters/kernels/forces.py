@@ -14,15 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from touchfield.arrays import Bools, Float32s, Float64s
 from touchfield.lean import entry
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.medium import ForceField, Grid
-
-    Float64s = NDArray[np.float64]
 
 _INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
 
@@ -46,9 +43,7 @@ def _limited(begin, end, forces, force_max, floor, out, held):
         held[n] = some
 
 
-def limited(
-    forces_n: NDArray[np.float32], force_max_n: float, floor_n: float
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def limited(forces_n: Float32s, force_max_n: float, floor_n: float) -> tuple[Float32s, Bools]:
     """Forces [n, 8, 8, 8, 3] clipped to a length and dropped below another, and which bricks hold any."""
     out = np.empty_like(forces_n)
     held = np.zeros(len(forces_n), np.bool_)
@@ -122,7 +117,7 @@ def _pool(begin, end, places, counts, slots, forces, out):
         out[n, 1] = total / max(count, 1)
 
 
-def pooled(stored: ForceField, asked: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def pooled(stored: ForceField, asked: Grid) -> tuple[Float64s, Float64s]:
     """The greatest |F| along z at the points of a grid, and the mean of those that are there, float64 [x, y] each."""
     grid = stored.grid
     x, y, z = ((asked.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis] for axis in range(3))

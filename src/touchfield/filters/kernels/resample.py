@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.lean import entry, inlined, lean
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.kernels import first_at_least
@@ -17,11 +18,6 @@ from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    Int64s = NDArray[np.int64]
-    Float32s = NDArray[np.float32]
 
 
 @entry
@@ -142,12 +138,12 @@ def _resampled(begin, end, source, x, y, z, scratch, out, held):
 
 
 def resampled(
-    bricks: NDArray[np.int32],
+    bricks: Int32s,
     source_shape: tuple[int, int, int],
     keys: Int64s,
     forces_n: Float32s,
     weights: Sequence[tuple[Int64s, Float32s]],
-) -> tuple[Float32s, NDArray[np.bool_]]:
+) -> tuple[Float32s, Bools]:
     """The forces of output bricks int32 [n, 3], float32 [n, 8, 8, 8, 3], and which of them hold one, bool [n].
 
     source_shape : (int, int, int); samples of the input grid.

@@ -8,7 +8,7 @@ first needed.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
@@ -16,16 +16,12 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from touchfield.arrays import Float32s, Int64s
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
 from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks, worker_count
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Int64s = NDArray[np.int64]
-    Float32s = NDArray[np.float32]
-    Taps = tuple[Int64s, Float32s, Int64s]
+Taps = tuple[Int64s, Float32s, Int64s]
 
 ROW = 24
 """Numbers of a brick's row: eight samples of three components."""

@@ -10,17 +10,12 @@ nothing that it writes. Neither result depends on the number of threads. Importe
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 
+from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.parallel import for_chunks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float32s = NDArray[np.float32]
 
 _STRIDES = (100, 10, 1)
 _TILE = 1000
@@ -148,8 +143,8 @@ def _over_bricks(begin, end, slots, support, forces, weights, per_kappa, rationa
 
 
 def diffused_bricks(
-    slots: NDArray[np.int32],
-    support: NDArray[np.bool_],
+    slots: Int32s,
+    support: Bools,
     forces: Float32s,
     law: tuple[tuple[float, float, float], float, bool],
     out: Float32s,
@@ -233,10 +228,10 @@ def _step_bricks(begin, end, bricks, slots, forces, shape, scale, starts, offset
 
 
 def lifted_bricks(
-    place: tuple[NDArray[np.int32], NDArray[np.int32], tuple[int, int, int]],
-    forces_n: NDArray[np.float32],
+    place: tuple[Int32s, Int32s, tuple[int, int, int]],
+    forces_n: Float32s,
     scale: int,
-    sites: tuple[NDArray[np.int64], NDArray[np.int64]],
+    sites: tuple[Int64s, Int64s],
     share: tuple[float, float],
 ) -> None:
     """Put to each site what it holds times a number plus a share of the sum of its neighbours.

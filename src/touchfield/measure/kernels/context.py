@@ -8,15 +8,11 @@ Imported only when first needed, because it imports numba.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["CORNER", "HALO", "REACH", "block_rows", "field_rows", "fill_halo", "insert"]
+from touchfield.arrays import Int32s, Int64s
 
 HALO = 2
 """Samples around a brick; what lies beyond the grid is symbol 0."""
@@ -86,9 +82,9 @@ def _all_rows(now, old, halo, slots, slots_before, symbols, before, extents, col
 
 
 def field_rows(
-    slots: tuple[NDArray[np.int64], NDArray[np.int64]],
-    symbols: tuple[NDArray[np.int32], NDArray[np.int32]],
-    extents: NDArray[np.int64],
+    slots: tuple[Int64s, Int64s],
+    symbols: tuple[Int32s, Int32s],
+    extents: Int64s,
     columns: int,
     bits: int,
 ) -> NDArray[np.uint64]:
@@ -104,7 +100,7 @@ def field_rows(
 
 
 def block_rows(
-    now: NDArray[np.int32], before: NDArray[np.int32], extent: tuple[int, int, int], columns: int, bits: int
+    now: Int32s, before: Int32s, extent: tuple[int, int, int], columns: int, bits: int
 ) -> NDArray[np.uint64]:
     """The rows of an array with its halo, int32 [nx + 1, ny + 1, nz + 1], that are not all 0."""
     size = extent[0] * extent[1] * extent[2]
@@ -149,9 +145,9 @@ def _insert(rows, weights, begin, slots, keys, counts, used):
 
 def insert(
     rows: NDArray[np.uint64],
-    weights: NDArray[np.int64],
+    weights: Int64s,
     begin: int,
-    table: tuple[NDArray[np.int32], NDArray[np.uint64], NDArray[np.int64]],
+    table: tuple[Int32s, NDArray[np.uint64], Int64s],
     used: int,
 ) -> tuple[int, int]:
     """Count rows uint64 [n, words] in a table: slots int32 [2^b] (-1: free), keys [m, words], counts int64 [m].

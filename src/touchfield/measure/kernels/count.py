@@ -7,17 +7,14 @@ Imported only when first needed, because it imports numba.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.parallel import for_chunks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["add_counts", "counts_of_8_bits", "counts_of_16_bits"]
 
 _SPAN = 1 << 16
 _PAD = 16  # entries between tables, so that they do not share the sets of the cache
@@ -55,7 +52,7 @@ def _count_words(words, tables):
             t3[v >> _48] += _ONE
 
 
-def counts_of_16_bits(x: NDArray[np.uint16]) -> NDArray[np.int64]:
+def counts_of_16_bits(x: NDArray[np.uint16]) -> Int64s:
     """How often each 16-bit word occurs, int64 [65536], of uint16 [n], contiguous and aligned."""
     if len(x) < _SMALL:
         return np.bincount(x, minlength=_SPAN)
@@ -71,19 +68,19 @@ def counts_of_16_bits(x: NDArray[np.uint16]) -> NDArray[np.int64]:
     return total
 
 
-def _piece(begin: int, end: int, words: Any) -> NDArray[np.int64]:
+def _piece(begin: int, end: int, words: Any) -> Int64s:
     tables = np.zeros((4, _SPAN + _PAD), np.uint32)
     _count_words(words[begin * _STRETCH : end * _STRETCH], tables)
     return tables.sum(axis=0, dtype=np.int64)[:_SPAN]
 
 
-def counts_of_8_bits(x: NDArray[np.uint8]) -> NDArray[np.int64]:
+def counts_of_8_bits(x: NDArray[np.uint8]) -> Int64s:
     """How often each byte occurs, int64 [256]: margins of a table of 16-bit words. `x` uint8 [n], contiguous."""
     head = x.ctypes.data % 2
     tail = head + (len(x) - head) // 2 * 2
     counts = np.bincount(x[:head], minlength=256) + np.bincount(x[tail:], minlength=256)
     table = counts_of_16_bits(x[head:tail].view(np.uint16)).reshape(256, 256)
-    total: NDArray[np.int64] = counts + table.sum(axis=0) + table.sum(axis=1)
+    total: Int64s = counts + table.sum(axis=0) + table.sum(axis=1)
     return total
 
 
@@ -93,6 +90,6 @@ def _add(keys, table):
         table[keys[i]] += 1
 
 
-def add_counts(keys: NDArray[np.int64], table: NDArray[np.int64]) -> None:
+def add_counts(keys: Int64s, table: Int64s) -> None:
     """Count `keys` int64 [n] of 0 .. K - 1 into `table` int64 [K]; out of range is the caller's fault."""
     _add(keys, table)

@@ -5,18 +5,12 @@ A brick is looked at with one sample around it. Imported only when first needed,
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numba import njit
 
+from touchfield.arrays import Float32s, Float64s, Int32s
 from touchfield.medium.grid import Grid
 from touchfield.parallel import for_chunks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["COLUMNS", "curl_and_loops"]
 
 COLUMNS = ("points", "held", "curl2", "gradient2", "squares", "work2", "curl2_max", "work_max")
 """Sums of each brick: samples with a curl, those among them with a force, |curl|^2, |gradient|^2; squares,
@@ -93,12 +87,12 @@ def _curl_and_loops(begin, end, slots, lows, shape, spacing, forces, edges, sums
 
 def curl_and_loops(
     grid: Grid,
-    bricks: NDArray[np.int32],
-    slots: NDArray[np.int32],
-    forces_n: NDArray[np.float32],
+    bricks: Int32s,
+    slots: Int32s,
+    forces_n: Float32s,
     edges: bool,
-    curls_n_per_m: NDArray[np.float32],
-) -> NDArray[np.float64]:
+    curls_n_per_m: Float32s,
+) -> Float64s:
     """The `COLUMNS` for each brick, float64 [m, 8]; SI units.
 
     `bricks` int32 [m, 3]; `slots` int32 [m, 27], where in `forces_n` each neighbour lies, -1 for none. The curls are

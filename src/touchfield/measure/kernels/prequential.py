@@ -13,28 +13,12 @@ Imported only when first needed, because it imports numba.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.measure.kernels.context import fill_halo
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = [
-    "CONTEXTS",
-    "FULL_COUNT",
-    "HIGH",
-    "LEARNING",
-    "LOW",
-    "SETS",
-    "TABLE_BITS",
-    "Model",
-    "code_block",
-    "code_bricks",
-]
 
 LOW, HIGH = 2, 1
 """How far the contexts of a voxel reach before it and after it along each axis."""
@@ -82,8 +66,8 @@ class Model:
         self.totals = np.zeros(3)
 
     @property
-    def arrays(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.uint64],
-                              NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
+    def arrays(self) -> tuple[Int64s, Int64s, Float64s, NDArray[np.uint64],
+                              Float64s, Float64s]:  # fmt: skip
         """Arrays of the kernel."""
         return self.radices, self.depths, self.order0, self.table, self.weights, self.totals
 
@@ -256,9 +240,9 @@ def _code_blocks(now, old, block, slots, slots_before, symbols, before, extents,
 
 def code_bricks(
     model: Model,
-    slots: tuple[NDArray[np.int64], NDArray[np.int64]],
-    symbols: tuple[NDArray[np.int32], NDArray[np.int32]],
-    extents: NDArray[np.int64],
+    slots: tuple[Int64s, Int64s],
+    symbols: tuple[Int32s, Int32s],
+    extents: Int64s,
 ) -> None:
     """Code bricks in order, symbols int32 [n, 8, 8, 8], beside those of the previous frame, and add up the bits.
 
@@ -268,7 +252,7 @@ def code_bricks(
     _code_blocks(local[0], local[1], local[0], *slots, *symbols, extents, *model.arrays)
 
 
-def code_block(model: Model, truth: NDArray[np.int32], now: NDArray[np.int32], before: NDArray[np.int32]) -> None:
+def code_block(model: Model, truth: Int32s, now: Int32s, before: Int32s) -> None:
     """Code a box int32 [nx, ny, nz] in raster order, and add up the bits.
 
     `now` and `before`, the frame and the previous one, reach `LOW` samples further before the box and `HIGH` after

@@ -5,15 +5,11 @@ Imported only when first needed, because it imports numba.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numba import njit
 
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.medium.grid import Grid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 @njit(cache=True, nogil=True)
@@ -55,7 +51,7 @@ def _raster_slots(bricks, mask, out):
     return count
 
 
-def raster_slots(bricks: NDArray[np.int32], mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+def raster_slots(bricks: Int32s, mask: Bools) -> Int64s:
     """Where the samples of `mask` lie in an array [n * 512], in raster order of the grid, int64 [L].
 
     `bricks` int32 [n, 3] ascending, `mask` bool [n, 8, 8, 8].
@@ -98,9 +94,7 @@ def _sample(index, shape, brick_shape, keys, forces, out):
             out[p, c] = total[c]
 
 
-def sample(
-    index: NDArray[np.float64], grid: Grid, keys: NDArray[np.int64], forces_n: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def sample(index: Float64s, grid: Grid, keys: Int64s, forces_n: Float32s) -> Float32s:
     """See `ForceField.sample_n`; `index` float64 [m, 3] in samples."""
     out = np.empty((len(index), 3), np.float32)
     _sample(index, np.array(grid.shape), np.array(grid.brick_shape), keys, forces_n, out)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.cells import CellPool
 from touchfield.medium.haptic_scene import HapticScene
@@ -22,8 +23,6 @@ from touchfield.render.block.memory import Memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
 
     from touchfield.medium.deformation import Deformation
     from touchfield.medium.field import ForceField
@@ -183,7 +182,7 @@ class FrameParts:
             self.words += warp_words(deformation)
             if self._is_still and len(deformation) > 1:
                 self.frame_count, self.rate_hz = len(deformation), deformation.rate_hz
-        self._motions: list[NDArray[np.float64]] = []
+        self._motions: list[Float64s] = []
         if isinstance(medium, HapticScene):
             damping = medium.surface_damping_n_s_per_m
             for one in medium.objects:

@@ -16,15 +16,14 @@ import tempfile
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.render.block import words as W
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 PREFIX: Final = "touchfield-servo-"
 _STEP_BYTES: Final = 1 << 22
@@ -44,10 +43,10 @@ class Memory:
     but an address.
     """
 
-    i8: NDArray[np.int64]
+    i8: Int64s
     u8: NDArray[np.uint64]
-    f8: NDArray[np.float64]
-    f4: NDArray[np.float32]
+    f8: Float64s
+    f4: Float32s
 
     @classmethod
     def of(cls, buffer: Any) -> Memory:

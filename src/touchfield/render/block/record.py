@@ -9,12 +9,12 @@ from collections import deque
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.render.block import words as W
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.render.block.memory import Memory
 
 COLUMNS: Final = np.dtype(
@@ -130,7 +130,7 @@ def statistics_of(memory: Memory) -> dict[str, Any]:
     return counts
 
 
-def _quantile_us(counts: NDArray[np.int64], share: float, worst_us: float) -> float:
+def _quantile_us(counts: Int64s, share: float, worst_us: float) -> float:
     """The upper edge of the bin in which the quantile lies; the worst where that is the open one."""
     total = int(counts.sum())
     if not total:

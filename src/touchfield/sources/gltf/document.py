@@ -20,6 +20,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import SourceError
 from touchfield.files import readable
 
@@ -107,7 +108,7 @@ class Element:
         """A list of objects within this one; none where there is no list."""
         return [self._object(f"{key}[{i}]", value) for i, value in enumerate(self._list(key))]
 
-    def floats(self, key: str, kind: str) -> NDArray[np.float64] | None:
+    def floats(self, key: str, kind: str) -> Float64s | None:
         """The numbers of the accessor that `key` names, float64 [count, width], read-only; None where there is none.
 
         Normalised integers become numbers. Raises `SourceError` if the accessor is of another type than `kind`, its
@@ -116,7 +117,7 @@ class Element:
         number = self.index(key, "accessors")
         return None if number is None else self.document.floats(number, kind)
 
-    def whole(self, key: str, kind: str, below: int) -> NDArray[np.int64] | None:
+    def whole(self, key: str, kind: str, below: int) -> Int64s | None:
         """The unsigned numbers, each below `below`, of the accessor that `key` names, int64 [count, width]."""
         number = self.index(key, "accessors")
         return None if number is None else self.document.whole(number, kind, below)
@@ -166,8 +167,8 @@ class Document:
         self._elements = {key: self.root.children(key) for key in _LISTS}
         self._buffers: dict[int, memoryview] = {}
         self._files: dict[Path, bytes] = {}
-        self._floats: dict[int, NDArray[np.float64]] = {}
-        self._whole: dict[int, NDArray[np.int64]] = {}
+        self._floats: dict[int, Float64s] = {}
+        self._whole: dict[int, Int64s] = {}
         self._bytes = path.stat().st_size
         self._asked = 0
         asset = self.root.child("asset")
@@ -190,7 +191,7 @@ class Document:
             raise asker.fault(f"{self._asked} elements asked of {self._bytes} bytes", "elements with their data")
 
     # -- accessors ---------------------------------------------------------------------------------------------------
-    def floats(self, index: int, kind: str) -> NDArray[np.float64]:
+    def floats(self, index: int, kind: str) -> Float64s:
         element = self._checked(index, kind)
         if index not in self._floats:
             stored = self._data(element, _WIDTHS[kind])
@@ -204,7 +205,7 @@ class Document:
             self._floats[index] = values
         return self._floats[index]
 
-    def whole(self, index: int, kind: str, below: int) -> NDArray[np.int64]:
+    def whole(self, index: int, kind: str, below: int) -> Int64s:
         element = self._checked(index, kind)
         if index not in self._whole:
             stored = self._data(element, _WIDTHS[kind])

@@ -10,21 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.sources.gltf.document import Document
 from touchfield.sources.gltf.nodes import Animation, Nodes, animation_names, read_animation
 from touchfield.sources.gltf.primitives import MOST_TRIANGLES, Geometry, Skin, joint_shares, read_geometry
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Poses:
     """Places of the nodes and weights of the morph targets at some times."""
 
-    world: Floats  # float64 [times, nodes, 4, 4]
-    weights: Mapping[int, Floats]  # mapping from node to float64 [times, targets]
+    world: Float64s  # float64 [times, nodes, 4, 4]
+    weights: Mapping[int, Float64s]  # mapping from node to float64 [times, targets]
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ class Model:
         self.node_count = len(self._nodes)
         self._skins: dict[int, Skin] = {}
         self._targets = [0] * len(self._nodes)
-        self._rest_weights: dict[int, Floats] = {}
+        self._rest_weights: dict[int, Float64s] = {}
         self._pieces: list[_Piece] = []
         self.animation_names = animation_names(self._document)
         geometries = cache(self._read_mesh)
@@ -107,7 +105,7 @@ class Model:
         """Read one of the animations; `SourceError` if its data are at fault."""
         return read_animation(self._document, index, self._targets)
 
-    def poses(self, animation: Animation | None, times_s: Floats) -> Poses:
+    def poses(self, animation: Animation | None, times_s: Float64s) -> Poses:
         """The poses at times in seconds; without an animation, at rest."""
         count = len(times_s)
         weights = {n: np.broadcast_to(rest, (count, rest.shape[1])) for n, rest in self._rest_weights.items()}
@@ -116,7 +114,7 @@ class Model:
                 weights[channel.node] = channel.sampler.at(times_s)
         return Poses(self._nodes.world(animation, times_s), weights)
 
-    def reduced(self, kept: NDArray[np.int64]) -> Model:
+    def reduced(self, kept: Int64s) -> Model:
         """This model with only these vertices, ascending numbers, and no triangle."""
         first, pieces = 0, []
         for piece in self._pieces:
@@ -132,7 +130,7 @@ class Model:
         fewer.triangles = np.zeros((0, 3), np.int64)
         return fewer
 
-    def vertices(self, poses: Poses, at: int) -> Floats:
+    def vertices(self, poses: Poses, at: int) -> Float64s:
         """The vertices in the world at one of the times of `poses`, float64 [n, 3], in the file's units."""
         world = poses.world[at]
         joints = {n: skin.matrices(world).reshape(-1, 12) for n, skin in self._skins.items()}
@@ -148,7 +146,7 @@ class Model:
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _moved(matrices: Floats, vertices: Floats) -> Floats:
+def _moved(matrices: Float64s, vertices: Float64s) -> Float64s:
     """Matrices [3, 4] or [n, 3, 4] times vertices [n, 3]; the same operations for every vertex, so that equal ones
     stay equal to the last bit."""
     moved = matrices[..., 0] * vertices[:, :1] + matrices[..., 1] * vertices[:, 1:2]

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.medium.pose_track import rotation_matrices, slerp
 from touchfield.sources.gltf.document import Document, Element
-
-Floats = NDArray[np.float64]
 
 _WIDTHS: Final = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS: Final = ("LINEAR", "STEP", "CUBICSPLINE")
@@ -47,14 +45,14 @@ class Nodes:
             "rotation": np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
             "scale": np.ones((count, 3)),
         }
-        self._matrices: dict[int, Floats] = {}
+        self._matrices: dict[int, Float64s] = {}
         for node, element in enumerate(self._elements):
             self._take(node, element)
 
     def __len__(self) -> int:
         return len(self._elements)
 
-    def _by_level(self, children: list[list[int]]) -> list[NDArray[np.int64]]:
+    def _by_level(self, children: list[list[int]]) -> list[Int64s]:
         """The nodes by their distance from the root; those of a cycle are reached from none."""
         levels, level = [], [node for node in range(len(self)) if self._parents[node] < 0]
         while level:
@@ -95,7 +93,7 @@ class Nodes:
             raise element.fault("a rotation of length 0", "a unit quaternion (x, y, z, w)")
         turn /= length
 
-    def world(self, animation: Animation | None, times_s: Floats) -> Floats:
+    def world(self, animation: Animation | None, times_s: Float64s) -> Float64s:
         """World matrices, float64 [times, nodes, 4, 4], at times in seconds; without an animation, at rest."""
         shape = (len(times_s), len(self))
         parts = {key: np.broadcast_to(rest, (*shape, rest.shape[1])) for key, rest in self._rest.items()}
@@ -121,15 +119,15 @@ class Nodes:
 class Sampler:
     """A value over time."""
 
-    times_s: Floats  # float64 [k]; ascending
-    values: Floats  # float64 [k, w]
+    times_s: Float64s  # float64 [k]; ascending
+    values: Float64s  # float64 [k, w]
     interpolation: str = "LINEAR"  # "LINEAR", "STEP" or "CUBICSPLINE"
     # (float64 [k, w], float64 [k, w]) or None; of CUBICSPLINE: where a key is reached, and where it is left; value
     # per second
-    tangents: tuple[Floats, Floats] | None = None
+    tangents: tuple[Float64s, Float64s] | None = None
     is_rotation: bool = False  # whether the values are unit quaternions (x, y, z, w)
 
-    def at(self, times_s: Floats) -> Floats:
+    def at(self, times_s: Float64s) -> Float64s:
         """The values at times in seconds, float64 [n, w]."""
         last = len(self.times_s) - 1
         before = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, last)
@@ -149,10 +147,10 @@ class Sampler:
         return slerp(a, b, share) if self.is_rotation else a + share[:, None] * (b - a)
 
 
-def _unit(quaternions: Floats) -> Floats:
+def _unit(quaternions: Float64s) -> Float64s:
     """Of length 1; no rotation where there is no length."""
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    turned: Floats = np.where(lengths > 0, quaternions / np.where(lengths > 0, lengths, 1.0), (0.0, 0.0, 0.0, 1.0))
+    turned: Float64s = np.where(lengths > 0, quaternions / np.where(lengths > 0, lengths, 1.0), (0.0, 0.0, 0.0, 1.0))
     return turned
 
 

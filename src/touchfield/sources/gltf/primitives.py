@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.sources.gltf.document import Element
-
-Floats = NDArray[np.float64]
 
 MOST_TRIANGLES: Final = 10_000_000  # a node tree may use one mesh many times; a frame of this many takes about 3 GB
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -27,13 +25,13 @@ class Geometry:
     """The triangles of a primitive."""
 
     element: Element  # where it stands
-    vertices: Floats  # float64 [n, 3]; those that a triangle uses
-    triangles: NDArray[np.int64]  # int64 [m, 3]
-    targets: Floats  # float64 [t, n, 3]; what each morph target adds
-    used: NDArray[np.int64]  # int64 [n]; their numbers in the accessors
+    vertices: Float64s  # float64 [n, 3]; those that a triangle uses
+    triangles: Int64s  # int64 [m, 3]
+    targets: Float64s  # float64 [t, n, 3]; what each morph target adds
+    used: Int64s  # int64 [n]; their numbers in the accessors
     vertex_count: int  # vertices in the accessors
 
-    def morphed(self, weights: Floats) -> Floats:
+    def morphed(self, weights: Float64s) -> Float64s:
         """The vertices with each target added, times its weight; float64 [n, 3]."""
         vertices = self.vertices
         for number in np.flatnonzero(weights):
@@ -83,7 +81,7 @@ def read_geometry(primitive: Element) -> Geometry | None:
     return Geometry(primitive, vertices[used], triangles, moves, used, len(vertices))
 
 
-def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
+def _triangles(corners: Int64s, mode: int) -> Int64s:
     if mode == _TRIANGLES:
         return corners.reshape(-1, 3)
     i = np.arange(max(len(corners) - 2, 0))
@@ -110,9 +108,9 @@ class Skin:
                 raise element.fault(found, f"one for each of {len(self.joints)} joints")
             self._inverse_bind = columns[: len(self.joints)].reshape(-1, 4, 4).swapaxes(1, 2)
 
-    def matrices(self, world: Floats) -> Floats:
+    def matrices(self, world: Float64s) -> Float64s:
         """Motions of a vertex with each joint, float64 [joints, 3, 4], from world matrices [nodes, 4, 4]."""
-        moved: Floats = (world[self.joints] @ self._inverse_bind)[:, :3]
+        moved: Float64s = (world[self.joints] @ self._inverse_bind)[:, :3]
         return moved
 
 
@@ -127,7 +125,7 @@ def joint_shares(geometry: Geometry, joint_count: int) -> Any:
 
     count, used = geometry.vertex_count, geometry.used
     attributes = geometry.element.child("attributes") or geometry.element
-    sets: list[tuple[NDArray[np.int64], Floats]] = []
+    sets: list[tuple[Int64s, Float64s]] = []
     while not sets or f"JOINTS_{len(sets)}" in attributes:
         n = len(sets)
         for name in (f"JOINTS_{n}", f"WEIGHTS_{n}"):

@@ -10,27 +10,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.sources.kernels.planes import SurfacePlanes
 
-    Float32s = NDArray[np.float32]
-
-__all__ = [
-    "B3",
-    "Query",
-    "all_nodes",
-    "brick_forces",
-    "brick_offsets",
-    "forces_on_device",
-    "holds_force",
-    "may_hold_force",
-]
 
 _0, _1, HALF, _BIG = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e30)
 
@@ -52,14 +39,14 @@ class Query(NamedTuple):
     """
 
     surface: SurfacePlanes
-    lattice_m: NDArray[np.float64]
+    lattice_m: Float64s
     shape: tuple[int, int, int]
     turn: Float32s
     pieces: Float32s
     reach: Float32s
 
 
-def all_nodes(shape: tuple[int, int, int]) -> NDArray[np.int32]:
+def all_nodes(shape: tuple[int, int, int]) -> Int32s:
     """All index triples below `shape`, the last fastest, int32 [n, 3]."""
     return np.indices(shape, np.int32).reshape(3, -1).T.copy()
 
@@ -313,24 +300,24 @@ _IJK = np.stack(np.unravel_index(_IN_ORDER, (8, 8, 8))).astype(np.float64)
 _SPREAD = _IN_ORDER.reshape(4, 2, 4, 2, 4, 2).transpose(1, 3, 5, 0, 2, 4).ravel().copy()
 
 
-def brick_offsets(query: Query, order: NDArray[np.int64] = _IN_ORDER) -> Float32s:
+def brick_offsets(query: Query, order: Int64s = _IN_ORDER) -> Float32s:
     """Positions in camera axes of a brick's samples relative to its first, x of all, then y, then z, metres."""
     return (query.lattice_m[1:].T @ _IJK[:, order]).astype(np.float32).reshape(-1)
 
 
-def _of(query: Query, order: NDArray[np.int64]) -> tuple[Any, ...]:
+def _of(query: Query, order: Int64s) -> tuple[Any, ...]:
     surface = query.surface
     view = (query.lattice_m, query.shape, surface.camera_px, *surface.size_px)
     return (order, brick_offsets(query, order), *view, surface.planes.reshape(-1), query.pieces, query.reach)
 
 
-def _corners_m(query: Query, span: int) -> NDArray[np.float64]:
+def _corners_m(query: Query, span: int) -> Float64s:
     """Corners of a cube of bricks from its first sample, and their least and greatest z, float64 [10, 3], metres."""
     corners = (8 * span - 1) * (np.indices((2, 2, 2)).reshape(3, 8).T @ query.lattice_m[1:])
     return np.vstack([corners, np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())])
 
 
-def may_hold_force(nodes: NDArray[np.int32], span: int, query: Query) -> NDArray[np.bool_]:
+def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
     """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of `span`."""
     surface = query.surface
     at = _corners_m(query, span), query.lattice_m, surface.camera_px, *surface.size_px
@@ -342,7 +329,7 @@ def may_hold_force(nodes: NDArray[np.int32], span: int, query: Query) -> NDArray
     return hits
 
 
-def holds_force(bricks: NDArray[np.int32], query: Query) -> NDArray[np.bool_]:
+def holds_force(bricks: Int32s, query: Query) -> Bools:
     """Bricks that hold at least one force, bool [n]."""
     if uses_gpu():
         view = bricks, *_of(query, _IN_ORDER)[1:]
@@ -354,7 +341,7 @@ def holds_force(bricks: NDArray[np.int32], query: Query) -> NDArray[np.bool_]:
     return hits
 
 
-def brick_forces(bricks: NDArray[np.int32], query: Query) -> Float32s:
+def brick_forces(bricks: Int32s, query: Query) -> Float32s:
     """The forces of bricks, newtons, float32 [n, 8, 8, 8, 3]."""
     if len(bricks) * BYTES_PER_BRICK > memory_budget_bytes():
         return zero_forces(len(bricks))  # which refuses; else every number is written below, and zeros cost time
@@ -365,7 +352,7 @@ def brick_forces(bricks: NDArray[np.int32], query: Query) -> Float32s:
     return out
 
 
-def forces_on_device(bricks: NDArray[np.int32], query: Query) -> Any:
+def forces_on_device(bricks: Int32s, query: Query) -> Any:
     """The same in the memory of a GPU, where they stay: float32 [1536 n] (``__cuda_array_interface__``)."""
     view = bricks, *_of(query, _IN_ORDER)[1:], query.turn
     return filled(_each_fill, B3 * len(bricks), view, 3 * B3 * len(bricks), np.float32)

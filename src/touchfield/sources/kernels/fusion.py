@@ -12,14 +12,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s
 from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels.depth import B3, HALF, first_sample, gather, pixel_of, pixels_of
-
-Float32s = NDArray[np.float32]
-
-__all__ = ["Rules", "Samples", "View", "brick_forces", "integrate", "is_free", "mark", "surfaces_in"]
 
 _PASSED, _CLEAR = 1, 2  # free: a ray passed; one did with nothing near it
 _CARVED = 128  # strikes of a surface that was carved
@@ -49,7 +46,7 @@ class View(NamedTuple):
     camera_px: Float32s
     height: int
     width: int
-    lattice_m: NDArray[np.float64]
+    lattice_m: Float64s
     offsets_m: Float32s
     turn: Float32s
     nearest_per_m: Float32s
@@ -319,7 +316,7 @@ def _forces(begin, end, of, pieces, shape, bricks, out):
         out[n, s, 0], out[n, s, 1], out[n, s, 2] = f * x, f * y, f * z
 
 
-def integrate(bricks: NDArray[np.int32], view: View, rules: Rules, of: Samples) -> None:
+def integrate(bricks: Int32s, view: View, rules: Rules, of: Samples) -> None:
     """Tell every sample of `bricks` what one view says."""
     if uses_gpu():
         there = on_device(of)
@@ -329,19 +326,17 @@ def integrate(bricks: NDArray[np.int32], view: View, rules: Rules, of: Samples) 
     for_chunks(_integrate, len(bricks), bricks, view, rules, of, chunk=16)
 
 
-def mark(bricks: NDArray[np.int32], view: View, rules: Rules, out: NDArray[np.bool_]) -> None:
+def mark(bricks: Int32s, view: View, rules: Rules, out: Bools) -> None:
     """Set in `out`, bool [bricks, 512], the samples at and behind the surfaces of the marked pixels."""
     for_chunks(_mark, len(bricks), bricks, view, rules, out, chunk=16)
 
 
-def is_free(of: Samples) -> NDArray[np.bool_]:
+def is_free(of: Samples) -> Bools:
     """Samples in known free space: a ray passed, with nothing near it; bool [bricks, 512]."""
     return (of.near == 0) & (of.free == _CLEAR)
 
 
-def surfaces_in(
-    view: View, slots: NDArray[np.int32], shape: tuple[int, int, int], of: Samples, wanted: NDArray[np.bool_]
-) -> float | None:
+def surfaces_in(view: View, slots: Int32s, shape: tuple[int, int, int], of: Samples, wanted: Bools) -> float | None:
     """Mark the pixels of the view whose surface lies at a sample of `wanted`, bool [bricks, 512].
 
     `slots`, int32 [bricks along each axis of the grid], is where a brick lies in `of` and `wanted`, -1 where it does
@@ -354,7 +349,7 @@ def surfaces_in(
     return sum(total for total, _ in sums) / count if count else None
 
 
-def brick_forces(of: Samples, pieces: Float32s, shape: tuple[int, int, int], bricks: NDArray[np.int32]) -> Float32s:
+def brick_forces(of: Samples, pieces: Float32s, shape: tuple[int, int, int], bricks: Int32s) -> Float32s:
     """The forces of all bricks, newtons, float32 [n, 8, 8, 8, 3]."""
     if uses_gpu():
         at = of, pieces, shape, bricks

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from touchfield.arrays import Float32s, Float64s, Int32s
 from touchfield.lean import entry, lean
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import Grid
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from touchfield.sources.profile import ForceProfile
 
 
@@ -83,7 +82,7 @@ def _gradients(begin, end, heights, step, per_col, per_row, out):
             out[r, c, 1] = gy * per_row
 
 
-def gradients(heights_m: NDArray[np.float64], step_m: float, dx_m: float, dy_m: float) -> NDArray[np.float32]:
+def gradients(heights_m: Float64s, step_m: float, dx_m: float, dy_m: float) -> Float32s:
     """Slopes dh/dx and dh/dy of the plane fitted to each sample's 5 x 5 neighbours, float32 [rows, cols, 2].
 
     Neighbours are weighted binomially; those unknown (NaN) or farther than `step_m` from the sample in height
@@ -190,13 +189,13 @@ def _fill(begin, end, starts, bricks, shape, origin, spacing, lattice, facing, s
 
 
 def bricks_and_forces(
-    surface: tuple[NDArray[np.float64], NDArray[np.float32]],
+    surface: tuple[Float64s, Float32s],
     lattice: tuple[float, float, float, float],
     facing: int,
     step_m: float,
     grid: Grid,
     profile: ForceProfile,
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+) -> tuple[Int32s, Float32s]:
     """The bricks that hold a force, int32 [n, 3] ascending, and the forces, float32 [n, 8, 8, 8, 3].
 
     `surface` (float64 [rows, cols], float32 [rows, cols, 2]): heights, metres, NaN where unknown, and their slopes

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.cuda import empty, filled, on_host, uses_gpu
 from touchfield.medium import Grid
 from touchfield.medium.kernels.placed import close_up
@@ -24,11 +24,6 @@ from touchfield.parallel import for_chunks
 from touchfield.sources.kernels import mesh_triangle as tri
 from touchfield.sources.kernels.mesh_samples import Motion, Rim, add_motion, fade
 from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
-
-__all__ = ["CLOSED", "LIDDED", "ONE_SIDED", "TWO_SIDED", "Band", "Motion", "Rim", "forces_near"]
-
-Floats = NDArray[np.float64]
-Int64s = NDArray[np.int64]
 
 CLOSED, ONE_SIDED, TWO_SIDED, LIDDED = 0, 1, 2, 3
 """Signs of a distance: by winding number; by the pseudo-normal; by the wall's half thickness; by the
@@ -47,7 +42,7 @@ class Band:
     inner_m: float
     outer_m: float
     half_wall_m: float  # what a two-sided sheet takes off its distances
-    pieces: NDArray[np.float64]  # float64 [n, 4]; `ForceProfile.table`
+    pieces: Float64s  # float64 [n, 4]; `ForceProfile.table`
 
 
 # -- from the grid down to its bricks ------------------------------------------------------------------------------
@@ -251,8 +246,8 @@ def _each_force(begin, end, near, surface, frame, events, rule, pieces, owners, 
 
 # -- all of it -----------------------------------------------------------------------------------------------------
 def _bricks_near(
-    table: Floats, lattice: Floats, shape: Int64s, limits: NDArray[np.float32], events: Int64s
-) -> tuple[NDArray[np.int32], Int64s, NDArray[np.int32]]:
+    table: Float64s, lattice: Float64s, shape: Int64s, limits: Float32s, events: Int64s
+) -> tuple[Int32s, Int64s, Int32s]:
     """The bricks near a mesh in any order, where the triangles of each begin, and the triangles."""
     size = 8 << int(-(-int(shape.max()) // 8) - 1).bit_length()
     cells = np.zeros((1, 3), np.int32)
@@ -277,8 +272,8 @@ def _bricks_near(
 
 
 def _rim_near(
-    rim: Rim, lattice: Floats, shape: Int64s, reach_m: float, keys: Int64s
-) -> tuple[Int64s, Int64s, NDArray[np.int32]]:
+    rim: Rim, lattice: Float64s, shape: Int64s, reach_m: float, keys: Int64s
+) -> tuple[Int64s, Int64s, Int32s]:
     """Edges of a rim that may be within `reach_m` of the bricks with these keys, ascending."""
     limits = np.array([reach_m / lattice[3:].max()] * 2 + [0], np.float32)
     bricks, start, ids = _bricks_near(rim.table, lattice, shape, limits, np.zeros(0, np.int64))
@@ -292,8 +287,8 @@ def _rim_near(
 
 
 def _by_gpu(
-    near: tuple[NDArray[np.int32], Int64s, NDArray[np.int32]], surface: tuple[Floats, Floats], *about: Any
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    near: tuple[Int32s, Int64s, Int32s], surface: tuple[Float64s, Float64s], *about: Any
+) -> tuple[Float32s, Int32s]:
     """Forces of bricks, and the nearest triangle of each sample with a force, -1 for the others."""
     shape = (len(near[0]), 8, 8, 8)
     count = 512 * len(near[0])
@@ -303,14 +298,14 @@ def _by_gpu(
 
 
 def forces_near(
-    surface: tuple[Floats, Floats],
+    surface: tuple[Float64s, Float64s],
     events: Int64s,
     grid: Grid,
     band: Band,
     tiny_m: float,
     motion: Motion | None = None,
     rim: Rim | None = None,
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+) -> tuple[Int32s, Float32s]:
     """The force field of a mesh: bricks int32 [n, 3] ascending, and forces float32 [n, 8, 8, 8, 3] in newtons.
 
     `surface` holds the table of `triangle_table` and normals float64 [m, 7, 3]: outward pseudo-normals of each

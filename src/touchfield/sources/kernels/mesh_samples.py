@@ -16,23 +16,23 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int32s
 from touchfield.sources.kernels.mesh_triangle import nearest
 
 
 class Motion(NamedTuple):
     """Motion of a surface."""
 
-    triangles: NDArray[np.int32]  # int32 [m, 3]; in the order of the table, each beginning with its longest edge
-    velocities_m_s: NDArray[np.float64]  # float64 [n, 3]; of the vertices
+    triangles: Int32s  # int32 [m, 3]; in the order of the table, each beginning with its longest edge
+    velocities_m_s: Float64s  # float64 [n, 3]; of the vertices
     damping_n_s_per_m: float  # b
 
 
 class Rim(NamedTuple):
     """Rim of a surface."""
 
-    table: NDArray[np.float64]  # float64 [r, 33]; `triangle_table` of its edges, each a triangle that goes to and fro
+    table: Float64s  # float64 [r, 33]; `triangle_table` of its edges, each a triangle that goes to and fro
     width_m: float  # w
 
 

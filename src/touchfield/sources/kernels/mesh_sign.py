@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.medium import Grid
 from touchfield.medium.kernels.bricks import first_at_least
 from touchfield.parallel import for_chunks
@@ -102,7 +102,7 @@ def _draw(begin, end, vertices, triangles, lattice, shape, offsets, events):
             offsets[t] = e
 
 
-def crossings(vertices_m: NDArray[np.float64], triangles: NDArray[np.int32], grid: Grid) -> NDArray[np.int64]:
+def crossings(vertices_m: Float64s, triangles: Int32s, grid: Grid) -> Int64s:
     """All crossings of the grid's columns, as sorted events (see the module), int64 [n].
 
     `vertices_m` float64 [v, 3] in metres, `triangles` int32 [m, 3]. Those before the grid's first sample along x

@@ -16,8 +16,8 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int32s
 from touchfield.parallel import for_chunks
 
 X, Y, Z, D, ID = 0, 64, 128, 192, 256
@@ -81,7 +81,7 @@ def _fill_table(begin, end, vertices, triangles, table):
             row[5 + 3 * i] = e[i, 0] * y - e[i, 1] * x
 
 
-def triangle_table(vertices_m: NDArray[np.float64], triangles: NDArray[np.int32]) -> NDArray[np.float64]:
+def triangle_table(vertices_m: Float64s, triangles: Int32s) -> Float64s:
     """Planes and edges of triangles whose longest edge is the first, float64 [m, 33]."""
     table = np.empty((len(triangles), _WIDTH))
     for_chunks(_fill_table, len(triangles), vertices_m, triangles, table, chunk=1024)

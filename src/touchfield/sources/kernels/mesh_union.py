@@ -15,13 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from touchfield.arrays import Bools, Float64s, Int32s, Int64s
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels.mesh_sign import line_at
-
-Floats = NDArray[np.float64]
-Int32s = NDArray[np.int32]
 
 _MOST_CORNERS, _MOST_PIECES = 24, 96
 _PER_TRIANGLE = 32  # bins a triangle may lie in on average
@@ -30,8 +27,8 @@ _PER_TRIANGLE = 32  # bins a triangle may lie in on average
 class Bins(NamedTuple):
     """Triangles by squares of the plane (y, z): those of square s are `ids[start[s]:start[s + 1]]`."""
 
-    frame: Floats  # y and z where they begin, their width along both, and how many there are along each
-    start: NDArray[np.int64]
+    frame: Float64s  # y and z where they begin, their width along both, and how many there are along each
+    start: Int64s
     ids: Int32s
 
 
@@ -54,14 +51,14 @@ def _put_in_bins(boxes, frame, place, ids):
                 place[s] += 1
 
 
-def boxes_of(corners: Floats) -> Floats:
+def boxes_of(corners: Float64s) -> Float64s:
     """The boxes of triangles with these corners, float64 [m, 3, 3]: low and high x, y, z, float64 [m, 6]."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     return np.stack([low, high], axis=2).reshape(-1, 6)
 
 
-def sorted_into_bins(boxes: Floats) -> Bins:
+def sorted_into_bins(boxes: Float64s) -> Bins:
     """The triangles with these boxes, float64 [m, 6], in bins."""
     low, high = boxes[:, 0::2].min(axis=0), boxes[:, 1::2].max(axis=0)
     span = np.maximum((high - low)[1:], 1e-12 * max(float((high - low).max()), 1e-300))
@@ -172,7 +169,7 @@ def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
 
 
 def crossing_pairs(
-    bins: Bins, boxes: Floats, corners: Floats, normals: Floats, triangles: Int32s, tiny_m: float
+    bins: Bins, boxes: Float64s, corners: Float64s, normals: Float64s, triangles: Int32s, tiny_m: float
 ) -> Int32s:
     """Pairs (t, u) of triangles that share no vertex, of which u cuts t, int32 [p, 2], by t.
 
@@ -275,8 +272,8 @@ def _classify(begin, end, corners, normals, parents, bins, vertices, triangles, 
 
 
 def bounds_union(
-    corners: Floats, parents: Int32s, normals: Floats, bins: Bins, surface: tuple[Floats, Int32s], tiny_m: float
-) -> NDArray[np.bool_]:
+    corners: Float64s, parents: Int32s, normals: Float64s, bins: Bins, surface: tuple[Float64s, Int32s], tiny_m: float
+) -> Bools:
     """The pieces that bound the union, bool [k]: on just one side of them, `tiny_m` away, nothing is inside.
 
     `corners` float64 [k, 3, 3] and `parents` int32 [k]: of pieces, and the triangle that each is one of; `surface`:

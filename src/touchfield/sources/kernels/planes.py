@@ -12,13 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Int64s
 from touchfield.parallel import for_chunks
-
-Float32s = NDArray[np.float32]
-
-__all__ = ["SurfacePlanes", "fit_planes"]
 
 _TILE = 8  # pixels along each edge of a tile of the culling table
 _0, _1, _2, _3, _4, _9, _16 = (np.float32(x) for x in (0, 1, 2, 3, 4, 9, 16))
@@ -60,7 +56,7 @@ class SurfacePlanes(NamedTuple):
     camera_px: Float32s
     planes: Float32s
     tiles: Float32s
-    places: NDArray[np.int64]
+    places: Int64s
 
     @property
     def normals(self) -> Float32s:

@@ -13,12 +13,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.lean import LEAN
 from touchfield.medium.kernels.cell import CELLS
 from touchfield.medium.kernels.placed import C, H, R, T, force_of, in_scene, is_held, own, place, shortened, slot_at
-
-Float64s = NDArray[np.float64]
-Float32s = NDArray[np.float32]
 
 _COLUMNS = 33
 _SLACK = 1 + 1e-6
@@ -29,10 +27,10 @@ class Bodies(NamedTuple):
     """Both fields of all bodies (`CellPool`), `bounds` float32 [n, 512] of their cells, and `tops` [n] of these."""
 
     lattices: Float64s
-    boxes: NDArray[np.int64]
-    starts: NDArray[np.int64]
-    bricks: NDArray[np.int32]
-    tables: NDArray[np.int64]
+    boxes: Int64s
+    starts: Int64s
+    bricks: Int32s
+    tables: Int64s
     held: NDArray[np.uint64]
     source: Float32s
     decoded: Float32s
@@ -53,14 +51,14 @@ class _Found(NamedTuple):
     """The worst of each body so far; and room: `near` and `here` begin with a count or a body, boxes are [2, 3]."""
 
     worst: Float64s
-    places: NDArray[np.int64]
+    places: Int64s
     sums: Float64s
-    near: NDArray[np.int64]
-    here: NDArray[np.int64]
-    voxel: NDArray[np.int64]
-    box: NDArray[np.int64]
-    spans: NDArray[np.int64]
-    before: NDArray[np.int64]
+    near: Int64s
+    here: Int64s
+    voxel: Int64s
+    box: Int64s
+    spans: Int64s
+    before: Int64s
 
 
 @njit(cache=True, nogil=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.codec.touch.kernels import guess as layout
 from touchfield.lean import entry, inlined, lean
 
@@ -16,22 +16,22 @@ _STEEP = 0.05  # no direction is less outward
 class Fits(NamedTuple):
     """Evidence of the columns of a row that can be told."""
 
-    places: NDArray[np.int64]  # [n]; in the row, ascending
+    places: Int64s  # [n]; in the row, ascending
     # [n, depth, 4]; across, across, outward, and the length, units, from outside to inside
-    forces: NDArray[np.float32]
-    spans: NDArray[np.int64]  # [n, 2]; the first sample with a force, and that from which on it is constant
+    forces: Float32s
+    spans: Int64s  # [n, 2]; the first sample with a force, and that from which on it is constant
     # [n, 3, 4]; X, Y, Z, A of the one surface, and of two; A is 0 where it cannot be told
-    surfaces: NDArray[np.float64]
+    surfaces: Float64s
     # mask, ramp: [2]; k, and F_0 in units; the force deep inside, units, and the growth of its share from sample to
     # sample
-    mask: NDArray[np.float64]
-    ramp: NDArray[np.float64]
+    mask: Float64s
+    ramp: Float64s
     # weights, one, two, rest: [depth], [3], [3], [depth, 3]; room for what the samples weigh, directions, and what
     # the first of two surfaces leaves
-    weights: NDArray[np.float64]
-    one: NDArray[np.float64]
-    two: NDArray[np.float64]
-    rest: NDArray[np.float64]
+    weights: Float64s
+    one: Float64s
+    two: Float64s
+    rest: Float64s
 
 
 @lean

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s, Int64s
 from touchfield.codec.kernels.bits import PLACE, READING, TASK, mix, price
 from touchfield.codec.kernels.support import LIST_CONTEXTS as _TABLE
 from touchfield.codec.kernels.support import LIST_SETS as _SETS
 from touchfield.lean import entry, inlined, lean
-
-Int64s = NDArray[np.int64]
 
 _SIZE: Final = 1 << 18
 _BESIDE: Final = (
@@ -36,7 +34,7 @@ class Frame(NamedTuple):
     before: Int64s
     sizes: Int64s  # [planes]; how many symbols there are
     rows: Int64s  # [ROWS, planes]; symbols of a sample itself, of the frame before, of those beside; and none
-    spent: NDArray[np.float64]  # [3]; bits of support, of copies and the first plane, and of the other planes
+    spent: Float64s  # [3]; bits of support, of copies and the first plane, and of the other planes
 
 
 @lean

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Int64s
 from touchfield.codec.kernels.bits import READING, TASK, code, even, gamma, mix
 from touchfield.lean import entry, inlined, lean
 
@@ -101,13 +101,13 @@ COLUMN_CONTEXTS: Final = COLUMN_SETS * (_FIRST + _SECOND)
 class Columns(NamedTuple):
     """Columns of a box, row by row, a blank one before and behind each row, and a blank row before all."""
 
-    surfaces: NDArray[np.int64]  # [2 columns, NUMBERS]; two of each column; A is 0 where there is none
+    surfaces: Int64s  # [2 columns, NUMBERS]; two of each column; A is 0 where there is none
     row: int  # surfaces from a row to the next
-    heads: NDArray[np.int64]  # [7]
+    heads: Int64s  # [7]
     # [4]; of the column at hand: how many surfaces, the mode of prediction, and the surfaces to the west and north
-    told: NDArray[np.int64]
-    residuals: NDArray[np.int64]  # [2, 4]; of X, Y, Z, A of these, in steps
-    expected: NDArray[np.int64]  # [4]
+    told: Int64s
+    residuals: Int64s  # [2, 4]; of X, Y, Z, A of these, in steps
+    expected: Int64s  # [4]
 
 
 @lean

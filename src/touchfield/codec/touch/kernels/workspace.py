@@ -13,11 +13,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.arrays import Int32s, Int64s
 from touchfield.lean import inlined, lean
-
-Int64s = NDArray[np.int64]
 
 FEATURES = 13  # differences of neighbours that the blend is made of
 # sets of weights of the blend: which neighbours across a face hold a force, and whether the reference does
@@ -43,8 +41,8 @@ class Scan(NamedTuple):
     around: Int64s
     low: Int64s  # low, high: [n, 3]; samples within the grid, from low to below high
     high: Int64s
-    reference: NDArray[np.int32]  # [m, 512, 3]; vectors of the reference, units
-    cells: NDArray[np.int32]  # [n, 512, 8]; takes what is decoded, as said above
+    reference: Int32s  # [m, 512, 3]; vectors of the reference, units
+    cells: Int32s  # [n, 512, 8]; takes what is decoded, as said above
 
 
 class Law(NamedTuple):
@@ -65,8 +63,8 @@ class Law(NamedTuple):
 class Work(NamedTuple):
     """Room to work in, and the weights of the blend."""
 
-    window: NDArray[np.int32]  # [12 * 12 * 12 * 8]
-    old: NDArray[np.int32]  # [12 * 12 * 12 * 4]; the window's cells of the reference
+    window: Int32s  # [12 * 12 * 12 * 8]
+    old: Int32s  # [12 * 12 * 12 * 4]; the window's cells of the reference
     weights: Int64s  # [CLASSES, FEATURES]; of the blend, 1/65536; kept from frame to frame of a segment
     rows: Int64s  # [ROWS, 3]; vectors, by the names above
     of: Int64s  # [16]; numbers, by the names in `residual` and `predict`
