@@ -293,15 +293,9 @@ _LONGEST_S: Final = 30.0
 def write_haptic(path: str | Path, effect: ArrayEffect, name: str = "", description: str = "") -> tuple[str, ...]:
     """Write the drives of an array as ``.haptic``.
 
-    Returns
-    -------
-    tuple of str
-        What is lost on the way.
+    Returns tuple of str: what is lost on the way.
 
-    Raises
-    ------
-    SourceError
-        If the system refuses to write.
+    Raises SourceError if the system refuses to write.
     """
     track = OneTrack.of(effect)
     times = [time for time, _ in track.amplitudes]

@@ -74,13 +74,8 @@ def write_hjif_array(
         "front" or "back" of the chest.
     description : str
 
-    Raises
-    ------
-    InvalidArgument
-        If the array has more than 127 columns or rows, there is no such panel, or a frame takes less than one tick
-        of a millisecond or more than 65535.
-    SourceError
-        If the system refuses to write.
+    Raises InvalidArgument if the array has more than 127 columns or rows, there is no such panel, or a frame takes
+    less than one tick of a millisecond or more than 65535; SourceError if the system refuses to write.
     """
     columns, rows, _ = effect.lattice
     if max(columns, rows) > _LARGEST_TARGET or columns * rows > MAX_CHANNELS:
@@ -142,12 +137,7 @@ def write_hjif_force(
         among them, clip them at 1; with another value the file tells shares of it.
     description : str
 
-    Raises
-    ------
-    InvalidArgument
-        If the full scale is out of range.
-    SourceError
-        If the system refuses to write.
+    Raises InvalidArgument if the full scale is out of range; SourceError if the system refuses to write.
     """
     if not 0 < full_scale_n <= _LARGEST_FORCE_N:
         raise InvalidArgument("full_scale_n", repr(full_scale_n), f"newtons above 0, up to {_LARGEST_FORCE_N:g}")
@@ -275,10 +265,7 @@ def thinned(ticks: Int64s, values: Float64s, tolerances: Sequence[float]) -> Int
     tolerances : m floats
         Greatest distance of each signal from the lines.
 
-    Returns
-    -------
-    int64 [k]
-        Indices of the samples that are kept, ascending.
+    Returns int64 [k]: indices of the samples that are kept, ascending.
     """
     inner = (values[1:-1] == values[:-2]).all(axis=1) & (values[1:-1] == values[2:]).all(axis=1)
     places = np.flatnonzero(np.concatenate([[True], ~inner, [True]])[: len(ticks)])

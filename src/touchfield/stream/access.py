@@ -47,10 +47,7 @@ class Access:
     origins : tuple of str
         Web pages elsewhere that may read too (CORS), such as https://example.org; "*" for all.
 
-    Raises
-    ------
-    InvalidArgument
-        If others reach the address and no token is asked for, or a value is out of range.
+    Raises InvalidArgument if others reach the address and no token is asked for, or a value is out of range.
     """
 
     host: str = "127.0.0.1"
@@ -154,10 +151,7 @@ async def run(
     A connection that asks for nothing for ten seconds is left, and beyond what the system gives to a process, one in
     eight of which is kept for others, connections are closed as they come.
 
-    Raises
-    ------
-    InvalidArgument
-        If the address cannot be listened at.
+    Raises InvalidArgument if the address cannot be listened at.
     """
     loop, heard = asyncio.get_running_loop(), WeakSet[object]()
 

@@ -36,12 +36,7 @@ def write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: flo
     rate_bits : float
         Bits a second of the stream.
 
-    Raises
-    ------
-    InvalidArgument
-        If the form cannot hold a track of the movie.
-    SourceError
-        If a file cannot be written.
+    Raises InvalidArgument if the form cannot hold a track of the movie; SourceError if a file cannot be written.
     """
     import av
 

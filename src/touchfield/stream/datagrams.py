@@ -57,10 +57,7 @@ class Datagrams:
     spread : int
         Messages over whose time the datagrams of one are spread; the last ones come so many messages later.
 
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range.
+    Raises InvalidArgument if a number is out of range.
     """
 
     def __init__(self, stream: int, repair: float = 0.22, spread: int = 8) -> None:

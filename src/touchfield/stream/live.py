@@ -213,10 +213,7 @@ def _segment(message: bytes) -> LiveSegment:
 def file_of(opening: bytes, message: bytes) -> bytes:
     """A segment as a ``.touch`` file of its own, whose frames begin at 0: for decoders that know files alone.
 
-    Raises
-    ------
-    FormatError
-        If the opening or the message is at fault.
+    Raises FormatError if the opening or the message is at fault.
     """
     told, segment = _opened(opening), _segment(message)
     own = {"first_frame": 0, "frame_count": segment.frame_count}

@@ -37,10 +37,7 @@ def open_live(
     `coarse` is the address of its coarse layer, felt where the stream itself has lost something, or is late; where
     that layer does not come, it is told, and the stream is felt alone.
 
-    Raises
-    ------
-    SourceError
-        If there is none, or nothing has come for ten seconds.
+    Raises SourceError if there is none, or nothing has come for ten seconds.
     """
     with ExitStack() as held:
         under: LiveFrames | None = None

@@ -264,12 +264,8 @@ class LiveFrames:
     def __call__(self, index: int) -> ForceField:
         """A frame, once it has come; one that was lost holds no force.
 
-        Raises
-        ------
-        LiveEnd
-            Where the sender has ended the stream before it.
-        SourceError
-            Where nothing came for ten seconds, or the frame lies far ahead.
+        Raises LiveEnd where the sender has ended the stream before it; SourceError where nothing came for ten
+        seconds, or the frame lies far ahead.
         """
         wanted, one = self._place_of(index)
         if one is not None:

@@ -68,12 +68,8 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
     report : callable
         ``report(done, total)`` in segments.
 
-    Raises
-    ------
-    InvalidArgument
-        If the ending of `out` is another, or the form cannot hold a track of the movie.
-    SourceError, FormatError
-        If the movie or the stream cannot be read.
+    Raises InvalidArgument if the ending of `out` is another, or the form cannot hold a track of the movie;
+    SourceError, FormatError if the movie or the stream cannot be read.
     """
     out = Path(out)
     if out.suffix.lower() not in _FORMS:
@@ -99,12 +95,8 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
 def demux(movie: str | Path, out: str | Path) -> Muxed:
     """Take the touch out of a movie: the ``.touch`` file that was put in, of which each segment is checked.
 
-    Raises
-    ------
-    SourceError
-        If the movie cannot be read, or has no touch.
-    FormatError
-        If the touch is damaged, or its beginning is missing.
+    Raises SourceError if the movie cannot be read, or has no touch; FormatError if the touch is damaged, or its
+    beginning is missing.
     """
     with _opened(movie) as source:
         samples, at_s = _found(source, str(movie))

@@ -63,14 +63,8 @@ def coded_object(record: ObjectRecord) -> CodedObject:
 class ObjectStream:
     """A ``.touch`` file of coder `objects`, open for reading as long as fields of objects that deform are asked for.
 
-    Raises
-    ------
-    UnsupportedVersion
-        If the file is of another coder.
-    FormatError
-        If its bytes contradict themselves.
-    InvalidArgument
-        If its poses would take more memory than `memory_budget_bytes`.
+    Raises UnsupportedVersion if the file is of another coder; FormatError if its bytes contradict themselves;
+    InvalidArgument if its poses would take more memory than `memory_budget_bytes`.
     """
 
     def __init__(self, reader: TouchReader) -> None:

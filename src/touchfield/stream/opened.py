@@ -345,10 +345,7 @@ def open_stream(
 def opened(reader: TouchReader, file_bytes: int) -> OpenStream:
     """The stream of a reader, by its coder.
 
-    Raises
-    ------
-    UnsupportedVersion
-        If there is no such coder.
+    Raises UnsupportedVersion if there is no such coder.
     """
     is_scene = coder(reader.head.coder).spec is None
     return SceneStream(reader, file_bytes) if is_scene else VoxelStream(reader, file_bytes)
@@ -361,11 +358,8 @@ def write_field(
 
     Several frames as ``.vti`` are numbered files and a ``.pvd`` that lists them: that is the one to open.
 
-    Raises
-    ------
-    InvalidArgument
-        If the ending is another, or a dense frame would take more than `memory_budget_bytes`: a small file may
-        tell of a large grid.
+    Raises InvalidArgument if the ending is another, or a dense frame would take more than `memory_budget_bytes`: a
+    small file may tell of a large grid.
     """
     from touchfield.medium.npz import write_npz
     from touchfield.medium.vti import write_vti

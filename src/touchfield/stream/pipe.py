@@ -22,10 +22,7 @@ def write_message(file: IO[bytes], message: bytes) -> None:
 def messages(file: IO[bytes], name: str) -> Iterator[bytes]:
     """The messages of a pipe up to its end, which may come before that of the stream.
 
-    Raises
-    ------
-    SourceError
-        If it ends within a message, or a message is too long to be one.
+    Raises SourceError if it ends within a message, or a message is too long to be one.
     """
     while length := exactly(file, _LENGTH.size):
         count = _LENGTH.unpack(length)[0] if len(length) == _LENGTH.size else MOST_BYTES + 1

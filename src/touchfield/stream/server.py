@@ -48,10 +48,7 @@ class _Answer(web.FileResponse):
 def application(folder: Path, access: Access, pages: Pages | None = None) -> web.Application:
     """The web application of a folder, with `pages` for browsers.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no such folder.
+    Raises InvalidArgument if there is no such folder.
     """
     if not folder.is_dir():
         raise InvalidArgument(str(folder), "no folder", "a folder with .touch files")
@@ -75,10 +72,7 @@ def serve(
 ) -> None:
     """Serve until interrupted; `tell` gets the address of each stream once they can be read.
 
-    Raises
-    ------
-    InvalidArgument
-        If there is no such folder, or the address cannot be listened at.
+    Raises InvalidArgument if there is no such folder, or the address cannot be listened at.
     """
     served = application(folder, access, pages)
 

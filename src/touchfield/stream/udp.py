@@ -30,10 +30,7 @@ seventh of the bytes, is protected more, and both together take no larger a shar
 def place_of(text: str) -> tuple[str, int]:
     """Host and port of ``HOST:PORT`` or ``udp://HOST:PORT``.
 
-    Raises
-    ------
-    InvalidArgument
-        If it is none.
+    Raises InvalidArgument if it is none.
     """
     host, colon, port = text.removeprefix("udp://").rstrip("/").rpartition(":")
     if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
