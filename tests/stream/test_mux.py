@@ -15,8 +15,7 @@ from touchfield.container import TouchReader
 from touchfield.errors import InvalidArgument, TouchfieldError
 from touchfield.job import EncodeSpec, encode
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.stream.dash import BEGINS
-from touchfield.stream.mux import demux, mux
+from touchfield.stream.mux import BEGINS, demux, mux
 
 av = pytest.importorskip("av", reason="movies need the extra video")
 

@@ -71,9 +71,8 @@ def live(
     from touchfield.errors import InvalidArgument
     from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
     from touchfield.stream.access import Pages
-    from touchfield.stream.live import END
+    from touchfield.stream.live import END, write_message
     from touchfield.stream.live_server import LiveServer
-    from touchfield.stream.pipe import write_message
     from touchfield.viewer.browser import empty_page, served_page
 
     def say(note: str) -> None:

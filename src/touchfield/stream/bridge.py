@@ -8,7 +8,7 @@ from typing import Final, Protocol
 from urllib.parse import quote
 
 from touchfield.stream.access import Access, Background, Pages, add_pages, guarded, web
-from touchfield.stream.server import MEDIA_TYPE
+from touchfield.stream.live import MEDIA_TYPE
 
 _PERIOD_S: Final = 1 / 60
 _PATIENCE_S: Final = 5.0

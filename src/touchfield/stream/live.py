@@ -12,12 +12,13 @@ is moved on to the newest segment.
 from __future__ import annotations
 
 import io
+import struct
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from threading import Lock
-from typing import Any, Final
+from typing import IO, Any, Final
 
 from touchfield.container.records import MAGIC, Head, Pair, Provenance, Segment, SegmentEntry, Vibration
 from touchfield.container.wire import (
@@ -31,7 +32,11 @@ from touchfield.container.wire import (
     read_record,
 )
 from touchfield.container.writer import index_and_end
-from touchfield.errors import CorruptFile, FormatError, InvalidArgument
+from touchfield.errors import CorruptFile, FormatError, InvalidArgument, SourceError
+from touchfield.files import exactly
+
+MEDIA_TYPE: Final = "haptics/vnd.touchfield"
+"""Of a ``.touch`` file (RFC 9695 makes the tree; haptics/hmpg is MPEG's)."""
 
 ENDLESS: Final = (1 << 31) - 1
 """`HEAD.frame_count` of a live stream."""
@@ -344,3 +349,29 @@ class LiveSender:
         """The message of a segment of the manifest; None where it is none any more."""
         with self._lock:
             return next((message for own, _, message in self._kept if own == number), None)
+
+
+# -- through a pipe ------------------------------------------------------------------------------------------
+
+_LENGTH: Final = struct.Struct("<I")
+
+
+def write_message(file: IO[bytes], message: bytes) -> None:
+    """Write a message and have it go at once."""
+    file.write(_LENGTH.pack(len(message)) + message)
+    file.flush()
+
+
+def messages(file: IO[bytes], name: str) -> Iterator[bytes]:
+    """The messages of a pipe up to its end, which may come before that of the stream.
+
+    Raises SourceError if it ends within a message, or a message is too long to be one.
+    """
+    while length := exactly(file, _LENGTH.size):
+        count = _LENGTH.unpack(length)[0] if len(length) == _LENGTH.size else MOST_BYTES + 1
+        if count > MOST_BYTES:
+            raise SourceError(name, f"{length!r}", f"the length of a message, at most {MOST_BYTES}")
+        message = exactly(file, count)
+        if len(message) < count:
+            raise SourceError(name, "its end within a message", "whole messages of touchfield live SOURCE -")
+        yield message

@@ -18,9 +18,8 @@ from urllib.parse import urlsplit, urlunsplit
 from touchfield.container.remote import without_secret
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.files import standard_input
-from touchfield.stream.live import MOST_BYTES, Ended, LiveReceiver, LiveSegment, Opened
+from touchfield.stream.live import MOST_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
 from touchfield.stream.live_medium import PATIENCE_S, LiveFrames, LiveStream
-from touchfield.stream.pipe import messages
 
 _PAUSES_S: Final = (0.1, 0.3, 1.0, 2.0)
 _POLL_S: Final = 0.05

@@ -11,8 +11,7 @@ from contextlib import suppress
 from typing import Final
 
 from touchfield.stream.access import Access, Background, Pages, add_pages, guarded, web
-from touchfield.stream.live import LiveSegment, LiveSender, file_of
-from touchfield.stream.server import MEDIA_TYPE
+from touchfield.stream.live import MEDIA_TYPE, LiveSegment, LiveSender, file_of
 
 _PATIENCE_S: Final = 10.0
 """How long a receiver may take for a message."""

@@ -16,9 +16,7 @@ from aiohttp.abc import AbstractStreamWriter
 
 from touchfield.errors import InvalidArgument
 from touchfield.stream.access import Access, Pages, add_pages, guarded, run, web
-
-MEDIA_TYPE: Final = "haptics/vnd.touchfield"
-"""Of a ``.touch`` file (RFC 9695 makes the tree; haptics/hmpg is MPEG's)."""
+from touchfield.stream.live import MEDIA_TYPE
 
 _TYPES: Final = {
     ".touch": MEDIA_TYPE, ".html": "text/html", ".mp4": "video/mp4", ".ts": "video/mp2t", ".webm": "video/webm",
