@@ -11,8 +11,6 @@ from touchfield.cli.app import Json, command
 from touchfield.cli.options import frames_of
 from touchfield.cli.show import check_picture, progress, show
 
-__all__: list[str] = []
-
 
 @command(
     "Make",

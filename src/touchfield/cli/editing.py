@@ -12,8 +12,6 @@ from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, frames_of
 from touchfield.cli.show import check_picture, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 
-__all__: list[str] = []
-
 RUBBED = tuple(row for row in BESIDE if row[0] != "vibration")
 
 Medium = Annotated[str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti).", metavar="MEDIUM")]
@@ -206,7 +204,7 @@ def reduce(
     with progress("reduce") as report:
         done = reduce_medium(medium, out, cull, spec, coder_spec(asked), report)
     if plot is not None:
-        from touchfield.viewer.reduction import draw_reduction
+        from touchfield.viewer.plots import draw_reduction
 
         draw_reduction(plot, done.values, done.field, done.felt, done.shown["hand"])
     told = dict(done.shown)

@@ -12,8 +12,6 @@ from touchfield.cli.options import SCENE, Workers, asks, encode_spec, numbers_of
 from touchfield.cli.show import progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 
-__all__: list[str] = []
-
 Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
 IndexFile = Annotated[
     Path | None, typer.Option("--index", help="File of the index; default: FOLDER.index.npz beside the folder.")

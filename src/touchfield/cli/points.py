@@ -12,8 +12,6 @@ from touchfield.cli.options import CODER, asks, coder_spec
 from touchfield.cli.show import check_picture, is_same_file, progress, show, show_rows
 from touchfield.errors import InvalidArgument
 
-__all__: list[str] = []
-
 
 @command("Study", "points 15 fox.touch rebuilt.touch --plot points.png", "points 5 felt.csv --next")
 @asks(CODER)

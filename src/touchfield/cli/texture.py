@@ -15,8 +15,6 @@ from touchfield.sources.recording import STANDARD_GRAVITY_M_S2
 if TYPE_CHECKING:
     from touchfield.render.material import Material
 
-__all__: list[str] = []
-
 
 @command(
     "Make",
@@ -85,7 +83,7 @@ def _numbers(option: str, text: str | None, count: int) -> list[float]:
 def _draw(path: Path, materials: tuple[Material, ...]) -> None:
     from touchfield.perception.human import vibration_threshold
     from touchfield.perception.vibrotactile import BANDS_HZ
-    from touchfield.viewer.texture import draw_textures
+    from touchfield.viewer.plots import draw_textures
 
     rows = {
         f"{one.name}, {1e3 * speed:g} mm/s, {force:g} N": one.levels_n[i, j]

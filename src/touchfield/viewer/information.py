@@ -85,10 +85,7 @@ class InformationView:
 def draw_information(path: Path, view: InformationView) -> None:
     """Write the picture as PNG.
 
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    Raises MissingExtra if matplotlib is not installed.
     """
     # a device takes a line of words and the bar below it
     rows = [0.7 + each * len(part) for part, each in ((view.bars, 0.36), (view.devices, 0.5)) if part]

@@ -81,10 +81,7 @@ def contacts(times_s: Float64s, field_n: Float64s) -> list[tuple[float, float]]:
 def draw_interaction(path: Path, view: InteractionView) -> None:
     """Write the picture as PNG.
 
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    Raises MissingExtra if matplotlib is not installed.
     """
     figure = titled_figure("the picture of an interaction", f"{view.title}\n{view.caption}", 14.0, 9.0)
     places = figure.add_gridspec(3, 2, width_ratios=(3, 2))

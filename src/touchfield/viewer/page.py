@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from textwrap import wrap
+from typing import TYPE_CHECKING
 
 from touchfield.errors import MissingExtra
 from touchfield.medium.atomic import atomic_path
@@ -16,33 +16,26 @@ if TYPE_CHECKING:
 
 _DOTS_PER_INCH = 110
 _HEAD_BYTES = 1 << 12
+_SIZE_PT = 11.0
+_LINE_INCH = 1.3 * _SIZE_PT / 72
+_LETTERS_PER_INCH = 9.0  # of text of that size, with room: the mean is 11
 
 
 def titled_figure(purpose: str, title: str, width_inch: float, height_inch: float) -> Figure:
-    """An empty figure below its title.
+    """An empty figure below its title; `height_inch` is that with a title of one line, more lines make it higher.
 
-    Parameters
-    ----------
-    purpose : str
-        What it is for, as an error says it: "the picture of a comparison".
-    title : str
-    width_inch, height_inch : float
-        The height is that with a title of one line; more lines make the figure higher.
-
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    Raises MissingExtra, which names the `purpose` ("the picture of a comparison"), if matplotlib is not installed.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
         raise MissingExtra(purpose, "matplotlib", "report") from None
-    height = height_inch + title_height_inch(title, width_inch)
+    lines = lines_that_fit(title, width_inch)
+    height = height_inch + _LINE_INCH * (len(lines) - 1)
     figure = Figure(figsize=(width_inch, height), dpi=_DOTS_PER_INCH, layout="constrained")
     FigureCanvasAgg(figure)
-    add_title(figure, title)
+    figure.suptitle("\n".join(lines), fontsize=_SIZE_PT, parse_math=False)
     return figure
 
 
@@ -58,53 +51,10 @@ def is_our_picture(path: Path) -> bool:
         return b"Creator\0touchfield" in file.read(_HEAD_BYTES)
 
 
-_SIZE_PT = 11.0
-_MARGIN_PT = 24.0
-_LINE_INCH = 1.3 * _SIZE_PT / 72
-
-
-def add_title(figure: Figure, text: str) -> None:
-    """Put a title on a figure, in as many lines as its width asks for."""
-    width_pt = 72 * float(figure.get_figwidth())
-    figure.suptitle("\n".join(lines_that_fit(text, width_pt)), fontsize=_SIZE_PT, parse_math=False)
-
-
-def title_height_inch(text: str, width_inch: float) -> float:
-    """Height of the lines of a title beyond its first."""
-    return _LINE_INCH * (len(lines_that_fit(text, 72 * width_inch)) - 1)
-
-
-def lines_that_fit(text: str, width_pt: float) -> list[str]:
-    """Break a title at its blanks, and inside a word only where the word alone is wider than the page.
-
-    Parameters
-    ----------
-    text : str
-    width_pt : float
-        Width of the page with its margins, points.
-
-    Returns
-    -------
-    list of str
-    """
-    room = width_pt - _MARGIN_PT
-    lines = []
-    for given in text.split("\n"):
-        line = ""
-        for word in given.split(" "):
-            longer = f"{line} {word}" if line else word
-            if _width_pt(longer) <= room:
-                line = longer
-                continue
-            if line:
-                lines.append(line)
-            line = word
-            while _width_pt(line) > room:
-                count = _count_that_fits(line, room)
-                lines.append(line[:count])
-                line = line[count:]
-        lines.append(line)
-    return lines
+def lines_that_fit(text: str, width_inch: float) -> list[str]:
+    """A title in lines for a page of a width, broken at blanks, inside a word only where it is longer than a line."""
+    count = int(_LETTERS_PER_INCH * width_inch)
+    return [line for part in text.split("\n") for line in wrap(part, count) or [""]]
 
 
 def shortened(text: str, most: int) -> str:
@@ -113,25 +63,3 @@ def shortened(text: str, most: int) -> str:
         return text
     head = (most - 1) // 2
     return f"{text[:head]}\u2026{text[len(text) - (most - 1 - head) :]}"
-
-
-def _count_that_fits(word: str, room: float) -> int:
-    """The most characters, at least one, that are not wider than `room`."""
-    low, high = 1, len(word)
-    while low < high:
-        middle = (low + high + 1) // 2
-        low, high = (middle, high) if _width_pt(word[:middle]) <= room else (low, middle - 1)
-    return low
-
-
-def _width_pt(text: str) -> float:
-    measure, font = _measure()
-    return float(measure(text, font, ismath=False)[0]) if text else 0.0
-
-
-@cache
-def _measure() -> tuple[Any, Any]:
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import text_to_path
-
-    return text_to_path.get_text_width_height_descent, FontProperties(size=_SIZE_PT)

@@ -58,10 +58,7 @@ def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec:
     Rows: where a hand that comes from the viewer's side first feels a force; |F| on a slice along the line of
     sight; the direction on the same slice; of an array of actuators, |F| of each. Columns: source, decoded, error.
 
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    Raises MissingExtra if matplotlib is not installed.
     """
     panels = _Panels(original, decoded, spec)
     # an array of actuators is one sample deep: all there is to see is the force of each

@@ -56,10 +56,7 @@ def draw_shadows(path: Path, fields: Sequence[ForceField], spec: PreviewSpec) ->
 def shadows(fields: Sequence[ForceField], spec: PreviewSpec) -> Figure:
     """A figure of fields on one grid: three projections with the box of the grid, in millimetres.
 
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    Raises MissingExtra if matplotlib is not installed.
     """
     grid = fields[0].grid
     low_mm, high_mm = (1e3 * corner for corner in grid.box_m)
