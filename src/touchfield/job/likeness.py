@@ -99,7 +99,7 @@ def similar(
         except InvalidArgument as error:
             if error.where != "symbols to compress":
                 raise
-            measured = similarity(mine, theirs, over, compressor=None)
+            measured = similarity(mine, theirs, over, compressed=False)
             notes = (*notes, f"no NCD: {error}")
     report(3, 3)
     parts = {name: float(np.linalg.norm(told[0][slot] - told[1][slot])) for name, slot in part_slots()}

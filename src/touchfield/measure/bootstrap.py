@@ -50,7 +50,7 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.symbol_keys import as_array
+from touchfield.measure.estimators import as_array
 
 MIN_BLOCKS: Final = 8
 MIN_REPLICATES: Final = 50

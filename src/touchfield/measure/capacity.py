@@ -27,7 +27,8 @@ from typing import Any, Final
 from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.bootstrap import Interval, ratio_interval
-from touchfield.measure.estimators import ESTIMATORS, estimate_bits
+from touchfield.measure.counts import Counts
+from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.quantity import Quantity
 
 READINGS: Final = ("realised", "literal")
@@ -164,32 +165,26 @@ def capacity(
 
 
 def paired_ratio(
-    counts: tuple[Int64s, Int64s],
-    voxels: tuple[int, int],
-    alphabets: tuple[int, int],
-    codomain_bits: float,
-    estimator: str = "plug-in",
+    counts: tuple[Counts, Counts], voxels: tuple[int, int], codomain_bits: float, estimator: str = "plug-in"
 ) -> Interval | None:
     """An interval of min(H(M(W)), C_dev) / H(W) from blocks of space that hold the same places of both.
 
     M(W) is a function of W, so that their estimates err together, which `touchfield.measure.bootstrap.ratio_interval`
-    keeps; its coverage is measured there.
-
-    `counts` (int64 [B, K], int64 [B, K']): of W and of M(W) over voxels, in the same blocks
-    (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): of a frame of W and of M(W). `alphabets`
-    (int, int): the symbols that there can be, for the estimators that use them. `codomain_bits`: C_dev, bits per
-    frame. `estimator`: of both entropies. Returns Interval or None: None where W is a single symbol in all the
+    keeps; its coverage is measured there. `counts`: of W and of M(W) over voxels, in the same blocks
+    (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): of a frame of W and of M(W).
+    `codomain_bits`: C_dev, bits per frame. `estimator`: of both entropies. None where W is a single symbol in all the
     blocks of a resample.
     """
+    medium, rendered = counts
+    assert medium.blocks is not None and rendered.blocks is not None
 
     def held(c: Int64s) -> float:
-        return voxels[0] * estimate_bits(c, estimator, alphabets[0])
+        return voxels[0] * estimate_bits(c, estimator, medium.alphabet)
 
     def told(c: Int64s) -> float:
-        return min(voxels[1] * estimate_bits(c, estimator, alphabets[1]), codomain_bits)
+        return min(voxels[1] * estimate_bits(c, estimator, rendered.alphabet), codomain_bits)
 
-    corrects_bias = ESTIMATORS[estimator].corrects_bias
-    return ratio_interval(told, held, (counts[1], counts[0]), corrects_bias=corrects_bias)
+    return ratio_interval(told, held, (rendered.blocks, medium.blocks), corrects_bias=estimator != "plug-in")
 
 
 def _check_entropy(where: str, entropy: Quantity) -> None:

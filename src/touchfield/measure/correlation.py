@@ -30,8 +30,9 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
+from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.information import mutual_information
-from touchfield.measure.quantity import Entropies, FewSamplesWarning, Quantity
+from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium import BRICK
 from touchfield.medium.field import brick_keys
 
@@ -386,6 +387,7 @@ def _bits(x: Int64s, y: Int64s, classes: int, estimator: str) -> float:
     both = (x >= 0) & (y >= 0)
     if not both.any():
         return 0.0
-    counts = np.bincount(x[both] * classes + y[both], minlength=classes * classes)
-    places = np.divmod(np.arange(classes * classes), classes)
-    return Entropies(estimator, (places[0], places[1]), (None, None, None)).mutual(counts)
+    table = np.bincount(x[both] * classes + y[both], minlength=classes * classes).reshape(classes, classes)
+    x_bits, y_bits, joint = (estimate_bits(n, estimator) for n in (table.sum(axis=1), table.sum(axis=0), table))
+    bits = math.fsum((x_bits, y_bits, -joint))
+    return max(0.0, bits) if estimator == "plug-in" else bits

@@ -13,23 +13,21 @@ it is), so that the interval comes from blocks of consecutive samples.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
+from touchfield.measure.counts import LEAST_BLOCKS, Counts
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.quantity import LEAST_BLOCKS, Counted, Entropies, measured
+from touchfield.measure.information import entropy
+from touchfield.measure.quantity import Quantity
 from touchfield.medium.field import frozen
+from touchfield.medium.grid import Grid
 from touchfield.medium.trace import Trace
 
-if TYPE_CHECKING:
-    from touchfield.measure.quantity import Quantity
-    from touchfield.medium import Grid
-
-
-_MOST_CELLS: Final = 1 << 24  # blocks times symbols of one table
 _LATE: Final = 1e-6  # share of a frame by which a time stamp may fall short of it, for stamps rounded to decimals
 _UNEVEN: Final = 2.0  # longest step of a trace over its median step that is still "sampled regularly"
 
@@ -67,9 +65,23 @@ def interaction_entropy(
     rate_hz: float | None = None,
     blocks: int = 64,
 ) -> Quantity:
-    """H(S) of the field as a probe met it, bits per sample of the trace.
+    """H(S) of the field as a probe met it, bits per sample of the trace: `entropy` of `interaction_counts`."""
+    counts = interaction_counts(trace, symbols, interval, rate_hz, blocks)
+    return entropy(counts, estimator=estimator, interval=interval)
 
-    InvalidArgument if no sample meets the field, the frames do not fit each other, or an argument is out of range.
+
+def interaction_counts(
+    trace: Trace,
+    symbols: FieldSymbols | Sequence[FieldSymbols],
+    interval: bool = True,
+    rate_hz: float | None = None,
+    blocks: int = 64,
+) -> Counts:
+    """The symbols that a probe met, one for each sample of its trace that lies in the medium.
+
+    Samples before the first frame or after the last are left out, and so are those during the frames that lie outside
+    the box of the grid; a note counts each of the two. InvalidArgument if no sample meets the field, the frames do
+    not fit each other, or an argument is out of range.
 
     Parameters
     ----------
@@ -78,39 +90,28 @@ def interaction_entropy(
         The quantised field; or one for each frame, of one grid and one quantiser, which may be made when asked for.
         Frame f is felt from f / rate_hz until (f + 1) / rate_hz; only the first frame and those that the trace meets
         are asked for.
-    estimator : str
-        One of `touchfield.measure.estimators.ESTIMATORS`.
     interval : bool
-        With a block bootstrap over time.
+        With blocks over time for a bootstrap.
     rate_hz : float, optional
         Frames per second; needed for a sequence.
     blocks : int
         Blocks of consecutive samples, at least 8. A block should last longer than a hand stays in one place: take
         fewer for a short trace.
-
-    Returns
-    -------
-    Quantity
-        Weighting "interaction". Samples before the first frame or after the last are left out, and so are those
-        during the frames that lie outside the box of the grid; a note counts each of the two.
     """
     if blocks < LEAST_BLOCKS:
         raise InvalidArgument("blocks", repr(blocks), f"at least {LEAST_BLOCKS}")
     first, met, in_time = _met(trace, symbols, rate_hz)
     if not len(met):
         raise InvalidArgument("trace", *_where_it_was(trace, first, rate_hz))
-    seen, place = np.unique(met, return_inverse=True)
-
-    place, notes, table = place.reshape(-1), _notes(trace, in_time, len(met)), None
-    if interval:
-        table = _per_block(place, len(seen), blocks)
-        if table is None:
-            few = f"{len(met)} samples of {len(seen)} symbols fill fewer than {LEAST_BLOCKS} blocks"
-            notes.append(f"no interval: {few}")
-    counts = np.bincount(place, minlength=len(seen))
-    counted = Counted(counts, table, len(met), estimator, first.quantiser, "interaction", tuple(notes))
-    entropies = Entropies(estimator, (), (first.alphabet,))
-    return measured("H(S)", entropies.joint, counted, most=entropies.most_bits())
+    counts = Counts.of(met, blocks=blocks if interval else 0)
+    notes = _notes(trace, in_time, len(met))
+    if interval and counts.blocks is None:
+        few = f"{len(met)} samples of {len(counts.cells)} symbols fill fewer than {LEAST_BLOCKS} blocks"
+        notes.append(f"no interval: {few}")
+    return replace(
+        counts, quantiser=first.quantiser, weighting="interaction", variables=("S",), alphabet=first.alphabet,
+        notes=tuple(notes),
+    )  # fmt: skip
 
 
 def _cells(positions_m: Float64s, grid: Grid) -> Int64s:
@@ -121,16 +122,6 @@ def _cells(positions_m: Float64s, grid: Grid) -> Int64s:
     cells = np.full(len(nearest), -1, np.int64)
     cells[inside] = np.ravel_multi_index(tuple(nearest[inside].astype(np.int64).T), grid.shape)
     return cells
-
-
-def _per_block(place: Int64s, symbols: int, blocks: int) -> Int64s | None:
-    """Counts of symbols 0 .. symbols - 1 in contiguous blocks of `place`, int64 [B, symbols]; None below 8 blocks."""
-    fit = min(blocks, len(place), _MOST_CELLS // max(1, symbols))
-    if fit < LEAST_BLOCKS:
-        return None
-    owner = np.arange(len(place)) * fit // len(place)
-    counts = np.bincount(owner * symbols + place, minlength=fit * symbols)
-    return counts.reshape(fit, symbols).astype(np.int64)
 
 
 def _met(

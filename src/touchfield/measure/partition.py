@@ -24,12 +24,9 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
+from touchfield.measure.counts import Tally, merged
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.histogram import merged
 from touchfield.medium.grid import BRICK, Grid
-
-Counts = tuple[Int64s, Int64s]
-
 
 # -- Bits that a device leaves out when it is filled by a dyadic box of the workspace (paper section 4)
 
@@ -97,7 +94,7 @@ class BoxLosses:
     def __init__(self, lattice: DyadicLattice) -> None:
         self.lattice = lattice
         self.frame_count, self._alphabet, self._quantiser = 0, 0, ""
-        none: Counts = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+        none: Tally = (np.zeros(0, np.int64), np.zeros(0, np.int64))
         self._rows = [none] * lattice.depth  # of (box, k), k > 0: fine samples
         self._pairs = [none] * lattice.depth  # of (box, k, s), s > 0
 

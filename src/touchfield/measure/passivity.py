@@ -335,8 +335,8 @@ def curl_n_per_m(force_field: ForceField, edges: bool = False) -> tuple[Int32s, 
 
 
 def _looked_at(force_field: ForceField, edges: bool, keep: bool) -> tuple[Float64s, Int32s, Float32s]:
-    """Rows of `kernels.passivity.COLUMNS`, the bricks they are of, and their curls [m, 512, 3], NaN where unseen."""
-    from touchfield.measure.kernels.passivity import curl_and_loops
+    """Rows of `kernels.COLUMNS`, the bricks they are of, and their curls [m, 512, 3], NaN where unseen."""
+    from touchfield.measure.kernels import curl_and_loops
 
     grid, bricks = force_field.grid, force_field.bricks
     if not edges:

@@ -5,8 +5,7 @@ The paper names no measure. Here are four, of two quantised media S and T on one
 ===================  ==========================================  ==================================================
 measure              compares                                    metric
 ===================  ==========================================  ==================================================
-NMI                  symbols voxel by voxel                      no; 1 - NMI is one by "joint" and "max", not by the
-                                                                 other normalisers
+NMI                  symbols voxel by voxel                      no
 VI                   symbols voxel by voxel                      yes, over "voxel"
 sqrt(JSD)            histograms of the symbols, wherever         yes, over either
                      they lie
@@ -28,69 +27,50 @@ from __future__ import annotations
 
 import lzma
 import math
-import zlib
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.distribution import jensen_shannon_bits
-from touchfield.measure.field_count import count_symbols, no_support
-from touchfield.measure.field_symbols import Fields, FramePairs, Frames
-from touchfield.measure.quantity import Entropies, Quantity, check_normalisation, measured
+from touchfield.measure.counts import ABSENT
+from touchfield.measure.field_count import field_counts, supported
+from touchfield.measure.field_symbols import Fields, Frames
+from touchfield.measure.information import (
+    jensen_shannon_distance,
+    normalised_mutual_information,
+    variation_of_information,
+)
+from touchfield.measure.quantity import Quantity
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
 
 MOST_BYTES: Final = 1 << 25
 """Of the packed symbols of both media; lzma takes about twelve times as much memory."""
 
-ZLIB_WINDOW_BYTES: Final = 1 << 15
 _COUNT_BYTES: Final = 8
 _NOT_A_METRIC: Final = "not a metric: NCD(x,x) is not 0, and the triangle inequality holds only nearly"
 
 
-def compression_distance(first: Fields, second: Fields, compressor: str = "lzma") -> Quantity:
-    """NCD of two media of one lattice and one Q; about 0 for equal ones, about 1 for unrelated ones.
+def compression_distance(first: Fields, second: Fields) -> Quantity:
+    """NCD of two media of one lattice and one Q, by lzma; about 0 for equal ones, about 1 for unrelated ones.
 
-    InvalidArgument if the compressor is unknown, lattice or Q differ, or both together take more than 32 MiB when
-    packed.
-
-    Parameters
-    ----------
-    first, second : FieldSymbols, or sequences of them
-        They may differ in length. Each frame is asked for once.
-    compressor : str
-        One of `COMPRESSORS`.
-
-    Returns
-    -------
-    Quantity
-        "NCD(S,T)", unit "1", mu "voxel", the compressor as its estimator.
+    `first`, `second`: FieldSymbols or sequences of them, each frame asked for once; they may differ in length. Gives
+    "NCD(S,T)", unit "1", mu "voxel". InvalidArgument if lattice or Q differ, or both together take more than 32 MiB
+    when packed.
     """
-    if compressor not in COMPRESSORS:
-        raise InvalidArgument("compressor", repr(compressor), f"one of {', '.join(COMPRESSORS)}")
-    media = Frames(first, "first"), Frames(second, "second")
-    a, b = media
+    a, b = Frames(first, "first"), Frames(second, "second")
     if (a.grid, a.quantiser, a.alphabet) != (b.grid, b.quantiser, b.alphabet):
         raise InvalidArgument("second", "another lattice or quantiser", "those of the first")
     voxels = a.grid.voxel_count * (a.count + b.count)
-    data = [packed(media[0], MOST_BYTES)]
-    data.append(packed(media[1], MOST_BYTES - len(data[0])))
-    data.sort(key=lambda d: (len(d), d))  # so that the order does not matter
-    x, y = data
+    one = packed(a, MOST_BYTES)
+    x, y = sorted([one, packed(b, MOST_BYTES - len(one))], key=lambda d: (len(d), d))  # in whatever order
     window = max(1 << 12, 1 << (len(x) + len(y)).bit_length())
-    one, other, both = (COMPRESSORS[compressor](d, window) for d in (x, y, x + y))
-    notes = [f"C is {compressor}", _NOT_A_METRIC]
-    if compressor == "zlib" and len(x) + len(y) > ZLIB_WINDOW_BYTES:
-        found = f"{(len(x) + len(y)) / 1024:.0f} KiB of symbols"
-        notes.append(f"{found} are more than the 32 KiB that zlib looks back over: it may miss what is alike")
-    value = (both - min(one, other)) / max(one, other)
-    return Quantity(
-        "NCD(S,T)", value, "1", a.quantiser, "voxel", compressor, samples=voxels, notes=tuple(notes)
-    )  # fmt: skip
+    filters = [{"id": lzma.FILTER_LZMA2, "preset": 6, "dict_size": window}]
+    sizes = [len(lzma.compress(d, lzma.FORMAT_RAW, filters=filters)) for d in (x, y, x + y)]
+    value = (sizes[2] - min(sizes[:2])) / max(sizes[:2])
+    notes = ("C is lzma", _NOT_A_METRIC)
+    return Quantity("NCD(S,T)", value, "1", a.quantiser, "voxel", "lzma", samples=voxels, notes=notes)
 
 
 def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
@@ -121,23 +101,6 @@ def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
     return b"".join(parts)
 
 
-def _lzma_bytes(data: bytes, window_bytes: int) -> int:
-    filters = [{"id": lzma.FILTER_LZMA2, "preset": 6, "dict_size": window_bytes}]
-    return len(lzma.compress(data, lzma.FORMAT_RAW, filters=filters))
-
-
-def _zlib_bytes(data: bytes, window_bytes: int) -> int:
-    return len(zlib.compress(data, 9))
-
-
-COMPRESSORS: Final[dict[str, Callable[[bytes, int], int]]] = {"lzma": _lzma_bytes, "zlib": _zlib_bytes}
-"""C, the bytes of compressed data, by name; the second argument is how far back it should look, bytes."""
-
-
-BLOCKS = 27
-"""Of the bootstrap."""
-
-
 @dataclass(frozen=True)
 class Similarity:
     """Measures that tell two media apart; each a `Quantity`.
@@ -166,15 +129,9 @@ class Similarity:
 
 
 def similarity(
-    first: Fields,
-    second: Fields,
-    over: str = "voxel",
-    *,
-    by: str = "sqrt",
-    compressor: str | None = "lzma",
-    interval: bool = True,
+    first: Fields, second: Fields, over: str = "voxel", *, compressed: bool = True, interval: bool = True
 ) -> Similarity:
-    """Compare two media of one lattice and one Q.
+    """Compare two media of one lattice and one Q, by plug-in counts: the bias-corrected estimates are no metrics.
 
     InvalidArgument if the media differ in lattice, Q or length, an option is unknown, over "object" one of them has
     no force, or the symbols are too many to compress.
@@ -188,54 +145,21 @@ def similarity(
     over : "voxel" or "object"
         mu of NMI and VI: all voxels, or those where one of the two has a force. sqrt(JSD) over "object" compares
         the symbols of the forces of each medium.
-    by : str
-        What I(S;T) is divided by, one of `touchfield.measure.distribution.NORMALISATIONS`.
-    compressor : str or None
-        "lzma" or "zlib", of the NCD; None for no NCD, which takes the longest.
+    compressed : bool
+        Whether to make the NCD, which takes the longest.
     interval : bool
         Whether NMI, VI and sqrt(JSD) get a block-bootstrap interval, of 27 parts of space.
-
-    Returns
-    -------
-    Similarity
-        By plug-in counts: the bias-corrected estimates are no metrics.
     """
-    if over not in ("voxel", "object"):
-        raise InvalidArgument("over", repr(over), '"voxel" or "object"')
-    check_normalisation(by)
-    pairs = FramePairs(Frames(first, "first"), Frames(second, "second"))
-    _check_alike(pairs)
-    size = pairs.first.alphabet
-    found = count_symbols(pairs, (over,), interval, BLOCKS)[over]
-    if not len(found.histogram.counts):
-        raise no_support(pairs.count)
-    symbols = np.stack(np.divmod(found.histogram.symbols, size))
-    cells, places = np.unique(symbols, return_inverse=True)
-    places = places.reshape(symbols.shape)  # numpy 2.0 gives it flat
-
-    counted = found.counted("plug-in", pairs.quantiser, over)
-    quiet = replace(counted, warns=False)  # the joint symbols are the most, one warning is enough
-    e = Entropies("plug-in", (places[0], places[1]), (size, size, None))
-    normalised = measured(f"NMI_{by}(S;T)", lambda c: e.normalised(by, c), counted, "1", 1.0)
-    variation = measured("VI(S,T)", e.variation, quiet)
-    compared = cells > 0 if over == "object" else np.ones(len(cells), bool)
-
-    def distance(counts: Int64s) -> float:
-        p, q = (np.bincount(place, counts, len(cells))[compared] for place in places)
-        if not (p.any() and q.any()):
-            return math.nan
-        return math.sqrt(jensen_shannon_bits(p / p.sum(), q / q.sum()))
-
-    if math.isnan(distance(found.histogram.counts)):
-        raise no_support(pairs.count)
-    apart = replace(quiet, symbols=int(compared.sum()))
-    jensen_shannon = measured("sqrt(JSD(S,T))", distance, apart, "sqrt(bit)", 1.0)
-    compression = None if compressor is None else compression_distance(first, second, compressor)
-    return Similarity(normalised, variation, jensen_shannon, compression)
+    _check_alike(Frames(first, "first"), Frames(second, "second"))
+    counts = supported(field_counts(first, second, (over,), interval=interval)[over])
+    apart = jensen_shannon_distance(counts, absent=0 if over == "object" else ABSENT)
+    if math.isnan(apart.value):
+        supported(replace(counts, cells=counts.cells[:0], weights=counts.weights[:0]))
+    compression = compression_distance(first, second) if compressed else None
+    return Similarity(normalised_mutual_information(counts), variation_of_information(counts), apart, compression)
 
 
-def _check_alike(pairs: FramePairs) -> None:
-    a, b = pairs.first, pairs.second
+def _check_alike(a: Frames, b: Frames) -> None:
     if a.grid != b.grid:
         raise InvalidArgument(
             "second", f"the grid {b.grid}", f"{a.grid}, as of the first",
