@@ -68,8 +68,8 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import interval
 from touchfield.measure.estimators import ESTIMATORS, entropy_bits, estimate_bits
+from touchfield.measure.quantity import interval
 
 Ints = NDArray[np.int64]
 
@@ -124,7 +124,7 @@ def test_it_equals_one_resample_after_the_other(
     made = interval(entropy_bits, counts, 60, level, seed)
     assert [made.low, made.high] == pytest.approx(expected, abs=1e-12)
     assert made.level == level and f"{blocks} blocks, 60 resamples" in made.method
-    monkeypatch.setattr("touchfield.measure.bootstrap._CHUNK_VALUES", 150)
+    monkeypatch.setattr("touchfield.measure.quantity._CHUNK_VALUES", 150)
     assert interval(entropy_bits, counts, 60, level, seed) == made
 
 

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import Interval
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.quantity import Interval, Quantity
 
 bits = st.floats(0, 1e12, allow_subnormal=False)
 shares = st.floats(0, 1)

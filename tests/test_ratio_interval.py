@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import Interval, interval, ratio_interval
 from touchfield.measure.capacity import capacity, paired_ratio
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.quantity import Interval, Quantity, interval, ratio_interval
 
 Ints = NDArray[np.int64]
 

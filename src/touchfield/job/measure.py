@@ -25,7 +25,6 @@ from touchfield.job.mapping import FrameRange, SymbolFrames, mapped
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import StreamScene, is_stream
-from touchfield.measure.bootstrap import Interval
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import binary_entropy_bits
@@ -41,7 +40,7 @@ from touchfield.measure.information import (
 from touchfield.measure.interaction import interaction_entropy
 from touchfield.measure.limits import coding_limits
 from touchfield.measure.passivity import passivity
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
 from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.parallel import Report, silent

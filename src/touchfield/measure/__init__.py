@@ -16,16 +16,8 @@ of a picture beside    `contact_along_rays`, `picture_correlation`
 A measured result is a `Quantity`: its unit, quantiser, weighting, estimator and interval travel with it.
 """
 
-from touchfield.measure.bootstrap import Interval, interval
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits
 from touchfield.measure.context import context_entropy
-from touchfield.measure.correlation import (
-    Contact,
-    Correlation,
-    contact_along_axis,
-    contact_along_rays,
-    picture_correlation,
-)
 from touchfield.measure.counts import Counts
 from touchfield.measure.descriptors import Descriptor, descriptor
 from touchfield.measure.estimators import ESTIMATORS, estimate_bits
@@ -43,9 +35,18 @@ from touchfield.measure.information import (
 from touchfield.measure.interaction import interaction_counts, interaction_entropy, visits
 from touchfield.measure.limits import CodingLimits, block_rates, coding_limits, scan_line_rates
 from touchfield.measure.passivity import Passivity, curl_n_per_m, loop_work_j, passivity
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity, interval
 from touchfield.measure.retrieval import MediumIndex, chance_average_precision, mean_average_precision
-from touchfield.measure.similarity import Similarity, compression_distance, similarity
+from touchfield.measure.similarity import (
+    Contact,
+    Correlation,
+    Similarity,
+    compression_distance,
+    contact_along_axis,
+    contact_along_rays,
+    picture_correlation,
+    similarity,
+)
 from touchfield.medium.trace import Trace, read_trace
 
 __all__ = [

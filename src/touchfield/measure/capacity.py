@@ -26,10 +26,9 @@ from typing import Any, Final
 
 from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import Interval, ratio_interval
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import estimate_bits
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.quantity import Interval, Quantity, ratio_interval
 
 READINGS: Final = ("realised", "literal")
 
@@ -169,7 +168,7 @@ def paired_ratio(
 ) -> Interval | None:
     """An interval of min(H(M(W)), C_dev) / H(W) from blocks of space that hold the same places of both.
 
-    M(W) is a function of W, so that their estimates err together, which `touchfield.measure.bootstrap.ratio_interval`
+    M(W) is a function of W, so that their estimates err together, which `touchfield.measure.quantity.ratio_interval`
     keeps; its coverage is measured there. `counts`: of W and of M(W) over voxels, in the same blocks
     (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): of a frame of W and of M(W).
     `codomain_bits`: C_dev, bits per frame. `estimator`: of both entropies. None where W is a single symbol in all the

@@ -210,7 +210,7 @@ ESTIMATORS: Final[Mapping[str, Callable[[Tally], float]]] = MappingProxyType(
     }
 )
 """The registered estimators by name: each of a `Tally`, in nats. All but the plug-in take most of their bias off, so
-that an interval must not take it off again (`touchfield.measure.bootstrap.interval`)."""
+that an interval must not take it off again (`touchfield.measure.quantity.interval`)."""
 
 
 def checked_estimator(name: str, where: str = "estimator") -> str:
