@@ -50,7 +50,7 @@ def conditional_by_brute_force(frames: np.ndarray, neighbourhood: str, previous:
 def test_contexts_of_fields_are_counted_as_by_hand(neighbourhood: str, previous: bool) -> None:
     frames = sparse((3, 10, 9, 11), 4, 0.1)
     bits, contexts, cells = conditional_by_brute_force(frames, neighbourhood, previous)
-    for given_as in (fields_of(frames, 4), iter(fields_of(frames, 4))):
+    for given_as in (fields_of(frames, 4), tuple(fields_of(frames, 4))):
         found = context_entropy(given_as, neighbourhood, previous_frame=previous)
         assert found.per_voxel.value == pytest.approx(bits, abs=1e-12)
         assert (found.contexts, found.cells) == (contexts, cells)

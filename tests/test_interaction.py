@@ -210,7 +210,7 @@ def test_frames_that_no_hand_meets_are_not_made() -> None:
 def test_frames_that_do_not_fit() -> None:
     trace = walk(200)
     frames = [symbols_of(0), symbols_of(1, quantiser="another")]
-    with pytest.raises(InvalidArgument, match="frame 1: found another"):
+    with pytest.raises(InvalidArgument, match="frame 1: found the quantiser another"):
         interaction_entropy(trace, frames, rate_hz=10.0)
     for rate in (None, 0.0, -5.0, np.nan, np.inf):
         with pytest.raises(InvalidArgument, match="rate_hz"):

@@ -24,7 +24,7 @@ def test_the_limits_of_a_medium(wavy_field: ForceField) -> None:
     moved = wavy_field.scaled(0.9)
     quantiser = FieldQuantiserSpec.parse("weber:0.25/ico3").fit([wavy_field])
     frames = [quantiser(wavy_field), quantiser(moved)]
-    found = coding_limits((f for f in frames), longest=3)
+    found = coding_limits(frames, longest=3)
     dense = np.stack([f.to_dense() for f in frames])
     p = np.count_nonzero(dense) / dense.size
     assert (found.frame_count, found.voxels, found.supported) == (2, dense.size, np.count_nonzero(dense))
@@ -97,7 +97,7 @@ def test_a_nominal_lattice_is_never_laid_out() -> None:
         (lambda: scan_line_rates(fields_of(np.ones((1, 9, 9, 2), int), 2), 2, axis=3), "axis"),
         (lambda: context_entropy(np.zeros(9, int), "moore"), "moore"),
         (lambda: context_entropy(7), "int"),
-        (lambda: context_entropy(iter([1, 2])), "FieldSymbols"),
+        (lambda: context_entropy([1, 2]), "FieldSymbols"),
         (lambda: coding_limits([]), "no frame"),
     ],
 )  # fmt: skip

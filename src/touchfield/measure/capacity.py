@@ -20,7 +20,7 @@ meaning WMR = 0, HIL = 1 and is allowed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from numbers import Integral
 from typing import Any, Final
 
@@ -39,22 +39,10 @@ _ROUNDING: Final = 1e-9
 
 @dataclass(frozen=True)
 class Capacity:
-    """Eq. 1 to 3 for one medium, device and mapping.
+    """Eq. 1 to 3 for one medium, device and mapping, all in bits per frame but for the ratios.
 
-    Attributes
-    ----------
-    reading : str
-        "realised" or "literal".
-    reference : Quantity
-        H(W), bits per frame.
-    rendered : Quantity
-        H(M(W)), bits per frame.
-    codomain_bits : float
-        C_dev, bits per frame.
-    capacity : Quantity
-        C, bits per frame.
-    wmr, hil : Quantity
-        Workspace mapping ratio and haptic information loss; NaN where H(W) = 0.
+    `reading`: "realised" or "literal". `reference`: H(W). `rendered`: H(M(W)). `codomain_bits`: C_dev. `capacity`: C.
+    `wmr`, `hil`: workspace mapping ratio and haptic information loss; NaN where H(W) = 0.
     """
 
     reading: str
@@ -72,29 +60,15 @@ class Capacity:
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        return {
-            "reading": self.reading,
-            "reference": self.reference.summary(),
-            "rendered": self.rendered.summary(),
-            "codomain_bits": self.codomain_bits,
-            "capacity": self.capacity.summary(),
-            "wmr": self.wmr.summary(),
-            "hil": self.hil.summary(),
-            "notes": list(self.notes),
-        }
+        table = {f.name: getattr(self, f.name) for f in fields(self)}
+        plain = {name: v.summary() if isinstance(v, Quantity) else v for name, v in table.items()}
+        return {**plain, "notes": list(self.notes)}
 
 
 def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
-    """C_dev = log2 |codomain| of a device, bits per frame.
+    """C_dev = log2 |codomain| of a device, bits per frame; InvalidArgument if a number is not whole or below 1.
 
-    InvalidArgument if a number is not whole or below 1.
-
-    Parameters
-    ----------
-    samples_per_frame : int
-        Lattice points or actuators, at least 1.
-    alphabet : int
-        Symbols that each of them can be told, "no force" among them, at least 1.
+    `samples_per_frame`: lattice points or actuators. `alphabet`: symbols that each can be told, with "no force".
     """
     for where, count in (("samples_per_frame", samples_per_frame), ("alphabet", alphabet)):
         if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
@@ -135,10 +109,9 @@ def capacity(
     -------
     Capacity
         Without `ratio` the intervals of the two entropies are carried over by interval arithmetic: min(C / H, 1)
-        rises with C and falls with H, so that its bounds are those of opposite corners. If the two hold with levels
-        1 - a and 1 - b, both hold together with at least 1 - a - b (Bonferroni), which is the level stated. It is
-        wider than need be, since the two estimates come from one medium and err together. The interval of C is
-        always made so.
+        rises with C and falls with H, so that its bounds are those of opposite corners, at the level 1 - a - b of
+        Bonferroni. It is wider than need be, since the two estimates come from one medium and err together. The
+        interval of C is always made so.
     """
     if reading not in READINGS:
         raise InvalidArgument("reading", repr(reading), f"one of {', '.join(READINGS)}")
@@ -204,7 +177,18 @@ def _of(
     told = rendered.value if reading == "realised" else device_bits
     bits = min(told, device_bits, reference.value)
     notes = _guards(reference, rendered, device_bits, reading)
-    base = _base(reference, rendered, notes)
+    q, e = ({getattr(x, of) for x in (reference, rendered)} for of in ("quantiser", "estimator"))
+    base = Quantity(
+        "C",
+        0.0,
+        "1",
+        quantiser=reference.quantiser if len(q) == 1 else f"W: {reference.quantiser}; M(W): {rendered.quantiser}",
+        weighting=reference.weighting,
+        estimator=reference.estimator if len(e) == 1 else f"W: {reference.estimator}; M(W): {rendered.estimator}",
+        samples=rendered.samples,
+        symbols=rendered.symbols,
+        notes=notes,
+    )
     spread = _spread(reference, rendered if reading == "realised" else None, device_bits)
     c = base.of(name="C", value=bits, unit=_UNIT, interval=None if spread is None else spread[0])
     if reference.value == 0:
@@ -217,7 +201,9 @@ def _of(
         low, high = min(paired.low, ratio), min(max(paired.high, ratio), 1.0)
         of_ratio = Interval(low, high, paired.level, paired.method)
     wmr = base.of(name="WMR", value=ratio, interval=of_ratio)
-    hil = base.of(name="HIL", value=loss, interval=None if of_ratio is None else _mirrored(of_ratio))
+    i = of_ratio  # HIL = 1 - WMR
+    mirrored = None if i is None else Interval(1.0 - i.high, 1.0 - i.low, i.level, i.method)
+    hil = base.of(name="HIL", value=loss, interval=mirrored)
     return Capacity(reading, reference, rendered, device_bits, c, wmr, hil)
 
 
@@ -239,22 +225,6 @@ def _guards(reference: Quantity, rendered: Quantity, device_bits: float, reading
     if reference.estimator != rendered.estimator:
         notes.append(f"two estimators: {reference.estimator} for H(W), {rendered.estimator} for H(M(W))")
     return tuple(notes)
-
-
-def _base(reference: Quantity, rendered: Quantity, notes: tuple[str, ...]) -> Quantity:
-    """The base that C, WMR and HIL share."""
-    q, e = {reference.quantiser, rendered.quantiser}, {reference.estimator, rendered.estimator}
-    return Quantity(
-        "C",
-        0.0,
-        "1",
-        quantiser=reference.quantiser if len(q) == 1 else f"W: {reference.quantiser}; M(W): {rendered.quantiser}",
-        weighting=reference.weighting,
-        estimator=reference.estimator if len(e) == 1 else f"W: {reference.estimator}; M(W): {rendered.estimator}",
-        samples=rendered.samples,
-        symbols=rendered.symbols,
-        notes=notes,
-    )
 
 
 def _spread(reference: Quantity, rendered: Quantity | None, device_bits: float) -> tuple[Interval, Interval] | None:
@@ -282,8 +252,3 @@ def _range(entropy: Quantity) -> tuple[float, float]:
     if i is None:
         return entropy.value, entropy.value
     return max(0.0, min(i.low, entropy.value)), max(i.high, entropy.value)
-
-
-def _mirrored(ratio: Interval) -> Interval:
-    """HIL = 1 - WMR."""
-    return Interval(1.0 - ratio.high, 1.0 - ratio.low, ratio.level, ratio.method)

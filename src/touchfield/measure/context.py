@@ -22,9 +22,8 @@ once costs nothing. `ContextEntropy` says how diluted it is.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,7 @@ from numpy.typing import NDArray
 from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import estimate_bits
-from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import brick_keys, slots_around
@@ -108,32 +107,6 @@ class CellCounter:
         out.add(rows[~empty], weights[~empty])
         out.zeros = self.zeros + int(weights[empty].sum())
         return out
-
-
-def frames_of(frames: FieldSymbols | Iterable[FieldSymbols]) -> Iterator[FieldSymbols]:
-    """Frames one by one, all of one grid and one Q.
-
-    InvalidArgument if a frame is something else, or of another grid, alphabet or quantiser than the first; if there
-    is none.
-    """
-    first: FieldSymbols | None = None
-    if not isinstance(frames, Iterable | FieldSymbols):
-        raise InvalidArgument("frames", f"a {type(frames).__name__}", "FieldSymbols, or an iterable of them")
-    for frame in [frames] if isinstance(frames, FieldSymbols) else frames:
-        if not isinstance(frame, FieldSymbols):
-            raise InvalidArgument("frames", f"a {type(frame).__name__}", "FieldSymbols")
-        first = first or frame
-        if frame.grid != first.grid:
-            raise InvalidArgument("frames", "quantised fields on different grids", "one grid")
-        if (frame.alphabet, frame.quantiser) != (first.alphabet, first.quantiser):
-            raise InvalidArgument(
-                "frames",
-                f"quantisers {first.quantiser} ({first.alphabet} symbols), {frame.quantiser} ({frame.alphabet})",
-                "one quantiser",
-            )
-        yield frame
-    if first is None:
-        raise InvalidArgument("frames", "no frame", "at least one")
 
 
 def scan_order(grid: Grid) -> tuple[int, int, int]:
@@ -274,7 +247,7 @@ class ContextCounter:
 
 
 def context_entropy(
-    frames: Any, neighbourhood: str = "axes", *, previous_frame: bool = False, estimator: str = "plug-in"
+    frames: Fields, neighbourhood: str = "axes", *, previous_frame: bool = False, estimator: str = "plug-in"
 ) -> ContextEntropy:
     """H(S | c) of symbols, bits a voxel.
 
@@ -283,7 +256,7 @@ def context_entropy(
 
     Parameters
     ----------
-    frames : FieldSymbols, or an iterable of FieldSymbols
+    frames : FieldSymbols, or a sequence of them
         Looked at once, in order; `FieldSymbols.from_dense` makes one of an array.
     neighbourhood : {"none", "previous", "axes", "corner"}
         0, 1, 3 or 7 causal neighbours (1, 2 and 3 of a picture, 1 of a sequence).
@@ -295,11 +268,11 @@ def context_entropy(
     if neighbourhood not in NEIGHBOURHOODS:
         raise InvalidArgument("neighbourhood", repr(neighbourhood), f"one of {', '.join(NEIGHBOURHOODS)}")
     counter, before = None, None
-    for frame in map(scan_relabelled, frames_of(frames)):
+    for frame in map(scan_relabelled, Frames(frames, "frames")):
         counter = counter or ContextCounter(frame.alphabet, frame.quantiser, previous_frame=previous_frame)
         counter.add(frame, before)
         before = frame
-    assert counter is not None  # frames_of refuses none
+    assert counter is not None  # Frames refuses none
     found = counter.result(neighbourhood, previous_frame=previous_frame, estimator=estimator)
     if found.is_diluted:
         warnings.warn(f"{found.per_voxel.name}: {found.per_voxel.notes[1]}", FewSamplesWarning, stacklevel=2)

@@ -12,7 +12,6 @@ it is), so that the interval comes from blocks of consecutive samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -21,7 +20,7 @@ import numpy as np
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.counts import LEAST_BLOCKS, Counts
-from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.information import entropy
 from touchfield.measure.quantity import Quantity
 from touchfield.medium.field import frozen
@@ -59,7 +58,7 @@ def visits(trace: Trace, grid: Grid) -> Visits:
 
 def interaction_entropy(
     trace: Trace,
-    symbols: FieldSymbols | Sequence[FieldSymbols],
+    symbols: Fields,
     estimator: str = "plug-in",
     interval: bool = True,
     rate_hz: float | None = None,
@@ -72,7 +71,7 @@ def interaction_entropy(
 
 def interaction_counts(
     trace: Trace,
-    symbols: FieldSymbols | Sequence[FieldSymbols],
+    symbols: Fields,
     interval: bool = True,
     rate_hz: float | None = None,
     blocks: int = 64,
@@ -100,16 +99,21 @@ def interaction_counts(
     """
     if blocks < LEAST_BLOCKS:
         raise InvalidArgument("blocks", repr(blocks), f"at least {LEAST_BLOCKS}")
-    first, met, in_time = _met(trace, symbols, rate_hz)
+    frames = Frames(symbols, "symbols")
+    if isinstance(symbols, FieldSymbols):
+        rate_hz = None
+    elif rate_hz is None or not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InvalidArgument("rate_hz", repr(rate_hz), "the positive number of frames per second of the medium")
+    met, in_time = _met(trace, frames, rate_hz)
     if not len(met):
-        raise InvalidArgument("trace", *_where_it_was(trace, first, rate_hz))
+        raise InvalidArgument("trace", *_where_it_was(trace, frames.grid, rate_hz))
     counts = Counts.of(met, blocks=blocks if interval else 0)
     notes = _notes(trace, in_time, len(met))
     if interval and counts.blocks is None:
         few = f"{len(met)} samples of {len(counts.cells)} symbols fill fewer than {LEAST_BLOCKS} blocks"
         notes.append(f"no interval: {few}")
     return replace(
-        counts, quantiser=first.quantiser, weighting="interaction", variables=("S",), alphabet=first.alphabet,
+        counts, quantiser=frames.quantiser, weighting="interaction", variables=("S",), alphabet=frames.alphabet,
         notes=tuple(notes),
     )  # fmt: skip
 
@@ -124,49 +128,23 @@ def _cells(positions_m: Float64s, grid: Grid) -> Int64s:
     return cells
 
 
-def _met(
-    trace: Trace, symbols: FieldSymbols | Sequence[FieldSymbols], rate_hz: float | None
-) -> tuple[FieldSymbols, Int32s, int]:
-    """The first field; the symbol at each sample that meets the medium, in order of time; the samples during it."""
-    if isinstance(symbols, FieldSymbols):
-        return symbols, _at(symbols, trace.positions_m), len(trace)
-    if not len(symbols):
-        raise InvalidArgument("symbols", "no frame", "at least one FieldSymbols")
-    if rate_hz is None or not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise InvalidArgument("rate_hz", repr(rate_hz), "the positive number of frames per second of the medium")
-    first = symbols[0]
+def _met(trace: Trace, frames: Frames, rate_hz: float | None) -> tuple[Int32s, int]:
+    """The symbol at each sample that meets the medium, in order of time; the samples during it.
+
+    Times never fall, so that the positions during a frame are a slice.
+    """
+    frame = np.zeros(len(trace)) if rate_hz is None else np.floor(trace.times_s * rate_hz + _LATE)
     parts, in_time = [np.zeros(0, np.int32)], 0
-    for field, positions_m in _frames_met(trace, symbols, rate_hz, first):
-        parts.append(_at(field, positions_m))
-        in_time += len(positions_m)
-    return first, np.concatenate(parts), in_time
-
-
-def _frames_met(
-    trace: Trace, symbols: Sequence[FieldSymbols], rate_hz: float, first: FieldSymbols
-) -> Iterator[tuple[FieldSymbols, Float64s]]:
-    """Each frame that the trace meets, and the positions during it; times never fall, so that these are slices."""
-    frame = np.floor(trace.times_s * rate_hz + _LATE)
-    for number in np.unique(frame[(frame >= 0) & (frame < len(symbols))]):
-        field = symbols[int(number)]
-        if (field.grid, field.alphabet, field.quantiser) != (first.grid, first.alphabet, first.quantiser):
-            raise InvalidArgument(
-                f"symbols, frame {int(number)}",
-                f"{field.quantiser}, alphabet {field.alphabet}, grid {field.grid.shape}",
-                f"{first.quantiser}, alphabet {first.alphabet}, grid {first.grid.shape} at one place, as frame 0",
-            )
+    for number in np.unique(frame[(frame >= 0) & (frame < frames.count)]):
         begin, end = np.searchsorted(frame, [number, number + 1])
-        yield field, trace.positions_m[begin:end]
+        cells = _cells(trace.positions_m[begin:end], frames.grid)
+        index = np.stack(np.unravel_index(cells[cells >= 0], frames.grid.shape), axis=-1)
+        parts.append(frames.take(int(number)).symbols_at(index))
+        in_time += int(end - begin)
+    return np.concatenate(parts), in_time
 
 
-def _at(field: FieldSymbols, positions_m: Float64s) -> Int32s:
-    """The symbols at the positions inside the grid, in their order."""
-    cells = _cells(positions_m, field.grid)
-    index = np.stack(np.unravel_index(cells[cells >= 0], field.grid.shape), axis=-1)
-    return field.symbols_at(index)
-
-
-def _where_it_was(trace: Trace, field: FieldSymbols, rate_hz: float | None) -> tuple[str, str, str]:
+def _where_it_was(trace: Trace, grid: Grid, rate_hz: float | None) -> tuple[str, str, str]:
     """Words of an error on a trace that never meets the field."""
 
     def box(low: Any, high: Any) -> str:
@@ -176,7 +154,7 @@ def _where_it_was(trace: Trace, field: FieldSymbols, rate_hz: float | None) -> t
     found = (
         f"positions from {box(trace.positions_m.min(0), trace.positions_m.max(0))}{when}, none of them in the field"
     )
-    return found, f"positions within {box(*field.grid.box_m)}, in the medium's time", "Shift or scale the trace."
+    return found, f"positions within {box(*grid.box_m)}, in the medium's time", "Shift or scale the trace."
 
 
 def _notes(trace: Trace, in_time: int, samples: int) -> list[str]:

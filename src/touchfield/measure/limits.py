@@ -5,14 +5,14 @@ object; block entropies and rates of the scan lines; H(S | causal neighbours), w
 All are plug-in estimates of what an ideal coder with that context would need, too low where contexts are diluted.
 What a real coder surely reaches is what one did: the bytes of a file of coder `touch` in its exact mode.
 
-Time: one pass over the frames, which may be a generator. Memory: two frames and the different joint cells
+Time: one pass over the frames, which may be made when asked for. Memory: two frames and the different joint cells
 (`CellCounter`).
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -26,13 +26,12 @@ from touchfield.measure.context import (
     CellCounter,
     ContextCounter,
     ContextEntropy,
-    frames_of,
     scan_order,
     scan_relabelled,
 )
 from touchfield.measure.counts import checked_symbols
 from touchfield.measure.estimators import entropy_bits, estimate_bits
-from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
@@ -208,19 +207,19 @@ def block_rates(x: Any, longest: int = 4, *, estimator: str = "plug-in") -> Bloc
     return _warned(counter.result(estimator))
 
 
-def scan_line_rates(frames: Any, longest: int = 4, *, axis: int = 2, estimator: str = "plug-in") -> BlockRates:
+def scan_line_rates(frames: Fields, longest: int = 4, *, axis: int = 2, estimator: str = "plug-in") -> BlockRates:
     """Block entropies and rates of the lines along an axis of quantised fields, over all voxels.
 
-    `frames`: FieldSymbols or an iterable of them, of one grid and one Q. `longest`: the longest block, at most the
+    `frames`: FieldSymbols or a sequence of them, of one grid and one Q. `longest`: the longest block, at most the
     samples along the axis. InvalidArgument if frames differ, the axis does not exist, or blocks are too long.
     """
     if axis not in (0, 1, 2):
         raise InvalidArgument("axis", repr(axis), "0, 1 or 2")
     counter = None
-    for frame in frames_of(frames):
+    for frame in Frames(frames, "frames"):
         counter = counter or BlockCounter(frame.alphabet, longest, frame.quantiser, "voxel")
         counter.add_field(frame, axis)
-    assert counter is not None  # frames_of refuses none
+    assert counter is not None  # Frames refuses none
     return _warned(counter.result(estimator))
 
 
@@ -289,7 +288,7 @@ class CodingLimits:
         }
 
 
-def coding_limits(frames: FieldSymbols | Iterable[FieldSymbols], *, longest: int = 4) -> CodingLimits:
+def coding_limits(frames: Fields, *, longest: int = 4) -> CodingLimits:
     """The coding limits of quantised frames, of one grid and one Q, looked at once, in order.
 
     `longest`: the longest block of the scan lines; shortened to the samples along them. InvalidArgument if there is
@@ -299,7 +298,7 @@ def coding_limits(frames: FieldSymbols | Iterable[FieldSymbols], *, longest: int
     actuators, both go along the last axis that has more, and the raster is that of an array without z: `scan_order`.
     """
     contexts, count, axis, last = None, 0, LINE_AXIS, None
-    for given in frames_of(frames):
+    for given in Frames(frames, "frames"):
         frame = scan_relabelled(given)
         if contexts is None:
             axis = scan_order(given.grid)[LINE_AXIS]
@@ -308,7 +307,7 @@ def coding_limits(frames: FieldSymbols | Iterable[FieldSymbols], *, longest: int
         contexts.add(frame, last)
         blocks.add_field(frame, LINE_AXIS)
         count, last = count + 1, frame
-    assert contexts is not None and last is not None  # frames_of refuses none
+    assert contexts is not None and last is not None  # Frames refuses none
     held, empty = contexts.symbol_counts()
     every, quantiser = np.append(held, empty) if empty else held, last.quantiser
     asked = [(name, False) for name in NEIGHBOURHOODS if name != "none"]

@@ -28,9 +28,6 @@ from touchfield.measure.counts import Tally, merged
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium.grid import BRICK, Grid
 
-# -- Bits that a device leaves out when it is filled by a dyadic box of the workspace (paper section 4)
-
-
 MOST_DEPTH = 7
 """2^21 boxes."""
 
@@ -179,9 +176,6 @@ def _xlog2x(counts: Int64s) -> Float64s:
     n = counts.astype(np.float64)
     result: Float64s = n * np.log2(np.maximum(n, 1.0))
     return result
-
-
-# -- Adaptive workspace partitioning: the best division into dyadic boxes (paper section 4)
 
 
 @dataclass(frozen=True)
