@@ -113,7 +113,7 @@ def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOu
     caught = squares.sum(axis=0) if is_global else np.sort(squares.ravel())[::-1]
     left = np.maximum(energy - np.cumsum(caught), 1e-30) / energy
     used = min(int(np.count_nonzero(left > 10 ** (decibels / 10))), len(left) - 1) + 1
-    length, modes = len(learnt.modes.mean), used if is_global else learnt.modes.rank
+    length, modes = len(learnt.modes.basis), used if is_global else learnt.modes.rank
     numbers = used if is_global else used / len(squares)
     chosen = numbers / modes
     places = 0.0 if is_global or chosen >= 1 else (-chosen * math.log2(chosen) - (1 - chosen) * math.log2(1 - chosen))
