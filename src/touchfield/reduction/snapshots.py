@@ -30,10 +30,7 @@ BRICK_VALUES: Final = 3 * BRICK**3
 
 @dataclass(frozen=True)
 class Reduced:
-    """A medium by its modes.
-
-    kind : one of `KINDS`. keys : int64 [bricks], of "global" those of the union (`brick_keys`); none of "bricks".
-    """
+    """A medium by its modes. `keys` int64: of "global" the `brick_keys` of the union of bricks; none of "bricks"."""
 
     medium: HapticMedium
     kind: str
@@ -59,10 +56,7 @@ def _bricks(field: ForceField) -> Float32s:
 
 
 def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None, step: int = 1) -> Reduced:
-    """The modes of every `step`-th frame of a medium, all of them or the first `rank`.
-
-    Raises `InvalidArgument` if the kind is unknown, no frame has a force, or the frames are too large for the memory.
-    """
+    """The modes of every `step`-th frame of a medium, all of them or the first `rank`; `kind` is one of `KINDS`."""
     if kind not in KINDS:
         raise InvalidArgument("--modes", repr(kind), f"one of {', '.join(KINDS)}")
     places = range(0, len(medium), step)
