@@ -85,38 +85,29 @@ def capacity(
 ) -> Capacity:
     """C, WMR and HIL of a mapping M of a medium W into a haptic workspace (paper eq. 1-3).
 
+    `reference`, `rendered`: H(W) and H(M(W)), "bit/frame", of one weighting: of the whole quantised frame, or of a
+    sample times the samples of a frame (`Quantity.times`). `codomain_bits`: C_dev, from the function of this name.
+    `reading`: "realised" (C = H(M(W))) or "literal" (C = C_dev). `ratio`: an interval of H(M(W)) / H(W), resampled
+    together (`paired_ratio`), for the realised reading: WMR then has it, cut at 1, and HIL its mirror image.
+
+    Without it the intervals of the two entropies are carried over by interval arithmetic: min(C / H, 1) rises with C
+    and falls with H, so that its bounds are those of opposite corners, at the level 1 - a - b of Bonferroni. It is
+    wider than need be, since the two estimates come from one medium and err together. That of C is always made so.
+
     InvalidArgument if a unit is not "bit/frame", a number is negative or not finite, the weightings differ, the
     reading is unknown or has no use for `ratio`, or a rendered entropy that cannot be overestimated is above C_dev
     (the codomain is then another's).
-
-    Parameters
-    ----------
-    reference : Quantity
-        H(W), "bit/frame": the entropy of the whole quantised frame, or of a sample times the samples of a frame
-        (`Quantity.times`).
-    rendered : Quantity
-        H(M(W)), "bit/frame", of the same weighting.
-    codomain_bits : float
-        C_dev, bits per frame, from the function `codomain_bits`.
-    reading : str
-        "realised" (theory: C = H(M(W))) or "literal" (C = C_dev).
-
-    ratio : Interval, optional
-        Of H(M(W)) / H(W), resampled together (`paired_ratio`); for the realised reading. WMR then has this interval,
-        cut at 1, and HIL its mirror image.
-
-    Returns
-    -------
-    Capacity
-        Without `ratio` the intervals of the two entropies are carried over by interval arithmetic: min(C / H, 1)
-        rises with C and falls with H, so that its bounds are those of opposite corners, at the level 1 - a - b of
-        Bonferroni. It is wider than need be, since the two estimates come from one medium and err together. The
-        interval of C is always made so.
     """
     if reading not in READINGS:
         raise InvalidArgument("reading", repr(reading), f"one of {', '.join(READINGS)}")
     for where, entropy in (("reference", reference), ("rendered", rendered)):
-        _check_entropy(where, entropy)
+        if entropy.unit != _UNIT:
+            raise InvalidArgument(
+                where, f"{entropy.name} in {entropy.unit}", f"an entropy in {_UNIT}",
+                "A mapping changes the number of samples: multiply by the samples of a frame with Quantity.times.",
+            )  # fmt: skip
+        if not (math.isfinite(entropy.value) and entropy.value >= 0):
+            raise InvalidArgument(where, f"{entropy.name} = {entropy.value}", "a finite entropy, 0 or more")
     if reference.weighting != rendered.weighting:
         raise InvalidArgument(
             "rendered", f"weighting {rendered.weighting}", f"{reference.weighting}, the weighting of the reference"
@@ -157,18 +148,6 @@ def paired_ratio(
         return min(voxels[1] * estimate_bits(c, estimator, rendered.alphabet), codomain_bits)
 
     return ratio_interval(told, held, (rendered.blocks, medium.blocks), corrects_bias=estimator != "plug-in")
-
-
-def _check_entropy(where: str, entropy: Quantity) -> None:
-    if entropy.unit != _UNIT:
-        raise InvalidArgument(
-            where,
-            f"{entropy.name} in {entropy.unit}",
-            f"an entropy in {_UNIT}",
-            "A mapping changes the number of samples: multiply by the samples of a frame with Quantity.times.",
-        )
-    if not (math.isfinite(entropy.value) and entropy.value >= 0):
-        raise InvalidArgument(where, f"{entropy.name} = {entropy.value}", "a finite entropy, 0 or more")
 
 
 def _of(

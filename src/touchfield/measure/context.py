@@ -251,19 +251,11 @@ def context_entropy(
 ) -> ContextEntropy:
     """H(S | c) of symbols, bits a voxel.
 
-    InvalidArgument for frames that do not match, or an unknown name. FewSamplesWarning if there are fewer than ten
-    informed voxels to a cell.
-
-    Parameters
-    ----------
-    frames : FieldSymbols, or a sequence of them
-        Looked at once, in order; `FieldSymbols.from_dense` makes one of an array.
-    neighbourhood : {"none", "previous", "axes", "corner"}
-        0, 1, 3 or 7 causal neighbours (1, 2 and 3 of a picture, 1 of a sequence).
-    previous_frame : bool
-        Whether to condition on the co-located voxel of the previous frame; before the first there is only 0.
-    estimator : str
-        Of both entropies, one of `ESTIMATORS`.
+    `frames`: FieldSymbols or a sequence of them, looked at once, in order; `FieldSymbols.from_dense` makes one of an
+    array. `neighbourhood`: "none", "previous", "axes" or "corner", 0, 1, 3 or 7 causal neighbours (1, 2 and 3 of a
+    picture, 1 of a sequence). `previous_frame`: whether to condition on the co-located voxel of the previous frame;
+    before the first there is only 0. `estimator`: of both entropies. InvalidArgument for frames that do not match, or
+    an unknown name. FewSamplesWarning if there are fewer than ten informed voxels to a cell.
     """
     if neighbourhood not in NEIGHBOURHOODS:
         raise InvalidArgument("neighbourhood", repr(neighbourhood), f"one of {', '.join(NEIGHBOURHOODS)}")

@@ -145,19 +145,9 @@ def field_entropy(
 ) -> Quantity:
     """H(S) of a quantised field, bits a sample: a voxel, or a voxel of the support.
 
-    InvalidArgument as of `field_counts`, and if over "object" there is no support to be uniform over.
-
-    Parameters
-    ----------
-    fields : FieldSymbols, or a sequence of them
-        One frame or several, all of one grid and one Q.
-    over : "voxel" or "object"
-        mu: all voxels, or those whose symbol is not 0. Over visits: `interaction_entropy`.
-    estimator : str
-        One of `touchfield.measure.estimators.ESTIMATORS`.
-    interval : bool
-    blocks : int
-        Of the bootstrap, 8 or more; about as many are made.
+    `fields`: FieldSymbols or a sequence of them, all of one grid and one Q. `over`: mu, "voxel" for all voxels or
+    "object" for those whose symbol is not 0; over visits there is `interaction_entropy`. `blocks`: of the bootstrap,
+    8 or more; about as many are made. InvalidArgument as of `field_counts`, and if over "object" there is no support.
     """
     found = supported(field_counts(fields, overs=(over,), interval=interval, blocks=blocks)[over])
     return entropy(found, estimator=estimator, interval=interval)

@@ -22,23 +22,12 @@ from touchfield.medium.grid import BRICK, Grid
 
 @dataclass(frozen=True)
 class FieldSymbols:
-    """The symbols of one frame.
+    """The symbols of one frame, of a quantiser that `quantiser` names in words.
 
-    InvalidArgument if shapes, types or symbols do not fit, bricks are out of order, given twice or outside the
-    grid, or a symbol lies beyond the last sample of the grid.
-
-    Parameters
-    ----------
-    grid : Grid
-    bricks : int32 [n, 3]
-        Strictly ascending (x slowest, z fastest) and within the grid, as in `ForceField`; bricks without any symbol
-        but 0 are allowed.
-    symbols : int32 [n, 8, 8, 8]
-        0 .. alphabet - 1; 0 beyond the grid.
-    alphabet : int
-        K, the number of codewords of Q with "no force".
-    quantiser : str
-        What Q is, in words.
+    `bricks` int32 [n, 3]: strictly ascending (x slowest, z fastest) and within the grid, as in `ForceField`; bricks
+    without any symbol but 0 are allowed. `symbols` int32 [n, 8, 8, 8]: 0 .. alphabet - 1; 0 beyond the grid.
+    `alphabet`: K, the number of codewords of Q with "no force". InvalidArgument if shapes, types or symbols do not
+    fit, bricks are out of order, given twice or outside the grid, or a symbol lies beyond its last sample.
     """
 
     grid: Grid

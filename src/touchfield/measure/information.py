@@ -63,11 +63,8 @@ def entropy(
     return e.measured(f"H({','.join(e.names)})", e.joint, most=most)
 
 
-def joint_entropy(
-    *samples: ArrayLike | Counts, estimator: str = "plug-in", interval: bool = True, blocks: int = BLOCKS
-) -> Quantity:
-    """H(X,Y,..), bits a joint sample; the same as `entropy` of several variables."""
-    return entropy(*samples, estimator=estimator, interval=interval, blocks=blocks)
+joint_entropy = entropy
+"""H(X,Y,..), bits a joint sample, of several arrays or of `Counts`."""
 
 
 def conditional_entropy(

@@ -179,22 +179,10 @@ def _lines_from(frame: FieldSymbols, axis: int, bricks: Int64s, width: int) -> I
 def block_rates(x: Any, longest: int = 4, *, estimator: str = "plug-in") -> BlockRates:
     """Block entropies and rates of a sequence.
 
-    InvalidArgument for values that are not symbols, or blocks longer than the sequence. FewSamplesWarning if there
-    are fewer than ten blocks to each that was seen.
-
-    Parameters
-    ----------
-    x : int array [n], or [m, n]
-        Symbols from 0 on; of two axes, m sequences, no block running from one into the next.
-    longest : int
-        The longest block, 1 to 64 and at most n.
-    estimator : str
-        Of each H(B_k), one of `ESTIMATORS`. Only the plug-in keeps h_k from rising.
-
-    Examples
-    --------
-    >>> [round(h.value, 6) for h in block_rates([0, 1] * 500, 3).rates]
-    [1.0, 0.0, 0.0]
+    `x` int [n] or [m, n]: symbols from 0 on; of two axes m sequences, no block running from one into the next.
+    `longest`: the longest block, 1 to 64 and at most n. `estimator`: of each H(B_k); only the plug-in keeps h_k from
+    rising. InvalidArgument for values that are not symbols, or blocks longer than the sequence. FewSamplesWarning if
+    there are fewer than ten blocks to each that was seen.
     """
     lines = checked_symbols(x, "x")
     if lines.ndim not in (1, 2) or not lines.size:

@@ -141,22 +141,13 @@ def similarity(
 ) -> Similarity:
     """Compare two media of one lattice and one Q, by plug-in counts: the bias-corrected estimates are no metrics.
 
-    InvalidArgument if the media differ in lattice, Q or length, an option is unknown, over "object" one of them has
-    no force, or the symbols are too many to compress.
-
-    Parameters
-    ----------
-    first, second : FieldSymbols, or sequences of as many
-        S and T. "One Q" means that a symbol is the same codeword in both: a quantiser that is fitted to data is to be
-        fitted to both media at once. Frame i is compared with frame i. Sequences may make their frames when asked
-        for them; each is asked for at most twice, and once more for the NCD.
-    over : "voxel" or "object"
-        mu of NMI and VI: all voxels, or those where one of the two has a force. sqrt(JSD) over "object" compares
-        the symbols of the forces of each medium.
-    compressed : bool
-        Whether to make the NCD, which takes the longest.
-    interval : bool
-        Whether NMI, VI and sqrt(JSD) get a block-bootstrap interval, of 27 parts of space.
+    `first`, `second`: FieldSymbols or sequences of as many, S and T, compared frame by frame. "One Q" means that a
+    symbol is the same codeword in both: a quantiser that is fitted to data is to be fitted to both. Each frame
+    is asked for at most twice, and once more for the NCD. `over`: mu of NMI and VI, "voxel" for all voxels or
+    "object" for those where one of the two has a force; sqrt(JSD) over "object" compares the symbols of the forces of
+    each medium. `compressed`: whether to make the NCD, which takes the longest. `interval`: whether the others get
+    one, of 27 parts of space. InvalidArgument if the media differ in lattice, Q or length, an option is unknown, over
+    "object" one of them has no force, or the symbols are too many to compress.
     """
     _check_alike(Frames(first, "first"), Frames(second, "second"))
     counts = supported(field_counts(first, second, (over,), interval=interval)[over])
@@ -339,28 +330,12 @@ def picture_correlation(
 ) -> Correlation:
     """I(V;A) of a picture and a haptic medium, with a test against chance.
 
-    InvalidArgument if the shapes differ, no pixel or fewer than four blocks hold both, or an option is out of
-    range.
-
-    Parameters
-    ----------
-    picture : float [height, width]
-        Luma, depth in metres, or any other number a pixel; NaN where unknown.
-    touched : float [height, width]
-        |F| in newtons, or another number of the medium; NaN where there is none.
-    classes : int
-        Of equal shares, for each of the two, 2 to 256; equal values stay together.
-    shuffles : int
-        Of blocks, 19 or more.
-    block_px : int, optional
-        Side of a block; see the module.
-    estimator : str
-        One of `touchfield.measure.estimators.ESTIMATORS`, of I and of its null. Plug-in is high by about
-        (classes - 1)^2 / (2 n ln 2) bits, which z and p do not feel.
-    interval : bool
-        Whether I gets one, of a bootstrap over groups of these blocks.
-    seed : int
-        Of the shuffles.
+    `picture` float [height, width]: luma, depth in metres, or any other number a pixel; `touched`, alike: |F| in
+    newtons, or another number of the medium; NaN where unknown or none. `classes`: of equal shares, for each of the
+    two, 2 to 256; equal values stay together. `shuffles`: of blocks, 19 or more. `block_px`: side of a block, see the
+    module. `estimator`: of I and of its null; plug-in is high by about (classes - 1)^2 / (2 n ln 2) bits, which z and
+    p do not feel. `interval`: whether I gets one, over groups of these blocks. `seed`: of the shuffles.
+    InvalidArgument if the shapes differ, no pixel or fewer than four blocks hold both, or an option is out of range.
     """
     v, a = _maps(picture, touched)
     if not 2 <= classes <= 256:

@@ -90,8 +90,8 @@ class _Posterior:
 
 def variance_points(points_m: Float64s, count: int, kernel: Kernel, measured: int = 0) -> tuple[Int64s, Float64s]:
     """Candidates, each the one of greatest variance once those before it are measured, int64 [count], and the
-    variance that each had, the sum over three components, of a field of variance 1. `points_m` float64 [m, 3]; the first
-    `measured` of them are known already. InvalidArgument if there are fewer candidates.
+    variance that each had, the sum over three components, of a field of variance 1. `points_m` float64 [m, 3]; the
+    first `measured` of them are known already. InvalidArgument if there are fewer candidates.
     """
     if not 1 <= count <= len(points_m) - measured:
         raise InvalidArgument("points", f"{count}", f"1 to {len(points_m) - measured}, as many as there are places")
