@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine import Bar, Figures, at_least, at_most, bench, column, timed
-from touchfield.measure.histogram import Histogram, JointHistogram
+from touchfield.measure.counts import Counts
 from touchfield.measure.information import entropy
 from touchfield.parallel import for_chunks
 
@@ -59,12 +59,12 @@ def others(count: int) -> dict[str, dict[str, float]]:
     rows = {}
     for name, x in {"uint8": small.astype(np.uint8), "int32": small.astype(np.int32), "int64, wide": wide}.items():
         rows[f"{name}"] = {
-            "histogram_ms": timed(lambda x=x: Histogram.of(x), runs=3)["min_ms"],
+            "histogram_ms": timed(lambda x=x: Counts.of(x), runs=3)["min_ms"],
             "unique_ms": timed(lambda x=x: np.unique(x, return_counts=True), runs=1, warm=0)["min_ms"],
         }
     x, y = small.astype(np.int32), (small // 3).astype(np.int16)
     rows["pairs of int32 and int16"] = {
-        "histogram_ms": timed(lambda: JointHistogram.of(x, y), runs=3)["min_ms"],
+        "histogram_ms": timed(lambda: Counts.of(x, y), runs=3)["min_ms"],
         "unique_ms": timed(lambda: np.unique(x * 100 + y, return_counts=True), runs=1, warm=0)["min_ms"],
     }
     return rows

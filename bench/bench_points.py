@@ -28,8 +28,7 @@ from touchfield.job.points import _Domain, _kept
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.reduction.kernel_points import _LENGTHS, _NOISES, Kernel, most_candidates, variance_points
-from touchfield.reduction.mode_points import ModePoints, mode_points
-from touchfield.reduction.modes import Modes, pod
+from touchfield.reduction.modes import ModePoints, Modes, mode_points, pod
 from touchfield.sources.curl_free import CurlFree
 
 SEEDS, TIMES, FRAMES = 5, (1, 2, 4), 200

@@ -26,9 +26,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import Interval
 from touchfield.measure.estimators import binary_entropy_bits, entropy_bits, estimate_bits
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.quantity import Interval, Quantity
 from touchfield.medium.grid import Grid
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ plug-in I(X;Y), independent AR(1) in 8 levels              4096   64       0 %  
 ========================================================= ===== ==== ========== ==========
 
 Bias-corrected estimators, independent draws in 64 blocks: H of p ~ 1/rank, K = 1000, n = 20 000, and I(X;Y) = 0 of
-independent X and Y uniform over 8, n = 4096 (300 draws; 100 for I; 40 for nsb, whose K is known):
+independent X and Y uniform over 8, n = 4096 (300 draws; 100 for I):
 
 ============== ======= ========= ==============================================================================
 estimator      H basic our own
@@ -29,7 +29,6 @@ miller-madow      64 %      96 % I: 100 %
 grassberger       60 %      97 %
 chao-shen         47 %      94 % I: 6 %; where no symbol is seen just once it *is* plug-in, and as high for I
 chao-wang-jost    59 %      97 % I: 100 %
-nsb                5 %      58 % itself 1.7 standard deviations high here
 ============== ======= ========= ==============================================================================
 
 A ratio H(M(W)) / H(W) of what a mapping M leaves of W is resampled in pairs (`ratio_interval`): the same blocks of
@@ -69,8 +68,8 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import interval
 from touchfield.measure.estimators import ESTIMATORS, entropy_bits, estimate_bits
+from touchfield.measure.quantity import interval
 
 Ints = NDArray[np.int64]
 
@@ -125,7 +124,7 @@ def test_it_equals_one_resample_after_the_other(
     made = interval(entropy_bits, counts, 60, level, seed)
     assert [made.low, made.high] == pytest.approx(expected, abs=1e-12)
     assert made.level == level and f"{blocks} blocks, 60 resamples" in made.method
-    monkeypatch.setattr("touchfield.measure.bootstrap._CHUNK_VALUES", 150)
+    monkeypatch.setattr("touchfield.measure.quantity._CHUNK_VALUES", 150)
     assert interval(entropy_bits, counts, 60, level, seed) == made
 
 
@@ -181,15 +180,15 @@ def test_coverage_on_dependent_sources(
 def test_coverage_of_every_estimator(name: str) -> None:
     """Independent draws, p ~ 1/rank of 1000 symbols: the bias is taken off once, and not twice."""
     weight = 1 / np.arange(1, 1001)
-    p, draws = weight / weight.sum(), 6 if name == "nsb" else 40
+    p, draws = weight / weight.sum(), 40
     truth, rng = float(stats.entropy(p, base=2)), np.random.default_rng(6)
     held = 0
     for _ in range(draws):
         counts = counted(rng.choice(1000, 20_000, p=p), 64, 1000)
-        corrects_bias = ESTIMATORS[name].corrects_bias
+        corrects_bias = name != "plug-in"
         made = interval(lambda c: estimate_bits(c, name, 1000), counts, 50, corrects_bias=corrects_bias)
         held += made.low <= truth <= made.high
-    assert held >= (0.5 if name == "nsb" else 0.87) * draws  # nsb is 1.7 deviations high for this source
+    assert held >= 0.87 * draws
 
 
 @pytest.mark.parametrize("level", [0.5, 0.95])

@@ -14,7 +14,7 @@ from scipy import ndimage
 from touchfield.errors import InvalidArgument
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
-from touchfield.measure.correlation import (
+from touchfield.measure.similarity import (
     Contact,
     classes_of_equal_share,
     contact_along_axis,

@@ -15,13 +15,44 @@ from scipy import stats
 from scipy.spatial import distance
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure import distribution as d
-from touchfield.measure.quantity import NORMALISATIONS
+from touchfield.measure import information as info
+from touchfield.measure.counts import Counts
+from touchfield.measure.quantity import Quantity
 
 COVER_THOMAS = np.array([[4, 2, 1, 1], [2, 4, 1, 1], [2, 2, 2, 2], [8, 0, 0, 0]]).T / 32
 """Example 2.2.1 of Elements of Information Theory, x along axis 0."""
 
 Vector = NDArray[np.float64]
+
+
+class d:
+    """The quantities of given probabilities."""
+
+    @staticmethod
+    def entropy(p: object) -> Quantity:
+        return info.entropy(Counts.of_probabilities(p))  # type: ignore[arg-type]
+
+    joint_entropy = entropy
+
+    @staticmethod
+    def conditional_entropy(p: object, given: int = 1) -> Quantity:
+        return info.conditional_entropy(Counts.of_probabilities(p), given=given)  # type: ignore[arg-type]
+
+    @staticmethod
+    def mutual_information(p: object) -> Quantity:
+        return info.mutual_information(Counts.of_probabilities(p))  # type: ignore[arg-type]
+
+    @staticmethod
+    def variation_of_information(p: object) -> Quantity:
+        return info.variation_of_information(Counts.of_probabilities(p))  # type: ignore[arg-type]
+
+    @staticmethod
+    def normalised_mutual_information(p: object) -> Quantity:
+        return info.normalised_mutual_information(Counts.of_probabilities(p))  # type: ignore[arg-type]
+
+    @staticmethod
+    def jensen_shannon_distance(p: object, q: object) -> Quantity:
+        return info.jensen_shannon_distance(Counts.of_probabilities(p), Counts.of_probabilities(q))  # type: ignore[arg-type]
 
 
 def probabilities(shape: int | tuple[int, ...]) -> st.SearchStrategy[Vector]:
@@ -39,7 +70,7 @@ def test_numbers_of_the_literature() -> None:
     assert float(d.mutual_information(COVER_THOMAS)) == pytest.approx(0.375, abs=1e-12)
     assert float(d.conditional_entropy(COVER_THOMAS)) == pytest.approx(1.375, abs=1e-12)
     assert float(d.conditional_entropy(COVER_THOMAS, given=0)) == pytest.approx(1.625, abs=1e-12)
-    assert float(d.jensen_shannon_divergence([0.5, 0.5], [0.9, 0.1])) == pytest.approx(0.146793, abs=1e-6)
+    assert float(d.jensen_shannon_distance([0.5, 0.5], [0.9, 0.1])) ** 2 == pytest.approx(0.146793, abs=1e-6)
     assert float(d.variation_of_information(COVER_THOMAS)) == pytest.approx(3, abs=1e-12)
 
 
@@ -61,13 +92,9 @@ def test_what_a_quantity_says() -> None:
 def test_divergences_agree_with_scipy(p: Vector, q: Vector) -> None:
     assert float(d.entropy(p)) == pytest.approx(stats.entropy(p, base=2), abs=1e-12)
     assert float(d.jensen_shannon_distance(p, q)) ** 2 == pytest.approx(
-        distance.jensenshannon(p, q, 2) ** 2, abs=1e-12
+        np.nan_to_num(distance.jensenshannon(p, q, 2)) ** 2,
+        abs=1e-12,  # scipy: NaN for equal ones, by rounding
     )
-    with np.errstate(divide="ignore"):
-        expected = stats.entropy(p, q, base=2)
-    found = d.kullback_leibler_divergence(p, q)
-    assert float(found) == pytest.approx(expected, rel=1e-12, abs=1e-12)
-    assert bool(found.notes) == math.isinf(expected)
 
 
 @given(probabilities((4, 3)))
@@ -82,17 +109,13 @@ def test_joint_quantities_agree_with_dit(table: Vector) -> None:
     assert float(d.conditional_entropy(table, 1)) == pytest.approx(
         dit.shannon.conditional_entropy(joint, "X", "Y"), **near
     )
-    assert float(d.conditional_entropy(table, [0])) == pytest.approx(
+    assert float(d.conditional_entropy(table, 0)) == pytest.approx(
         dit.shannon.conditional_entropy(joint, "Y", "X"), **near
     )
     assert float(d.variation_of_information(table)) == pytest.approx(2 * both - x - y, **near)
-    for by, below in zip(
-        ("sqrt", "min", "max", "mean", "joint"),
-        (math.sqrt(x * y), min(x, y), max(x, y), (x + y) / 2, both),
-        strict=True,
-    ):
-        if below > 1e-3:  # a quotient of rounding errors says nothing
-            assert float(d.normalised_mutual_information(table, by)) == pytest.approx(shared / below, abs=1e-9)
+    below = math.sqrt(max(0.0, x * y))
+    if below > 1e-3:  # a quotient of rounding errors says nothing
+        assert float(d.normalised_mutual_information(table)) == pytest.approx(shared / below, abs=1e-9)
 
 
 @given(probabilities((3, 2, 4)))
@@ -100,8 +123,9 @@ def test_chain_rule(table: Vector) -> None:
     whole = float(d.joint_entropy(table))
     first = float(d.entropy(table.sum(axis=(1, 2))))
     second = float(d.conditional_entropy(table.sum(axis=2), given=0))
-    assert first + second + float(d.conditional_entropy(table, given=(0, 1))) == pytest.approx(whole, abs=1e-12)
-    assert float(d.conditional_entropy(table, given=(0, -2))) == float(d.conditional_entropy(table, given=(1, 0)))
+    pairs = float(d.conditional_entropy(table.reshape(6, 4), given=0))
+    assert first + second + pairs == pytest.approx(whole, abs=1e-12)
+    assert first + float(d.conditional_entropy(table, given=0)) == pytest.approx(whole, abs=1e-12)
 
 
 @given(probabilities(5), probabilities(5), probabilities(5))
@@ -125,12 +149,11 @@ def test_variation_of_information_is_a_metric(table: Vector) -> None:
     assert float(d.variation_of_information(np.diag(table.sum(axis=(1, 2))))) == pytest.approx(0, abs=1e-12)
 
 
-def test_nothing_varies() -> None:
-    for by in NORMALISATIONS:
-        q = d.normalised_mutual_information([[1.0, 0], [0, 0]], by)
-        assert math.isnan(float(q)) and "0/0" in q.notes[0]
-    half = d.normalised_mutual_information([[0.5, 0.5]], "min")
-    assert math.isnan(float(half)) and float(d.normalised_mutual_information([[0.5, 0.5]], "max")) == 0
+@pytest.mark.parametrize("row", [[1.0, 0.0], [1 / 6, 4 / 6, 1 / 6], [1 / 7] * 7])
+def test_nothing_varies(row: list[float]) -> None:
+    """Also where the shares of a certainty add up to 1 - 1e-16."""
+    q = d.normalised_mutual_information([row, [0.0] * len(row)])
+    assert math.isnan(float(q)) and "0/0" in q.notes[0]
 
 
 @pytest.mark.parametrize(
@@ -143,37 +166,21 @@ def test_nothing_varies() -> None:
         ([math.inf, 0.5], "a sum of inf"),
         ([], "shape"),
         (0.5, "shape"),
-        ([[0.5, 0.5]], "shape"),
         (["a"], "no array of numbers"),
     ],
 )
 def test_what_is_no_distribution(p: object, found: str) -> None:
     with pytest.raises(InvalidArgument, match=found):
-        d.entropy(p)  # type: ignore[arg-type]
-    for two in (d.kullback_leibler_divergence, d.jensen_shannon_distance, d.jensen_shannon_divergence):
-        with pytest.raises(InvalidArgument, match=found):
-            two([0.5, 0.5], p)  # type: ignore[arg-type]
+        d.entropy(p)
+    with pytest.raises(InvalidArgument, match=found):
+        d.jensen_shannon_distance([0.5, 0.5], p)
 
 
 def test_other_refusals() -> None:
     assert float(d.entropy([0.5, 0.5 - 5e-10])) == pytest.approx(1, abs=1e-8)
-    with pytest.raises(InvalidArgument, match="one of sqrt, min, max, mean, joint"):
-        d.normalised_mutual_information(COVER_THOMAS, "other")
-    with pytest.raises(InvalidArgument, match=r"shapes \(1,\) and \(2,\)"):
-        d.jensen_shannon_distance([1.0], [0.5, 0.5])
-    for table in ([0.5, 0.5], [[[1.0]]]):
-        with pytest.raises(InvalidArgument, match="2 axes"):
-            d.mutual_information(table)
-    with pytest.raises(InvalidArgument, match="at least two axes"):
+    with pytest.raises(InvalidArgument, match="1 variable; expected 2"):
+        d.mutual_information([0.5, 0.5])
+    with pytest.raises(InvalidArgument, match="1 variable; expected 2"):
         d.conditional_entropy([0.5, 0.5], 0)
-    with pytest.raises(InvalidArgument, match="axes from -2 to 1"):
+    with pytest.raises(InvalidArgument, match="given: found 2; expected 0 to 1"):
         d.conditional_entropy(COVER_THOMAS, 2)
-
-
-def test_axes_of_any_whole_number() -> None:
-    expected = d.conditional_entropy(COVER_THOMAS, 1)
-    for axis in (np.int64(1), np.uint8(1), np.array([1]), [np.int32(-1)]):
-        assert d.conditional_entropy(COVER_THOMAS, axis) == expected  # type: ignore[arg-type]
-    for wrong in (1.0, "1", None, [0.5], [[0], [1]], [0, [1]], np.float64(1)):
-        with pytest.raises(InvalidArgument, match=r"given: found .*; expected the number of an axis, or several"):
-            d.conditional_entropy(COVER_THOMAS, wrong)  # type: ignore[arg-type]

@@ -10,8 +10,9 @@ import pytest
 
 from touchfield.errors import InvalidArgument
 from touchfield.job import MeasureSpec, measure_medium
-from touchfield.measure.field_information import field_counts, field_entropy
+from touchfield.measure.field_count import field_counts, field_entropy
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.information import entropy
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.grid import Grid
 
@@ -48,18 +49,20 @@ def test_one_count_serves_every_entropy(alphabet: int, full: bool, interval: boo
     for over in ("voxel", "object"):
         for estimator in ("plug-in", "miller-madow"):
             alone = field_entropy(frames, over, estimator=estimator, interval=interval)
-            assert counts.entropy(over, estimator) == alone
+            assert entropy(counts[over], estimator=estimator) == alone
             assert (alone.interval is not None) == interval
         plain = field_entropy(frames, over, interval=False)
-        assert counts.entropy(over, interval=False) == plain
+        assert entropy(counts[over], interval=False) == plain
 
 
 def test_without_a_force_there_are_voxels_and_no_object() -> None:
     empty = FieldSymbols.from_dense(GRID, np.zeros(GRID.shape, int), 9, "a Q")
     counts = field_counts([empty, empty])
-    assert counts.entropy("voxel").value == 0
-    with pytest.raises(InvalidArgument, match="no voxel with a force in 2 frames"):
-        counts.entropy("object")
+    assert entropy(counts["voxel"]).value == 0
+    with pytest.raises(InvalidArgument, match="no sample"):
+        entropy(counts["object"])
+    with pytest.raises(InvalidArgument, match="no voxel with a force"):
+        field_entropy([empty, empty], "object")
 
 
 def test_a_measurement_makes_each_frame_seldom(wavy_field: ForceField) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.field_symbols import FieldSymbols, aligned
+from touchfield.measure.field_symbols import FieldSymbols, FramePairs, Frames
 from touchfield.medium.grid import Grid
 
 K = 6
@@ -130,9 +130,11 @@ def test_a_dense_array_of_another_shape() -> None:
 # -- several --------------------------------------------------------------------------------------------------------
 
 
-def test_fields_at_the_union_of_their_bricks() -> None:
+def test_pairs_at_the_union_of_their_bricks() -> None:
     grid = grid_of(16, 16, 16)
-    s, t = aligned((of_bricks(grid, [[0, 0, 0], [1, 0, 1]]), of_bricks(grid, [[0, 1, 0], [1, 0, 1]])))
-    assert [x.any(axis=(1, 2, 3)).tolist() for x in (s, t)] == [[True, False, True], [False, True, True]]
-    with pytest.raises(InvalidArgument, match="different grids"):
-        aligned((of_bricks(grid, []), of_bricks(grid_of(8, 8, 8), [])))
+    first = Frames(of_bricks(grid, [[0, 0, 0], [1, 0, 1]]), "first")
+    second = Frames(of_bricks(grid, [[0, 1, 0], [1, 0, 1]]), "second")
+    ((bricks, joint),) = FramePairs(first, second).parts()
+    assert bricks.tolist() == [[0, 0, 0], [0, 1, 0], [1, 0, 1]]
+    s, t = np.divmod(joint, K)
+    assert [x.any(axis=1).tolist() for x in (s, t)] == [[True, False, True], [False, True, True]]

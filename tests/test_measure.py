@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.codec.rate import BitAccount, compression_ratio
+from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.measure.histogram import SymbolCounter
 from touchfield.medium import ForceField, Grid
 
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import Interval, interval, ratio_interval
 from touchfield.measure.capacity import capacity, paired_ratio
+from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.quantity import Interval, Quantity, interval, ratio_interval
 
 Ints = NDArray[np.int64]
 
@@ -57,6 +57,14 @@ def test_it_equals_one_resample_of_both_after_the_other() -> None:
     assert made.method == "paired block bootstrap (basic), 12 blocks, 60 resamples" and made.level == 0.95
 
 
+def both(blocks: tuple[Ints, Ints]) -> tuple[Counts, Counts]:
+    """Blocks [B, 64] of W and of M(W), as counts."""
+    first, second = (
+        Counts(np.flatnonzero(b.any(0))[:, None], b.sum(0)[b.any(0)], b[:, b.any(0)], alphabet=64) for b in blocks
+    )
+    return first, second
+
+
 @pytest.mark.parametrize(
     ("source", "mapping", "fewer", "truth"),
     [
@@ -77,7 +85,7 @@ def test_coverage_where_the_truth_is_enumerated(
     for draw in range(80):
         w = source(rng, n)
         counts = counted(w, blocks), counted(mapping(w), blocks)
-        made = paired_ratio(counts, (n, n // fewer), (64, 64), math.inf)
+        made = paired_ratio(both(counts), (n, n // fewer), math.inf)
         assert made is not None
         held += made.low <= truth <= made.high
         if draw % 8:
@@ -92,16 +100,16 @@ def test_coverage_where_the_truth_is_enumerated(
 def test_a_relabelling_loses_nothing_with_certainty() -> None:
     w = levels(np.random.default_rng(4), 2048)
     counts = counted(w, 16), counted(63 - w, 16)
-    made = paired_ratio(counts, (2048, 2048), (64, 64), math.inf)
+    made = paired_ratio(both(counts), (2048, 2048), math.inf)
     assert made is not None and (made.low, made.high) == pytest.approx((1, 1), abs=1e-12)
 
 
 def test_an_estimator_that_uses_the_alphabet_or_corrects_its_bias_has_its_own() -> None:
     w = levels(np.random.default_rng(5), 2048)
     counts = counted(w, 16), counted(w // 8, 16)
-    corrected = paired_ratio(counts, (2048, 2048), (64, 8), math.inf, "miller-madow")
+    corrected = paired_ratio(both(counts), (2048, 2048), math.inf, "miller-madow")
     assert corrected is not None and "normal" in corrected.method
-    told = paired_ratio(counts, (2048, 2048), (64, 8), 100.0)
+    told = paired_ratio(both(counts), (2048, 2048), 100.0)
     assert told is not None and told.high < 100 / 2048  # never more than the device can be told
 
 

@@ -46,10 +46,10 @@ def floor(frames: int = 1, swing_m: float = 0.0) -> tf.HapticMedium:
 # -- modes ---------------------------------------------------------------------------------------------------------
 
 
-@given(st.integers(0, 2**20), st.booleans())
-def test_the_error_is_the_tail_known_beforehand(seed: int, centred: bool) -> None:
+@given(st.integers(0, 2**20))
+def test_the_error_is_the_tail_known_beforehand(seed: int) -> None:
     snapshots = matrix(seed)
-    modes = pod(snapshots, centred=centred)
+    modes = pod(snapshots)
     assert np.abs(modes.basis.T @ modes.basis - np.eye(modes.rank)).max() < 1e-12
     assert modes.energy == pytest.approx((snapshots**2).sum(), rel=1e-12)
     for rank in range(1, modes.rank + 1):
@@ -62,11 +62,9 @@ def test_the_error_is_the_tail_known_beforehand(seed: int, centred: bool) -> Non
         assert modes.tail(rank) <= limit and (rank == 0 or modes.tail(rank - 1) > limit)
 
 
-def test_blocks_iterators_and_short_snapshots_give_the_same_modes() -> None:
+def test_short_snapshots_give_the_same_modes() -> None:
     snapshots = matrix(1)
     whole = pod(snapshots)
-    for blocks in ([snapshots[:, :300], snapshots[:, 300:]], iter([snapshots[:, :5], snapshots[:, 5:]])):
-        assert np.allclose(pod(blocks).values[:5], whole.values[:5], rtol=1e-9)
     short = klt([snapshots.T[:100], snapshots.T[100:]])
     assert np.allclose(short.values[:5], whole.values[:5], rtol=1e-9)
     assert np.allclose(np.linalg.svd(snapshots, compute_uv=False)[:5], whole.values[:5], rtol=1e-9)
@@ -77,7 +75,6 @@ def test_blocks_iterators_and_short_snapshots_give_the_same_modes() -> None:
     [
         lambda: pod(np.zeros((0, 3))),
         lambda: pod(np.full((2, 3), np.nan)),
-        lambda: pod([np.zeros((2, 3)), np.zeros((3, 3))]),
         lambda: pod(np.ones((2, 3)), rank=3),
         lambda: klt([]),
         lambda: klt([np.ones((2, 3)), np.ones((2, 4))]),
@@ -110,7 +107,7 @@ def test_frames_that_were_not_learnt_from_are_told_with_what_they_cost() -> None
     medium = floor(60)
     found = held_out(medium, "global", -20.0)
     assert found.nmse_db <= -20.0 and found.share > found.share_of_coefficients > 0
-    length = len(reduced(medium, "global", 1).modes.mean)
+    length = len(reduced(medium, "global", 1).modes.basis)
     assert found.share == pytest.approx(found.modes * (length + 60) / (60 * length))
 
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
+from touchfield.measure.counts import Counts
 from touchfield.measure.field_count import SharedBoxes, shared_counts
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.histogram import Histogram
 from touchfield.medium.grid import Grid
 
 OWN = Grid.over_box((-0.04, -0.03, 0.0), (0.04, 0.03, 0.03), (40, 30, 17))
@@ -42,7 +42,7 @@ def by_hand(boxes: SharedBoxes, grid: Grid) -> NDArray[np.int64]:
 @pytest.mark.parametrize("other", [COARSE, ARRAY, OWN])
 def test_counts_of_both_are_those_of_the_samples_in_each_box(other: Grid) -> None:
     dense = [[symbols(g, s + n) for n in range(3)] for s, g in ((0, OWN), (50, other))]
-    histograms = Histogram.of(dense[0]), Histogram.of(dense[1])
+    histograms = Counts.of(np.stack(dense[0])), Counts.of(np.stack(dense[1]))
     frames = [field(OWN, d) for d in dense[0]], [field(other, d) for d in dense[1]]
     found = shared_counts(frames, (OWN, other), histograms)
     boxes = SharedBoxes.of(OWN, other, 64)
@@ -50,17 +50,18 @@ def test_counts_of_both_are_those_of_the_samples_in_each_box(other: Grid) -> Non
     for counts, histogram, grid, arrays in zip(found, histograms, (OWN, other), dense):
         owner = by_hand(boxes, grid)
         assert np.array_equal(boxes.voxels(grid), np.bincount(owner.ravel(), minlength=boxes.count))
-        want = [[sum(int(((d == s) & (owner == b)).sum()) for d in arrays) for s in histogram.symbols]
+        want = [[sum(int(((d == s) & (owner == b)).sum()) for d in arrays) for s in histogram.cells[:, 0]]
                 for b in range(boxes.count)]  # fmt: skip
-        assert np.array_equal(counts, want)
+        assert np.array_equal(counts.blocks, want)
 
 
 def test_a_frame_that_is_full_has_no_symbol_of_empty_space() -> None:
     full = symbols(OWN, 1) + 1
-    histogram = Histogram.of(full)
+    histogram = Counts.of(full)
     found = shared_counts((field(OWN, full, 6), field(OWN, full, 6)), (OWN, OWN), (histogram, histogram))
-    assert found is not None and np.array_equal(found[0].sum(axis=0), histogram.counts)
-    assert np.array_equal(found[0], found[1])
+    assert found is not None and found[0].blocks is not None
+    assert np.array_equal(found[0].blocks.sum(axis=0), histogram.weights)
+    assert np.array_equal(found[0].blocks, found[1].blocks)
 
 
 @given(st.lists(st.integers(1, 60), min_size=6, max_size=6), st.integers(8, 80))
@@ -93,29 +94,30 @@ def test_an_array_is_not_cut_along_the_depth_that_it_pools() -> None:
 def test_lattices_that_share_too_little(other: Grid) -> None:
     assert SharedBoxes.of(OWN, other, 64) is None
     dense = symbols(OWN, 1), symbols(other, 2)
-    histograms = Histogram.of(dense[0]), Histogram.of(dense[1])
+    histograms = Counts.of(dense[0]), Counts.of(dense[1])
     assert shared_counts((field(OWN, dense[0]), field(other, dense[1])), (OWN, other), histograms) is None
 
 
 def test_many_symbols_leave_fewer_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     dense = symbols(OWN, 1)
-    histogram, f = Histogram.of(dense), field(OWN, dense)
+    histogram, f = Counts.of(dense), field(OWN, dense)
     monkeypatch.setattr("touchfield.measure.field_count.MOST_BLOCK_CELLS", 12 * 10)
     found = shared_counts((f, f), (OWN, OWN), (histogram, histogram))
-    assert found is not None and 8 <= len(found[0]) <= 12
+    assert found is not None and found[0].blocks is not None
+    assert 8 <= len(found[0].blocks) <= 12
     monkeypatch.setattr("touchfield.measure.field_count.MOST_BLOCK_CELLS", 7 * 10)
     assert shared_counts((f, f), (OWN, OWN), (histogram, histogram)) is None
 
 
 def test_frames_that_do_not_belong_together() -> None:
     dense = symbols(OWN, 1)
-    f, histogram = field(OWN, dense), Histogram.of(dense)
+    f, histogram = field(OWN, dense), Counts.of(dense)
 
-    def ask(first: Any, second: Any, counted: Histogram) -> object:
+    def ask(first: Any, second: Any, counted: Counts) -> object:
         return shared_counts((first, second), (OWN, OWN), (histogram, counted))
 
     with pytest.raises(InvalidArgument, match="rendered: found 1 frames; expected 2"):
         ask([f, f], f, histogram)
-    for other in (Histogram.of(dense[dense < 4]), Histogram.of(np.append(dense, 4))):
+    for other in (Counts.of(dense[dense < 4]), Counts.of(np.append(dense, 4))):
         with pytest.raises(InvalidArgument, match="frames stay the same"):
             ask(f, f, other)

@@ -216,7 +216,6 @@ def _notes_of_quantities(found: Measurement) -> Iterator[tuple[str, str]]:
     if found.limits is not None:
         named += [(rate.name, rate) for rate in found.limits.scan_lines.rates[1:]]
         named += [(c.per_voxel.name, c.per_voxel) for c in found.limits.contexts]
-        named.append(("prequential", found.limits.prequential.per_supported))
     for device, c in found.capacities.items():
         named += [(f"{device}, {c.rendered.name}", c.rendered), (device, c.wmr)]
     for name, quantity in named:
@@ -260,15 +259,6 @@ def _limits(found: Measurement) -> list[Row]:
     for c in found.limits.contexts:
         what = _DILUTED.format("contexts") if c.is_diluted else f"{c.contexts:,} contexts"
         rows.append((c.per_voxel.name, _number(c.per_voxel.value * each, 5), "", what))
-    reached = found.limits.prequential.per_supported
-    rows.append(
-        (
-            "prequential",
-            _number(reached.value, 5),
-            "",
-            "of the symbols alone" if found.quantiser == "distinct" else "a code that surely reaches it",
-        )
-    )
     if found.file_bits is not None:
         rows.append(("this file", _number(found.file_bits / found.supported_voxels, 5), "", "everything counted"))
     return rows

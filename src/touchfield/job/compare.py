@@ -16,8 +16,8 @@ from touchfield.job.joining import spread
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec
 from touchfield.job.stream_scene import Source
+from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.measure.histogram import SymbolCounter
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.parallel import Report, silent
 from touchfield.perception.hand_motion import HandMotion, HoldMeter, SlideMeter, SlideSpec

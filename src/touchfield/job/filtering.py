@@ -20,8 +20,8 @@ from touchfield.filters.registry import FieldFilter
 from touchfield.job.objects import felt_objects
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec
+from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.measure.histogram import SymbolCounter
 from touchfield.medium import ForceField
 from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene

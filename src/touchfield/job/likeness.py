@@ -22,10 +22,16 @@ from touchfield.job.mapping import SymbolFrames
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import Source, StreamScene
-from touchfield.measure.correlation import Correlation, contact_along_axis, contact_along_rays, picture_correlation
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, descriptor, part_slots
 from touchfield.measure.quantity import FewSamplesWarning
-from touchfield.measure.similarity import Similarity, similarity
+from touchfield.measure.similarity import (
+    Correlation,
+    Similarity,
+    contact_along_axis,
+    contact_along_rays,
+    picture_correlation,
+    similarity,
+)
 from touchfield.medium import HapticMedium
 from touchfield.medium.placement import Placement
 from touchfield.parallel import Report, silent
@@ -99,7 +105,7 @@ def similar(
         except InvalidArgument as error:
             if error.where != "symbols to compress":
                 raise
-            measured = similarity(mine, theirs, over, compressor=None)
+            measured = similarity(mine, theirs, over, compressed=False)
             notes = (*notes, f"no NCD: {error}")
     report(3, 3)
     parts = {name: float(np.linalg.norm(told[0][slot] - told[1][slot])) for name, slot in part_slots()}
@@ -134,7 +140,7 @@ def correlate(
 
     `video` is a video, a GIF, a picture or a folder of pictures, `source_rate_hz` its rate where it does not say;
     `frames` are the times that are looked at, evenly spaced over what both have, `reading` is "first" or "peak"
-    (`touchfield.measure.correlation`), and `intrinsics` are fx, fy, cx, cy, pixels of the video.
+    (`touchfield.measure.similarity`), and `intrinsics` are fx, fy, cx, cy, pixels of the video.
 
     InvalidArgument or SourceError if a file cannot be read, nothing is felt within the picture, or the camera does
     not fit the medium.

@@ -25,16 +25,22 @@ from touchfield.job.mapping import FrameRange, SymbolFrames, mapped
 from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import StreamScene, is_stream
-from touchfield.measure.bootstrap import Interval
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
+from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import binary_entropy_bits
-from touchfield.measure.field_count import shared_counts
-from touchfield.measure.field_information import FieldCounts, field_counts, field_joint
+from touchfield.measure.field_count import field_counts, shared_counts
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.information import (
+    conditional_entropy,
+    entropy,
+    mutual_information,
+    normalised_mutual_information,
+    variation_of_information,
+)
 from touchfield.measure.interaction import interaction_entropy
 from touchfield.measure.limits import coding_limits
 from touchfield.measure.passivity import passivity
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
 from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.parallel import Report, silent
@@ -136,8 +142,6 @@ class Measurement:
             for c in self.limits.contexts:
                 if c.per_voxel.value > 0 and not c.is_diluted:
                     shown.append(Bar(c.per_voxel.name, c.per_voxel.value * each))
-            what = "prequential code" + (" of the symbols" if self.quantiser == "distinct" else ": surely reached")
-            shown.append(Bar(what, self.limits.prequential.per_supported.value))
         if self.file_bits is not None:
             shown.append(Bar("this file, everything counted", self.file_bits / self.supported_voxels, is_actual=True))
         return shown
@@ -211,27 +215,27 @@ def measure_medium(
         warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
         watched = _Supports(frames)
         counts = field_counts(watched)
-        voxel = counts.entropy("voxel", spec.estimator)
+        voxel = entropy(counts["voxel"], estimator=spec.estimator)
         held = sum(watched.voxels)
         if not held:
             found, mend = "a medium without any force", "Take other frames, or look at the source."
             if quantise.top_n > 0:
                 found, mend = f"a medium without any force under {quantise.words}", "Take a finer --quantiser."
             raise InvalidArgument(name, found, "a support of at least one voxel", mend)
-        on_object = counts.entropy("object", spec.estimator)
-        corrected = counts.entropy("voxel", "miller-madow", interval=False)
+        on_object = entropy(counts["object"], estimator=spec.estimator)
+        corrected = entropy(counts["voxel"], estimator="miller-madow", interval=False)
         asked_for = on_object if kind == "object" else voxel
         if probe is not None:
             asked_for = _along(probe, frames, spec)
         steps.done()
         in_time = _in_time(frames, spec.estimator) if len(frames) > 1 else {}
         steps.done(len(frames) > 1)
-        limits = coding_limits(frames, split=quantise.directions) if spec.limits else None
+        limits = coding_limits(frames) if spec.limits else None
         steps.done(spec.limits)
         per_frame = voxel.times(medium.grid.voxel_count, "bit/frame", "H(W)")
         capacities = {}
         for device_name in spec.devices:
-            capacities[device_name], more = _capacity(frames, counts, per_frame, device_name, asked, spec)
+            capacities[device_name], more = _capacity(frames, counts["voxel"], per_frame, device_name, asked, spec)
             notes += tuple(f"{device_name}: {note}" for note in more)
             steps.done()
     energy = passivity(medium[watched.voxels.index(max(watched.voxels))])
@@ -318,18 +322,20 @@ def _along(probe: Trace, frames: SymbolFrames, spec: MeasureSpec) -> Quantity:
 def _in_time(frames: SymbolFrames, estimator: str) -> dict[str, Quantity]:
     """Each frame but the first, beside the one before it."""
     count = len(frames)
-    both = field_joint(FrameRange(frames, 1, count), FrameRange(frames, 0, count - 1), estimator=estimator)
-    return {
-        "conditional_entropy": both.first_given_second.of(name="H(S_t|S_t-1)"),
-        "mutual_information": both.mutual.of(name="I(S_t;S_t-1)"),
-        "normalised_mutual_information": both.normalised.of(name="NMI(S_t;S_t-1)"),
-        "variation_of_information": both.variation.of(name="VI(S_t,S_t-1)"),
+    both = field_counts(FrameRange(frames, 1, count), FrameRange(frames, 0, count - 1), ("voxel",))["voxel"]
+    found = {
+        "conditional_entropy": conditional_entropy(both, estimator=estimator),
+        "mutual_information": mutual_information(both, estimator=estimator),
+        "normalised_mutual_information": normalised_mutual_information(both, estimator=estimator),
+        "variation_of_information": variation_of_information(both, estimator=estimator),
     }
+    names = ("H(S_t|S_t-1)", "I(S_t;S_t-1)", "NMI(S_t;S_t-1)", "VI(S_t,S_t-1)")
+    return {key: q.of(name=name) for (key, q), name in zip(found.items(), names, strict=True)}
 
 
 def _capacity(
     reference: SymbolFrames,
-    counts: FieldCounts,
+    counts: Counts,
     per_frame: Quantity,
     name: str,
     asked: FieldQuantiserSpec,
@@ -340,20 +346,15 @@ def _capacity(
     quantise = shown.quantiser.fit(shown.medium, shown.device.force_max_n)
     frames = SymbolFrames(shown.medium, quantise)
     voxels = shown.medium.grid.voxel_count
-    told = field_counts(frames, overs=("voxel",))
-    rendered = told.entropy("voxel", spec.estimator).times(voxels, "bit/frame", "H(M(W))")
+    told = field_counts(frames, overs=("voxel",))["voxel"]
+    rendered = entropy(told, estimator=spec.estimator).times(voxels, "bit/frame", "H(M(W))")
     most = codomain_bits(voxels, quantise.alphabet)
     if _same_symbols(reference, frames):
         ratio: Interval | None = Interval(1.0, 1.0, 1.0, "M(W) and W have the same symbols everywhere")
     else:
-        both = shared_counts(
-            (reference, frames),
-            (shown.own_grid, shown.medium.grid),
-            (counts.counts["voxel"].histogram, told.counts["voxel"].histogram),
-        )
-        alphabets = reference.quantiser.alphabet, quantise.alphabet
+        both = shared_counts((reference, frames), (shown.own_grid, shown.medium.grid), (counts, told))
         per_lattice = reference.medium.grid.voxel_count, voxels
-        ratio = None if both is None else paired_ratio(both, per_lattice, alphabets, most, spec.estimator)
+        ratio = None if both is None else paired_ratio(both, per_lattice, most, spec.estimator)
     found = capacity(per_frame, rendered, most, ratio=ratio)
     return found, (*shown.notes, *found.notes, f"its Q is {quantise.words}")
 

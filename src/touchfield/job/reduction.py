@@ -171,7 +171,7 @@ def _modes(given: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any
         "modes": spec.modes,
         "rank": modes.rank,
         "snapshots": modes.count,
-        "values_each": len(modes.mean),
+        "values_each": len(modes.basis),
         "nmse_db_beforehand": 10 * math.log10(max(modes.tail(modes.rank) / modes.energy, 1e-30)),
         "nmse_db": meter.nmse_db,
         "mask_violation_share": meter.mask_violation_share,

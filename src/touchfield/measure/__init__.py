@@ -1,13 +1,11 @@
 """Measures: information (paper section 3, eq. 1 to 3), coding limits, fidelity (eq. 10, the mask), rate (eq. 9).
 
 =====================  ================================================================================
-of probabilities       `distribution`: exact quantities of vectors and joint tables
-of symbols             `entropy`, `joint_entropy`, `conditional_entropy`, `mutual_information`,
-                       `jensen_shannon_distance`, `variation_of_information`,
-                       `normalised_mutual_information`; `Histogram`, `JointHistogram`
-of continuous pairs    `ksg_mutual_information`
-of quantised fields    `field_entropy`, `field_joint`, `interaction_entropy`
-limits to a coder      `coding_limits`, `block_rates`, `context_entropy`, `prequential_code_length`
+counts                 `Counts` of arrays or of given probabilities; `field_counts`, `interaction_counts`
+quantities of them     `entropy`, `joint_entropy`, `conditional_entropy`, `mutual_information`,
+                       `variation_of_information`, `normalised_mutual_information`,
+                       `jensen_shannon_distance`; `field_entropy`, `interaction_entropy`
+limits to a coder      `coding_limits`, `block_rates`, `scan_line_rates`, `context_entropy`
 of a device            `capacity`, `codomain_bits`
 of energy              `passivity`, `curl_n_per_m`, `loop_work_j`
 of two media           `similarity`, `compression_distance`
@@ -18,39 +16,37 @@ of a picture beside    `contact_along_rays`, `picture_correlation`
 A measured result is a `Quantity`: its unit, quantiser, weighting, estimator and interval travel with it.
 """
 
-from touchfield.measure import distribution
-from touchfield.measure.bootstrap import Interval, interval
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits
 from touchfield.measure.context import context_entropy
-from touchfield.measure.correlation import (
-    Contact,
-    Correlation,
-    contact_along_axis,
-    contact_along_rays,
-    picture_correlation,
-)
+from touchfield.measure.counts import Counts
 from touchfield.measure.descriptors import Descriptor, descriptor
 from touchfield.measure.estimators import ESTIMATORS, estimate_bits
-from touchfield.measure.field_information import FieldJoint, field_entropy, field_joint
+from touchfield.measure.field_count import field_counts, field_entropy
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.histogram import Histogram, JointHistogram
 from touchfield.measure.information import (
     conditional_entropy,
     entropy,
     jensen_shannon_distance,
     joint_entropy,
-    ksg_mutual_information,
     mutual_information,
     normalised_mutual_information,
     variation_of_information,
 )
-from touchfield.measure.interaction import interaction_entropy, visits
+from touchfield.measure.interaction import interaction_counts, interaction_entropy, visits
 from touchfield.measure.limits import CodingLimits, block_rates, coding_limits, scan_line_rates
 from touchfield.measure.passivity import Passivity, curl_n_per_m, loop_work_j, passivity
-from touchfield.measure.prequential import prequential_code_length
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity, interval
 from touchfield.measure.retrieval import MediumIndex, chance_average_precision, mean_average_precision
-from touchfield.measure.similarity import Similarity, compression_distance, similarity
+from touchfield.measure.similarity import (
+    Contact,
+    Correlation,
+    Similarity,
+    compression_distance,
+    contact_along_axis,
+    contact_along_rays,
+    picture_correlation,
+    similarity,
+)
 from touchfield.medium.trace import Trace, read_trace
 
 __all__ = [
@@ -59,13 +55,11 @@ __all__ = [
     "CodingLimits",
     "Contact",
     "Correlation",
+    "Counts",
     "Descriptor",
     "FewSamplesWarning",
-    "FieldJoint",
     "FieldSymbols",
-    "Histogram",
     "Interval",
-    "JointHistogram",
     "MediumIndex",
     "Passivity",
     "Quantity",
@@ -83,23 +77,21 @@ __all__ = [
     "context_entropy",
     "curl_n_per_m",
     "descriptor",
-    "distribution",
     "entropy",
     "estimate_bits",
+    "field_counts",
     "field_entropy",
-    "field_joint",
+    "interaction_counts",
     "interaction_entropy",
     "interval",
     "jensen_shannon_distance",
     "joint_entropy",
-    "ksg_mutual_information",
     "loop_work_j",
     "mean_average_precision",
     "mutual_information",
     "normalised_mutual_information",
     "passivity",
     "picture_correlation",
-    "prequential_code_length",
     "read_trace",
     "scan_line_rates",
     "similarity",

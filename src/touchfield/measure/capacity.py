@@ -20,15 +20,15 @@ meaning WMR = 0, HIL = 1 and is allowed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from numbers import Integral
 from typing import Any, Final
 
 from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import Interval, ratio_interval
-from touchfield.measure.estimators import ESTIMATORS, estimate_bits
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.counts import Counts
+from touchfield.measure.estimators import estimate_bits
+from touchfield.measure.quantity import Interval, Quantity, ratio_interval
 
 READINGS: Final = ("realised", "literal")
 
@@ -39,22 +39,10 @@ _ROUNDING: Final = 1e-9
 
 @dataclass(frozen=True)
 class Capacity:
-    """Eq. 1 to 3 for one medium, device and mapping.
+    """Eq. 1 to 3 for one medium, device and mapping, all in bits per frame but for the ratios.
 
-    Attributes
-    ----------
-    reading : str
-        "realised" or "literal".
-    reference : Quantity
-        H(W), bits per frame.
-    rendered : Quantity
-        H(M(W)), bits per frame.
-    codomain_bits : float
-        C_dev, bits per frame.
-    capacity : Quantity
-        C, bits per frame.
-    wmr, hil : Quantity
-        Workspace mapping ratio and haptic information loss; NaN where H(W) = 0.
+    `reading`: "realised" or "literal". `reference`: H(W). `rendered`: H(M(W)). `codomain_bits`: C_dev. `capacity`: C.
+    `wmr`, `hil`: workspace mapping ratio and haptic information loss; NaN where H(W) = 0.
     """
 
     reading: str
@@ -72,29 +60,15 @@ class Capacity:
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        return {
-            "reading": self.reading,
-            "reference": self.reference.summary(),
-            "rendered": self.rendered.summary(),
-            "codomain_bits": self.codomain_bits,
-            "capacity": self.capacity.summary(),
-            "wmr": self.wmr.summary(),
-            "hil": self.hil.summary(),
-            "notes": list(self.notes),
-        }
+        table = {f.name: getattr(self, f.name) for f in fields(self)}
+        plain = {name: v.summary() if isinstance(v, Quantity) else v for name, v in table.items()}
+        return {**plain, "notes": list(self.notes)}
 
 
 def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
-    """C_dev = log2 |codomain| of a device, bits per frame.
+    """C_dev = log2 |codomain| of a device, bits per frame; InvalidArgument if a number is not whole or below 1.
 
-    InvalidArgument if a number is not whole or below 1.
-
-    Parameters
-    ----------
-    samples_per_frame : int
-        Lattice points or actuators, at least 1.
-    alphabet : int
-        Symbols that each of them can be told, "no force" among them, at least 1.
+    `samples_per_frame`: lattice points or actuators. `alphabet`: symbols that each can be told, with "no force".
     """
     for where, count in (("samples_per_frame", samples_per_frame), ("alphabet", alphabet)):
         if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
@@ -111,39 +85,29 @@ def capacity(
 ) -> Capacity:
     """C, WMR and HIL of a mapping M of a medium W into a haptic workspace (paper eq. 1-3).
 
+    `reference`, `rendered`: H(W) and H(M(W)), "bit/frame", of one weighting: of the whole quantised frame, or of a
+    sample times the samples of a frame (`Quantity.times`). `codomain_bits`: C_dev, from the function of this name.
+    `reading`: "realised" (C = H(M(W))) or "literal" (C = C_dev). `ratio`: an interval of H(M(W)) / H(W), resampled
+    together (`paired_ratio`), for the realised reading: WMR then has it, cut at 1, and HIL its mirror image.
+
+    Without it the intervals of the two entropies are carried over by interval arithmetic: min(C / H, 1) rises with C
+    and falls with H, so that its bounds are those of opposite corners, at the level 1 - a - b of Bonferroni. It is
+    wider than need be, since the two estimates come from one medium and err together. That of C is always made so.
+
     InvalidArgument if a unit is not "bit/frame", a number is negative or not finite, the weightings differ, the
     reading is unknown or has no use for `ratio`, or a rendered entropy that cannot be overestimated is above C_dev
     (the codomain is then another's).
-
-    Parameters
-    ----------
-    reference : Quantity
-        H(W), "bit/frame": the entropy of the whole quantised frame, or of a sample times the samples of a frame
-        (`Quantity.times`).
-    rendered : Quantity
-        H(M(W)), "bit/frame", of the same weighting.
-    codomain_bits : float
-        C_dev, bits per frame, from the function `codomain_bits`.
-    reading : str
-        "realised" (theory: C = H(M(W))) or "literal" (C = C_dev).
-
-    ratio : Interval, optional
-        Of H(M(W)) / H(W), resampled together (`paired_ratio`); for the realised reading. WMR then has this interval,
-        cut at 1, and HIL its mirror image.
-
-    Returns
-    -------
-    Capacity
-        Without `ratio` the intervals of the two entropies are carried over by interval arithmetic: min(C / H, 1)
-        rises with C and falls with H, so that its bounds are those of opposite corners. If the two hold with levels
-        1 - a and 1 - b, both hold together with at least 1 - a - b (Bonferroni), which is the level stated. It is
-        wider than need be, since the two estimates come from one medium and err together. The interval of C is
-        always made so.
     """
     if reading not in READINGS:
         raise InvalidArgument("reading", repr(reading), f"one of {', '.join(READINGS)}")
     for where, entropy in (("reference", reference), ("rendered", rendered)):
-        _check_entropy(where, entropy)
+        if entropy.unit != _UNIT:
+            raise InvalidArgument(
+                where, f"{entropy.name} in {entropy.unit}", f"an entropy in {_UNIT}",
+                "A mapping changes the number of samples: multiply by the samples of a frame with Quantity.times.",
+            )  # fmt: skip
+        if not (math.isfinite(entropy.value) and entropy.value >= 0):
+            raise InvalidArgument(where, f"{entropy.name} = {entropy.value}", "a finite entropy, 0 or more")
     if reference.weighting != rendered.weighting:
         raise InvalidArgument(
             "rendered", f"weighting {rendered.weighting}", f"{reference.weighting}, the weighting of the reference"
@@ -164,44 +128,26 @@ def capacity(
 
 
 def paired_ratio(
-    counts: tuple[Int64s, Int64s],
-    voxels: tuple[int, int],
-    alphabets: tuple[int, int],
-    codomain_bits: float,
-    estimator: str = "plug-in",
+    counts: tuple[Counts, Counts], voxels: tuple[int, int], codomain_bits: float, estimator: str = "plug-in"
 ) -> Interval | None:
     """An interval of min(H(M(W)), C_dev) / H(W) from blocks of space that hold the same places of both.
 
-    M(W) is a function of W, so that their estimates err together, which `touchfield.measure.bootstrap.ratio_interval`
-    keeps; its coverage is measured there.
-
-    `counts` (int64 [B, K], int64 [B, K']): of W and of M(W) over voxels, in the same blocks
-    (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): of a frame of W and of M(W). `alphabets`
-    (int, int): the symbols that there can be, for the estimators that use them. `codomain_bits`: C_dev, bits per
-    frame. `estimator`: of both entropies. Returns Interval or None: None where W is a single symbol in all the
+    M(W) is a function of W, so that their estimates err together, which `touchfield.measure.quantity.ratio_interval`
+    keeps; its coverage is measured there. `counts`: of W and of M(W) over voxels, in the same blocks
+    (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): of a frame of W and of M(W).
+    `codomain_bits`: C_dev, bits per frame. `estimator`: of both entropies. None where W is a single symbol in all the
     blocks of a resample.
     """
+    medium, rendered = counts
+    assert medium.blocks is not None and rendered.blocks is not None
 
     def held(c: Int64s) -> float:
-        return voxels[0] * estimate_bits(c, estimator, alphabets[0])
+        return voxels[0] * estimate_bits(c, estimator, medium.alphabet)
 
     def told(c: Int64s) -> float:
-        return min(voxels[1] * estimate_bits(c, estimator, alphabets[1]), codomain_bits)
+        return min(voxels[1] * estimate_bits(c, estimator, rendered.alphabet), codomain_bits)
 
-    corrects_bias = ESTIMATORS[estimator].corrects_bias
-    return ratio_interval(told, held, (counts[1], counts[0]), corrects_bias=corrects_bias)
-
-
-def _check_entropy(where: str, entropy: Quantity) -> None:
-    if entropy.unit != _UNIT:
-        raise InvalidArgument(
-            where,
-            f"{entropy.name} in {entropy.unit}",
-            f"an entropy in {_UNIT}",
-            "A mapping changes the number of samples: multiply by the samples of a frame with Quantity.times.",
-        )
-    if not (math.isfinite(entropy.value) and entropy.value >= 0):
-        raise InvalidArgument(where, f"{entropy.name} = {entropy.value}", "a finite entropy, 0 or more")
+    return ratio_interval(told, held, (rendered.blocks, medium.blocks), corrects_bias=estimator != "plug-in")
 
 
 def _of(
@@ -210,7 +156,18 @@ def _of(
     told = rendered.value if reading == "realised" else device_bits
     bits = min(told, device_bits, reference.value)
     notes = _guards(reference, rendered, device_bits, reading)
-    base = _base(reference, rendered, notes)
+    q, e = ({getattr(x, of) for x in (reference, rendered)} for of in ("quantiser", "estimator"))
+    base = Quantity(
+        "C",
+        0.0,
+        "1",
+        quantiser=reference.quantiser if len(q) == 1 else f"W: {reference.quantiser}; M(W): {rendered.quantiser}",
+        weighting=reference.weighting,
+        estimator=reference.estimator if len(e) == 1 else f"W: {reference.estimator}; M(W): {rendered.estimator}",
+        samples=rendered.samples,
+        symbols=rendered.symbols,
+        notes=notes,
+    )
     spread = _spread(reference, rendered if reading == "realised" else None, device_bits)
     c = base.of(name="C", value=bits, unit=_UNIT, interval=None if spread is None else spread[0])
     if reference.value == 0:
@@ -223,7 +180,9 @@ def _of(
         low, high = min(paired.low, ratio), min(max(paired.high, ratio), 1.0)
         of_ratio = Interval(low, high, paired.level, paired.method)
     wmr = base.of(name="WMR", value=ratio, interval=of_ratio)
-    hil = base.of(name="HIL", value=loss, interval=None if of_ratio is None else _mirrored(of_ratio))
+    i = of_ratio  # HIL = 1 - WMR
+    mirrored = None if i is None else Interval(1.0 - i.high, 1.0 - i.low, i.level, i.method)
+    hil = base.of(name="HIL", value=loss, interval=mirrored)
     return Capacity(reading, reference, rendered, device_bits, c, wmr, hil)
 
 
@@ -245,22 +204,6 @@ def _guards(reference: Quantity, rendered: Quantity, device_bits: float, reading
     if reference.estimator != rendered.estimator:
         notes.append(f"two estimators: {reference.estimator} for H(W), {rendered.estimator} for H(M(W))")
     return tuple(notes)
-
-
-def _base(reference: Quantity, rendered: Quantity, notes: tuple[str, ...]) -> Quantity:
-    """The base that C, WMR and HIL share."""
-    q, e = {reference.quantiser, rendered.quantiser}, {reference.estimator, rendered.estimator}
-    return Quantity(
-        "C",
-        0.0,
-        "1",
-        quantiser=reference.quantiser if len(q) == 1 else f"W: {reference.quantiser}; M(W): {rendered.quantiser}",
-        weighting=reference.weighting,
-        estimator=reference.estimator if len(e) == 1 else f"W: {reference.estimator}; M(W): {rendered.estimator}",
-        samples=rendered.samples,
-        symbols=rendered.symbols,
-        notes=notes,
-    )
 
 
 def _spread(reference: Quantity, rendered: Quantity | None, device_bits: float) -> tuple[Interval, Interval] | None:
@@ -288,8 +231,3 @@ def _range(entropy: Quantity) -> tuple[float, float]:
     if i is None:
         return entropy.value, entropy.value
     return max(0.0, min(i.low, entropy.value)), max(i.high, entropy.value)
-
-
-def _mirrored(ratio: Interval) -> Interval:
-    """HIL = 1 - WMR."""
-    return Interval(1.0 - ratio.high, 1.0 - ratio.low, ratio.level, ratio.method)

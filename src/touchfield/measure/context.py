@@ -12,50 +12,139 @@ axes       3          one before along each axis
 corner     7          all of {-1, 0}^3 but the voxel itself
 ========== ========== ==========================================================
 
-and each may take in the co-located voxel of the previous frame. For arrays of fewer axes, the missing ones are empty;
-a field of one sample along z is such an array (`scan_order`), and its "previous" lies along its last longer axis.
-The estimate is H(S, c) - H(c) over one exact count, so that with the plug-in H(S | c) falls as c grows, whatever the
-data. The same law makes it *too low*: contexts dilute, and a context seen once costs nothing. `ContextEntropy` says
-how diluted it is; what a coder can surely reach is in `prequential`.
+and each may take in the co-located voxel of the previous frame. What lies outside the grid, and before the first
+frame, is symbol 0, so that all quantities are over the same voxels; a field of one sample along z is scanned along
+its last longer axis (`scan_order`). The estimate is H(S, c) - H(c) over one exact count, so that with the plug-in
+H(S | c) falls as c grows, whatever the data. The same law makes it *too low*: contexts dilute, and a context seen
+once costs nothing. `ContextEntropy` says how diluted it is.
 """
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Int64s
+from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.causal import (
-    CellCounter,
-    array_frames,
-    array_of,
-    boxes_of,
-    extents_of,
-    frames_of,
-    haloed,
-    reached_bricks,
-    scan_relabelled,
-)
 from touchfield.measure.estimators import estimate_bits
+from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
-from touchfield.medium.field import slots_around
-
-if TYPE_CHECKING:
-    from touchfield.measure.field_symbols import FieldSymbols
-
+from touchfield.medium.budget import memory_budget_bytes
+from touchfield.medium.field import brick_keys, slots_around
+from touchfield.medium.grid import BRICK, Grid
 
 NEIGHBOURHOODS: Final = {"none": 0, "previous": 1, "axes": 3, "corner": 7}
 """Names, and how many causal neighbours each takes."""
 
 _SYMBOL, _PREVIOUS_FRAME = 0, 8  # columns of a row
 _BRICKS_AT_ONCE = 1024
-_VOXELS_AT_ONCE = 1 << 16
+_FIRST_KEYS = 1 << 12
+_MOST_KEYS = 1 << 30
 _NO_FRAME = np.zeros((0, 8, 8, 8), np.int32)
+
+
+class CellCounter:
+    """Counts rows of `columns` symbols of `bits` bits, at most 32, packed as the kernels pack them.
+
+    `zeros` counts the rows of nothing but 0, which are added in closed form.
+    """
+
+    def __init__(self, columns: int, bits: int) -> None:
+        self.columns, self.bits = columns, bits
+        self._per_word = 64 // bits
+        self.words = -(-columns // self._per_word)
+        self.zeros = 0
+        self._used = 0
+        self._allocate(_FIRST_KEYS)
+
+    def _allocate(self, size: int) -> None:
+        needed = size * (8 * self.words + 16)
+        if size > _MOST_KEYS or needed > memory_budget_bytes() // 2:
+            raise InvalidArgument(
+                "joint cells", f"more than {size // 2} different ones", f"up to {memory_budget_bytes() // 2} bytes",
+                "Give fewer frames or a coarser quantiser, or set TOUCHFIELD_MEMORY_GIB.",
+            )  # fmt: skip
+        self._slots = np.full(2 * size, -1, np.int32)
+        self._keys = np.zeros((size, self.words), np.uint64)
+        self._counts = np.zeros(size, np.int64)
+
+    def add(self, rows: NDArray[np.uint64], weights: Int64s | None = None) -> None:
+        """Count rows, uint64 [n, words], none of them all 0, each once or as often as its weight says."""
+        from touchfield.measure.kernels import insert
+
+        times = np.zeros(0, np.int64) if weights is None else weights
+        done = 0
+        while True:
+            done, self._used = insert(rows, times, done, self._slots, self._keys, self._counts, self._used)
+            if done == len(rows):
+                return
+            keys, counts = self._keys[: self._used], self._counts[: self._used]
+            self._allocate(2 * len(self._keys))
+            _, self._used = insert(keys, counts, 0, self._slots, self._keys, self._counts, 0)
+
+    @property
+    def samples(self) -> int:
+        """n, the rows counted."""
+        return int(self._counts[: self._used].sum()) + self.zeros
+
+    def counts(self) -> Int64s:
+        """How often each cell was counted, int64 [K], that of nothing but 0 last, if it was."""
+        counts = self._counts[: self._used]
+        return np.append(counts, self.zeros) if self.zeros else counts.copy()
+
+    def marginal(self, columns: tuple[int, ...]) -> CellCounter:
+        """The counter of some columns alone; the others read 0."""
+        mask = np.zeros(self.words, np.uint64)
+        for c in columns:
+            mask[c // self._per_word] |= np.uint64(((1 << self.bits) - 1) << (c % self._per_word * self.bits))
+        out = CellCounter(self.columns, self.bits)
+        rows, weights = self._keys[: self._used] & mask, self._counts[: self._used]
+        empty = ~rows.any(axis=1)
+        out.add(rows[~empty], weights[~empty])
+        out.zeros = self.zeros + int(weights[empty].sum())
+        return out
+
+
+def scan_order(grid: Grid) -> tuple[int, int, int]:
+    """The axes of a grid from the slowest to the fastest of its raster; the scan lines run along the last.
+
+    x, y, z; but where z has a single sample, axes of a single sample come first, as in an array without them: the
+    medium of a flat array of actuators is scanned along y, that of a row of them along x.
+    """
+    if grid.shape[2] > 1:
+        return 0, 1, 2
+    x, y, z = sorted(range(3), key=lambda axis: grid.shape[axis] > 1)  # stable
+    return x, y, z
+
+
+def scan_relabelled(frame: FieldSymbols) -> FieldSymbols:
+    """A frame with its axes in `scan_order`, named x, y, z anew; exact, since axes are only labels of the symbols."""
+    order = scan_order(frame.grid)
+    if order == (0, 1, 2):
+        return frame
+    x, y, z = order
+    shape, spacing, origin = (
+        (v[x], v[y], v[z]) for v in (frame.grid.shape, frame.grid.spacing_m, frame.grid.origin_m)
+    )
+    grid = Grid(shape, spacing, origin)  # type: ignore[arg-type]
+    bricks = np.ascontiguousarray(frame.bricks[:, order])
+    raster = np.argsort(brick_keys(grid, bricks))
+    symbols = frame.symbols[raster].transpose(0, 1 + x, 1 + y, 1 + z)
+    return FieldSymbols(grid, bricks[raster], symbols, frame.alphabet, frame.quantiser)
+
+
+def _reached_bricks(frame: FieldSymbols, previous: FieldSymbols | None) -> Int32s:
+    """The bricks outside which a voxel, its causal neighbours and its predecessor are all 0, int32 [n, 3]."""
+    held = frame.bricks[frame.symbols.any(axis=(1, 2, 3))]
+    there = (held[:, None] + np.array(list(np.ndindex(2, 2, 2)), np.int32)).reshape(-1, 3)
+    if previous is not None:
+        there = np.concatenate([there, previous.bricks])
+    keys = np.unique(brick_keys(frame.grid, there[(there < frame.grid.brick_shape).all(axis=1)]))
+    return np.stack(np.unravel_index(keys, frame.grid.brick_shape), axis=1).astype(np.int32)
 
 
 @dataclass(frozen=True)
@@ -78,80 +167,42 @@ class ContextEntropy:
     informed: int
     once: int
 
-    def of(self, quantiser: str, weighting: str) -> ContextEntropy:
-        """The same with Q and mu, which only the caller knows."""
-        return replace(
-            self,
-            per_voxel=self.per_voxel.of(quantiser=quantiser, weighting=weighting),
-            per_supported=self.per_supported.of(quantiser=quantiser, weighting=weighting),
-        )
-
     @property
     def is_diluted(self) -> bool:
         """Fewer than ten informed voxels to a cell: the plug-in is far below the truth."""
         return self.informed < 10 * self.cells
-
-    def summary(self) -> dict[str, Any]:
-        """Plain values under stable keys."""
-        return {
-            "neighbourhood": self.neighbourhood,
-            "previous_frame": self.previous_frame,
-            "per_voxel": self.per_voxel.summary(),
-            "per_supported": self.per_supported.summary(),
-            "contexts": self.contexts,
-            "cells": self.cells,
-            "informed": self.informed,
-            "once": self.once,
-            "diluted": self.is_diluted,
-        }
 
 
 class ContextCounter:
     """Counts voxels with the widest context, frame after frame; every narrower one is a marginal of that count.
 
     Memory beyond the frames grows with the different cells that are there (see `CellCounter`), never with the
-    lattice or the array: bricks, and boxes of an array, are looked at some at a time.
-
-    `alphabet`: symbols are below it. `previous_frame`: whether to count the co-located voxel of the previous frame,
-    too.
+    lattice. `alphabet`: symbols are below it. `previous_frame`: whether to count the co-located voxel of the
+    previous frame, too.
     """
 
-    def __init__(self, alphabet: int, *, previous_frame: bool) -> None:
+    def __init__(self, alphabet: int, quantiser: str, *, previous_frame: bool) -> None:
         self._bits = max(1, (alphabet - 1).bit_length())
         self._cells = CellCounter(9 if previous_frame else 8, self._bits)
-        self._previous_frame = previous_frame
+        self._previous_frame, self._quantiser = previous_frame, quantiser
 
-    def add_field(self, frame: FieldSymbols, previous: FieldSymbols | None) -> None:
-        """Count the voxels of a sparse frame; space away from its bricks in closed form."""
-        from touchfield.measure.kernels.context import field_rows
+    def add(self, frame: FieldSymbols, previous: FieldSymbols | None) -> None:
+        """Count the voxels of a frame; space away from its bricks in closed form."""
+        from touchfield.measure.kernels import field_rows
 
-        before = previous if self._previous_frame else None
-        bricks = reached_bricks(frame.grid, frame, before)
+        grid, before = frame.grid, previous if self._previous_frame else None
+        bricks = _reached_bricks(frame, before)
         old_bricks = bricks[:0] if before is None else before.bricks
         symbols = (np.array(frame.symbols), _NO_FRAME if before is None else np.array(before.symbols))
         counted = 0
         for start in range(0, len(bricks), _BRICKS_AT_ONCE):
             part = bricks[start : start + _BRICKS_AT_ONCE]
-            slots = (
-                slots_around(part, frame.bricks, frame.grid.brick_shape),
-                slots_around(part, old_bricks, frame.grid.brick_shape),
-            )
-            rows = field_rows(slots, symbols, extents_of(frame.grid, part), self._cells.columns, self._bits)
+            slots = tuple(slots_around(part, b, grid.brick_shape, 14) for b in (frame.bricks, old_bricks))
+            extents = np.clip(np.asarray(grid.shape) - part.astype(np.int64) * BRICK, 0, BRICK)
+            rows = field_rows((slots[0], slots[1]), symbols, extents, self._cells.columns, self._bits)
             self._cells.add(rows)
             counted += len(rows)
-        self._cells.add_zeros(frame.voxel_count - counted)
-
-    def add_array(self, frame: NDArray[Any], previous: NDArray[Any] | None) -> None:
-        """Count the voxels of a dense frame, int [nx, ny, nz], box after box."""
-        from touchfield.measure.kernels.context import REACH, block_rows
-
-        for box in boxes_of(frame.shape, _VOXELS_AT_ONCE):
-            now = haloed(frame, box, REACH, 0)
-            old = np.zeros_like(now) if previous is None else haloed(previous, box, REACH, 0)
-            nx, ny, nz = (n - REACH for n in now.shape)
-            rows = block_rows(now, old, (nx, ny, nz), self._cells.columns, self._bits)
-            self._cells.add(rows)
-            self._cells.add_zeros(nx * ny * nz - len(rows))
+        self._cells.zeros += frame.voxel_count - counted
 
     def symbol_counts(self) -> tuple[Int64s, int]:
         """How often each symbol but 0 was counted, int64 [K], and how often 0."""
@@ -162,15 +213,9 @@ class ContextCounter:
     def result(
         self, neighbourhood: str, *, previous_frame: bool = False, estimator: str = "plug-in"
     ) -> ContextEntropy:
-        """H(S | c) of what was counted.
-
-        InvalidArgument if the neighbourhood or the estimator is unknown, or the previous frame was not counted.
-        """
-        if neighbourhood not in NEIGHBOURHOODS:
-            raise InvalidArgument("neighbourhood", repr(neighbourhood), f"one of {', '.join(NEIGHBOURHOODS)}")
-        if previous_frame and not self._previous_frame:
-            raise InvalidArgument("previous_frame", "True", "a medium with frames, as FieldSymbols or [t, x, y, z]")
-        known = tuple(range(1, 1 + NEIGHBOURHOODS[neighbourhood])) + (_PREVIOUS_FRAME,) * previous_frame
+        """H(S | c) of what was counted; InvalidArgument if the estimator is unknown."""
+        neighbours = NEIGHBOURHOODS[neighbourhood]
+        known = tuple(range(1, 1 + neighbours)) + (_PREVIOUS_FRAME,) * previous_frame
         joint = self._cells.marginal((_SYMBOL, *known))
         cells = joint.counts()
         contexts = joint.marginal(known).counts()
@@ -183,90 +228,44 @@ class ContextCounter:
             bits = max(0.0, bits)  # below only by rounding
         elif bits < 0:
             notes.append("negative by the correction of its bias")
-        name = _name(NEIGHBOURHOODS[neighbourhood], previous_frame)
+        given = [f"{neighbours} neighbour{'s' * (neighbours > 1)}"] * (neighbours > 0)
+        given += ["previous frame"] * previous_frame
+        name = f"H(S|{', '.join(given)})" if given else "H(S)"
         quantity = Quantity(
-            name, bits, "bit/sample", weighting="voxel", estimator=estimator,
-            samples=joint.samples, symbols=len(cells), notes=tuple(notes),
+            name, bits, "bit/sample", self._quantiser, "voxel", estimator, joint.samples, len(cells), None,
+            tuple(notes),
         )  # fmt: skip
-        supported = per_supported(quantity, joint.samples, int(self.symbol_counts()[0].sum()))
+        count, unit = int(self.symbol_counts()[0].sum()), "bit/supported voxel"
+        if count:
+            supported = quantity.times(joint.samples / count, unit)
+        else:
+            supported = quantity.of(value=float("nan"), unit=unit, notes=(*notes, "no voxel is supported"))
         once = int((cells == 1).sum())
         return ContextEntropy(
             neighbourhood, previous_frame, quantity, supported, len(contexts), len(cells), informed, once
         )
 
 
-def _name(neighbours: int, previous_frame: bool) -> str:
-    given = [f"{neighbours} neighbour{'s' * (neighbours > 1)}"] * (neighbours > 0)
-    given += ["previous frame"] * previous_frame
-    return f"H(S|{', '.join(given)})" if given else "H(S)"
-
-
-def per_supported(quantity: Quantity, samples: int, supported: int) -> Quantity:
-    """Bits a sample as bits a supported voxel; NaN with a note where no voxel is supported."""
-    unit = "bit/supported voxel"
-    if supported:
-        return quantity.times(samples / supported, unit)
-    return quantity.of(value=float("nan"), unit=unit, notes=(*quantity.notes, "no voxel is supported"))
-
-
 def context_entropy(
-    frames: Any, neighbourhood: str = "axes", *, previous_frame: bool = False, estimator: str = "plug-in"
+    frames: Fields, neighbourhood: str = "axes", *, previous_frame: bool = False, estimator: str = "plug-in"
 ) -> ContextEntropy:
     """H(S | c) of symbols, bits a voxel.
 
-    InvalidArgument for values that are not symbols, an unknown name, or a previous frame of a single array.
-    FewSamplesWarning if there are fewer than ten informed voxels to a cell.
-
-    Parameters
-    ----------
-    frames : int array of 1 to 4 dimensions, FieldSymbols, or an iterable of FieldSymbols
-        Symbols from 0 (no force) on; the first of four axes is time.
-    neighbourhood : {"none", "previous", "axes", "corner"}
-        0, 1, 3 or 7 causal neighbours (1, 2 and 3 of a picture, 1 of a sequence).
-    previous_frame : bool
-        Whether to condition on the co-located voxel of the previous frame; before the first there is only 0.
-    estimator : str
-        Of both entropies, one of `ESTIMATORS`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> context_entropy(np.arange(10_000) % 2, "previous").per_voxel.value < 0.002
-    True
+    `frames`: FieldSymbols or a sequence of them, looked at once, in order; `FieldSymbols.from_dense` makes one of an
+    array. `neighbourhood`: "none", "previous", "axes" or "corner", 0, 1, 3 or 7 causal neighbours (1, 2 and 3 of a
+    picture, 1 of a sequence). `previous_frame`: whether to condition on the co-located voxel of the previous frame;
+    before the first there is only 0. `estimator`: of both entropies. InvalidArgument for frames that do not match, or
+    an unknown name. FewSamplesWarning if there are fewer than ten informed voxels to a cell.
     """
-    if neighbourhood not in NEIGHBOURHOODS:  # before the work, and not after it
+    if neighbourhood not in NEIGHBOURHOODS:
         raise InvalidArgument("neighbourhood", repr(neighbourhood), f"one of {', '.join(NEIGHBOURHOODS)}")
-    x = array_of("frames", frames)
-    if x is not None:
-        found = _counted_array(x, previous_frame).result(
-            neighbourhood, previous_frame=previous_frame, estimator=estimator
-        )
-        found = found.of("as given", "samples")
-    else:
-        counter, quantiser = _counted_fields(frames, previous_frame)
-        found = counter.result(neighbourhood, previous_frame=previous_frame, estimator=estimator)
-        found = found.of(quantiser, "voxel")
+    counter, before = None, None
+    for frame in map(scan_relabelled, Frames(frames, "frames")):
+        counter = counter or ContextCounter(frame.alphabet, frame.quantiser, previous_frame=previous_frame)
+        counter.add(frame, before)
+        before = frame
+    assert counter is not None  # Frames refuses none
+    found = counter.result(neighbourhood, previous_frame=previous_frame, estimator=estimator)
     if found.is_diluted:
         warnings.warn(f"{found.per_voxel.name}: {found.per_voxel.notes[1]}", FewSamplesWarning, stacklevel=2)
     return found
-
-
-def _counted_array(x: NDArray[Any], previous_frame: bool) -> ContextCounter:
-    if previous_frame and x.ndim != 4:
-        raise InvalidArgument("previous_frame", f"True with an array of shape {x.shape}", "four axes, time first")
-    counter = ContextCounter(int(x.max()) + 1, previous_frame=previous_frame)
-    before = None
-    for frame in array_frames(x):
-        counter.add_array(frame, before)
-        before = frame
-    return counter
-
-
-def _counted_fields(frames: Any, previous_frame: bool) -> tuple[ContextCounter, str]:
-    counter, before = None, None
-    for frame in map(scan_relabelled, frames_of(frames)):
-        counter = counter or ContextCounter(frame.alphabet, previous_frame=previous_frame)
-        counter.add_field(frame, before)
-        before = frame
-    assert counter is not None and before is not None  # frames_of refuses none
-    return counter, before.quantiser

@@ -143,9 +143,6 @@ def icosahedral_directions() -> Float64s:
     return ordered
 
 
-# -- levels of an octree around the support: how full, and how varied
-
-
 LEVELS: Final = 5
 """The finest level has 32 cells along each axis."""
 
@@ -180,9 +177,6 @@ def octree_levels(
         fractions[level - 1] = len(held) / cells**3
         entropies[level - 1] = entropy_bits(np.append(counts, cells**3 - len(held)))
     return fractions, entropies
-
-
-# -- the descriptor
 
 
 DESCRIPTOR_VERSION: Final = 1
@@ -221,12 +215,7 @@ _MOST_JSON = 1 << 16
 class Descriptor:
     """An entry of an index; see the module.
 
-    InvalidArgument if the length is another, or a number is not within 0 .. 1.
-
-    Parameters
-    ----------
-    values : float64 [83]
-        All parts one after the other, each number from 0 to 1.
+    `values` float64 [83]: all parts one after the other, each number from 0 to 1. InvalidArgument for others.
     """
 
     values: Float64s
@@ -235,9 +224,8 @@ class Descriptor:
         try:
             values = np.array(self.values, np.float64)
         except (TypeError, ValueError) as error:
-            raise InvalidArgument(
-                "descriptor", "what is no list of numbers", f"{DESCRIPTOR_LENGTH} numbers"
-            ) from error
+            found = "what is no list of numbers"
+            raise InvalidArgument("descriptor", found, f"{DESCRIPTOR_LENGTH} numbers") from error
         if values.shape != (DESCRIPTOR_LENGTH,):
             raise InvalidArgument("descriptor", f"shape {values.shape}", f"({DESCRIPTOR_LENGTH},)")
         if not ((values >= 0) & (values <= 1)).all():
@@ -292,16 +280,10 @@ def part_slots() -> Iterator[tuple[str, slice]]:
 
 
 def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor:
-    """Describe a medium for an index.
+    """Describe a medium for an index; a field is a medium that stands still.
 
+    `frames`: how many are looked at, at most; each with the one 1/30 s later, as long as there is one.
     InvalidArgument if none of these frames holds a force of 0.05 N, or `frames` is below 1.
-
-    Parameters
-    ----------
-    medium : HapticMedium or ForceField
-        A field is a medium that stands still.
-    frames : int
-        How many frames are looked at, at most; each with the one 1/30 s later, as long as there is one.
     """
     if frames < 1:
         raise InvalidArgument("frames", f"{frames}", "1 or more")

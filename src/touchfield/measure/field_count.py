@@ -1,29 +1,40 @@
-"""Counting the symbols of quantised frames, over all voxels and over the object, in as few passes as can be.
+"""Counting the symbols of quantised frames, over all voxels and over the object (paper section 3.1, tables 1 and 2).
 
-The first pass makes the histogram, the second the blocks of a bootstrap, which need to know the symbols that occur.
-Over voxels alone one pass makes both, where a table of all symbols that there can be holds every block. The object's
-histogram is that of the voxels without symbol 0, so that both are counted together as fast as one.
+The paper never says what is drawn at random. Here it is S = Q(F(X)), X uniform over all V voxels of all frames
+("voxel", empty space being symbol 0), or over those where Q(F) is not zero ("object"), or as often as a probe was
+there ("interaction", `touchfield.measure.interaction`). The first two obey H_voxel = h2(p) + p H_object, p being the
+density of the support: that identity is what the paper calls "artificially escalated". It holds exactly for the
+plug-in estimates; others are corrected apart from each other, and obey it only as n grows. Empty space that no brick
+covers is counted and never allocated.
 
-Blocks hold all frames of a part of space: over "voxel" boxes of bricks that fill the lattice, over "object" equal
-numbers of neighbouring bricks of the support.
+Frames may be a lazy sequence; none is held once it is counted. The first pass counts, the second makes the blocks of
+a bootstrap, which need to know the symbols that occur; over voxels alone one pass makes both, where a table of all
+symbols that there can be holds every block. The object's counts are those of the voxels without symbol 0. Blocks hold
+all frames of a part of space: over "voxel" boxes of bricks that fill the lattice, over "object" equal numbers of
+neighbouring bricks of the support.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
+from touchfield.measure.counts import LEAST_BLOCKS, MOST_BLOCK_CELLS, Counts
 from touchfield.measure.field_symbols import Fields, FramePairs, Frames, frames_changed
-from touchfield.measure.histogram import LEAST_BLOCKS, MOST_BLOCK_CELLS, Histogram
-from touchfield.measure.quantity import Counted
+from touchfield.measure.information import entropy
+from touchfield.measure.quantity import Quantity
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
+
+BLOCKS = 27
+"""Three along each side of a cube: fewer, larger blocks cover more of what neighbours share, see `bootstrap`."""
 
 # -- parts of space for a block bootstrap: boxes of a lattice, or groups of bricks of the support
 
@@ -124,80 +135,130 @@ class BrickBoxes:
 # -- counting
 
 
-@dataclass(frozen=True)
-class SymbolCount:
-    """Counts over one weighting.
+def field_entropy(
+    fields: Fields,
+    over: str = "voxel",
+    *,
+    estimator: str = "plug-in",
+    interval: bool = True,
+    blocks: int = BLOCKS,
+) -> Quantity:
+    """H(S) of a quantised field, bits a sample: a voxel, or a voxel of the support.
 
-    `histogram`: of all frames; without any symbol over an object that there is none of. `blocks` int64 [B, K] or
-    None: its counts in each part of space. `notes` tuple of str: why there are no blocks, where they were wanted.
+    `fields`: FieldSymbols or a sequence of them, all of one grid and one Q. `over`: mu, "voxel" for all voxels or
+    "object" for those whose symbol is not 0; over visits there is `interaction_entropy`. `blocks`: of the bootstrap,
+    8 or more; about as many are made. InvalidArgument as of `field_counts`, and if over "object" there is no support.
     """
-
-    histogram: Histogram
-    blocks: Int64s | None
-    notes: tuple[str, ...] = ()
-
-    def counted(self, estimator: str, quantiser: str, over: str, *, interval: bool = True) -> Counted:
-        """The counts with what they are of."""
-        h, blocks, notes = self.histogram, self.blocks, self.notes
-        if not interval:
-            blocks, notes = None, ()
-        return Counted(h.counts, blocks, h.total, estimator, quantiser, over, notes)
+    found = supported(field_counts(fields, overs=(over,), interval=interval, blocks=blocks)[over])
+    return entropy(found, estimator=estimator, interval=interval)
 
 
-def count_symbols(
-    frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, blocks: int
-) -> Mapping[str, SymbolCount]:
-    """Count all frames over each weighting of `overs`.
+def field_counts(
+    first: Fields,
+    second: Fields | None = None,
+    overs: tuple[str, ...] = ("voxel", "object"),
+    *,
+    interval: bool = True,
+    blocks: int = BLOCKS,
+) -> dict[str, Counts]:
+    """The symbols of all frames over each weighting of `overs`, or the joint symbols of two media, voxel by voxel.
 
-    `interval`: whether blocks are wanted. `blocks`: how many; 8 or more. InvalidArgument if there are 2^63 voxels
-    or more, or the frames change from one pass to the next.
+    Over the object there are no cells if there is none. InvalidArgument if the frames differ in grid or Q, or from
+    one pass to the next, or the two media in grid or length; a weighting is unknown; there are 2^63 voxels or more.
+
+    Parameters
+    ----------
+    first, second : FieldSymbols, or sequences of as many
+        S and T, of one grid; their quantisers may differ. Sequences may make their frames when asked for them: they
+        are asked for one by one, in order, the second's before the first's, and none is held longer than it is
+        counted. Each is asked for once without an interval, and over "voxel" alone if `blocks` times the alphabet is
+        at most 2^24; twice otherwise.
+    overs : tuple of "voxel" and "object"
+        All voxels; those whose symbol is not 0, of two media those where one of the two has a force.
+    interval : bool
+        Whether blocks are wanted.
+    blocks : int
+        How many; 8 or more.
     """
-    everywhere = frames.grid.voxel_count * frames.count
-    if everywhere >= 1 << 63:
-        raise InvalidArgument("fields", f"{everywhere} voxels in all frames", "fewer than 2^63")
-    if overs == ("voxel",) and interval and blocks * frames.alphabet <= MOST_BLOCK_CELLS:
-        boxes = BrickBoxes.of(frames.grid, blocks)
-        if boxes.count >= LEAST_BLOCKS:
-            return {"voxel": _in_one_pass(frames, boxes)}
-    held, support = _held_symbols(frames, interval and "object" in overs)
-    histograms = {"voxel": held.plus(0, everywhere - held.total), "object": held}
-    if not interval:
-        return {over: SymbolCount(histograms[over], None) for over in overs}
-    parts: dict[str, BrickBoxes | BrickGroups] = {}
-    for over in overs:
-        most = min(blocks, MOST_BLOCK_CELLS // max(1, len(histograms[over].counts)))
-        part = BrickGroups.of(frames.grid, support, most) if over == "object" else BrickBoxes.of(frames.grid, most)
-        if min(most, part.count) >= LEAST_BLOCKS:
-            parts[over] = part
-    found = _held_by_part(frames, held, parts)
-    few = f"no interval: fewer than {LEAST_BLOCKS} blocks, for there are too few bricks or too many symbols"
-    counts = {}
-    for over in overs:
-        made = found.get(over)
-        if made is not None and len(histograms[over].counts) > len(held.counts):  # symbol 0, of all that is not held
-            part = parts[over]
-            assert isinstance(part, BrickBoxes)
-            empty = part.voxels(frames.grid) * frames.count - made.sum(axis=1)
-            made = np.concatenate([empty[:, None], made], axis=1)
-        if made is not None and not np.array_equal(made.sum(axis=0), histograms[over].counts):
-            raise frames_changed()
-        counts[over] = SymbolCount(histograms[over], made, () if made is not None else (few,))
+    if not overs or any(over not in ("voxel", "object") for over in overs):
+        raise InvalidArgument("over", repr(overs), '"voxel" or "object"')
+    if interval and blocks < LEAST_BLOCKS:
+        raise InvalidArgument("blocks", f"{blocks}", f"{LEAST_BLOCKS} or more", "Give interval=False for none.")
+    if second is None:
+        return _count(Frames(first, "fields"), overs, interval, blocks)
+    a, b = Frames(first, "first"), Frames(second, "second")
+    if a.count != b.count:
+        raise InvalidArgument("second", f"{b.count} frames", f"{a.count}, as many as the first")
+    if a.grid != b.grid:
+        raise InvalidArgument("second", f"the grid {b.grid}", f"{a.grid}, as of the first")
+    found = _count(FramePairs(a, b), overs, interval, blocks)
+    pairs = {over: np.stack(np.divmod(c.cells[:, 0], b.alphabet), axis=1) for over, c in found.items()}
+    return {over: replace(c, cells=pairs[over]) for over, c in found.items()}
+
+
+def supported(counts: Counts) -> Counts:
+    """The counts; InvalidArgument if they are of an object that there is none of."""
+    if not len(counts.cells):
+        raise InvalidArgument(
+            "fields", "no voxel with a force in any frame", "a support to be uniform over", 'Take over="voxel".'
+        )
     return counts
 
 
-def no_support(frame_count: int) -> InvalidArgument:
-    """The error of an object that there is none of."""
-    return InvalidArgument(
-        "fields",
-        f"no voxel with a force in {frame_count} frames",
-        "a support to be uniform over",
-        'Take over="voxel".',
-    )
+def _count(frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, blocks: int) -> dict[str, Counts]:
+    everywhere = frames.grid.voxel_count * frames.count
+    if everywhere >= 1 << 63:
+        raise InvalidArgument("fields", f"{everywhere} voxels in all frames", "fewer than 2^63")
+    of = partial(Counts, quantiser=frames.quantiser, variables=("S", "T"))
+    if overs == ("voxel",) and interval and blocks * frames.alphabet <= MOST_BLOCK_CELLS:
+        boxes = BrickBoxes.of(frames.grid, blocks)
+        if boxes.count >= LEAST_BLOCKS:
+            seen, table = _in_one_pass(frames, boxes)
+            return {"voxel": of(seen[:, None], table.sum(axis=0), table, weighting="voxel", alphabet=frames.alphabet)}
+    held, support = _held_symbols(frames, interval and "object" in overs)
+    symbols, weights = held.cells[:, 0], np.asarray(held.weights, np.int64)
+    tallies = {"object": (symbols, weights), "voxel": (symbols, weights)}
+    if empty_count := everywhere - held.total:
+        tallies["voxel"] = np.append(0, symbols), np.append(empty_count, weights)
+    parts: dict[str, BrickBoxes | BrickGroups] = {}
+    for over in overs if interval else ():
+        most = min(blocks, MOST_BLOCK_CELLS // max(1, len(tallies[over][0])))
+        part = BrickGroups.of(frames.grid, support, most) if over == "object" else BrickBoxes.of(frames.grid, most)
+        if min(most, part.count) >= LEAST_BLOCKS:
+            parts[over] = part
+    found = _held_by_part(frames, symbols, parts)
+    few = f"no interval: fewer than {LEAST_BLOCKS} blocks, for there are too few bricks or too many symbols"
+    counts = {}
+    for over in overs:
+        made, (seen, times) = found.get(over), tallies[over]
+        if made is not None:
+            made = _with_empty(frames, made, parts[over], frames.grid, times)
+        alphabet = frames.alphabet - (over == "object")
+        notes = (few,) if interval and made is None else ()
+        counts[over] = of(seen[:, None], times, made, weighting=over, alphabet=alphabet, notes=notes)
+    return counts
 
 
-def _in_one_pass(frames: Frames | FramePairs, boxes: BrickBoxes) -> SymbolCount:
-    """The histogram and the blocks over "voxel", by a table of all symbols that there can be."""
-    from touchfield.measure.kernels.count import add_counts
+def _with_empty(
+    frames: Frames | FramePairs,
+    held: Int64s,
+    part: BrickBoxes | BrickGroups | SharedBoxes,
+    grid: Grid,
+    counts: Int64s,
+) -> Int64s:
+    """The counts of each part with those of symbol 0 before them, where `counts` of all parts have it."""
+    if len(counts) > held.shape[1]:
+        assert not isinstance(part, BrickGroups)
+        empty = part.voxels(grid) * frames.count - held.sum(axis=1)
+        held = np.concatenate([empty[:, None], held], axis=1)
+    if not np.array_equal(held.sum(axis=0), counts):
+        raise frames_changed()
+    return held
+
+
+def _in_one_pass(frames: Frames | FramePairs, boxes: BrickBoxes) -> tuple[Int64s, Int64s]:
+    """The symbols that occur, and their counts in each box, by a table of all symbols that there can be."""
+    from touchfield.measure.kernels import add_counts
 
     table = np.zeros((boxes.count, frames.alphabet), np.int64)
     for bricks, symbols in frames.parts():
@@ -205,13 +266,12 @@ def _in_one_pass(frames: Frames | FramePairs, boxes: BrickBoxes) -> SymbolCount:
         owner = np.repeat(boxes.owner(frames.grid, bricks), held.sum(axis=1))
         add_counts(owner * frames.alphabet + symbols[held], table.reshape(-1))
     table[:, 0] = boxes.voxels(frames.grid) * frames.count - table.sum(axis=1)
-    total = table.sum(axis=0)
-    seen = np.flatnonzero(total)
-    return SymbolCount(Histogram(seen, total[seen]), table[:, seen])
+    seen = np.flatnonzero(table.any(axis=0))
+    return seen, table[:, seen]
 
 
-def _held_symbols(frames: Frames | FramePairs, keep_support: bool) -> tuple[Histogram, Int64s]:
-    """The histogram without symbol 0; and where it is wanted the keys of the bricks that hold one, ascending."""
+def _held_symbols(frames: Frames | FramePairs, keep_support: bool) -> tuple[Counts, Int64s]:
+    """The counts without symbol 0; and where it is wanted the keys of the bricks that hold one, ascending."""
     support = np.zeros(0, np.int64)
 
     def held_symbols() -> Iterator[Int64s]:
@@ -221,26 +281,26 @@ def _held_symbols(frames: Frames | FramePairs, keep_support: bool) -> tuple[Hist
                 support = np.union1d(support, brick_keys(frames.grid, bricks[symbols.any(axis=1)]))
             yield symbols[symbols != 0]
 
-    return Histogram.of(held_symbols()), support
+    return Counts.of_stream(held_symbols()), support
 
 
 def _held_by_part(
     frames: Frames | FramePairs,
-    held: Histogram,
+    known: Int64s,
     parts: Mapping[str, BrickBoxes | BrickGroups | SharedBoxes],
     grid: Grid | None = None,
 ) -> dict[str, Int64s]:
-    """The counts of symbols other than 0 in each part, int64 [B, K], for every way to part the space: one pass.
+    """The counts of the `known` symbols in each part, int64 [B, K], for every way to part the space: one pass.
 
     `grid` says where the lattice of the frames lies, if that is not what they say themselves.
     """
-    from touchfield.measure.kernels.count import add_counts
+    from touchfield.measure.kernels import add_counts
 
-    k = len(held.counts)
+    k = len(known)
     out = {name: np.zeros((part.count, k), np.int64) for name, part in parts.items()}
     for bricks, symbols in frames.parts() if out else ():
         inside = symbols != 0
-        cells = np.searchsorted(held.symbols, symbols[inside])
+        cells = np.searchsorted(known, symbols[inside])
         if (cells == k).any():  # beyond the table
             raise frames_changed()
         for name, part in parts.items():
@@ -312,38 +372,28 @@ class SharedBoxes:
 
 
 def shared_counts(
-    fields: tuple[Fields, Fields], grids: tuple[Grid, Grid], histograms: tuple[Histogram, Histogram], most: int = 64
-) -> tuple[Int64s, Int64s] | None:
-    """The counts over "voxel" of two media in the same boxes of space, for a bootstrap of both together.
+    fields: tuple[Fields, Fields], grids: tuple[Grid, Grid], counts: tuple[Counts, Counts], most: int = 64
+) -> tuple[Counts, Counts] | None:
+    """The counts over "voxel" of two media, with blocks that are the same boxes of space, for a joint bootstrap.
 
     `fields` two of FieldSymbols or a sequence of them: a medium, and what is rendered of it, frame by frame. Each
     frame is asked for once, those of the medium first. `grids` (Grid, Grid): their lattices in one space, such as
-    hand metres. `histograms` (Histogram, Histogram): of all voxels of all frames of each. `most`: boxes that are
-    wanted. Fewer are made where 2^24 counts would not hold them. Returns (int64 [B, K], int64 [B, K']), or None:
-    none where there would be fewer than 8 boxes, or one of them held samples of one lattice alone. InvalidArgument
-    if there are not as many frames of each, or a histogram is not that of the frames.
+    hand metres. `counts`: of all voxels of all frames of each. `most`: boxes that are wanted. Fewer are made where
+    2^24 counts would not hold them. None where there would be fewer than 8 boxes, or one of them held samples of one
+    lattice alone. InvalidArgument if there are not as many frames of each, or the counts are not those of the frames.
     """
     frames = Frames(fields[0], "medium"), Frames(fields[1], "rendered")
     if frames[0].count != frames[1].count:
         raise InvalidArgument("rendered", f"{frames[1].count} frames", f"{frames[0].count}, as many as the medium")
-    cells = sum(len(h.counts) for h in histograms)
-    boxes = SharedBoxes.of(*grids, min(most, MOST_BLOCK_CELLS // cells))
+    boxes = SharedBoxes.of(*grids, min(most, MOST_BLOCK_CELLS // sum(len(c.cells) for c in counts)))
     if boxes is None:
         return None
-    first, second = (_counts(f, g, h, boxes) for f, g, h in zip(frames, grids, histograms, strict=True))
-    return first, second
-
-
-def _counts(frames: Frames, grid: Grid, histogram: Histogram, boxes: SharedBoxes) -> Int64s:
-    empty = int(histogram.symbols[0] == 0)
-    held = Histogram(histogram.symbols[empty:], histogram.counts[empty:])
-    out = _held_by_part(frames, held, {"voxel": boxes}, grid)["voxel"]
-    if empty:
-        rest = boxes.voxels(grid) * frames.count - out.sum(axis=1)
-        out = np.concatenate([rest[:, None], out], axis=1)
-    if not np.array_equal(out.sum(axis=0), histogram.counts):
-        raise frames_changed()
-    return out
+    found = []
+    for f, grid, c in zip(frames, grids, counts, strict=True):
+        known = c.cells[int(c.cells[0, 0] == 0) :, 0]
+        held = _held_by_part(f, known, {"voxel": boxes}, grid)["voxel"]
+        found.append(replace(c, blocks=_with_empty(f, held, boxes, grid, np.asarray(c.weights))))
+    return found[0], found[1]
 
 
 def _along_m(grid: Grid) -> Sequence[Float64s]:

@@ -9,11 +9,10 @@ the entropies themselves and for their plug-in estimates, but not for bias-corre
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
@@ -23,23 +22,12 @@ from touchfield.medium.grid import BRICK, Grid
 
 @dataclass(frozen=True)
 class FieldSymbols:
-    """The symbols of one frame.
+    """The symbols of one frame, of a quantiser that `quantiser` names in words.
 
-    InvalidArgument if shapes, types or symbols do not fit, bricks are out of order, given twice or outside the
-    grid, or a symbol lies beyond the last sample of the grid.
-
-    Parameters
-    ----------
-    grid : Grid
-    bricks : int32 [n, 3]
-        Strictly ascending (x slowest, z fastest) and within the grid, as in `ForceField`; bricks without any symbol
-        but 0 are allowed.
-    symbols : int32 [n, 8, 8, 8]
-        0 .. alphabet - 1; 0 beyond the grid.
-    alphabet : int
-        K, the number of codewords of Q with "no force".
-    quantiser : str
-        What Q is, in words.
+    `bricks` int32 [n, 3]: strictly ascending (x slowest, z fastest) and within the grid, as in `ForceField`; bricks
+    without any symbol but 0 are allowed. `symbols` int32 [n, 8, 8, 8]: 0 .. alphabet - 1; 0 beyond the grid.
+    `alphabet`: K, the number of codewords of Q with "no force". InvalidArgument if shapes, types or symbols do not
+    fit, bricks are out of order, given twice or outside the grid, or a symbol lies beyond its last sample.
     """
 
     grid: Grid
@@ -64,9 +52,7 @@ class FieldSymbols:
     def _check_places(self) -> None:
         b, s = self.bricks, self.symbols
         if b.min() < 0 or (b.max(0) >= self.grid.brick_shape).any():
-            raise InvalidArgument(
-                "FieldSymbols bricks", "a brick outside the grid", f"within {self.grid.brick_shape}"
-            )
+            raise InvalidArgument("FieldSymbols bricks", "one outside the grid", f"within {self.grid.brick_shape}")
         if (np.diff(brick_keys(self.grid, b)) <= 0).any():
             raise InvalidArgument("FieldSymbols bricks", "bricks out of order or twice", "ascending order")
         for axis, (size, bricks) in enumerate(zip(self.grid.shape, self.grid.brick_shape, strict=True)):
@@ -112,8 +98,7 @@ class FieldSymbols:
     @property
     def object_symbols(self) -> Int32s:
         """The symbols that are not 0, brick after brick, int32 [L]."""
-        found: Int32s = self.symbols[self.symbols != 0]
-        return found
+        return np.asarray(self.symbols[self.symbols != 0])
 
     @property
     def object_count(self) -> int:
@@ -139,24 +124,6 @@ class FieldSymbols:
         x, y, z = (places % BRICK).T
         found[inside] = np.where(keys[slot] == wanted, self.symbols[slot, x, y, z], 0)
         return found
-
-
-def aligned(fields: tuple[FieldSymbols, ...]) -> list[NDArray[Any]]:
-    """The symbols of several fields of one grid at the union of their bricks, each int32 [u, 8, 8, 8].
-
-    InvalidArgument if the grids differ.
-    """
-    first = fields[0]
-    if any(f.grid != first.grid for f in fields):
-        raise InvalidArgument("quantised fields", "fields on different grids", "one grid")
-    own = [brick_keys(f.grid, f.bricks) for f in fields]
-    keys = np.unique(np.concatenate(own))
-    out = []
-    for f, k in zip(fields, own, strict=True):
-        symbols = np.zeros((len(keys), BRICK, BRICK, BRICK), np.int32)
-        symbols[np.searchsorted(keys, k)] = f.symbols
-        out.append(symbols)
-    return out
 
 
 Part = tuple["Int32s", "Int64s"]
@@ -190,15 +157,16 @@ class Frames:
             first, self._first = self._first, None
             return first
         f = self._checked_type(n)
+        where = f"{self._where}, frame {n}"
         if f.grid != self.grid:
-            raise InvalidArgument(f"{self._where}, frame {n}", f"the grid {f.grid}", f"{self.grid}, as of frame 0")
+            raise InvalidArgument(where, f"the grid {f.grid}", f"{self.grid}, as of frame 0")
         if (f.quantiser, f.alphabet) != (self.quantiser, self.alphabet):
-            raise InvalidArgument(
-                f"{self._where}, frame {n}",
-                f"the quantiser {f.quantiser} with {f.alphabet} symbols",
-                f"{self.quantiser} with {self.alphabet}, as of frame 0",
-            )
+            found, expected = (f"{of.quantiser} with {of.alphabet} symbols" for of in (f, self))
+            raise InvalidArgument(where, f"the quantiser {found}", f"{expected}, as of frame 0")
         return f
+
+    def __iter__(self) -> Iterator[FieldSymbols]:
+        return (self.take(n) for n in range(self.count))
 
     def parts(self) -> Iterator[Part]:
         """One pass. No name is bound to a frame here, lest it live while the next is made."""
@@ -250,20 +218,17 @@ def _parts(f: FieldSymbols) -> Iterator[Part]:
 
 def _joint_parts(first: FieldSymbols, second: FieldSymbols) -> Iterator[Part]:
     """Joint symbols at the union of the bricks."""
-    grid = first.grid
-    keys = np.union1d(brick_keys(grid, first.bricks), brick_keys(grid, second.bricks))
+    grid, both = first.grid, (first, second)
+    own = [brick_keys(grid, f.bricks) for f in both]
+    keys = np.union1d(*own)
     for b in range(0, len(keys), _BRICKS):
-        low, high = keys[b], keys[min(len(keys), b + _BRICKS) - 1]
-        s, t = aligned((_between(first, low, high), _between(second, low, high)))
-        bricks = np.stack(np.unravel_index(keys[b : b + _BRICKS], grid.brick_shape), axis=1)
-        joint = s.astype(np.int64) * second.alphabet + t
-        yield bricks.astype(np.int32), joint.reshape(len(joint), -1)
-
-
-def _between(f: FieldSymbols, low: int, high: int) -> FieldSymbols:
-    keys = brick_keys(f.grid, f.bricks)
-    part = slice(np.searchsorted(keys, low), np.searchsorted(keys, high, side="right"))
-    return replace(f, bricks=f.bricks[part], symbols=f.symbols[part])
+        some = keys[b : b + _BRICKS]
+        symbols = np.zeros((2, len(some), BRICK**3), np.int64)
+        for f, k, out in zip(both, own, symbols, strict=True):
+            low, high = np.searchsorted(k, [some[0], some[-1] + 1])
+            out[np.searchsorted(some, k[low:high])] = f.symbols[low:high].reshape(-1, BRICK**3)
+        bricks = np.stack(np.unravel_index(some, grid.brick_shape), axis=1)
+        yield bricks.astype(np.int32), symbols[0] * second.alphabet + symbols[1]
 
 
 def frames_changed() -> InvalidArgument:

@@ -12,24 +12,21 @@ it is), so that the interval comes from blocks of consecutive samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.quantity import LEAST_BLOCKS, Counted, Entropies, measured
+from touchfield.measure.counts import LEAST_BLOCKS, Counts
+from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
+from touchfield.measure.information import entropy
+from touchfield.measure.quantity import Quantity
 from touchfield.medium.field import frozen
+from touchfield.medium.grid import Grid
 from touchfield.medium.trace import Trace
 
-if TYPE_CHECKING:
-    from touchfield.measure.quantity import Quantity
-    from touchfield.medium import Grid
-
-
-_MOST_CELLS: Final = 1 << 24  # blocks times symbols of one table
 _LATE: Final = 1e-6  # share of a frame by which a time stamp may fall short of it, for stamps rounded to decimals
 _UNEVEN: Final = 2.0  # longest step of a trace over its median step that is still "sampled regularly"
 
@@ -61,15 +58,29 @@ def visits(trace: Trace, grid: Grid) -> Visits:
 
 def interaction_entropy(
     trace: Trace,
-    symbols: FieldSymbols | Sequence[FieldSymbols],
+    symbols: Fields,
     estimator: str = "plug-in",
     interval: bool = True,
     rate_hz: float | None = None,
     blocks: int = 64,
 ) -> Quantity:
-    """H(S) of the field as a probe met it, bits per sample of the trace.
+    """H(S) of the field as a probe met it, bits per sample of the trace: `entropy` of `interaction_counts`."""
+    counts = interaction_counts(trace, symbols, interval, rate_hz, blocks)
+    return entropy(counts, estimator=estimator, interval=interval)
 
-    InvalidArgument if no sample meets the field, the frames do not fit each other, or an argument is out of range.
+
+def interaction_counts(
+    trace: Trace,
+    symbols: Fields,
+    interval: bool = True,
+    rate_hz: float | None = None,
+    blocks: int = 64,
+) -> Counts:
+    """The symbols that a probe met, one for each sample of its trace that lies in the medium.
+
+    Samples before the first frame or after the last are left out, and so are those during the frames that lie outside
+    the box of the grid; a note counts each of the two. InvalidArgument if no sample meets the field, the frames do
+    not fit each other, or an argument is out of range.
 
     Parameters
     ----------
@@ -78,39 +89,33 @@ def interaction_entropy(
         The quantised field; or one for each frame, of one grid and one quantiser, which may be made when asked for.
         Frame f is felt from f / rate_hz until (f + 1) / rate_hz; only the first frame and those that the trace meets
         are asked for.
-    estimator : str
-        One of `touchfield.measure.estimators.ESTIMATORS`.
     interval : bool
-        With a block bootstrap over time.
+        With blocks over time for a bootstrap.
     rate_hz : float, optional
         Frames per second; needed for a sequence.
     blocks : int
         Blocks of consecutive samples, at least 8. A block should last longer than a hand stays in one place: take
         fewer for a short trace.
-
-    Returns
-    -------
-    Quantity
-        Weighting "interaction". Samples before the first frame or after the last are left out, and so are those
-        during the frames that lie outside the box of the grid; a note counts each of the two.
     """
     if blocks < LEAST_BLOCKS:
         raise InvalidArgument("blocks", repr(blocks), f"at least {LEAST_BLOCKS}")
-    first, met, in_time = _met(trace, symbols, rate_hz)
+    frames = Frames(symbols, "symbols")
+    if isinstance(symbols, FieldSymbols):
+        rate_hz = None
+    elif rate_hz is None or not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InvalidArgument("rate_hz", repr(rate_hz), "the positive number of frames per second of the medium")
+    met, in_time = _met(trace, frames, rate_hz)
     if not len(met):
-        raise InvalidArgument("trace", *_where_it_was(trace, first, rate_hz))
-    seen, place = np.unique(met, return_inverse=True)
-
-    place, notes, table = place.reshape(-1), _notes(trace, in_time, len(met)), None
-    if interval:
-        table = _per_block(place, len(seen), blocks)
-        if table is None:
-            few = f"{len(met)} samples of {len(seen)} symbols fill fewer than {LEAST_BLOCKS} blocks"
-            notes.append(f"no interval: {few}")
-    counts = np.bincount(place, minlength=len(seen))
-    counted = Counted(counts, table, len(met), estimator, first.quantiser, "interaction", tuple(notes))
-    entropies = Entropies(estimator, (), (first.alphabet,))
-    return measured("H(S)", entropies.joint, counted, most=entropies.most_bits())
+        raise InvalidArgument("trace", *_where_it_was(trace, frames.grid, rate_hz))
+    counts = Counts.of(met, blocks=blocks if interval else 0)
+    notes = _notes(trace, in_time, len(met))
+    if interval and counts.blocks is None:
+        few = f"{len(met)} samples of {len(counts.cells)} symbols fill fewer than {LEAST_BLOCKS} blocks"
+        notes.append(f"no interval: {few}")
+    return replace(
+        counts, quantiser=frames.quantiser, weighting="interaction", variables=("S",), alphabet=frames.alphabet,
+        notes=tuple(notes),
+    )  # fmt: skip
 
 
 def _cells(positions_m: Float64s, grid: Grid) -> Int64s:
@@ -123,59 +128,23 @@ def _cells(positions_m: Float64s, grid: Grid) -> Int64s:
     return cells
 
 
-def _per_block(place: Int64s, symbols: int, blocks: int) -> Int64s | None:
-    """Counts of symbols 0 .. symbols - 1 in contiguous blocks of `place`, int64 [B, symbols]; None below 8 blocks."""
-    fit = min(blocks, len(place), _MOST_CELLS // max(1, symbols))
-    if fit < LEAST_BLOCKS:
-        return None
-    owner = np.arange(len(place)) * fit // len(place)
-    counts = np.bincount(owner * symbols + place, minlength=fit * symbols)
-    return counts.reshape(fit, symbols).astype(np.int64)
+def _met(trace: Trace, frames: Frames, rate_hz: float | None) -> tuple[Int32s, int]:
+    """The symbol at each sample that meets the medium, in order of time; the samples during it.
 
-
-def _met(
-    trace: Trace, symbols: FieldSymbols | Sequence[FieldSymbols], rate_hz: float | None
-) -> tuple[FieldSymbols, Int32s, int]:
-    """The first field; the symbol at each sample that meets the medium, in order of time; the samples during it."""
-    if isinstance(symbols, FieldSymbols):
-        return symbols, _at(symbols, trace.positions_m), len(trace)
-    if not len(symbols):
-        raise InvalidArgument("symbols", "no frame", "at least one FieldSymbols")
-    if rate_hz is None or not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise InvalidArgument("rate_hz", repr(rate_hz), "the positive number of frames per second of the medium")
-    first = symbols[0]
+    Times never fall, so that the positions during a frame are a slice.
+    """
+    frame = np.zeros(len(trace)) if rate_hz is None else np.floor(trace.times_s * rate_hz + _LATE)
     parts, in_time = [np.zeros(0, np.int32)], 0
-    for field, positions_m in _frames_met(trace, symbols, rate_hz, first):
-        parts.append(_at(field, positions_m))
-        in_time += len(positions_m)
-    return first, np.concatenate(parts), in_time
-
-
-def _frames_met(
-    trace: Trace, symbols: Sequence[FieldSymbols], rate_hz: float, first: FieldSymbols
-) -> Iterator[tuple[FieldSymbols, Float64s]]:
-    """Each frame that the trace meets, and the positions during it; times never fall, so that these are slices."""
-    frame = np.floor(trace.times_s * rate_hz + _LATE)
-    for number in np.unique(frame[(frame >= 0) & (frame < len(symbols))]):
-        field = symbols[int(number)]
-        if (field.grid, field.alphabet, field.quantiser) != (first.grid, first.alphabet, first.quantiser):
-            raise InvalidArgument(
-                f"symbols, frame {int(number)}",
-                f"{field.quantiser}, alphabet {field.alphabet}, grid {field.grid.shape}",
-                f"{first.quantiser}, alphabet {first.alphabet}, grid {first.grid.shape} at one place, as frame 0",
-            )
+    for number in np.unique(frame[(frame >= 0) & (frame < frames.count)]):
         begin, end = np.searchsorted(frame, [number, number + 1])
-        yield field, trace.positions_m[begin:end]
+        cells = _cells(trace.positions_m[begin:end], frames.grid)
+        index = np.stack(np.unravel_index(cells[cells >= 0], frames.grid.shape), axis=-1)
+        parts.append(frames.take(int(number)).symbols_at(index))
+        in_time += int(end - begin)
+    return np.concatenate(parts), in_time
 
 
-def _at(field: FieldSymbols, positions_m: Float64s) -> Int32s:
-    """The symbols at the positions inside the grid, in their order."""
-    cells = _cells(positions_m, field.grid)
-    index = np.stack(np.unravel_index(cells[cells >= 0], field.grid.shape), axis=-1)
-    return field.symbols_at(index)
-
-
-def _where_it_was(trace: Trace, field: FieldSymbols, rate_hz: float | None) -> tuple[str, str, str]:
+def _where_it_was(trace: Trace, grid: Grid, rate_hz: float | None) -> tuple[str, str, str]:
     """Words of an error on a trace that never meets the field."""
 
     def box(low: Any, high: Any) -> str:
@@ -185,7 +154,7 @@ def _where_it_was(trace: Trace, field: FieldSymbols, rate_hz: float | None) -> t
     found = (
         f"positions from {box(trace.positions_m.min(0), trace.positions_m.max(0))}{when}, none of them in the field"
     )
-    return found, f"positions within {box(*field.grid.box_m)}, in the medium's time", "Shift or scale the trace."
+    return found, f"positions within {box(*grid.box_m)}, in the medium's time", "Shift or scale the trace."
 
 
 def _notes(trace: Trace, in_time: int, samples: int) -> list[str]:

@@ -1,40 +1,44 @@
 """The limits of coding a medium, so that a codec can be placed against its own data (theory sections 4 and 5).
 
 Beside each other stand, of the same symbols S = Q(F) over all voxels of all frames: H(S) of the voxel and of the
-object; block entropies and rates of the scan lines; H(S | causal neighbours), with and without the previous frame;
-and the prequential code length. All but the last are plug-in estimates of what an ideal coder with that context would
-need, too low where contexts are diluted; the last is what a real one surely reaches. A codec that does better than
-the last knows more of the medium than its neighbouring symbols.
+object; block entropies and rates of the scan lines; H(S | causal neighbours), with and without the previous frame.
+All are plug-in estimates of what an ideal coder with that context would need, too low where contexts are diluted.
+What a real coder surely reaches is what one did: the bytes of a file of coder `touch` in its exact mode.
 
-Time: one pass over the frames, which may be a generator. Memory: two frames, the different joint cells
-(`CellCounter`) and the tables of the code.
+Time: one pass over the frames, which may be made when asked for. Memory: two frames and the different joint cells
+(`CellCounter`).
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.causal import CellCounter, checked_symbols, frames_of, scan_order, scan_relabelled
-from touchfield.measure.context import NEIGHBOURHOODS, ContextCounter, ContextEntropy
-from touchfield.measure.estimators import estimate_bits
-from touchfield.measure.prequential import PrequentialCoder, PrequentialLength
-from touchfield.measure.quantity import Counted, FewSamplesWarning, Quantity, measured
+from touchfield.measure.context import (
+    NEIGHBOURHOODS,
+    CellCounter,
+    ContextCounter,
+    ContextEntropy,
+    scan_order,
+    scan_relabelled,
+)
+from touchfield.measure.counts import checked_symbols
+from touchfield.measure.estimators import entropy_bits, estimate_bits
+from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
+from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
 
-if TYPE_CHECKING:
-    from touchfield.measure.field_symbols import FieldSymbols
-
-
 MOST_IN_BLOCK = 64
+MOST_SYMBOLS = 1 << 31
+"""Symbols are below this."""
 _SAMPLES_AT_ONCE = 1 << 18
 _TILE_SAMPLES = 1 << 20  # samples of scan lines laid out at once
 
@@ -49,22 +53,20 @@ class BlockRates:
     entropies: tuple[Quantity, ...]
     rates: tuple[Quantity, ...]
 
-    def summary(self) -> dict[str, Any]:
-        """Plain values under stable keys."""
-        return {"entropies": [q.summary() for q in self.entropies], "rates": [q.summary() for q in self.rates]}
-
 
 class BlockCounter:
     """Counts the blocks of `longest` symbols of rings.
 
-    `alphabet`: symbols are below it. `longest`: 1 to 64, at most the length of the shortest ring.
+    `alphabet`: symbols are below it. `longest`: 1 to 64, at most the length of the shortest ring. `quantiser`,
+    `weighting`: as in `Quantity`.
     """
 
-    def __init__(self, alphabet: int, longest: int) -> None:
+    def __init__(self, alphabet: int, longest: int, quantiser: str = "as given", weighting: str = "samples") -> None:
         if not (isinstance(longest, int | np.integer) and 1 <= longest <= MOST_IN_BLOCK):
             raise InvalidArgument("longest", repr(longest), f"a whole number from 1 to {MOST_IN_BLOCK}")
         self.longest, self._bits = int(longest), max(1, (alphabet - 1).bit_length())
         self._cells = CellCounter(self.longest, self._bits)
+        self._of = quantiser, weighting
 
     def add_lines(self, lines: NDArray[Any]) -> None:
         """Count the blocks of rings, int [m, n]."""
@@ -79,7 +81,7 @@ class BlockCounter:
                 end = min(length, begin + _SAMPLES_AT_ONCE)
                 places = np.arange(begin, end + self.longest - 1) % length
                 some = lines[row : row + rows_at_once, places]
-                self._cells.add_zeros(len(some) * (end - begin) - self._add_windows(some, end - begin))
+                self._cells.zeros += len(some) * (end - begin) - self._add_windows(some, end - begin)
 
     def _add_windows(self, lines: NDArray[Any], begins: int) -> int:
         """Count the blocks that begin at the first samples of lines and are not all 0; how many there are."""
@@ -106,7 +108,7 @@ class BlockCounter:
             rows_at_once = max(1, _SAMPLES_AT_ONCE // lines.shape[1])
             for row in range(0, len(held), rows_at_once):
                 counted += self._add_windows(held[row : row + rows_at_once], lines.shape[1] - self.longest + 1)
-        self._cells.add_zeros(frame.voxel_count - counted)
+        self._cells.zeros += frame.voxel_count - counted
 
     def result(self, estimator: str = "plug-in") -> BlockRates:
         """H(B_k) and h_k of what was counted; each entropy by the named estimator."""
@@ -121,7 +123,7 @@ class BlockCounter:
             notes: tuple[str, ...] = ()
             if informed < 10 * len(counts):
                 notes = (f"{informed} blocks not all 0 for {len(counts)} kinds, fewer than ten each; too low",)
-            of = Quantity(f"H(B_{k})", bits, "bit", "as given", "samples", estimator, n, len(counts), None, notes)
+            of = Quantity(f"H(B_{k})", bits, "bit", *self._of, estimator, n, len(counts), None, notes)
             rate = max(0.0, bits - before) if estimator == "plug-in" else bits - before
             entropies.append(of)
             rates.append(of.of(name=f"h_{k}", value=rate, unit="bit/sample"))
@@ -177,62 +179,36 @@ def _lines_from(frame: FieldSymbols, axis: int, bricks: Int64s, width: int) -> I
 def block_rates(x: Any, longest: int = 4, *, estimator: str = "plug-in") -> BlockRates:
     """Block entropies and rates of a sequence.
 
-    InvalidArgument for values that are not symbols, or blocks longer than the sequence. FewSamplesWarning if there
-    are fewer than ten blocks to each that was seen.
-
-    Parameters
-    ----------
-    x : int array [n], or [m, n]
-        Symbols from 0 on; of two axes, m sequences, no block running from one into the next.
-    longest : int
-        The longest block, 1 to 64 and at most n.
-    estimator : str
-        Of each H(B_k), one of `ESTIMATORS`. Only the plug-in keeps h_k from rising.
-
-    Examples
-    --------
-    >>> [round(h.value, 6) for h in block_rates([0, 1] * 500, 3).rates]
-    [1.0, 0.0, 0.0]
+    `x` int [n] or [m, n]: symbols from 0 on; of two axes m sequences, no block running from one into the next.
+    `longest`: the longest block, 1 to 64 and at most n. `estimator`: of each H(B_k); only the plug-in keeps h_k from
+    rising. InvalidArgument for values that are not symbols, or blocks longer than the sequence. FewSamplesWarning if
+    there are fewer than ten blocks to each that was seen.
     """
-    lines = checked_symbols("x", x, (1, 2))
-    counter = BlockCounter(int(lines.max()) + 1, longest)
+    lines = checked_symbols(x, "x")
+    if lines.ndim not in (1, 2) or not lines.size:
+        raise InvalidArgument("x", f"shape {lines.shape}", "1 or 2 dimensions and at least one symbol")
+    low, high = int(lines.min()), int(lines.max())
+    if low < 0 or high >= MOST_SYMBOLS:
+        raise InvalidArgument("x", f"symbols {low} to {high}", f"0 to {MOST_SYMBOLS - 1}")
+    counter = BlockCounter(high + 1, longest)
     counter.add_lines(lines.reshape(-1, lines.shape[-1]))
     return _warned(counter.result(estimator))
 
 
-def scan_line_rates(frames: Any, longest: int = 4, *, axis: int = 2, estimator: str = "plug-in") -> BlockRates:
-    """Block entropies and rates of the scan lines of quantised fields, over all voxels.
+def scan_line_rates(frames: Fields, longest: int = 4, *, axis: int = 2, estimator: str = "plug-in") -> BlockRates:
+    """Block entropies and rates of the lines along an axis of quantised fields, over all voxels.
 
-    InvalidArgument if frames differ in grid or Q, the axis does not exist, or the blocks are longer than a line.
-
-    Parameters
-    ----------
-    frames : FieldSymbols, or an iterable of them
-        Of one grid and one Q.
-    longest : int
-        The longest block, at most the samples along the axis.
-    axis : {0, 1, 2}
-        Along which the lines run.
-    estimator : str
+    `frames`: FieldSymbols or a sequence of them, of one grid and one Q. `longest`: the longest block, at most the
+    samples along the axis. InvalidArgument if frames differ, the axis does not exist, or blocks are too long.
     """
     if axis not in (0, 1, 2):
         raise InvalidArgument("axis", repr(axis), "0, 1 or 2")
-    counter, quantiser = None, ""
-    for frame in frames_of(frames):
-        counter = counter or BlockCounter(frame.alphabet, longest)
+    counter = None
+    for frame in Frames(frames, "frames"):
+        counter = counter or BlockCounter(frame.alphabet, longest, frame.quantiser, "voxel")
         counter.add_field(frame, axis)
-        quantiser = frame.quantiser
-    assert counter is not None  # frames_of refuses none
-    return _warned(over_voxels(counter.result(estimator), quantiser))
-
-
-def over_voxels(found: BlockRates, quantiser: str) -> BlockRates:
-    """The same with Q and mu named."""
-
-    def named(all_of: tuple[Quantity, ...]) -> tuple[Quantity, ...]:
-        return tuple(q.of(quantiser=quantiser, weighting="voxel") for q in all_of)
-
-    return BlockRates(named(found.entropies), named(found.rates))
+    assert counter is not None  # Frames refuses none
+    return _warned(counter.result(estimator))
 
 
 def _warned(found: BlockRates) -> BlockRates:
@@ -248,27 +224,12 @@ LINE_AXIS: Final = 2
 
 @dataclass(frozen=True)
 class CodingLimits:
-    """Rates that a coder of these frames can hope for, and those it surely reaches.
+    """Rates that a coder of these frames can hope for.
 
-    Attributes
-    ----------
-    frame_count : int
-    voxels : int
-        Of all frames.
-    supported : int
-        Of these, not 0.
-    voxel_entropy : Quantity
-        H(S) over all voxels, bit/sample.
-    object_entropy : Quantity
-        H(S) over the supported voxels, bit/sample; NaN where there is none.
-    scan_lines : BlockRates
-        Of the lines along `scan_axis`.
-    contexts : tuple of ContextEntropy
-        1, 3 and 7 neighbours; and with the previous frame, where there is one, 0, 1, 3 and 7.
-    prequential : PrequentialLength
-    scan_axis : str
-        The axis that the scan lines run along, and that the one neighbour lies along: "z", or the last that has more
-        than one sample.
+    Of `voxels` in all frames `supported` are not 0. `voxel_entropy` and `object_entropy`: H(S) over all and over the
+    supported voxels (NaN where there is none), bit/sample. `scan_lines`: of the lines along `scan_axis`, along which
+    the one neighbour lies, too: "z", or the last axis that has more than one sample. `contexts`: 1, 3 and 7
+    neighbours; and with the previous frame, where there is one, 0, 1, 3 and 7.
     """
 
     frame_count: int
@@ -278,7 +239,6 @@ class CodingLimits:
     object_entropy: Quantity
     scan_lines: BlockRates
     contexts: tuple[ContextEntropy, ...]
-    prequential: PrequentialLength
     scan_axis: str = "z"
 
     def context(self, neighbourhood: str, *, previous_frame: bool = False) -> ContextEntropy:
@@ -290,14 +250,12 @@ class CodingLimits:
 
     def summary(self) -> dict[str, Any]:
         """Plain numbers under stable keys: bits a voxel, bits a supported voxel, bits a frame."""
-        per_frame = self.voxels / self.frame_count
 
         def plain(per_voxel: float) -> dict[str, float | None]:
-            supported = per_voxel * self.voxels / self.supported if self.supported else None
             return {
                 "bits_per_voxel": per_voxel,
-                "bits_per_supported_voxel": supported,
-                "bits_per_frame": per_voxel * per_frame,
+                "bits_per_supported_voxel": per_voxel * self.voxels / self.supported if self.supported else None,
+                "bits_per_frame": per_voxel * self.voxels / self.frame_count,
             }
 
         contexts = {
@@ -315,83 +273,51 @@ class CodingLimits:
             "scan_axis": self.scan_axis,
             "scan_lines": {q.name: plain(q.value) for q in self.scan_lines.rates},
             "contexts": contexts,
-            "prequential": {
-                **plain(self.prequential.per_voxel.value),
-                "total_bits": self.prequential.total_bits,
-                "frame_bits": [f.total for f in self.prequential.frames],
-            },
         }
 
 
-def coding_limits(
-    frames: FieldSymbols | Iterable[FieldSymbols], *, split: int | None = None, longest: int = 4
-) -> CodingLimits:
-    """The coding limits of quantised frames.
+def coding_limits(frames: Fields, *, longest: int = 4) -> CodingLimits:
+    """The coding limits of quantised frames, of one grid and one Q, looked at once, in order.
 
-    InvalidArgument if there is no frame, frames differ in grid or Q, a number is out of range, or the joint cells
-    outgrow the memory budget.
+    `longest`: the longest block of the scan lines; shortened to the samples along them. InvalidArgument if there is
+    no frame, frames differ in grid or Q, or the joint cells outgrow the memory budget.
 
-    Parameters
-    ----------
-    frames : FieldSymbols, or an iterable of them
-        Of one grid and one Q; looked at once, in order.
-    split : int, optional
-        The number of directions in a symbol, for the prequential code; see `PrequentialCoder`.
-    longest : int
-        The longest block of the scan lines; shortened to the samples along them.
-
-    Notes
-    -----
     Scan lines run along z, and the one neighbour lies there. Where z has a single sample, as on a flat array of
     actuators, both go along the last axis that has more, and the raster is that of an array without z: `scan_order`.
     """
-    tools, count, last = None, 0, None
-    for given in frames_of(frames):
+    contexts, count, axis, last = None, 0, LINE_AXIS, None
+    for given in Frames(frames, "frames"):
         frame = scan_relabelled(given)
-        tools = tools or _Tools(frame, split, longest, scan_order(given.grid)[LINE_AXIS])
-        tools.add(frame, last)
+        if contexts is None:
+            axis = scan_order(given.grid)[LINE_AXIS]
+            contexts = ContextCounter(frame.alphabet, frame.quantiser, previous_frame=True)
+            blocks = BlockCounter(frame.alphabet, min(longest, frame.grid.shape[LINE_AXIS]), frame.quantiser, "voxel")
+        contexts.add(frame, last)
+        blocks.add_field(frame, LINE_AXIS)
         count, last = count + 1, frame
-    assert tools is not None and last is not None  # frames_of refuses none
-    return tools.result(count, last.quantiser)
-
-
-class _Tools:
-    """The counters that each frame goes through."""
-
-    def __init__(self, frame: FieldSymbols, split: int | None, longest: int, axis: int) -> None:
-        self.axis = axis
-        self.contexts = ContextCounter(frame.alphabet, previous_frame=True)
-        self.blocks = BlockCounter(frame.alphabet, min(longest, frame.grid.shape[LINE_AXIS]))
-        self.coder = PrequentialCoder(frame.alphabet, split)
-
-    def add(self, frame: FieldSymbols, previous: FieldSymbols | None) -> None:
-        self.contexts.add_field(frame, previous)
-        self.blocks.add_field(frame, LINE_AXIS)
-        self.coder.add_field(frame)
-
-    def result(self, frame_count: int, quantiser: str) -> CodingLimits:
-        held, empty = self.contexts.symbol_counts()
-        supported = int(held.sum())
-        voxel = _entropy("H(S)", np.append(held, empty) if empty else held, quantiser, "voxel")
-        asked = [(name, False) for name in NEIGHBOURHOODS if name != "none"]
-        if frame_count > 1:
-            asked += [(name, True) for name in NEIGHBOURHOODS]
-        found = (self.contexts.result(name, previous_frame=before) for name, before in asked)
-        return CodingLimits(
-            frame_count,
-            supported + empty,
-            supported,
-            voxel,
-            _entropy("H(S | S != 0)", held, quantiser, "object"),
-            over_voxels(self.blocks.result(), quantiser),
-            tuple(c.of(quantiser, "voxel") for c in found),
-            self.coder.result(quantiser, "voxel"),
-            "xyz"[self.axis],
+    assert contexts is not None and last is not None  # Frames refuses none
+    held, empty = contexts.symbol_counts()
+    every, quantiser = np.append(held, empty) if empty else held, last.quantiser
+    asked = [(name, False) for name in NEIGHBOURHOODS if name != "none"]
+    if count > 1:
+        asked += [(name, True) for name in NEIGHBOURHOODS]
+    supported, name = int(held.sum()), "H(S | S != 0)"
+    if supported:
+        on_object = Quantity(
+            name, entropy_bits(held), "bit/sample", quantiser, "object", samples=supported, symbols=len(held)
         )
-
-
-def _entropy(name: str, counts: Any, quantiser: str, weighting: str) -> Quantity:
-    if not len(counts):
-        return Quantity(name, float("nan"), "bit/sample", quantiser, weighting, notes=("no voxel is supported",))
-    counted = Counted(counts, None, int(counts.sum()), "plug-in", quantiser, weighting, warns=False)
-    return measured(name, estimate_bits, counted)
+    else:
+        on_object = Quantity(name, float("nan"), "bit/sample", quantiser, "object", notes=("no voxel is supported",))
+    return CodingLimits(
+        count,
+        supported + empty,
+        supported,
+        Quantity(
+            "H(S)", entropy_bits(every), "bit/sample", quantiser, "voxel", samples=supported + empty,
+            symbols=len(every),
+        ),
+        on_object,
+        blocks.result(),
+        tuple(contexts.result(name, previous_frame=before) for name, before in asked),
+        "xyz"[axis],
+    )  # fmt: skip

@@ -24,15 +24,9 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
+from touchfield.measure.counts import Tally, merged
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.histogram import merged
 from touchfield.medium.grid import BRICK, Grid
-
-Counts = tuple[Int64s, Int64s]
-
-
-# -- Bits that a device leaves out when it is filled by a dyadic box of the workspace (paper section 4)
-
 
 MOST_DEPTH = 7
 """2^21 boxes."""
@@ -97,7 +91,7 @@ class BoxLosses:
     def __init__(self, lattice: DyadicLattice) -> None:
         self.lattice = lattice
         self.frame_count, self._alphabet, self._quantiser = 0, 0, ""
-        none: Counts = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+        none: Tally = (np.zeros(0, np.int64), np.zeros(0, np.int64))
         self._rows = [none] * lattice.depth  # of (box, k), k > 0: fine samples
         self._pairs = [none] * lattice.depth  # of (box, k, s), s > 0
 
@@ -182,9 +176,6 @@ def _xlog2x(counts: Int64s) -> Float64s:
     n = counts.astype(np.float64)
     result: Float64s = n * np.log2(np.maximum(n, 1.0))
     return result
-
-
-# -- Adaptive workspace partitioning: the best division into dyadic boxes (paper section 4)
 
 
 @dataclass(frozen=True)

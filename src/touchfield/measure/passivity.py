@@ -33,9 +33,7 @@ from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import ForceField, brick_keys, dilated, frozen, neighbour_slots
 from touchfield.medium.grid import BRICK, Grid
 
-# -- The work of a field around closed loops, exact for the field that a renderer plays (theory: energy passivity)
-
-
+_MOST_LOOPS: Final = 1 << 12
 _CORNERS: Final = 16  # of a random loop
 _CANDIDATES: Final = 8  # centres drawn for each loop; one whose own cell leaves the support is passed over
 _ROUNDS: Final = 12  # times that a loop which leaves the support is halved before it is given up
@@ -48,13 +46,8 @@ _GAUSS: Final = (0.5 - math.sqrt(1 / 12), 0.5 + math.sqrt(1 / 12))  # two points
 def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
     """The work of a field on a hand that goes once round a closed polyline, joules, exact for `ForceField.sample_n`.
 
-    InvalidArgument if there are fewer than three corners, or one is not finite or 10^9 spacings away.
-
-    Parameters
-    ----------
-    force_field : ForceField
-    path_m : float [n, 3]
-        Corners in metres, at least three; the last is joined to the first. Beyond the grid there is no force.
+    `path_m` float [n, 3]: corners in metres, at least three; the last is joined to the first. Beyond the grid there
+    is no force. InvalidArgument if there are fewer corners, or one is not finite or 10^9 spacings away.
     """
     path = np.asarray(path_m, np.float64)
     if path.ndim != 2 or path.shape[1] != 3 or len(path) < 3:
@@ -64,18 +57,6 @@ def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
     if far.any():
         raise InvalidArgument("path_m", f"corner {path[far][0].tolist()}", "finite metres, not far from the grid")
     return float(_works_j(force_field, path[None])[0])
-
-
-def best_loop(force_field: ForceField, edges: bool, loops: int, seed: int) -> tuple[int, float, Float64s]:
-    """How many random loops could be run, the most that one of them gains, and its corners."""
-    rng = np.random.default_rng(seed)
-    paths = _random_loops(force_field, edges, loops, rng)
-    if not len(paths):
-        return 0, math.nan, np.zeros((0, 3))
-    works = _works_j(force_field, paths)
-    best = int(np.argmax(np.abs(works)))
-    path = paths[best] if works[best] >= 0 else paths[best][::-1].copy()
-    return len(paths), float(abs(works[best])), path
 
 
 def _random_loops(force_field: ForceField, edges: bool, loops: int, rng: np.random.Generator) -> Float64s:
@@ -198,43 +179,17 @@ def _pieces(
         yield segment[:-1][whole], share[:-1][whole], share[1:][whole]
 
 
-# -- Energy that a field could feed to a hand: curl, and work around closed loops (theory: apart from eq. 1)
-
-
-_MOST_LOOPS: Final = 1 << 12
-
-
 @dataclass(frozen=True)
 class Passivity:
     """How far a field is from conservative; NaN where nothing could be seen, `notes` then say why.
 
-    Attributes
-    ----------
-    support_count : int
-        L, samples whose force is not zero.
-    points : int
-        Samples at which a curl was taken.
-    share_seen : float
-        The supported samples among them over L: 1 unless edges hide some.
-    rms_curl_n_per_m, worst_curl_n_per_m : float
-        Of the length of the curl.
-    rms_gradient_n_per_m : float
-        Of the Frobenius norm of the gradient dF_i/dx_j.
-    relative_curl : float
-        rms curl / (sqrt 2 rms gradient), the share of the gradient that turns: 0 conservative, 1 a pure rotation.
-    squares : int
-        Squares of lattice edges.
-    rms_square_j, worst_square_j : float
-        Of the work around them, joules.
-    loops : int
-        Random loops that were run round.
-    worst_loop_j : float
-        The greatest energy that one round of them gains (in the better of the two senses), joules.
-    worst_loop_m : float64 [16, 3]
-        The corners of that loop in the sense that gains, metres; [0, 3] if there is none.
-    edges : bool
-        Whether the edges of the support were counted.
-    notes : tuple of str
+    `support_count`: L, samples whose force is not zero; `points`: samples at which a curl was taken; `share_seen`:
+    the supported ones among them over L. `rms_curl_n_per_m`, `worst_curl_n_per_m`: of the length of the curl;
+    `rms_gradient_n_per_m`: of the Frobenius norm of dF_i/dx_j; `relative_curl`: rms curl / (sqrt 2 rms gradient), the
+    share of the gradient that turns: 0 conservative, 1 a pure rotation. `squares` of lattice edges, and the work
+    around them, `rms_square_j`, `worst_square_j`, joules. `loops`: random loops that were run round; `worst_loop_j`:
+    the greatest energy that one round of them gains (in the better of the two senses), joules; `worst_loop_m` float64
+    [16, 3]: its corners in that sense, metres, [0, 3] if there is none. `edges`: whether the support's edges counted.
     """
 
     support_count: int
@@ -256,13 +211,12 @@ class Passivity:
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; NaN becomes None, and the loop itself is left out."""
         table: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "worst_loop_m"}
-        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in table.items()} | {
-            "notes": list(self.notes)
-        }
+        table["notes"] = list(self.notes)
+        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in table.items()}
 
 
 def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, seed: int = 0) -> Passivity:
-    """Curl, and work around closed loops, of a field.
+    """Curl, and work around closed loops, of a field; the same bits for any number of threads.
 
     InvalidArgument if the field is empty, or `loops` or `seed` is out of range.
 
@@ -277,11 +231,6 @@ def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, se
         that leaves the support is halved until it fits, or given up.
     seed : int
         Of the loops.
-
-    Returns
-    -------
-    Passivity
-        The same bits for any number of threads.
     """
     if isinstance(loops, bool) or not isinstance(loops, int) or not 0 <= loops <= _MOST_LOOPS:
         raise InvalidArgument("loops", repr(loops), f"0 to {_MOST_LOOPS}")
@@ -292,7 +241,10 @@ def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, se
     rows, _, _ = _looked_at(force_field, edges, keep=False)
     points, held, curl2, gradient2, squares, work2 = rows[:, :6].sum(axis=0).tolist()
     curl2_max, work_max = rows[:, 6:].max(axis=0).tolist()
-    found = best_loop(force_field, edges, loops, seed)
+    paths = _random_loops(force_field, edges, loops, np.random.default_rng(seed))
+    works = _works_j(force_field, paths) if len(paths) else np.zeros(0)
+    best = int(np.argmax(np.abs(works))) if len(paths) else 0
+    loop = paths[best] if len(paths) else np.zeros((0, 3))
     rms_curl, rms_gradient = _rms(curl2, points), _rms(gradient2, points)
     return Passivity(
         support_count=force_field.support_count,
@@ -305,24 +257,19 @@ def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, se
         squares=int(squares),
         rms_square_j=_rms(work2, squares),
         worst_square_j=work_max if squares else math.nan,
-        loops=found[0],
-        worst_loop_j=found[1],
-        worst_loop_m=frozen(found[2]),
+        loops=len(paths),
+        worst_loop_j=float(abs(works[best])) if len(paths) else math.nan,
+        worst_loop_m=frozen(loop[::-1].copy() if len(paths) and works[best] < 0 else loop),
         edges=edges,
-        notes=_notes(force_field.grid, int(points), int(squares), found[0], loops),
+        notes=_notes(force_field.grid, int(points), int(squares), len(paths), loops),
     )
 
 
 def curl_n_per_m(force_field: ForceField, edges: bool = False) -> tuple[Int32s, Float32s]:
-    """The curl at lattice points by central differences.
+    """The curl at lattice points by central differences: positions int32 [m, 3] and curls float32 [m, 3], N/m.
 
-    Returns
-    -------
-    positions : int32 [m, 3]
-        Indices into the grid, in raster order: the supported samples whose six neighbours are supported; with
-        `edges`, all samples that are supported or beside one that is, and whose six neighbours are in the grid.
-    curls : float32 [m, 3]
-        N/m.
+    Positions are indices into the grid, in raster order: the supported samples whose six neighbours are supported;
+    with `edges`, all samples that are supported or beside one that is, and whose six neighbours are in the grid.
     """
     from touchfield.medium import kernels
 
@@ -335,8 +282,8 @@ def curl_n_per_m(force_field: ForceField, edges: bool = False) -> tuple[Int32s, 
 
 
 def _looked_at(force_field: ForceField, edges: bool, keep: bool) -> tuple[Float64s, Int32s, Float32s]:
-    """Rows of `kernels.passivity.COLUMNS`, the bricks they are of, and their curls [m, 512, 3], NaN where unseen."""
-    from touchfield.measure.kernels.passivity import curl_and_loops
+    """Rows of `kernels.COLUMNS`, the bricks they are of, and their curls [m, 512, 3], NaN where unseen."""
+    from touchfield.measure.kernels import curl_and_loops
 
     grid, bricks = force_field.grid, force_field.bricks
     if not edges:

@@ -1,32 +1,64 @@
-"""A measured quantity: never a bare number (paper section 3.1, which names neither Q nor the random variable).
+"""A measured quantity with its interval: never a bare number (paper section 3.1, which names neither Q nor X).
 
 Every measure of this room returns a `Quantity`, which says what the number is an estimate of: the unit, the
 quantiser Q, the weighting mu of the samples, the estimator, how many samples and symbols it saw, and an interval.
-`measured` makes it of `Counted`, the one value for counts.
 
-Quantities of several variables are made of entropies by one estimator, I = H(X) + H(Y) - H(X,Y) and so on, so that
-the identities between them hold whatever the estimator. A bias-corrected I(X;Y) may then be negative; it is reported
-so, with a note, and never clipped.
+Intervals are of a block bootstrap (the paper gives no spread). Neighbouring voxels say much the same, so that
+resampling single voxels would promise far too narrow an interval: whole blocks are drawn instead, with replacement,
+as many as there are (E. Carlstein, Annals of Statistics 14, 1986; S. N. Lahiri, Resampling Methods for Dependent
+Data, 2003, chapter 12). Blocks that do not overlap let every statistic of counts be resampled from B tables.
+
+Of plug-in estimates the interval is the *basic* one, 2 E - q_high .. 2 E - q_low for the estimate E and the quantiles
+q of the resamples: a resample sees fewer symbols than the data, as the data saw fewer than there are, which the
+percentile interval q_low .. q_high would count twice. Its reach from its centre is multiplied by sqrt(B/(B - 1)) t/z,
+Student's t with B - 1 degrees of freedom over the normal quantile, and it is stretched to hold E. A bias-corrected
+estimate has the *normal* interval, E -+ t sqrt(B/(B - 1)) times the standard deviation of the resamples.
+
+The measured coverage stands at the head of `tests/test_bootstrap.py`: 89 % to 94 % for plug-in estimates of dependent
+samples where the percentile interval has 58 % to 94 %; 94 % to 97 % for bias-corrected H (chao-shen 6 % for I = 0);
+87 % to 95 % for ratios. Of plug-in H of Gaussian fields of correlation exp(-r^2/2L^2) 27 blocks cover 92 % at 64^3
+samples with L = 5, and 77 % with L = 8: blocks should be many times as long as the dependence, and 16 or more.
 """
 
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from touchfield.arrays import Int64s
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.bootstrap import Interval, interval
-from touchfield.measure.estimators import ESTIMATORS, estimate_bits
+from touchfield.measure.estimators import as_array
+
+MIN_BLOCKS: Final = 8
+MIN_REPLICATES: Final = 50
+_CHUNK_VALUES: Final = 1 << 22
+
 
 WEIGHTINGS = ("samples", "voxel", "object", "interaction")
 """mu: each sample of an array as often as it is there; each voxel of the lattice; each voxel whose quantised force
 is not zero; each voxel as often as a probe was there."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A range for a quantity, in its unit, from a resampling.
+
+    `level`: share of the resamples between `low` and `high`, such as 0.95. `method`: how it was made, with its
+    numbers: "block bootstrap, 27 blocks, 200 resamples".
+    """
+
+    population: ClassVar[str] = "media from the source of this one, of which it is a single draw"
+    """Population of an interval: of this one medium the value itself is exact."""
+
+    low: float
+    high: float
+    level: float
+    method: str
 
 
 class FewSamplesWarning(UserWarning):
@@ -37,27 +69,11 @@ class FewSamplesWarning(UserWarning):
 class Quantity:
     """A number with what it means.
 
-    Attributes
-    ----------
-    name : str
-        The usual notation: "H(S)", "I(X;Y)", "WMR".
-    value : float
-        NaN where the quantity does not exist; `notes` then says why.
-    unit : str
-        "bit/sample", "bit/supported voxel", "bit/frame", "bit", "1", "sqrt(bit)".
-    quantiser : str
-        Q; "as given" where symbols were given.
-    weighting : str
-        mu, one of `WEIGHTINGS`.
-    estimator : str
-        Its registered name; "exact" for a quantity of given probabilities.
-    samples : int
-        n, how many samples were seen; 0 for given probabilities.
-    symbols : int
-        K, how many different symbols were seen (of pairs for a joint quantity).
-    interval : Interval or None
-    notes : tuple of str
-        What a reader must know: few samples, why a value is NaN, which guard acted.
+    `name` is the usual notation: "H(S)", "I(X;Y)", "WMR". `value` is NaN where the quantity does not exist; `notes`
+    then says why. `unit`: "bit/sample", "bit/supported voxel", "bit/frame", "bit", "1", "sqrt(bit)". `quantiser` is
+    Q, `weighting` mu, one of `WEIGHTINGS`; `estimator` its registered name, "exact" for given probabilities.
+    `samples` is n, `symbols` K, how many different ones were seen (of pairs for a joint quantity). `notes`: what a
+    reader must know, such as few samples, or which guard acted.
     """
 
     name: str
@@ -121,175 +137,148 @@ class Quantity:
         return f"{self.name} = {self.value:.6g}{spread} {self.unit} (Q {self.quantiser}, mu {self.weighting})"
 
 
-Statistic = Callable[["Int64s"], float]
-"""Of the counts int64 [K] of cells; NaN where it does not exist."""
-
-LEAST_BLOCKS = 8
-_FEW = 10  # samples to a symbol
+# -- the block bootstrap
 
 
-NORMALISATIONS: Final = ("sqrt", "min", "max", "mean", "joint")
-"""Divisors of I(X;Y): sqrt(H(X) H(Y)), the smaller or larger of the two, their mean, or H(X,Y)."""
+def interval(
+    statistic: Callable[[Int64s], float],
+    block_counts: ArrayLike,
+    replicates: int = 200,
+    level: float = 0.95,
+    seed: int = 0,
+    bounds: tuple[float, float] = (-math.inf, math.inf),
+    *,
+    corrects_bias: bool = False,
+) -> Interval:
+    """An interval for a statistic of counts, from blocks drawn with replacement.
 
+    It always holds the statistic of the sum of the blocks, and has no width only where the statistic is the same for
+    every resample. Blocks without a sample are left out. The memory is 16 bytes for each of the B x cells counts, and
+    64 MiB. InvalidArgument if there are fewer than 8 blocks with a sample or 50 replicates; a count is negative or
+    not whole; the level is outside (0, 1); or the statistic is not finite.
 
-def check_normalisation(by: str) -> None:
-    """InvalidArgument if `by` is not one of `NORMALISATIONS`."""
-    if by not in NORMALISATIONS:
-        raise InvalidArgument("by", repr(by), f"one of {', '.join(NORMALISATIONS)}")
-
-
-def normaliser_bits(x_bits: float, y_bits: float, joint_bits: float, by: str) -> float:
-    """The denominator of normalised mutual information, bits.
-
-    InvalidArgument if `by` is not one of `NORMALISATIONS`.
+    Parameters
+    ----------
+    statistic : callable
+        ``statistic(counts)``: a finite number, of counts int64 [*cells] (such as a joint histogram).
+    block_counts : int [B, *cells]
+        The counts of each block, at least 8 of them with a sample.
+    replicates : int
+        How many resamples, at least 50; the statistic is called once for each.
+    level : float
+        Inside (0, 1).
+    seed : int
+        Of the draws; the same seed gives the same bits on any number of threads.
+    bounds : (float, float)
+        The least and the greatest value that what is estimated can have. The interval is cut there; where the
+        estimate lies beyond one of them, the interval reaches from it to that bound at least.
+    corrects_bias : bool
+        Whether the statistic takes its own bias off: the interval is then the normal one, not the basic.
     """
-    check_normalisation(by)
-    return {
-        "sqrt": math.sqrt(x_bits * y_bits),
-        "min": min(x_bits, y_bits),
-        "max": max(x_bits, y_bits),
-        "mean": (x_bits + y_bits) / 2,
-        "joint": joint_bits,
-    }[by]
+    from scipy.special import ndtri, stdtrit
+
+    counts = _checked(block_counts, replicates, level)
+    blocks, upper = len(counts), (1 + level) / 2
+    estimate = _finite(statistic(counts.sum(axis=0)))
+    values = _resampled(statistic, counts, replicates, seed)
+
+    def held(low: float, high: float) -> tuple[float, float]:
+        """Cut at the bounds, and stretched to hold the estimate; 0, and not -0."""
+        low, high = (min(max(edge, bounds[0]), bounds[1]) for edge in (low, high))
+        return min(low, estimate) + 0.0, max(high, estimate) + 0.0
+
+    # few blocks are spread too little
+    wider = float(math.sqrt(blocks / (blocks - 1)) * stdtrit(blocks - 1, upper) / ndtri(upper))
+    kind, made = "basic", (estimate, estimate)
+    if not corrects_bias:
+        centre = float(values.mean())
+        low, high = np.quantile(values, [1 - upper, upper])
+        middle = 2 * estimate - centre
+        made = held(middle - wider * float(high - centre), middle + wider * float(centre - low))
+    if corrects_bias or made[0] == made[1]:  # what the bias takes to a bound has a spread nevertheless
+        deviation = float(values.std(ddof=1)) if values.min() < values.max() else 0.0  # no rounding where all agree
+        half = wider * float(ndtri(upper)) * deviation
+        kind, made = "normal", held(estimate - half, estimate + half)
+    return Interval(*made, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
 
 
-@dataclass(frozen=True)
-class Counted:
-    """Counts of cells and what they are of.
+def ratio_interval(
+    above: Callable[[Int64s], float],
+    below: Callable[[Int64s], float],
+    counts: tuple[ArrayLike, ArrayLike],
+    replicates: int = 200,
+    level: float = 0.95,
+    seed: int = 0,
+    *,
+    corrects_bias: bool = False,
+) -> Interval | None:
+    """An interval for a ratio of two statistics of counts, whose blocks are drawn together.
 
-    `counts` int64 [K]: of each cell (symbol or joint symbol). `blocks` int64 [B, K] or None: the same, block by
-    block; None for no interval. `fewest`: samples of the smallest variable's array, for the warning; usually n.
-    `estimator`, `quantiser`, `weighting`: as in `Quantity`. `warns`: whether few samples are worth a warning; they
-    are worth a note always. `symbols`: K, where it is not the number of cells with a count.
+    Where a medium is rich, so is what a device renders of it, and their ratio varies less than either.
+    `above`, `below`: each a number of at least 0, of its own counts int64 [K]. `counts` (int [B, K], int [B, K']):
+    of `above` and of `below`, in the same blocks. `replicates`, `level`, `seed`, `corrects_bias`: as of `interval`.
+    Returns Interval or None: None where `below` is 0 for the data or for a resample, so that there is no ratio.
+    InvalidArgument as of `interval`; also if the blocks are not as many.
     """
+    first, second = (as_array(c, "block_counts") for c in counts)
+    if first.ndim != 2 or second.ndim != 2 or len(first) != len(second):
+        raise InvalidArgument("block_counts", f"shapes {first.shape} and {second.shape}", "[B, K] and [B, K']")
+    cells = first.shape[1]
 
-    counts: Int64s
-    blocks: Int64s | None
-    fewest: int
-    estimator: str = "plug-in"
-    quantiser: str = "as given"
-    weighting: str = "samples"
-    notes: tuple[str, ...] = ()
-    warns: bool = True
-    symbols: int | None = None
+    def ratio(both: Int64s) -> float:
+        divisor = below(both[cells:])
+        if divisor == 0:
+            raise ZeroDivisionError
+        return above(both[:cells]) / divisor
 
-
-@dataclass(frozen=True)
-class Entropies:
-    """The entropies of the columns of joint cells, all by one estimator, as statistics of the cells' counts.
-
-    `estimator`: one of `touchfield.measure.estimators.ESTIMATORS`. `places` tuple of int64 [K]: for each column,
-    which of its symbols a cell has. `alphabets` tuple of (int or None): for each column how many symbols there are;
-    then for the joint symbol.
-    """
-
-    estimator: str
-    places: tuple[Int64s, ...]
-    alphabets: tuple[int | None, ...]
-
-    def column(self, axis: int, counts: Int64s) -> float:
-        """H of one column, bits."""
-        total = np.zeros(int(self.places[axis].max()) + 1, np.int64)
-        np.add.at(total, self.places[axis], counts)
-        return self._bits(total, self.alphabets[axis])
-
-    def joint(self, counts: Int64s) -> float:
-        """H of all columns, bits."""
-        return self._bits(counts, self.alphabets[-1])
-
-    def most_bits(self) -> float:
-        """The greatest value of `joint`, log2 of the joint alphabet; infinity where that is not known."""
-        alphabet = self.alphabets[-1]
-        return math.log2(alphabet) if alphabet is not None and alphabet >= 1 else math.inf
-
-    def given(self, axis: int, counts: Int64s) -> float:
-        """H of the other columns given one, bits."""
-        return self._sum(self.joint(counts), -self.column(axis, counts))
-
-    def mutual(self, counts: Int64s) -> float:
-        """I of two columns, bits."""
-        return self._sum(self.column(0, counts), self.column(1, counts), -self.joint(counts))
-
-    def variation(self, counts: Int64s) -> float:
-        """VI of two columns, bits."""
-        return self._sum(2 * self.joint(counts), -self.column(0, counts), -self.column(1, counts))
-
-    def normalised(self, by: str, counts: Int64s) -> float:
-        """I over one of `touchfield.measure.distribution.NORMALISATIONS`; NaN where that is 0."""
-        below = normaliser_bits(self.column(0, counts), self.column(1, counts), self.joint(counts), by)
-        return self.mutual(counts) / below if below > 0 else math.nan
-
-    def _bits(self, counts: Int64s, alphabet: int | None) -> float:
-        return estimate_bits(counts, self.estimator, alphabet)
-
-    def _sum(self, *terms: float) -> float:
-        """The sum; of plug-in entropies it cannot be negative but by rounding."""
-        total = math.fsum(terms)
-        return max(0.0, total) if self.estimator == "plug-in" else total + 0.0  # 0, and not -0
+    together = np.concatenate([first, second], axis=1)
+    try:
+        made = interval(ratio, together, replicates, level, seed, (0.0, math.inf), corrects_bias=corrects_bias)
+    except ZeroDivisionError:
+        return None
+    return Interval(made.low, made.high, level, f"paired {made.method}")
 
 
-def measured(
-    name: str,
-    statistic: Statistic,
-    counted: Counted,
-    unit: str = "bit/sample",
-    most: float = math.inf,
-) -> Quantity:
-    """A statistic of counts with its interval and notes.
-
-    `name`: the usual notation. `statistic`: of counts int64 [K]. `most`: the greatest value that the quantity can
-    have; the least is 0. FewSamplesWarning if there are fewer than ten samples to a symbol. InvalidArgument if
-    there is no sample, or the estimator is unknown.
-    """
-    if not len(counted.counts):
-        raise InvalidArgument("samples", "no sample", "at least one")
-    value = statistic(counted.counts)
-    notes = list(counted.notes)
-    if math.isnan(value):
-        notes.append("0/0: nothing varies, so there is nothing to be divided by")
-    elif value < 0:
-        notes.append(f"negative, which no true value is: the bias correction of {counted.estimator} is larger")
-    elif value > most:
-        notes.append(f"above {most:g}, which no true value is: the bias correction of {counted.estimator} did it")
-    symbols = int(np.count_nonzero(counted.counts)) if counted.symbols is None else counted.symbols
-    if counted.fewest < _FEW * symbols:
-        few = f"few samples: {counted.fewest} for {symbols} symbols, fewer than {_FEW} to each"
-        notes.append(few)
-        if counted.warns:
-            warnings.warn(f"{name}: {few}", FewSamplesWarning, stacklevel=3)
-    spread = None
-    if counted.blocks is not None and not math.isnan(value):
-        spread, why = _interval(statistic, counted.blocks, most, ESTIMATORS[counted.estimator].corrects_bias)
-        notes += why
-    return Quantity(
-        name,
-        value,
-        unit,
-        quantiser=counted.quantiser,
-        weighting=counted.weighting,
-        estimator=counted.estimator,
-        samples=int(counted.counts.sum()),
-        symbols=symbols,
-        interval=spread,
-        notes=tuple(notes),
-    )
+def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
+    given = as_array(block_counts, "block_counts")
+    if given.ndim < 2:
+        raise InvalidArgument("block_counts", f"shape {given.shape}", "[B, cells]")
+    if given.dtype.kind not in "biu":
+        raise InvalidArgument("block_counts", f"values of type {given.dtype}", "whole numbers")
+    if given.size and given.min() < 0:
+        raise InvalidArgument("block_counts", f"{given.min()}", "counts of at least 0")
+    if not (replicates >= MIN_REPLICATES and int(replicates) == replicates):
+        raise InvalidArgument("replicates", f"{replicates}", f"a whole number of at least {MIN_REPLICATES}")
+    if not 0 < level < 1:
+        raise InvalidArgument("level", f"{level}", "inside (0, 1), such as 0.95")
+    held = given[given.any(axis=tuple(range(1, given.ndim)))]
+    if len(held) < MIN_BLOCKS:
+        raise InvalidArgument(
+            "block_counts", f"{len(held)} blocks with a sample", f"at least {MIN_BLOCKS}", "Take smaller blocks."
+        )
+    return held.astype(np.int64, copy=False)
 
 
-def _interval(
-    statistic: Statistic, blocks: Int64s, most: float, corrects_bias: bool
-) -> tuple[Interval | None, list[str]]:
-    held = int(np.count_nonzero(blocks.any(axis=1)))
-    if held < LEAST_BLOCKS:
-        return None, [f"no interval: {held} blocks with samples, fewer than {LEAST_BLOCKS}"]
-    missing = 0
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise InvalidArgument("statistic", f"{value}", "a finite number for every resample")
+    return float(value)
 
-    def defined(counts: Int64s) -> float:
-        nonlocal missing
-        value = statistic(counts)
-        if math.isnan(value):
-            missing += 1
-            return 0.0
-        return value
 
-    spread = interval(defined, blocks, bounds=(0.0, most), corrects_bias=corrects_bias)
-    return spread, [f"{missing} resamples without any variation count as 0"] if missing else []
+def _resampled(statistic: Callable[[Int64s], float], counts: Int64s, replicates: int, seed: int) -> Float64s:
+    """The statistic of each resample [replicates]: multinomial weights times counts, a bounded part at a time."""
+    blocks, cells = len(counts), counts.shape[1:]
+    flat = counts.reshape(blocks, -1)
+    used = np.flatnonzero(flat.any(axis=0))
+    held = flat[:, used].astype(np.float64)  # products and sums of whole numbers below 2^53 are exact, in any order
+    rng = np.random.default_rng(seed)
+    weights = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=replicates).astype(np.float64)
+    at_once = max(1, _CHUNK_VALUES // max(1, flat.shape[1]))
+    values = np.empty(replicates)
+    for begin in range(0, replicates, at_once):
+        drawn = weights[begin : begin + at_once] @ held
+        full = np.zeros((len(drawn), flat.shape[1]), np.int64)
+        full[:, used] = drawn
+        for i, resample in enumerate(full):
+            values[begin + i] = _finite(statistic(resample.reshape(cells)))
+    return values

@@ -29,8 +29,6 @@ from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, DESCRIPTOR_VERSION
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.npz import NpzArchive
 
-# -- How good a ranking is: mean average precision, and what chance gives
-
 
 def average_precision(ranked: Sequence[str], relevant: Collection[str]) -> float:
     """The average precision of one query, 0 to 1.
@@ -50,14 +48,8 @@ def average_precision(ranked: Sequence[str], relevant: Collection[str]) -> float
 def mean_average_precision(ranks: Mapping[str, Sequence[str]], relevant: Mapping[str, Collection[str]]) -> float:
     """The mean of `average_precision` over queries, 0 to 1.
 
+    `ranks`: of each query the ranked names, the query itself not among them. `relevant`: of each query the names.
     InvalidArgument if there is no query, one has nothing relevant, or `relevant` does not tell of one.
-
-    Parameters
-    ----------
-    ranks : mapping of query to ranked names
-        The query itself should not be among them.
-    relevant : mapping of query to names
-        For each query of `ranks`.
     """
     if not ranks:
         raise InvalidArgument("ranks", "no query", "at least one")
@@ -73,16 +65,11 @@ def chance_average_precision(relevant_count: int, count: int) -> float:
     InvalidArgument if the counts do not fit.
     """
     if not 1 <= relevant_count <= count:
-        raise InvalidArgument(
-            "relevant_count", f"{relevant_count} of {count}", "1 or more, and no more than there are"
-        )
+        raise InvalidArgument("relevant_count", f"{relevant_count} of {count}", "1 to as many as there are")
     if count == 1:
         return 1.0
     harmonic = float((1 / np.arange(1, count + 1)).sum())
     return (harmonic + (relevant_count - 1) / (count - 1) * (count - harmonic)) / count
-
-
-# -- Search in a collection of haptic media: an index of descriptors, and the nearest of them (paper 4 and 5.1)
 
 
 ANY_POSE: Final[Mapping[str, float]] = MappingProxyType({"directions": 0.0})
@@ -95,10 +82,7 @@ _FORMAT: Final = "touchfield medium index"
 
 
 class Match(NamedTuple):
-    """A medium that was found.
-
-    `distance`: from the query; 0 where the descriptors are the same.
-    """
+    """A medium that was found, and its distance from the query: 0 where the descriptors are the same."""
 
     name: str
     distance: float
@@ -172,12 +156,8 @@ class MediumIndex:
 
         InvalidArgument if the folder is not there. SourceError if the system refuses to write.
         """
-        head = {
-            "format": _FORMAT,
-            "descriptor_version": DESCRIPTOR_VERSION,
-            "parts": dict(PARTS),
-            "names": list(self._rows),
-        }
+        parts, names = dict(PARTS), list(self._rows)
+        head = {"format": _FORMAT, "descriptor_version": DESCRIPTOR_VERSION, "parts": parts, "names": names}
         arrays = {
             "head": np.frombuffer(json.dumps(head).encode(), np.uint8),
             "values": np.array(list(self._rows.values()), "<f8").reshape(len(self), DESCRIPTOR_LENGTH),

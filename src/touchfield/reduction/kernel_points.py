@@ -39,7 +39,7 @@ _NOISES: Final = (1e-3, 3e-2)
 
 
 def most_candidates(count: int) -> int:
-    """The most candidates that so many points are chosen among: the factor takes half a gigabyte at most."""
+    """The most candidates for so many points: the factor takes half a gigabyte at most."""
     return min(20_000, _MOST_BYTES // (72 * max(1, count)))
 
 
@@ -89,11 +89,9 @@ class _Posterior:
 
 
 def variance_points(points_m: Float64s, count: int, kernel: Kernel, measured: int = 0) -> tuple[Int64s, Float64s]:
-    """Candidates, each the one of greatest variance once those before it are measured.
-
-    points_m : float64 [m, 3]; the first `measured` of them are known already.
-    Gives int64 [count] and the variance that each had, the sum over three components, of a field of variance 1.
-    Raises `InvalidArgument` if there are fewer candidates.
+    """Candidates, each the one of greatest variance once those before it are measured, int64 [count], and the
+    variance that each had, the sum over three components, of a field of variance 1. `points_m` float64 [m, 3]; the
+    first `measured` of them are known already. InvalidArgument if there are fewer candidates.
     """
     if not 1 <= count <= len(points_m) - measured:
         raise InvalidArgument("points", f"{count}", f"1 to {len(points_m) - measured}, as many as there are places")
@@ -115,8 +113,7 @@ def error_points(
 ) -> Int64s:
     """Points of a known field, each the one after which least of it is missed; int64 [count].
 
-    points_m, forces_n : float64 [m, 3]; the field. targets : int; how many places the error is added up over.
-    Raises `InvalidArgument` if there are fewer points.
+    `points_m`, `forces_n` float64 [m, 3]. `targets`: how many places the error is added up over.
     """
     known, rng = _Posterior(points_m, kernel, count), np.random.default_rng(0)
     left, places = forces_n.reshape(-1).copy(), slice(None, None, -(-len(points_m) // targets))
@@ -138,10 +135,7 @@ def error_points(
 
 
 def best_kernel(points_m: Float64s, forces_n: Float64s, count: int) -> Kernel:
-    """The kernel with which so many points miss least of a known field, by trying them on some places of it.
-
-    points_m, forces_n : float64 [m, 3].
-    """
+    """The kernel with which so many points miss least of a known field [m, 3], by trying on some of its places."""
     some = slice(None, None, -(-len(points_m) // max(_PILOT, min(4 * count, len(points_m)))))
     points, forces = points_m[some], forces_n[some]
     extent, tried = float(np.ptp(points, axis=0).max()) or 1.0, []

@@ -1,4 +1,4 @@
-"""Snapshots as a few modes: proper orthogonal decomposition (paper section 6.1, "dimensionality reduction").
+"""Snapshots as a few modes, and the fewest points that tell their coefficients (paper sections 6.1 and 6.2).
 
 A snapshot is a vector of d values: a frame on the union of its bricks, or one brick. The best r vectors to write n of
 them with are the first r right singular vectors of the n x d matrix, and the squared error is the sum of the squared
@@ -6,38 +6,46 @@ singular values beyond r (Eckart and Young), known before anything is written. W
 matrix, added up in float64 block by block: n x n of few long snapshots (Sirovich's method of snapshots, `pod`),
 d x d of many short ones (`klt`). It squares the singular values, so that those below 1e-8 of the first are noise;
 modes of them are not made.
+
+Points: Q-DEIM, a point at a time. A point measures a vector, three rows of the modes U at once, so that the pivots of
+the QR factorisation are blocks (Drmac and Gugercin 2016; Manohar et al. 2018). The next point is the one whose rows
+are farthest from the span of those chosen. Once they span all coefficients, a further point is that which lessens
+most the sum of the variances of the coefficients, trace((P^T U)^T W^2 P^T U)^-1. What the modes cannot write at a
+point is its noise: W has one over its deviation there, so that points are sought where the modes tell most of what is
+felt. With U orthonormal, what weighted least squares rebuilds is off by at most ||(W P^T U)^+ W|| times what the
+modes cannot write: `bound`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Float64s
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
 
 _BLOCK_VALUES: Final = 1 << 21
 _NOISE: Final = 1e-15  # of the greatest eigenvalue, times the order of the matrix: below it there is rounding only
+_LEAST_NOISE: Final = 0.1  # of the mean over all points
+_WEAK: Final = 0.1  # of the first row of a point: weaker ones count only where points are too few
+_FLAT: Final = 1e-12  # of the first pivot, squared: rows below it lie in the span of those chosen
 
 
 @dataclass(frozen=True)
 class Modes:
     """Orthonormal modes of n snapshots of d values.
 
-    mean : float64 [d]; what is taken from each snapshot first, zeros where nothing is.
-    basis : float64 [d, r]; a mode a column, the one with most energy first.
-    values : float64 [min(n, d)]; all singular values of the snapshots less the mean, descending.
-    count : int; n.
+    `basis` float64 [d, r]: a mode a column, the one with most energy first. `values` float64 [min(n, d)]: all
+    singular values of the snapshots, descending. `count`: n.
     """
 
-    mean: Float64s
     basis: Float64s
     values: Float64s
     count: int
@@ -49,32 +57,27 @@ class Modes:
 
     @property
     def energy(self) -> float:
-        """Sum of the squares of all snapshots, the mean in them."""
-        return float(self.values @ self.values + self.count * (self.mean @ self.mean))
+        """Sum of the squares of all snapshots."""
+        return self.tail(0)
 
     def first(self, rank: int) -> Modes:
         """The same with the first modes alone."""
-        return Modes(self.mean, self.basis[:, :rank], self.values, self.count)
+        return replace(self, basis=self.basis[:, :rank])
 
     def coefficients(self, snapshots: ArrayLike) -> Float64s:
         """What each mode has in each snapshot, float64 [n, r], of snapshots [n, d]."""
         given = _matrix(snapshots)
-        if given.shape[1] != len(self.mean):
-            raise InvalidArgument(
-                "snapshots", f"{given.shape[1]} values each", f"{len(self.mean)}, as the modes have"
-            )
-        found = np.zeros((len(given), self.rank))
-        step = max(1, _BLOCK_VALUES // max(1, len(given)))
-        for a in range(0, len(self.mean), step):
-            found += (given[:, a : a + step] - self.mean[a : a + step]) @ self.basis[a : a + step]
-        return found
+        if given.shape[1] != len(self.basis):
+            found, expected = given.shape[1], len(self.basis)
+            raise InvalidArgument("snapshots", f"{found} values each", f"{expected}, as the modes have")
+        return np.asarray(sum((given[:, p] @ self.basis[p] for p in _pieces(given)), np.zeros((1, self.rank))))
 
     def rebuild(self, coefficients: ArrayLike) -> Float64s:
         """The snapshots of these coefficients [n, r], float64 [n, d]."""
         given = np.asarray(coefficients, np.float64)
         if given.ndim != 2 or given.shape[1] != self.rank:
             raise InvalidArgument("coefficients", f"shape {given.shape}", f"[n, {self.rank}], one for each mode")
-        return given @ self.basis.T + self.mean
+        return given @ self.basis.T
 
     def tail(self, rank: int) -> float:
         """Sum of the squared errors of all snapshots when the first `rank` modes are kept, known beforehand."""
@@ -86,33 +89,26 @@ class Modes:
         return int(np.argmax(left <= 10 ** (decibels / 10) * self.energy))
 
 
-def pod(snapshots: NDArray[Any] | Iterable[NDArray[Any]], rank: int | None = None, centred: bool = False) -> Modes:
-    """The modes of n snapshots that are longer than many: the Gram matrix is n x n.
+def pod(snapshots: ArrayLike, rank: int | None = None) -> Modes:
+    """The modes of n snapshots [n, d] that are longer than many, `rank` of them or all: the Gram matrix is n x n.
 
-    snapshots : float [n, d], or blocks of their columns [n, d_b], which are gone through twice and made float64 one
-        at a time (an iterator's are kept, as they are, for the second time).
-    rank : int, optional; modes to make, at most as many as are above the rounding; all of those without it.
-    centred : bool; the mean snapshot is taken from each first.
-    Raises `InvalidArgument` if the shapes do not fit, a value is not finite, or the rank is none of 1 to n.
+    A few columns are made float64 at a time. InvalidArgument if there is no value, one is not finite, or the rank is
+    none of 1 to n.
     """
-    blocks = list(snapshots) if isinstance(snapshots, Iterator) else snapshots
-    gram, means = np.zeros((0, 0)), []
-    for block in _pieces(blocks):
-        means.append(block.mean(axis=0) if centred else np.zeros(block.shape[1]))
-        apart = block - means[-1]
-        gram = apart @ apart.T if not len(gram) else gram + apart @ apart.T
-    if not len(gram):
+    given = _matrix(snapshots)
+    if not given.size:
         raise InvalidArgument("snapshots", "no value", "at least one snapshot of one value")
+    gram = np.zeros((len(given), len(given)))
+    for p in _pieces(given):
+        block = given[:, p].astype(np.float64)
+        gram += block @ block.T
     squares, left, kept = _decomposed(gram, rank)
     weights = left[:, :kept] / np.sqrt(squares[:kept])
-    mean = np.concatenate(means)
-    basis, at = np.empty((len(mean), kept)), 0
-    for block in _pieces(blocks):
-        stop = at + block.shape[1]
-        basis[at:stop] = (block - mean[at:stop]).T @ weights
-        at = stop
-    values = np.sqrt(squares[: min(len(gram), len(mean))])
-    return Modes(frozen(mean), frozen(_orthonormal(basis)), frozen(values), len(gram))
+    basis = np.concatenate([given[:, p].astype(np.float64).T @ weights for p in _pieces(given)])
+    for _ in range(2 if kept else 0):  # against those before, as small ones hardly are: Cholesky's QR, twice
+        corner = scipy.linalg.cholesky(basis.T @ basis)
+        basis = scipy.linalg.solve_triangular(corner, basis.T, trans="T", overwrite_b=True).T
+    return Modes(frozen(basis), frozen(np.sqrt(squares[: min(given.shape)])), len(given))
 
 
 def klt(rows: Iterable[NDArray[Any]], rank: int | None = None) -> Modes:
@@ -128,7 +124,7 @@ def klt(rows: Iterable[NDArray[Any]], rank: int | None = None) -> Modes:
         raise InvalidArgument("snapshots", "none", "at least one")
     squares, right, kept = _decomposed(gram, rank)
     values = np.sqrt(squares[: min(count, len(gram))])
-    return Modes(frozen(np.zeros(len(gram))), frozen(np.ascontiguousarray(right[:, :kept])), frozen(values), count)
+    return Modes(frozen(np.ascontiguousarray(right[:, :kept])), frozen(values), count)
 
 
 def _matrix(given: ArrayLike) -> NDArray[Any]:
@@ -140,18 +136,10 @@ def _matrix(given: ArrayLike) -> NDArray[Any]:
     return array
 
 
-def _pieces(snapshots: Any) -> Iterator[Float64s]:
-    """The columns as float64, a few at a time."""
-    is_matrix = isinstance(snapshots, np.ndarray)
-    count = None
-    for given in (snapshots,) if is_matrix else snapshots:
-        block = _matrix(given)
-        if count is not None and len(block) != count:
-            raise InvalidArgument("snapshots", f"{len(block)} in a block", f"{count}, as in the first")
-        count = len(block)
-        step = max(1, _BLOCK_VALUES // max(1, count))
-        for a in range(0, block.shape[1] if count else 0, step):
-            yield block[:, a : a + step].astype(np.float64)
+def _pieces(snapshots: NDArray[Any]) -> list[slice]:
+    """A few columns at a time."""
+    step = max(1, _BLOCK_VALUES // max(1, len(snapshots)))
+    return [slice(a, a + step) for a in range(0, snapshots.shape[1], step)]
 
 
 def _decomposed(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, int]:
@@ -164,10 +152,93 @@ def _decomposed(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, i
     return squares, vectors, min(kept, rank or kept)
 
 
-def _orthonormal(basis: Float64s) -> Float64s:
-    """The columns made orthonormal, each against those before it, as small ones hardly are: Cholesky's QR, twice."""
-    for _ in range(2):
-        if basis.shape[1]:
-            corner = scipy.linalg.cholesky(basis.T @ basis)
-            basis = scipy.linalg.solve_triangular(corner, basis.T, trans="T", overwrite_b=True).T
-    return basis
+# -- points
+
+
+@dataclass(frozen=True)
+class ModePoints:
+    """Points whose forces tell the coefficients of modes.
+
+    `modes`: of snapshots of d / 3 points, x, y and z of a point side by side. `points` int64 [n]: which of these
+    points, in the order they were chosen. `weights` float64 [n]: W, how much each counts; all the same without it.
+    """
+
+    modes: Modes
+    points: Int64s
+    weights: Float64s | None = None
+
+    @property
+    def rows(self) -> Int64s:
+        """The rows of the modes that are measured, int64 [3 n]."""
+        return (3 * self.points[:, None] + np.arange(3)).reshape(-1)
+
+    @property
+    def bound(self) -> float:
+        """||(W P^T U)^+ W||, 1 or more: by how much what the modes cannot write may grow."""
+        return max(1.0, float(scipy.linalg.svdvals(self._solver())[0]))
+
+    def coefficients(self, measured_n: Float64s) -> Float64s:
+        """What each mode has in each snapshot by least squares, float64 [m, r], of measured forces [m, n, 3]."""
+        return np.asarray(np.reshape(measured_n, (-1, len(self.rows))) @ self._solver().T)
+
+    def _solver(self) -> Float64s:
+        weights = np.ones(len(self.rows)) if self.weights is None else np.repeat(self.weights, 3)
+        return np.asarray(np.linalg.pinv(self.modes.basis[self.rows] * weights[:, None]) * weights)
+
+
+def mode_points(modes: Modes, count: int, missed_n2: Float64s | None = None) -> ModePoints:
+    """The points that tell the coefficients of some modes best, chosen one after the other.
+
+    `count`: a third of the number of modes or more, at most the points there are. `missed_n2` float64 [d / 3]: mean
+    square of what the modes cannot write at each point; alike without it. InvalidArgument if the count is out of that
+    range, or modes of d values are no modes of vectors.
+    """
+    length, rank = modes.basis.shape
+    if length % 3:
+        raise InvalidArgument("modes", f"{length} values", "three for each point")
+    if not -(-rank // 3) <= count <= length // 3:
+        raise InvalidArgument("points", f"{count}", f"{-(-rank // 3)} to {length // 3} for {rank} modes")
+    weights = np.ones(length // 3)
+    if missed_n2 is not None and missed_n2.any():
+        weights = 1 / np.sqrt(missed_n2 / missed_n2.mean() + _LEAST_NOISE)
+    blocks = modes.basis.reshape(-1, 3, rank) * weights[:, None, None]
+    chosen = _pivots(blocks, count)
+    if len(chosen) < count:
+        _add_for_variance(blocks, chosen, count)
+    return ModePoints(modes, frozen(np.array(chosen, np.int64)), frozen(weights[chosen]))
+
+
+def _pivots(blocks: Float64s, count: int) -> list[int]:
+    """Points by block-pivoted QR, until they span all columns."""
+    rank = blocks.shape[2]
+    left, spanned = blocks.copy(), 0
+    chosen: list[int] = []
+    squares = np.einsum("pkr,pkr->p", left, left)
+    first = squares.max()
+    while spanned < rank and len(chosen) < count:
+        best = int(np.argmax(squares))
+        if not squares[best] > _FLAT * first:
+            raise InvalidArgument("modes", f"{rank} of rank {spanned}", "modes that are independent")
+        _, sizes, rows = scipy.linalg.svd(left[best], full_matrices=False)
+        needed = -(-(rank - spanned) // (count - len(chosen)))  # of each point that is left
+        rows = rows[(sizes > _WEAK * sizes[0]) | (np.arange(len(sizes)) < needed) & (sizes**2 > _FLAT * first)]
+        left -= (left @ rows.T) @ rows
+        squares = np.einsum("pkr,pkr->p", left, left)
+        chosen.append(best)
+        squares[chosen] = 0.0
+        spanned += len(rows)
+    return chosen
+
+
+def _add_for_variance(blocks: Float64s, chosen: list[int], count: int) -> None:
+    """Further points, each that which lessens the trace of the inverse of the Gram matrix most."""
+    rows = blocks[chosen].reshape(-1, blocks.shape[2])
+    inverse = np.linalg.inv(rows.T @ rows)
+    while len(chosen) < count:
+        half = blocks @ inverse  # [p, 3, r]
+        inner = np.eye(3) + half @ blocks.transpose(0, 2, 1)
+        gains = np.einsum("pij,pji->p", np.linalg.inv(inner), half @ half.transpose(0, 2, 1))
+        gains[chosen] = -np.inf
+        best = int(np.argmax(gains))
+        inverse -= half[best].T @ np.linalg.solve(inner[best], half[best])
+        chosen.append(best)

@@ -38,7 +38,7 @@ from touchfield.medium.budget import require_memory
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
-    from touchfield.medium import ForceField, HapticMedium
+    from touchfield.medium import HapticMedium
 
 
 _MARGIN: Final = 1.05  # of the force that (*) asks for: it comes a tick late
@@ -53,10 +53,7 @@ _ALL = np.ones((3, 3, 3), bool)
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand with its device: what it pushes with at most, its mass, and the speed that it never exceeds.
-
-    Raises `InvalidArgument` if one of them is not positive and finite.
-    """
+    """A hand with its device: what it pushes with at most, its mass, the speed it never exceeds; each above 0."""
 
     push_n: float
     mass_kg: float
@@ -75,8 +72,8 @@ class Hand:
     @property
     def words(self) -> str:
         """For whom a promise holds."""
-        of = f"{1e3 * self.mass_kg:g} g with its device"
-        return f"a hand of {of} that pushes with {self.push_n:g} N and moves at {self.speed_m_s:g} m/s at most"
+        grams, push, speed = 1e3 * self.mass_kg, self.push_n, self.speed_m_s
+        return f"a hand of {grams:g} g with its device that pushes with {push:g} N and moves at {speed:g} m/s at most"
 
 
 class _Layer(NamedTuple):
@@ -98,10 +95,7 @@ class Reach(NamedTuple):
 
 
 def reach_of(medium: HapticMedium, hand: Hand) -> Reach:
-    """Where a hand can get to that begins where no force is, and stays between the outermost samples.
-
-    Raises `InvalidArgument` if a frame is too large for the memory.
-    """
+    """Where a hand can get to that begins where no force is, and stays between the outermost samples."""
     grid, count = medium.grid, len(medium)
     require_memory("frame as a dense array", grid.voxel_count // 512 + 1, 100 * grid.voxel_count)
     spread = np.unique(np.linspace(0, count - 1, 16).astype(int))
@@ -119,29 +113,26 @@ def reach_of(medium: HapticMedium, hand: Hand) -> Reach:
 
 def _layers(medium: HapticMedium, hand: Hand, greatest_n: float) -> list[_Layer]:
     """Layers to try on a field of this greatest force, the thinnest first."""
+    if min(medium.grid.shape) < 2:
+        return []
     found: list[_Layer] = []
     own = math.hypot(*medium.grid.spacing_m)
-    for used in _USED if min(medium.grid.shape) > 1 else ():
-        need = used * greatest_n
+    size = np.linalg.norm(medium[0].to_dense(), axis=-1)
+    held, bin_m = size > 0, 0.25 * own
+    bins = (distance_transform_edt(held, medium.grid.spacing_m)[held] / bin_m).astype(int)
+    whole = np.bincount(bins)
+    for need in (used * greatest_n for used in _USED):
         spare = need / _MARGIN - hand.push_n
         if spare <= 0:
             continue
-        ramp_m = max(_ramp_m(medium[0], need) + own, hand.lunge_nm / (_TO_TURN * spare))
+        # how deep in the field its force is so great, but for a few samples
+        strong = np.flatnonzero((whole > 0) & (np.bincount(bins, size[held] < need) <= _FEW * whole))
+        deep_m = float(strong[0] if len(strong) else len(whole)) * bin_m
+        ramp_m = max(deep_m + own, hand.lunge_nm / (_TO_TURN * spare))
         stop_m = hand.lunge_nm / (2 * (spare - hand.lunge_nm / ramp_m))
         start_m = _RETREAT * own + ramp_m
         found.append(_Layer(_RETREAT * own, start_m, start_m + stop_m, need))
     return sorted(found, key=lambda one: one.depth_m)
-
-
-def _ramp_m(field: ForceField, need_n: float) -> float:
-    """How deep in a field its force is so great, but for a few samples."""
-    size = np.linalg.norm(field.to_dense(), axis=-1)
-    deep = distance_transform_edt(size > 0, field.grid.spacing_m)
-    bin_m = 0.25 * math.hypot(*field.grid.spacing_m)
-    bins = (deep[size > 0] / bin_m).astype(int)
-    whole, weak = np.bincount(bins), np.bincount(bins, size[size > 0] < need_n)
-    strong = np.flatnonzero((whole > 0) & (weak <= _FEW * whole))
-    return float(strong[0] if len(strong) else len(whole)) * bin_m
 
 
 class _Flood:

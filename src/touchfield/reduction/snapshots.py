@@ -30,10 +30,7 @@ BRICK_VALUES: Final = 3 * BRICK**3
 
 @dataclass(frozen=True)
 class Reduced:
-    """A medium by its modes.
-
-    kind : one of `KINDS`. keys : int64 [bricks], of "global" those of the union (`brick_keys`); none of "bricks".
-    """
+    """A medium by its modes. `keys` int64: of "global" the `brick_keys` of the union of bricks; none of "bricks"."""
 
     medium: HapticMedium
     kind: str
@@ -59,10 +56,7 @@ def _bricks(field: ForceField) -> Float32s:
 
 
 def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None, step: int = 1) -> Reduced:
-    """The modes of every `step`-th frame of a medium, all of them or the first `rank`.
-
-    Raises `InvalidArgument` if the kind is unknown, no frame has a force, or the frames are too large for the memory.
-    """
+    """The modes of every `step`-th frame of a medium, all of them or the first `rank`; `kind` is one of `KINDS`."""
     if kind not in KINDS:
         raise InvalidArgument("--modes", repr(kind), f"one of {', '.join(KINDS)}")
     places = range(0, len(medium), step)
@@ -113,7 +107,7 @@ def held_out(medium: HapticMedium, kind: str, decibels: float = -30.0) -> HeldOu
     caught = squares.sum(axis=0) if is_global else np.sort(squares.ravel())[::-1]
     left = np.maximum(energy - np.cumsum(caught), 1e-30) / energy
     used = min(int(np.count_nonzero(left > 10 ** (decibels / 10))), len(left) - 1) + 1
-    length, modes = len(learnt.modes.mean), used if is_global else learnt.modes.rank
+    length, modes = len(learnt.modes.basis), used if is_global else learnt.modes.rank
     numbers = used if is_global else used / len(squares)
     chosen = numbers / modes
     places = 0.0 if is_global or chosen >= 1 else (-chosen * math.log2(chosen) - (1 - chosen) * math.log2(1 - chosen))

@@ -1,4 +1,4 @@
-"""Histograms of symbols: every dtype, layout and size, jointly and block by block, against numpy.unique."""
+"""Counts of symbols: every dtype, layout and size, jointly and block by block, against numpy.unique."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
-from touchfield.measure.histogram import Histogram, JointHistogram, block_counts
-from touchfield.measure.kernels import count
+from touchfield.measure import kernels as count
+from touchfield.measure.counts import Counts
 
 DTYPES = ["?", "i1", "u1", "<i2", ">i2", "<u2", "<i4", ">i4", "<u4", "<i8", ">i8"]
 
 
-def agrees(found: Histogram, samples: NDArray[np.generic]) -> None:
+def agrees(found: Counts, samples: NDArray[np.generic]) -> None:
     symbols, counts = np.unique(samples.astype(np.int64), return_counts=True)
-    assert np.array_equal(found.symbols, symbols)
-    assert np.array_equal(found.counts, counts)
+    assert np.array_equal(found.cells[:, 0], symbols)
+    assert np.array_equal(found.weights, counts)
     assert found.total == samples.size
 
 
-def joint_agrees(found: JointHistogram, *samples: NDArray[np.generic]) -> None:
+def joint_agrees(found: Counts, *samples: NDArray[np.generic]) -> None:
     rows = np.stack([x.ravel().astype(np.int64) for x in samples], axis=1)
     symbols, counts = np.unique(rows, axis=0, return_counts=True)
-    assert np.array_equal(found.symbols, symbols)
-    assert np.array_equal(found.counts, counts)
+    assert np.array_equal(found.cells, symbols)
+    assert np.array_equal(found.weights, counts)
 
 
 @given(st.sampled_from(DTYPES).flatmap(lambda d: arrays(d, array_shapes(max_dims=3, max_side=12))))
 def test_any_dtype_and_layout(samples: NDArray[np.generic]) -> None:
-    agrees(Histogram.of(samples), samples)
-    agrees(Histogram.of(samples.T), samples)
-    agrees(Histogram.of(samples[..., ::-2]), samples[..., ::-2])
+    agrees(Counts.of(samples), samples)
+    agrees(Counts.of(samples.T), samples)
+    agrees(Counts.of(samples[..., ::-2]), samples[..., ::-2])
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -49,8 +49,8 @@ def test_large_arrays_of_every_spread(dtype: str, spread: int) -> None:
     for centre in (limits[0], (limits[0] + limits[1]) // 2, limits[1]):
         drawn = np.clip(rng.integers(-spread, spread + 1, 70_003).astype(object) + centre, *limits)
         samples = drawn.astype(kind)
-        agrees(Histogram.of(samples), samples)
-        agrees(Histogram.of(samples[1:-1]), samples[1:-1])
+        agrees(Counts.of(samples), samples)
+        agrees(Counts.of(samples[1:-1]), samples[1:-1])
 
 
 @pytest.mark.parametrize("low", [0, 65_400, 32_760, -64])
@@ -131,30 +131,31 @@ def test_counts_do_not_depend_on_threads(threads: str, monkeypatch: pytest.Monke
     monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
     rng = np.random.default_rng(1)
     for samples in (rng.integers(0, 40, 3_000_000).astype(np.int16), rng.integers(-(2**40), 2**40, 600_000)):
-        agrees(Histogram.of(samples), samples)
+        agrees(Counts.of(samples), samples)
 
 
 def test_wide_ranges_are_sorted_and_merged() -> None:
     rng = np.random.default_rng(2)
     samples = rng.integers(-(2**62), 2**62, 5000)[rng.integers(0, 5000, 900_000)]
-    agrees(Histogram.of(samples), samples)
-    agrees(Histogram.of(np.array([-(2**63), 2**63 - 1, 0, 0])), np.array([-(2**63), 2**63 - 1, 0, 0]))
-    agrees(Histogram.of(samples.astype(np.uint64) >> 1), samples.astype(np.uint64) >> 1)
+    agrees(Counts.of(samples), samples)
+    agrees(Counts.of(np.array([-(2**63), 2**63 - 1, 0, 0])), np.array([-(2**63), 2**63 - 1, 0, 0]))
+    agrees(Counts.of(samples.astype(np.uint64) >> 1), samples.astype(np.uint64) >> 1)
 
 
 def test_chunks_lists_and_memory_maps(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     samples = rng.integers(-300, 300, (37, 1001)).astype(np.int16)
-    agrees(Histogram.of(row for row in samples), samples)
-    agrees(Histogram.of(list(samples)), samples)
-    agrees(Histogram.of([samples[:5], samples[5:].astype(np.int64)]), samples)
-    agrees(Histogram.of([3, 1, 3, -2]), np.array([3, 1, 3, -2]))
+    agrees(Counts.of_stream(row for row in samples), samples)
+    agrees(Counts.of_stream([samples[:5], samples[5:].astype(np.int64)]), samples)
+    agrees(Counts.of([3, 1, 3, -2]), np.array([3, 1, 3, -2]))
     np.save(tmp_path / "s.npy", samples)
-    agrees(Histogram.of(np.load(tmp_path / "s.npy", mmap_mode="r")), samples)
+    agrees(Counts.of(np.load(tmp_path / "s.npy", mmap_mode="r")), samples)
     many = rng.integers(0, 2**40, (60, 20_000))
-    agrees(Histogram.of(iter(many)), many)
-    for nothing in ([], iter([]), np.zeros(0, np.int16), [np.zeros(0, np.int32)]):
-        assert Histogram.of(nothing).total == 0
+    agrees(Counts.of_stream(iter(many)), many)
+    for nothing in ([], np.zeros(0, np.int16)):
+        assert Counts.of(nothing).total == 0
+    for none in ([], [np.zeros(0, np.int32)]):
+        assert Counts.of_stream(none).total == 0
 
 
 @pytest.mark.parametrize("dtype", [">i2", "i4", "i8"])
@@ -162,45 +163,44 @@ def test_memory_is_bounded_by_the_symbols(dtype: str, monkeypatch: pytest.Monkey
     monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
     samples = np.zeros((12_000, 2000), dtype)[:, ::2]
     samples[::7, ::5] = 3000
-    Histogram.of(samples[:300])
+    Counts.of(samples[:300])
     tracemalloc.start()
-    found = Histogram.of(samples)
+    found = Counts.of(samples)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert found.total == samples.size and peak < 1.7 * samples.size
 
 
-def test_one_more_symbol() -> None:
-    h = Histogram.of([1, 1, 4]).plus(0, 7).plus(4, 1).plus(9, 0)
-    assert h.symbols.tolist() == [0, 1, 4] and h.counts.tolist() == [7, 2, 2]
-
-
 @pytest.mark.parametrize("bad", [np.zeros(3), np.array([np.nan, 1]), [0.5], "text", [None], np.zeros(2, complex)])
 def test_what_is_no_symbol(bad: object) -> None:
     with pytest.raises(InvalidArgument, match="integers or booleans"):
-        Histogram.of(bad)  # type: ignore[arg-type]
+        Counts.of(bad)  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match="integers or booleans"):
-        JointHistogram.of(bad, bad)  # type: ignore[arg-type]
+        Counts.of(bad, bad)  # type: ignore[arg-type]
 
 
 def test_other_refusals() -> None:
     with pytest.raises(InvalidArgument, match="NaN among them"):
-        Histogram.of(np.array([1.0, np.nan]))
+        Counts.of(np.array([1.0, np.nan]))
     with pytest.raises(InvalidArgument, match=r"2\^63"):
-        Histogram.of(np.array([2**63], np.uint64))
+        Counts.of(np.array([2**63], np.uint64))
     with pytest.raises(InvalidArgument, match="one shape"):
-        JointHistogram.of([1, 2], [1, 2, 3])
+        Counts.of([1, 2], [1, 2, 3])
     with pytest.raises(InvalidArgument, match="no array"):
-        JointHistogram.of()
+        Counts.of()
     one = np.ones(2, np.int64)
-    for symbols, counts in ((one, one), (one[:1], one * 0), (one[:1], one), (one.astype(float), one)):
-        with pytest.raises(InvalidArgument, match="istogram"):
-            Histogram(symbols, counts)
+    row = one[:1, None]
+    for cells, counts in ((one, one), (row, one), (row, one[:1] * 0), (row.astype(float), one[:1])):
+        with pytest.raises(InvalidArgument, match="Counts"):
+            Counts(cells, counts)
     for rows in (np.array([[1, 2], [1, 2]]), np.array([[1, 2], [1, 1]]), np.array([[2, 0], [1, 5]])):
         with pytest.raises(InvalidArgument, match="ascending"):
-            JointHistogram(rows, one)
+            Counts(rows, one)
     with pytest.raises(ValueError, match="read-only"):
-        Histogram.of([1]).counts[0] = 5
+        Counts.of([1]).weights[0] = 5
+    full = np.arange(70_000)
+    with pytest.raises(InvalidArgument, match="joint symbols"):
+        Counts.of(full, full, full, full)
 
 
 # -- joint ----------------------------------------------------------------------------------------------------------
@@ -215,25 +215,17 @@ def test_other_refusals() -> None:
 )
 def test_joint_symbols(samples: tuple[NDArray[np.generic], ...]) -> None:
     """64-bit symbols of full range make boxes of more than 2^63 cells."""
-    h = JointHistogram.of(*samples)
+    h = Counts.of(*samples)
     joint_agrees(h, *samples)
-    joint_agrees(JointHistogram.of(*[x.T for x in samples]), *[x.T for x in samples])
-    for axis, x in enumerate(samples):
-        joint_agrees(h.marginal(axis), x)
-        symbols, counts = np.unique(x.astype(np.int64), return_counts=True)
-        assert np.array_equal(h.symbols[:, axis], symbols[h.places(axis)])
-        assert np.array_equal(np.bincount(h.places(axis), weights=h.counts), counts)
-    joint_agrees(h.marginal(range(len(samples))[::-1]), *samples[::-1])
+    joint_agrees(Counts.of(*[x.T for x in samples]), *[x.T for x in samples])
 
 
 def test_large_joint_histograms() -> None:
     rng = np.random.default_rng(4)
     small = [rng.integers(-3, 4, (90, 7000)).astype(np.int8) for _ in range(3)]
-    joint_agrees(JointHistogram.of(*small), *small)
+    joint_agrees(Counts.of(*small), *small)
     wide = [rng.integers(0, 2**33, 3000)[rng.integers(0, 3000, 300_000)] for _ in range(2)]
-    joint_agrees(JointHistogram.of(*wide), *wide)
-    with pytest.raises(InvalidArgument, match="columns"):
-        JointHistogram.of(*wide).marginal(2)
+    joint_agrees(Counts.of(*wide), *wide)
 
 
 # -- blocks ---------------------------------------------------------------------------------------------------------
@@ -246,41 +238,34 @@ def test_blocks_add_up(dtype: str, shape: tuple[int, ...]) -> None:
     scale = 2**60 if dtype == "i8" else 1
     x = (rng.integers(0, 7, shape) * scale).astype(dtype)
     for layout in (x, np.asfortranarray(x)):
-        h = Histogram.of(layout)
-        blocks = block_counts(layout, 9, h)
-        assert blocks is not None and blocks.shape == (9, len(h.symbols))
+        counts = Counts.of(layout, blocks=9)
+        assert counts.blocks is not None and counts.blocks.shape == (9, len(counts.cells))
         edges = [x.size * b // 9 for b in range(10)]
-        for row, (low, high) in zip(blocks, zip(edges[:-1], edges[1:], strict=True), strict=True):
-            assert np.array_equal(row, [(x.ravel()[low:high].astype(np.int64) == s).sum() for s in h.symbols])
+        for row, (low, high) in zip(counts.blocks, zip(edges[:-1], edges[1:], strict=True), strict=True):
+            part = x.ravel()[low:high].astype(np.int64)
+            assert np.array_equal(row, [(part == s).sum() for s in counts.cells[:, 0]])
 
 
 def test_joint_blocks_add_up() -> None:
     rng = np.random.default_rng(6)
     x, y = rng.integers(0, 5, (2, 40, 51)) * 2**61 // 3
-    h = JointHistogram.of(x, y)
-    blocks = block_counts((x, y), 12, h)
-    assert blocks is not None and np.array_equal(blocks.sum(axis=0), h.counts)
-    first = JointHistogram.of(x.ravel()[:170], y.ravel()[:170])
-    held = blocks[0] > 0
-    assert np.array_equal(h.symbols[held], first.symbols) and np.array_equal(blocks[0][held], first.counts)
+    counts = Counts.of(x, y, blocks=12)
+    assert counts.blocks is not None and np.array_equal(counts.blocks.sum(axis=0), counts.weights)
+    first = Counts.of(x.ravel()[:170], y.ravel()[:170])
+    held = counts.blocks[0] > 0
+    assert np.array_equal(counts.cells[held], first.cells)
+    assert np.array_equal(counts.blocks[0][held], first.weights)
 
 
 def test_how_many_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     x = np.arange(1000) % 50
-    h = Histogram.of(x)
-    assert block_counts(x, 7, h) is None
-    assert block_counts(x[:5], 64, Histogram.of(x[:5])) is None
-    few = block_counts(x[:20], 64, Histogram.of(x[:20]))
-    assert few is not None and len(few) == 20
-    monkeypatch.setattr("touchfield.measure.histogram.MOST_BLOCK_CELLS", 50 * 10)
-    bounded = block_counts(x, 64, h)
+    assert Counts.of(x).blocks is None and not Counts.of(x).notes
+    few = Counts.of(x[:5], blocks=64)
+    assert few.blocks is None and "fewer than 8 blocks" in few.notes[0]
+    fewer = Counts.of(x[:20], blocks=64).blocks
+    assert fewer is not None and len(fewer) == 20
+    monkeypatch.setattr("touchfield.measure.counts.MOST_BLOCK_CELLS", 50 * 10)
+    bounded = Counts.of(x, blocks=64).blocks
     assert bounded is not None and len(bounded) == 10
-    monkeypatch.setattr("touchfield.measure.histogram.MOST_BLOCK_CELLS", 50 * 7)
-    assert block_counts(x, 64, h) is None
-
-
-def test_blocks_of_other_samples_are_refused() -> None:
-    x = np.arange(1000) % 50
-    for other in (x + 1, x[:500], x.astype(np.int16) // 2):
-        with pytest.raises(InvalidArgument, match="histogram of other samples"):
-            block_counts(other, 10, Histogram.of(x))
+    monkeypatch.setattr("touchfield.measure.counts.MOST_BLOCK_CELLS", 50 * 7)
+    assert Counts.of(x, blocks=64).blocks is None

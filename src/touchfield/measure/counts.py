@@ -1,0 +1,388 @@
+"""`Counts`: how often each cell was seen, the one value that every entropy is a quantity of (paper section 3).
+
+It is made of arrays, of given probabilities, of quantised fields (`field_counts`) or of a trace
+(`interaction_counts`). The memory is bounded by the different symbols, not by the samples: these are looked at in
+stretches, which for a `numpy.memmap` are read as they are counted. 8- and 16-bit symbols, and all whose range is at
+most 2^22, are counted in tables, on all cores; others are sorted, stretch after stretch, and merged. A joint symbol
+is the number of a cell in the box of the symbols' ranges, so that nothing is hashed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from touchfield.arrays import Float64s, Int64s
+from touchfield.errors import InvalidArgument
+from touchfield.measure.estimators import as_array, entropy_bits
+from touchfield.medium.field import frozen
+from touchfield.parallel import for_chunks
+
+Tally = tuple[Int64s, Int64s]
+"""Symbols or numbers of cells, ascending, and how often each was seen."""
+
+ABSENT: Final = (1 << 63) - 1
+"""The symbol of a column that a cell has none of: see `Counts.side_by_side`."""
+
+TOLERANCE: Final = 1e-9
+"""How far from 1 probabilities may add up."""
+
+BLOCKS = 64
+"""Blocks of the bootstrap of arrays, where there are enough samples."""
+
+LEAST_BLOCKS = 8
+MOST_BLOCK_CELLS = 1 << 24
+"""Blocks times cells that are held for a bootstrap: 128 MiB."""
+
+STRETCH = 1 << 18
+"""Samples handled at once: 2 MiB of int64."""
+
+_TABLE = 1 << 22
+_MOST = 1 << 63
+_NOTHING = np.zeros(0, np.int64)
+_NO_BLOCKS = "no interval: fewer than 8 blocks, for there are too few samples or too many symbols"
+
+
+@dataclass(frozen=True)
+class Counts:
+    """How often each cell (symbol or joint symbol) was seen, and what they are of.
+
+    InvalidArgument if shapes, order or weights are wrong.
+
+    Parameters
+    ----------
+    cells : int64 [K, d]
+        The symbols of d variables, rows in strictly ascending order, the first column slowest.
+    weights : int64 [K] or float64 [K]
+        Counts of at least 1 each, or probabilities above 0 that add up to 1.
+    blocks : int64 [B, K], optional
+        The same counts in each of at least 8 parts that a bootstrap may draw; none for no interval.
+    quantiser, weighting : str
+        Q and mu, as in `Quantity`.
+    variables : tuple of str
+        Their letters: ("X", "Y") of arrays, ("S", "T") of fields.
+    alphabet : int, optional
+        How many different cells there can be, where it is known: no entropy of all variables is above its log2.
+    notes : tuple of str
+        What a reader must know of them, such as why there are no blocks.
+    """
+
+    cells: Int64s
+    weights: Int64s | Float64s
+    blocks: Int64s | None = None
+    quantiser: str = "as given"
+    weighting: str = "samples"
+    variables: tuple[str, ...] = ("X", "Y")
+    alphabet: int | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        s, w = np.asarray(self.cells), np.asarray(self.weights)
+        if s.dtype != np.int64 or s.ndim != 2 or w.dtype.kind not in "if" or w.shape != s.shape[:1]:
+            raise InvalidArgument("Counts", f"{s.dtype} {s.shape} and {w.dtype} {w.shape}", "int64 [K, d] and [K]")
+        if not _rows_ascend(s):
+            raise InvalidArgument("Counts cells", "rows out of order or twice", "ascending order")
+        if len(w) and not w.min() > 0:
+            raise InvalidArgument("Counts weights", f"{w.min()}", "above 0 each")
+        if float(w.sum(dtype=np.float64)) >= 2.0**63:
+            raise InvalidArgument("Counts weights", "2^63 samples or more", "fewer")
+        object.__setattr__(self, "cells", frozen(s))
+        object.__setattr__(self, "weights", frozen(w))
+
+    @classmethod
+    def of(cls, *samples: ArrayLike, blocks: int = 0) -> Counts:
+        """Count the (joint) symbols of arrays of one shape, sample by sample.
+
+        `samples`: integers or booleans, any shape, size and byte order. `blocks`: how many contiguous blocks of the
+        samples in C order are wanted, 0 for none; fewer are made where 2^24 counts would not hold them or there are
+        fewer samples, and none, with a note, where there would be fewer than 8. InvalidArgument if there is no
+        array, the shapes differ, or a symbol is not a whole number below 2^63.
+        """
+        if not samples:
+            raise InvalidArgument("samples", "no array", "at least one")
+        arrays = tuple(checked_symbols(x, f"samples {i}" if i else "samples") for i, x in enumerate(samples))
+        if any(x.shape != arrays[0].shape for x in arrays):
+            raise InvalidArgument("samples", f"shapes {', '.join(str(x.shape) for x in arrays)}", "one shape")
+        d, n = len(arrays), arrays[0].size
+        names = ("X", "Y") if d <= 2 else tuple(f"X{i + 1}" for i in range(d))
+        if not n:
+            return cls(np.zeros((0, d), np.int64), _NOTHING, variables=names)
+        if d == 1 and arrays[0].dtype.itemsize <= 2:
+            symbols, counts = _count_small(arrays[0], 0, n)
+            table = _blocks(lambda b, e: _count_small(arrays[0], b, e), n, symbols, blocks)
+            cells = symbols[:, None]
+        else:
+            keys = _Keys.of(arrays)
+            numbers, counts = _count_keys(keys, 0, n)
+            table = _blocks(lambda b, e: _count_keys(keys, b, e), n, numbers, blocks)
+            cells = keys.symbols(numbers)
+        return cls(cells, counts, table, variables=names, notes=(_NO_BLOCKS,) if blocks and table is None else ())
+
+    @classmethod
+    def of_stream(cls, parts: Iterable[NDArray[Any]]) -> Counts:
+        """Count the symbols of arrays that come one by one; each is counted and let go."""
+        total: Tally = (_NOTHING, _NOTHING)
+        waiting: list[Tally] = []  # small ones wait until together they are as large as the sum
+        for part in parts:
+            some = cls.of(part)
+            waiting.append((some.cells[:, 0], np.asarray(some.weights, np.int64)))
+            if sum(len(w[0]) for w in waiting) > max(len(total[0]), STRETCH):
+                total, waiting = merged([total, *waiting]), []
+        symbols, counts = merged([total, *waiting])
+        return cls(symbols[:, None], counts, notes=("no interval: the order of the samples is not known",))
+
+    @classmethod
+    def of_probabilities(cls, table: ArrayLike) -> Counts:
+        """Given probabilities, one axis for each variable: every quantity of them is exact.
+
+        InvalidArgument if one is negative or NaN, there is none, or they do not add up to 1 within 1e-9.
+        """
+        try:
+            p = np.asarray(table, np.float64)
+        except (TypeError, ValueError) as error:
+            raise InvalidArgument("table", "what is no array of numbers", "probabilities") from error
+        if not p.size or p.ndim == 0:
+            raise InvalidArgument("table", f"shape {p.shape}", "at least one probability")
+        if not (p >= 0).all():
+            found = "NaN" if np.isnan(p).any() else f"the probability {p.min():.6g}"
+            raise InvalidArgument("table", found, "probabilities from 0 to 1")
+        total = float(p.sum())
+        if not abs(total - 1) <= TOLERANCE:
+            raise InvalidArgument(
+                "table", f"a sum of {total:.12g}", f"1 within {TOLERANCE:g}", "Divide counts by their sum."
+            )
+        names = ("X", "Y") if p.ndim <= 2 else tuple(f"X{i + 1}" for i in range(p.ndim))
+        return cls(np.argwhere(p > 0).astype(np.int64), p[p > 0] / total, variables=names)
+
+    @classmethod
+    def side_by_side(cls, first: Counts, second: Counts) -> Counts:
+        """Two variables that are never seen together, each `ABSENT` beside the other: for `jensen_shannon_distance`.
+
+        Block b of one is drawn together with block b of the other, which is right for samples taken side by side and
+        for independent ones. InvalidArgument if one of them is empty.
+        """
+        if not (len(first.cells) and len(second.cells)):
+            raise InvalidArgument("samples", "no sample", "at least one of each")
+        pairs = [np.insert(c.cells, [column], ABSENT, axis=1) for c, column in ((first, 1), (second, 0))]
+        weights = np.concatenate([first.weights, second.weights])
+        a, b = first.blocks, second.blocks
+        blocks = None if a is None or b is None or len(a) != len(b) else np.concatenate([a, b], axis=1)
+        notes = tuple(dict.fromkeys((*first.notes, *second.notes)))
+        if blocks is None and not notes and (a is not None or b is not None):
+            notes = ("no interval: blocks of one do not match those of the other",)
+        return cls(np.concatenate(pairs), weights, blocks, first.quantiser, first.weighting, notes=notes)
+
+    @property
+    def total(self) -> int:
+        """n, the samples; 0 of given probabilities."""
+        return int(self.weights.sum()) if self.weights.dtype.kind == "i" else 0
+
+
+class SymbolCounter:
+    """Counts the symbols of the support and the empty voxels, frame after frame."""
+
+    def __init__(self) -> None:
+        self._counted: Tally = (_NOTHING, _NOTHING)
+        self._voxels = 0
+
+    def add(self, symbols: ArrayLike, voxel_count: int) -> None:
+        """Count one frame: the symbols of its support, whole numbers, and the number of all its voxels."""
+        self._counted = merged([self._counted, np.unique(np.asarray(symbols, np.int64), return_counts=True)])
+        self._voxels += voxel_count
+
+    @property
+    def object_bits(self) -> float:
+        """H_object, bits per supported voxel."""
+        return entropy_bits(self._counted[1])
+
+    @property
+    def voxel_bits(self) -> float:
+        """H_voxel, bits per voxel, the empty voxel being one more symbol."""
+        counts = self._counted[1]
+        return entropy_bits(np.append(counts, self._voxels - counts.sum()))
+
+
+def merged(parts: Sequence[Tally]) -> Tally:
+    """The sum of several tallies."""
+    full = [p for p in parts if len(p[0])]
+    if len(full) < 2:
+        return full[0] if full else (_NOTHING, _NOTHING)
+    symbols = np.concatenate([p[0] for p in full])
+    counts = np.concatenate([p[1] for p in full])
+    order = np.argsort(symbols, kind="stable")
+    symbols = symbols[order]
+    first = np.flatnonzero(np.concatenate([[True], symbols[1:] != symbols[:-1]]))
+    return symbols[first], np.add.reduceat(counts[order], first)
+
+
+def checked_symbols(samples: ArrayLike, where: str = "samples") -> NDArray[Any]:
+    """`samples` as an array of whole numbers, not copied where it is one already.
+
+    InvalidArgument if they are not whole numbers, or lists that differ in length; floats are refused even where
+    whole, for they are seldom meant as symbols.
+    """
+    x = as_array(samples, where)
+    if x.dtype.kind in "biu":
+        return x
+    if not x.size and not hasattr(samples, "dtype"):  # an empty list
+        return x.astype(np.int64)
+    found = f"values of type {x.dtype}"
+    if x.dtype.kind == "f" and np.isnan(x.ravel()[: 1 << 16]).any():
+        found += ", NaN among them"
+    raise InvalidArgument(where, found, "symbols: integers or booleans", "Quantise them first.")
+
+
+# -- counting -----------------------------------------------------------------------------------------------------
+
+
+def _stretch(x: NDArray[Any], begin: int, end: int) -> NDArray[Any]:
+    """Samples begin .. end of an array in C order, contiguous, in this machine's byte order."""
+    part = x.reshape(-1)[begin:end] if x.flags.c_contiguous else x.flat[begin:end]
+    native: NDArray[Any] = np.require(part, part.dtype.newbyteorder("="), ("C", "A"))
+    return native
+
+
+@dataclass(frozen=True)
+class _Keys:
+    """The samples of d arrays of one shape as numbers 0 .. span - 1, in the order of the symbols.
+
+    `columns`: of each array its lowest symbol, its range, and its symbols by rank where the range is too wide.
+    """
+
+    arrays: tuple[NDArray[Any], ...]
+    columns: tuple[tuple[int, int, Int64s | None], ...]
+    span: int
+
+    @classmethod
+    def of(cls, arrays: tuple[NDArray[Any], ...]) -> _Keys:
+        columns: list[tuple[int, int, Int64s | None]] = []
+        for low, high in map(_range, arrays):
+            columns.append((low, high - low + 1, None))
+        if math.prod(width for _, width, _ in columns) >= _MOST:
+            ranks = [_sorted(partial(_wide, x), 0, x.size)[0] for x in arrays]
+            columns = [(0, len(known), known) for known in ranks]
+        span = math.prod(width for _, width, _ in columns)
+        if span >= _MOST:
+            raise InvalidArgument("samples", f"{span} joint symbols that there could be", "fewer than 2^63")
+        return cls(arrays, tuple(columns), span)
+
+    def numbers(self, begin: int, end: int) -> Int64s:
+        """Of samples begin .. end in C order, int64."""
+        total: Int64s | None = None
+        for x, (low, width, known) in zip(self.arrays, self.columns, strict=True):
+            s = _wide(x, begin, end)
+            code = s - low if known is None else np.searchsorted(known, s)
+            total = code if total is None else total * width + code
+        assert total is not None
+        return total
+
+    def symbols(self, numbers: Int64s) -> Int64s:
+        """The symbols of numbers [K], int64 [K, d]."""
+        out = np.empty((len(numbers), len(self.columns)), np.int64)
+        rest = numbers
+        for j, (low, width, known) in reversed(list(enumerate(self.columns))):
+            rest, code = np.divmod(rest, width)
+            out[:, j] = code + low if known is None else known[code]
+        return out
+
+
+def _wide(x: NDArray[Any], begin: int, end: int) -> Int64s:
+    return _stretch(x, begin, end).astype(np.int64, copy=False)
+
+
+def _range(x: NDArray[Any]) -> tuple[int, int]:
+    if x.dtype.kind == "b":
+        return 0, 1
+
+    def piece(begin: int, end: int) -> list[int]:
+        found = []
+        for b in range(begin, end, STRETCH):
+            part = _stretch(x, b, min(end, b + STRETCH))
+            found += [int(part.min()), int(part.max())]
+        return found
+
+    found = [n for part in for_chunks(piece, x.size, chunk=STRETCH) for n in part]
+    if max(found) >= _MOST:
+        raise InvalidArgument("samples", f"the symbol {max(found)}", "symbols below 2^63")
+    return min(found), max(found)
+
+
+def _count_small(x: NDArray[Any], begin: int, end: int) -> Tally:
+    """Symbols and counts of 8- or 16-bit samples begin .. end in C order, by a table of all that there can be."""
+    from touchfield.measure.kernels import counts_of_8_bits, counts_of_16_bits
+
+    wide = x.dtype.itemsize == 2
+    word, count = (np.uint16, counts_of_16_bits) if wide else (np.uint8, counts_of_8_bits)
+    whole = x.flags.c_contiguous and x.flags.aligned and x.dtype.isnative
+    step = end - begin if whole else 4 * STRETCH
+    table = np.zeros(1 << (16 if wide else 8), np.int64)
+    for b in range(begin, end, max(1, step)):
+        table += count(_stretch(x, b, min(end, b + step)).view(word))
+    seen = np.flatnonzero(table)
+    native = np.int8 if x.dtype == np.bool_ else x.dtype.newbyteorder("=")
+    symbols = seen.astype(word).view(native).astype(np.int64)
+    order = np.argsort(symbols)
+    return symbols[order], table[seen[order]]
+
+
+def _count_keys(keys: _Keys, begin: int, end: int) -> Tally:
+    """The numbers that occur among samples begin .. end, ascending, and how often each does."""
+    from touchfield.measure.kernels import add_counts
+
+    if keys.span > _TABLE:
+        return _sorted(keys.numbers, begin, end)
+
+    def piece(first: int, last: int) -> Int64s:
+        table = np.zeros(keys.span, np.int64)
+        for b in range(first, last, STRETCH):
+            add_counts(keys.numbers(begin + b, begin + min(last, b + STRETCH)), table)
+        return table
+
+    total = sum(for_chunks(piece, end - begin, chunk=max(STRETCH, 4 * keys.span)), np.zeros(keys.span, np.int64))
+    seen = np.flatnonzero(total)
+    return seen, total[seen]
+
+
+def _sorted(read: Callable[[int, int], Int64s], begin: int, end: int) -> Tally:
+    """Distinct numbers that are read from begin to end, a bounded part at a time."""
+
+    def piece(first: int, last: int, offset: int) -> Tally:
+        starts = range(offset + first, offset + last, STRETCH)
+        return merged([np.unique(read(b, min(offset + last, b + STRETCH)), return_counts=True) for b in starts])
+
+    found: Tally = (_NOTHING, _NOTHING)
+    for b in range(begin, end, 16 * STRETCH):
+        found = merged([found, *for_chunks(piece, min(end - b, 16 * STRETCH), b, chunk=STRETCH)])
+    return found
+
+
+def _blocks(count: Callable[[int, int], Tally], n: int, known: Int64s, wanted: int) -> Int64s | None:
+    """The counts of known numbers in contiguous blocks of n samples, equal but for one sample, int64 [B, K]."""
+    made = min(int(wanted), n, MOST_BLOCK_CELLS // max(1, len(known)))
+    if made < LEAST_BLOCKS:
+        return None
+    out = np.zeros((made, len(known)), np.int64)
+
+    def piece(begin: int, end: int) -> None:
+        for b in range(begin, end):
+            found, times = count(n * b // made, n * (b + 1) // made)
+            out[b, np.searchsorted(known, found)] = times
+
+    for_chunks(piece, made)
+    return out
+
+
+def _rows_ascend(rows: Int64s) -> bool:
+    """True if each row comes after the one before, the first column deciding first."""
+    decided = np.zeros(max(0, len(rows) - 1), np.bool_)
+    for column in rows.T:
+        if (~decided & (column[1:] < column[:-1])).any():
+            return False
+        decided |= column[1:] > column[:-1]
+    return bool(decided.all())

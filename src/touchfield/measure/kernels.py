@@ -1,0 +1,289 @@
+"""Compiled loops: counting symbols in tables, causal neighbours as packed rows, curl and the work around squares.
+
+Imported only when first needed, because it imports numba.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
+from touchfield.medium.grid import Grid
+from touchfield.parallel import for_chunks
+
+# -- symbols in tables. One add to a table costs one or two cycles, and waits for an add to the same place just before
+# it: hence four tables, taken in turn, and eight bytes of symbols loaded at once. Stretches of one symbol, most of a
+# field, take four adds.
+
+_SPAN = 1 << 16
+_PAD = 16  # entries between tables, so that they do not share the sets of the cache
+_SMALL = 1 << 15  # samples that need no tables
+_STRETCH = 1 << 7  # words of eight bytes
+_PIECE = 1 << 11  # stretches worth a thread
+_ROUND = 1 << 22  # stretches until the 32-bit tables are added up
+
+_FFFF = np.uint64(0xFFFF)
+_0, _1, _S, _16, _32, _48 = (np.uint64(i) for i in (0, 1, _STRETCH, 16, 32, 48))  # no sign to check
+_ONE, _ALL = np.uint32(1), np.uint32(_STRETCH)
+
+
+@njit(cache=True, nogil=True)
+def _count_words(words, tables):
+    """Four 16-bit symbols a word into four tables in turn, uint32 [4, 65552]; `words` are whole stretches."""
+    t0, t1, t2, t3 = tables[0], tables[1], tables[2], tables[3]
+    for start in range(_0, np.uint64(len(words)), _S):
+        first = words[start]
+        if first == words[start + _S - _1]:
+            differ = _0
+            for i in range(start, start + _S):
+                differ |= words[i] ^ first
+            if differ == _0:
+                t0[first & _FFFF] += _ALL
+                t1[(first >> _16) & _FFFF] += _ALL
+                t2[(first >> _32) & _FFFF] += _ALL
+                t3[first >> _48] += _ALL
+                continue
+        for i in range(start, start + _S):
+            v = words[i]
+            t0[v & _FFFF] += _ONE
+            t1[(v >> _16) & _FFFF] += _ONE
+            t2[(v >> _32) & _FFFF] += _ONE
+            t3[v >> _48] += _ONE
+
+
+def counts_of_16_bits(x: NDArray[np.uint16]) -> Int64s:
+    """How often each 16-bit word occurs, int64 [65536], of uint16 [n], contiguous and aligned."""
+    if len(x) < _SMALL:
+        return np.bincount(x, minlength=_SPAN)
+    head = min(len(x), (-x.ctypes.data % 8) // 2)
+    tail = head + (len(x) - head) // (4 * _STRETCH) * (4 * _STRETCH)
+    words = x[head:tail].view(np.uint64)
+    total = np.bincount(x[:head], minlength=_SPAN) + np.bincount(x[tail:], minlength=_SPAN)
+    stretches = len(words) // _STRETCH
+    for start in range(0, stretches, _ROUND):
+        some = words[start * _STRETCH :]
+        for part in for_chunks(_piece, min(_ROUND, stretches - start), some, chunk=_PIECE):
+            total += part
+    return total
+
+
+def _piece(begin: int, end: int, words: Any) -> Int64s:
+    tables = np.zeros((4, _SPAN + _PAD), np.uint32)
+    _count_words(words[begin * _STRETCH : end * _STRETCH], tables)
+    return tables.sum(axis=0, dtype=np.int64)[:_SPAN]
+
+
+def counts_of_8_bits(x: NDArray[np.uint8]) -> Int64s:
+    """How often each byte occurs, int64 [256]: margins of a table of 16-bit words. `x` uint8 [n], contiguous."""
+    head = x.ctypes.data % 2
+    tail = head + (len(x) - head) // 2 * 2
+    counts = np.bincount(x[:head], minlength=256) + np.bincount(x[tail:], minlength=256)
+    table = counts_of_16_bits(x[head:tail].view(np.uint16)).reshape(256, 256)
+    total: Int64s = counts + table.sum(axis=0) + table.sum(axis=1)
+    return total
+
+
+@njit(cache=True, nogil=True)
+def add_counts(keys, table):
+    """Count `keys` int64 [n] of 0 .. K - 1 into `table` int64 [K]; out of range is the caller's fault."""
+    for i in range(len(keys)):
+        table[keys[i]] += 1
+
+
+# -- a voxel with its causal neighbours as one packed row, and an exact count of equal rows
+
+CORNER = np.array(
+    [[0, 0, -1], [0, -1, 0], [-1, 0, 0], [0, -1, -1], [-1, 0, -1], [-1, -1, 0], [-1, -1, -1]], np.int64
+)  # the corner {-1, 0}^3 in the order in which neighbourhoods are nested: 1, 3, 7
+
+
+@njit(cache=True, nogil=True)
+def _fill_corner(local, symbols, slots):
+    """A brick and one sample before it along each axis, int32 [9, 9, 9]; `slots` int [27], -1 for no brick."""
+    for x in range(9):
+        for y in range(9):
+            for z in range(9):
+                slot = slots[((x + 7) >> 3) * 9 + ((y + 7) >> 3) * 3 + ((z + 7) >> 3)]
+                local[x, y, z] = symbols[slot, (x + 7) & 7, (y + 7) & 7, (z + 7) & 7] if slot >= 0 else 0
+
+
+@njit(cache=True, nogil=True)
+def _field_rows(slots, symbols, slots_before, before, extents, columns, bits, out):
+    """The rows that are not all 0 into `out`, uint64 [m, words]; how many."""
+    per_word = 64 // bits
+    cells, local = np.zeros(9, np.uint64), np.zeros((9, 9, 9), np.int32)
+    count = 0
+    for brick in range(extents.shape[0]):
+        _fill_corner(local, symbols, slots[brick])
+        own = slots_before[brick, 13]
+        for a in range(1, extents[brick, 0] + 1):
+            for b in range(1, extents[brick, 1] + 1):
+                for c in range(1, extents[brick, 2] + 1):
+                    cells[0] = local[a, b, c]
+                    some = cells[0]
+                    for n in range(7):
+                        cells[n + 1] = local[a + CORNER[n, 0], b + CORNER[n, 1], c + CORNER[n, 2]]
+                        some |= cells[n + 1]
+                    if columns > 8:
+                        cells[8] = before[own, a - 1, b - 1, c - 1] if own >= 0 else 0
+                        some |= cells[8]
+                    if some == 0:
+                        continue
+                    for w in range(out.shape[1]):
+                        out[count, w] = 0
+                    for n in range(columns):
+                        out[count, n // per_word] |= cells[n] << np.uint64(n % per_word * bits)
+                    count += 1
+    return count
+
+
+def field_rows(
+    slots: tuple[Int64s, Int64s], symbols: tuple[Int32s, Int32s], extents: Int64s, columns: int, bits: int
+) -> NDArray[np.uint64]:
+    """The rows of some bricks that are not all 0, uint64 [m, words].
+
+    A row holds `columns` symbols of `bits` bits, as many whole symbols to a word as fit, the first in the lowest
+    bits: the symbol itself, its seven neighbours in `CORNER`, and the voxel of the previous frame.
+
+    `slots` int64 [n, 27] in the frame and in the previous one, -1 for none; `symbols` int32 [., 8, 8, 8] of both;
+    `extents` int64 [n, 3] samples of each brick within the grid.
+    """
+    out = np.empty((512 * len(extents), -(-columns // (64 // bits))), np.uint64)
+    count = _field_rows(slots[0], symbols[0], slots[1], symbols[1], extents, columns, bits, out)
+    return out[:count]
+
+
+@njit(cache=True, nogil=True)
+def insert(rows, weights, begin, slots, keys, counts, used):
+    """Count rows uint64 [n, words] from `begin` on, until all are counted or `keys` is full: next row, keys in use.
+
+    `weights` int64 [n] or [0] (each row once); the table is slots int32 [2^b] (-1: free), keys, counts int64 [m].
+    """
+    mask = np.uint64(slots.shape[0] - 1)
+    words = rows.shape[1]
+    for n in range(begin, rows.shape[0]):
+        h = np.uint64(0)
+        for w in range(words):
+            h = (h ^ rows[n, w]) * np.uint64(0x9E3779B97F4A7C15)
+            h ^= h >> np.uint64(29)
+        h = (h * np.uint64(0xBF58476D1CE4E5B9)) >> np.uint64(20)
+        while True:
+            key = slots[h & mask]
+            if key < 0:
+                if used == keys.shape[0]:
+                    return n, used
+                slots[h & mask] = used
+                for w in range(words):
+                    keys[used, w] = rows[n, w]
+                counts[used] = weights[n] if weights.shape[0] else 1
+                used += 1
+                break
+            same = True  # the whole key decides, never its hash alone
+            for w in range(words):
+                same &= keys[key, w] == rows[n, w]
+            if same:
+                counts[key] += weights[n] if weights.shape[0] else 1
+                break
+            h += np.uint64(1)
+    return rows.shape[0], used
+
+
+# -- curl at the lattice points, and work around the squares of the lattice
+
+COLUMNS = ("points", "held", "curl2", "gradient2", "squares", "work2", "curl2_max", "work_max")
+"""Sums of each brick: samples with a curl, those among them with a force, |curl|^2, |gradient|^2; squares,
+W^2; the largest |curl|^2 and |W|. The first six are sums."""
+
+
+@njit(cache=True, nogil=True)
+def _fill(slots, low, shape, forces, halo, held, within):
+    """The 10^3 samples of a brick and around it: forces, whether there is one, whether the grid reaches there."""
+    for a in range(10):
+        da, la = (a + 7) >> 3, (a + 7) & 7
+        for b in range(10):
+            db, lb = (b + 7) >> 3, (b + 7) & 7
+            for c in range(10):
+                p = a * 100 + b * 10 + c
+                x, y, z = low[0] + a - 1, low[1] + b - 1, low[2] + c - 1
+                within[p] = 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= z < shape[2]
+                slot = slots[da * 9 + db * 3 + ((c + 7) >> 3)]
+                held[p] = False
+                for d in range(3):
+                    f = np.float64(0.0)
+                    if slot >= 0:
+                        f = np.float64(forces[slot, la, lb, (c + 7) & 7, d])
+                    halo[p, d] = f
+                    if f != 0.0:
+                        held[p] = True
+
+
+@njit(cache=True, nogil=True)
+def _curl_and_loops(begin, end, slots, lows, shape, spacing, forces, edges, sums, curls):
+    halo, held, within = np.empty((1000, 3)), np.empty(1000, np.bool_), np.empty(1000, np.bool_)
+    jacobian, curl = np.empty((3, 3)), np.empty(3)
+    step = (100, 10, 1)
+    half = (0.5 / spacing[0], 0.5 / spacing[1], 0.5 / spacing[2])
+    for n in range(begin, end):
+        _fill(slots[n], lows[n], shape, forces, halo, held, within)
+        for s in range(512):
+            p = (s // 64 + 1) * 100 + (s // 8 % 8 + 1) * 10 + s % 8 + 1
+            some, every, inside = held[p], held[p], within[p]
+            for d in range(3):
+                for q in (p + step[d], p - step[d]):
+                    some, every, inside = some or held[q], every and held[q], inside and within[q]
+            if every or (edges and some and inside):
+                square = 0.0
+                for d in range(3):
+                    for e in range(3):
+                        jacobian[e, d] = (halo[p + step[d], e] - halo[p - step[d], e]) * half[d]
+                        square += jacobian[e, d] ** 2
+                curl2 = 0.0
+                for d in range(3):
+                    e, f = (d + 1) % 3, (d + 2) % 3
+                    curl[d] = jacobian[f, e] - jacobian[e, f]
+                    curl2 += curl[d] ** 2
+                sums[n, 0] += 1
+                sums[n, 1] += held[p]
+                sums[n, 2] += curl2
+                sums[n, 3] += square
+                sums[n, 6] = max(sums[n, 6], curl2)
+                if n < curls.shape[0]:
+                    for d in range(3):
+                        curls[n, s, d] = curl[d]
+            for d in range(3):  # the square from p along axes d and e
+                e = (d + 1) % 3
+                u, v, w = p + step[d], p + step[d] + step[e], p + step[e]
+                every = held[p] and held[u] and held[v] and held[w]
+                some = held[p] or held[u] or held[v] or held[w]
+                if every or (edges and some and within[p] and within[v]):
+                    work = 0.5 * spacing[d] * (halo[p, d] + halo[u, d] - halo[w, d] - halo[v, d])
+                    work += 0.5 * spacing[e] * (halo[u, e] + halo[v, e] - halo[p, e] - halo[w, e])
+                    sums[n, 4] += 1
+                    sums[n, 5] += work * work
+                    sums[n, 7] = max(sums[n, 7], abs(work))
+
+
+def curl_and_loops(
+    grid: Grid,
+    bricks: Int32s,
+    slots: Int32s,
+    forces_n: Float32s,
+    edges: bool,
+    curls_n_per_m: Float32s,
+) -> Float64s:
+    """The `COLUMNS` for each brick, float64 [m, 8]; SI units.
+
+    `bricks` int32 [m, 3]; `slots` int32 [m, 27], where in `forces_n` each neighbour lies, -1 for none. The curls are
+    written to `curls_n_per_m`, float32 [m, 512, 3], unless it is empty; samples without one are left as they are.
+    """
+    sums = np.zeros((len(bricks), len(COLUMNS)))
+    lows, shape = bricks.astype(np.int64) * 8, np.array(grid.shape, np.int64)
+    spacing = np.array(grid.spacing_m)
+    for_chunks(
+        _curl_and_loops, len(bricks), slots, lows, shape, spacing, forces_n, edges, sums, curls_n_per_m, chunk=32
+    )
+    return sums
