@@ -12,10 +12,9 @@ import pytest
 from touchfield.errors import MissingExtra, SourceError
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.options import SourceOptions
+from touchfield.sources.options import SourceOptions, sample
 from touchfield.sources.physics import open_physics
 from touchfield.sources.registry import kinds, open_source
-from touchfield.sources.samples import sample
 from touchfield.sources.scene import Body
 from touchfield.sources.shapes import Box, Plane
 

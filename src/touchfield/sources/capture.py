@@ -24,11 +24,11 @@ from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import exactly, standard_input
 from touchfield.sources.camera import DepthCode, DepthSequence
-from touchfield.sources.depth_reader import list_files, source_rate, with_suffix
+from touchfield.sources.depth_layouts import required_scale, source_rate
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.fused_scene import FusedScene
 from touchfield.sources.intrinsics_file import camera_of
-from touchfield.sources.pictures import PICTURE_SUFFIXES, read_picture
+from touchfield.sources.pictures import PICTURE_SUFFIXES, list_files, read_picture, with_suffix
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -190,10 +190,7 @@ class CapturedSequence(DepthSequence):
             raise SourceError(self.name, f"a picture {first.shape} of {first.dtype}", "16-bit (or float) grey depth")
         height, width = first.shape
         camera = camera_of(self.name, options.intrinsics, folders, (width, height))
-        scale = options.depth_scale or camera.units_per_m or scale or (1.0 if first.dtype.kind == "f" else None)
-        if scale is None:
-            mend = "Add --depth-scale, for example 1000 for millimetres."
-            raise SourceError(self.name, "no depth scale", "how many stored units are in one metre", mend)
+        scale = required_scale(self.name, options.depth_scale or camera.units_per_m or scale, first.dtype.kind == "f")
         self._metres: Callable[[NDArray[Any]], Float32s] = DepthCode(scale)
         self.frame_count, self.width, self.height = MOST_FRAMES, width, height
         self.intrinsics: Intrinsics = camera.intrinsics

@@ -32,7 +32,7 @@ from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_ex
 from touchfield.medium.npz import NpzArchive
 from touchfield.sources import pictures
 from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics, StoredFrame
-from touchfield.sources.depth_reader import depth_kind, list_files, source_rate, with_suffix
+from touchfield.sources.depth_layouts import depth_kind, source_rate
 from touchfield.sources.intrinsics_file import CameraFile, camera_of, parse_intrinsics
 from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo
 from touchfield.sources.options import SourceOptions
@@ -196,7 +196,9 @@ class InverseDepth:
 def find_map(path: Path) -> Path | None:
     """The relative depth beside a picture or video, by its name; None where there is none."""
     suffixes = "|".join(suffix[1:] for suffix in (*pictures.PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
-    files = list_files(path.absolute().parent, re.escape(path.stem) + rf"[._-]depth([^a-z0-9].*)?\.({suffixes})")
+    files = pictures.list_files(
+        path.absolute().parent, re.escape(path.stem) + rf"[._-]depth([^a-z0-9].*)?\.({suffixes})"
+    )
     return files[0] if files else None
 
 
@@ -261,7 +263,9 @@ def _maps(path: Path, options: SourceOptions) -> tuple[Frames, Path]:
         raise SourceError(str(path), found, f"{path.stem}_depth.png (or .npy, ...)", mend)
     if where.suffix.lower() in VIDEO_SUFFIXES and where.is_file():
         return GreyVideo(where), where
-    files = list_files(where, with_suffix(*pictures.PICTURE_SUFFIXES)) if where.is_dir() else [where]
+    files = (
+        pictures.list_files(where, pictures.with_suffix(*pictures.PICTURE_SUFFIXES)) if where.is_dir() else [where]
+    )
     if not files:
         raise SourceError(str(where), "no map", "a folder of PNG, TIFF or NPY maps")
     return pictures.PictureFrames(files, pictures.read_map), where

@@ -11,9 +11,11 @@ import struct
 import warnings
 import weakref
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from copy import copy
+from itertools import islice
 from pathlib import Path
 from threading import Lock
 from typing import IO, Any, Final, NamedTuple
@@ -43,8 +45,54 @@ _NPY_MAGIC: Final = b"\x93NUMPY"
 _PHOTO_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
 _ORIENTATION: Final = 0x0112
 _ON_ITS_SIDE: Final = (5, 6, 7, 8)
+_PARTS: Final = re.compile(r"(\d+)")
 
 
+# -- folders -------------------------------------------------------------------------------------------------
+def list_files(folder: Path, pattern: str) -> tuple[Path, ...]:
+    """The files of a folder whose whole name matches a regular expression, in the order of their numbers."""
+    if not folder.is_dir():
+        return ()
+    form = re.compile(pattern, re.IGNORECASE)
+    with readable(folder, "a folder that can be read"):
+        files = [p for p in folder.iterdir() if form.fullmatch(p.name) and not p.name.startswith(".")]
+    natural = {p: [(int(n), "") if n.isdecimal() else (-1, n) for n in _PARTS.split(p.name)] for p in files}
+    return tuple(sorted(files, key=natural.__getitem__))
+
+
+def with_suffix(*suffixes: str) -> str:
+    """The pattern of the names with one of these suffixes."""
+    return r".+\.(" + "|".join(suffix[1:] for suffix in suffixes) + ")"
+
+
+def has_files(folder: Path, pattern: str) -> bool:
+    """True if a folder is there and holds such a file; False where it cannot be read."""
+    try:
+        return bool(list_files(folder, pattern))
+    except (OSError, SourceError):
+        return False
+
+
+def contents(folder: Path) -> str:
+    """A folder in words: "24 .png (8-bit RGB), 1 .txt, folders colour/ and poses/"; bounded, and never an error."""
+    try:
+        entries = sorted(islice((p for p in folder.iterdir() if not p.name.startswith(".")), 10_000))
+    except OSError as error:
+        return error.strerror or str(error)
+    files, words = [p for p in entries if p.is_file()], []
+    for suffix, count in Counter(p.suffix.lower() for p in files).most_common(5):
+        samples = ""
+        if suffix in PICTURE_SUFFIXES:
+            with suppress(SourceError):
+                samples = f" ({picture_header(next(p for p in files if p.suffix.lower() == suffix)).wording})"
+        words.append(f"{count} {suffix or 'without an ending'}{samples}")
+    inner = [f"{p.name}/" for p in entries if p.is_dir()]
+    if inner:
+        words.append("the folders " + " ".join(inner[:5]) + " ..." * (len(inner) > 5))
+    return ", ".join(words) or "nothing"
+
+
+# -- one picture ---------------------------------------------------------------------------------------------
 class PictureHeader(NamedTuple):
     """Size in pixels, NumPy's name of the type of a sample ("" for one that is not read), and samples a pixel."""
 
