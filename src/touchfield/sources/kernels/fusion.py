@@ -98,6 +98,12 @@ class Samples(NamedTuple):
             array[...] = its  # type: ignore[index]
 
 
+def no_samples(count: int) -> Samples:
+    """Samples of bricks of which nothing is known."""
+    floats = (np.zeros((count, *shape), np.float32) for shape in ((512,), (512,), (3, 512)))
+    return Samples(*floats, *(np.zeros((count, 512), np.uint8) for _ in range(4)))
+
+
 @njit(nogil=True)
 def _forget(of, n, s):
     of.weight[n, s] = _0
