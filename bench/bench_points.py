@@ -30,7 +30,7 @@ from touchfield.job.spec import EncodeSpec
 from touchfield.reduction.kernel_points import _LENGTHS, _NOISES, Kernel, most_candidates, variance_points
 from touchfield.reduction.mode_points import ModePoints, mode_points
 from touchfield.reduction.modes import Modes, pod
-from touchfield.sources.curl_free import CurlFree
+from touchfield.sources.contact_trace import CurlFree
 
 SEEDS, TIMES, FRAMES = 5, (1, 2, 4), 200
 POINTS, MOVING_POINTS = (10, 20, 40), (10, 15, 20)

@@ -60,26 +60,17 @@ def require_frame(frame: int, count: int, name: str = "") -> None:
 
 
 class DepthSequence(ABC):
-    """Depth frames of one camera, read when they are asked for.
+    """Depth frames of one camera, read when they are asked for."""
 
-    Attributes
-    ----------
-    name : str; What to call it in messages (the path).
-    width, height : int; Pixels, the same for every frame.
-    poses : float64 [frame_count, 4, 4] or None; Camera-to-world matrices, metres.
-    is_captured : bool; A frame is taken when it is asked for: none is there ahead, and old ones are gone.
-    notes : tuple of str; What the user should be told.
-    """
-
-    name: str
+    name: str  # to call it in messages (the path)
     frame_count: int
-    width: int
+    width: int  # pixels, the same for every frame
     height: int
     intrinsics: Intrinsics
     rate_hz: float
-    poses: Float64s | None = None
-    is_captured = False
-    notes: tuple[str, ...] = ()
+    poses: Float64s | None = None  # [frame_count, 4, 4], camera to world, metres
+    is_captured = False  # a frame is taken when it is asked for: none is there ahead, and old ones are gone
+    notes: tuple[str, ...] = ()  # what the user should be told
 
     @abstractmethod
     def depth_m(self, frame: int) -> Float32s:

@@ -44,15 +44,13 @@ COORDINATE_KEYS: Final = (("latitude", "longitude"), ("lat", "lon"), ("y", "x"))
 UNEVEN: Final = 0.1  # steps between coordinates may differ by this share: rows of a Mercator map do, by little
 PICTURES: Final = (".png", ".tif", ".tiff")
 LATITUDE_LIMIT_DEG: Final = 89.0  # nearer to a pole the degrees of longitude are no cells of one width
-PICTURE_RELIEF: Final = 0.2
-"""Relief of a picture without a scale, of its shorter side: as a landscape under the hand, not a wall."""
+PICTURE_RELIEF: Final = 0.2  # of a picture without a scale, of its shorter side: a landscape under the hand
 
 _GREY_MODES: Final = ("L", "LA", "I", "F", "I;16", "I;16L", "I;16B", "I;16N", "I;16S", "I;16BS")
 _PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113
 _MODEL_TYPE_KEY, _LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY = 1024, 3076, 4099
 _GEOGRAPHIC: Final = 2
-_UNITS_M: Final = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
-"""EPSG codes of the metre, the international foot and the US survey foot."""
+_UNITS_M: Final = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}  # EPSG: metre, international and US survey foot
 
 _WGS84_AXIS_M: Final = 6378137.0
 _WGS84_E2: Final = 0.00669437999014
@@ -66,10 +64,9 @@ _Heights = NDArray[np.floating[Any]]
 class HeightLattice:
     """Places of the samples of a height map, and its solid side.
 
-    x0_m, dx_m, y0_m, dy_m : float; Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are
-        signed.
-    facing : int; 1: solid below the surface; -1: solid beyond it, where z points away from the viewer.
-    step_m : float; Neighbours that differ by more in height are not joined by a slope; ``inf`` joins all.
+    Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are signed. `facing` 1 is solid below
+    the surface, -1 beyond it, where z points away from the viewer. Neighbours that differ by more than `step_m` in
+    height are not joined by a slope.
     """
 
     x0_m: float
@@ -93,14 +90,10 @@ class HeightLattice:
 class HeightScene(MovingScene):
     """One height map, or several over time; beyond its rim and where it is unknown there is no force.
 
-    heights_m : array [rows, cols], array [frames, rows, cols], sequence of arrays, or callable; Heights, metres, NaN
-        where unknown. A callable ``heights(frame) -> [rows, cols]`` is asked when a frame is needed, and needs
-        `frame_count`.
-    cell_m : (float, float) or HeightLattice; (dy, dx): distance between neighbouring rows and columns, metres. Row 0
-        is then north, the last row at y = 0 and column 0 at x = 0; a lattice says otherwise.
-    exaggeration : float; Factor on the heights (1 is honest).
-    frame_count : int, optional; Of a callable.
-    name : str; What to call it in messages.
+    `heights_m` are metres, NaN where unknown: [rows, cols], [frames, rows, cols], a sequence of arrays, or a callable
+    ``heights(frame) -> [rows, cols]`` for `frame_count` frames. `cell_m` is (dy, dx), the distance between
+    neighbouring rows and columns, metres: row 0 is then north, the last row at y = 0 and column 0 at x = 0; a lattice
+    says otherwise. `exaggeration` is a factor on the heights (1 is honest).
     """
 
     is_solid = True
