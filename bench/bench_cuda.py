@@ -25,7 +25,7 @@ from touchfield.render.sampler import FieldSampler
 from touchfield.sources.depth_scene import DepthScene, force_bricks, query_of
 from touchfield.sources.kernels import depth
 from touchfield.sources.laws import LawSpec, penalty
-from touchfield.sources.options import sample
+from touchfield.sources.samples import sample
 
 NOMINAL = 1000
 """Samples an axis of the paper's smallest nominal workspace."""

@@ -146,7 +146,7 @@ def depth_scenes(inputs: Inputs) -> list[PaperScene]:
 
 def scene_1(bodies: int) -> PaperScene:
     """Bodies that fall on the ground: 4 or 7."""
-    from touchfield.sources.options import sample
+    from touchfield.sources.samples import sample
 
     name, words = f"falling-{bodies}", {4: "four", 7: "seven"}[bodies]
     return PaperScene("scene1", name, f"Scene 1, {words} bodies (sample:{name})", sample(name))

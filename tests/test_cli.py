@@ -17,7 +17,7 @@ from PIL import Image
 import touchfield as tf
 from touchfield.cli.main import _exit_code, open_rooms
 from touchfield.medium.npz import write_npz
-from touchfield.sources.options import SAMPLES
+from touchfield.sources.samples import SAMPLES
 
 SPHERE = '[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n'
 

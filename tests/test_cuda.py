@@ -21,7 +21,7 @@ from touchfield.medium import Grid
 from touchfield.sources.kernels import depth, fusion, mesh
 from touchfield.sources.laws import LawSpec, penalty
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.options import sample
+from touchfield.sources.samples import sample
 from touchfield.sources.tiny_scenes import tiny_scenes
 
 MOST_N = 2e-6

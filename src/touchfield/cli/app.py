@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from touchfield.sources.options import SAMPLES
+from touchfield.sources.samples import SAMPLES
 
 PANELS = ("Make", "Look", "Feel", "Broadcast", "Study", "Set up")
 """The groups of commands, by what one is about to do."""

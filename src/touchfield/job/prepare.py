@@ -95,7 +95,7 @@ def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
     if is_stream(source):
         return StreamScene(source)
     if str(source).startswith("sample:"):
-        from touchfield.sources.options import sample
+        from touchfield.sources.samples import sample
 
         return sample(str(source).removeprefix("sample:"), options)
     return open_source(source, options)

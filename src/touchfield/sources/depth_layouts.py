@@ -324,7 +324,7 @@ def _extrinsics(path: Path, paths: tuple[Path, ...]) -> PlacedFrames | None:
 
 def _threedmatch(path: Path) -> Shots:
     """Frames of a folder, or of the first of its parts, with a note."""
-    folder, notes = path, ()
+    folder, notes = path, tuple[str, ...]()
     if not has_files(path, _FRAME_PNG):
         parts = [part for part in list_files(path, r"seq-\d+") if has_files(part, _FRAME_PNG)]
         folder = parts[0] if parts else path

@@ -221,6 +221,8 @@ class _Planes:
 class _World(ABC):
     """A world on one lattice, after the first key frames."""
 
+    _volume: FusedVolume
+
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes) -> None:
         self._planes, self._asked, self._seen = planes, (grid, profile, step_per_m), 0
         self._begin()

@@ -195,7 +195,7 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
     """
     if path.is_dir():
         raise SourceError(str(path), "a folder", "a picture or a video, with its relative depth beside it")
-    near_m, far_m, notes = options.near_m, options.far_m, ()
+    near_m, far_m, notes = options.near_m, options.far_m, tuple[str, ...]()
     if near_m is not None and near_m == far_m:
         raise InvalidArgument("--near-m, --far-m", f"{near_m:g} m both", "two distances")
     if near_m is None or far_m is None:

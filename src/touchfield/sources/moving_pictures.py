@@ -278,7 +278,7 @@ class StillOrAnimated(InOrder):
                 yield reduced(_as_shown(image, f"{self.path}, frame {frame}", self.size))
 
 
-def _as_shown(image: Any, where: str = "", size: tuple[int, ...] = ()) -> Colours:
+def _as_shown(image: Any, where: str = "", size: tuple[int, int] | None = None) -> Colours:
     """The pixels of an open picture, upright, sRGB, uint8 [height, width, 3]; transparent ones are black.
 
     Where a size is said, the picture must be of it.

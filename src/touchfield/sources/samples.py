@@ -1,0 +1,47 @@
+"""Scenes for a first run with no download: real ones that well-known libraries carry, and Scene 1 of the paper."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from touchfield.errors import InvalidArgument
+from touchfield.sources.options import SourceOptions
+
+if TYPE_CHECKING:
+    from touchfield.sources.scene import Scene
+
+
+SAMPLES = ("shapes", "terrain", "motorcycle", "falling-4", "falling-7")
+
+
+def sample(name: str, options: SourceOptions | None = None) -> Scene:
+    """A scene by name.
+
+    "shapes" is a tray of six shapes with a formula, which needs no library beside the core.
+    "terrain" is the elevation model of the Jacksboro fault, Tennessee, that matplotlib carries (344 x 403
+    samples of the Shuttle Radar Topography Mission); "motorcycle" is the Middlebury 2014 stereo pair that
+    scikit-image carries, as a depth map. "falling-4" and "falling-7" are Scene 1 of the paper (section 5.1), bodies
+    of low complexity that fall on the ground, 2000 frames in 2 s: four as its text has it, seven as its figure 5. The
+    ground itself is not felt. The shapes and their places are not the paper's, which gives none.
+
+    Raises `InvalidArgument` if there is no such sample, or the library that carries or simulates it is not installed.
+    """
+    options = options or SourceOptions()
+    if name == "terrain":
+        from touchfield.sources.height_scene import jacksboro_scene
+
+        return jacksboro_scene(options.exaggeration)
+    if name == "motorcycle":
+        from touchfield.sources.depth_layouts import depth_scene
+        from touchfield.sources.inverse_depth import motorcycle_sequence
+
+        return depth_scene(motorcycle_sequence(), options)
+    if name in ("shapes", "falling-4", "falling-7"):
+        from importlib import resources
+
+        from touchfield.sources.analytic_scene import read_analytic
+        from touchfield.sources.physics import open_physics
+
+        with resources.as_file(resources.files("touchfield.sources") / "scenes" / f"{name}.toml") as path:
+            return read_analytic(path, options.rate_hz) if name == "shapes" else open_physics(path, options)
+    raise InvalidArgument("sample", repr(name), f"one of {', '.join(SAMPLES)}")
