@@ -29,7 +29,7 @@ from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.reduction.kernel_points import _LENGTHS, _NOISES, Kernel, most_candidates, variance_points
 from touchfield.reduction.modes import ModePoints, Modes, mode_points, pod
-from touchfield.sources.curl_free import CurlFree
+from touchfield.sources.contact_trace import CurlFree
 
 SEEDS, TIMES, FRAMES = 5, (1, 2, 4), 200
 POINTS, MOVING_POINTS = (10, 20, 40), (10, 15, 20)

@@ -85,16 +85,13 @@ def test_poses_are_taken_from_where_they_are_asked_for(tmp_path: Path) -> None:
 
 def test_what_is_named_like_poses_and_not_read_is_named(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s")
-    (folder / "odometry.npy").write_bytes(b"")
     (folder / "my_trajectory_notes.txt").write_text("filmed in the kitchen\n")
     notes = depth_folder.read_sequence(folder, MM).notes
     assert any("stand still" in note for note in notes)
-    assert any("odometry.npy was found and not used" in note for note in notes)
     assert any("my_trajectory_notes.txt was found and not used: " in note for note in notes)
     make.write_rows(folder / "poses.txt", make.poses().reshape(-1, 16))
     notes = depth_folder.read_sequence(folder, MM).notes
     assert any("Poses of poses.txt" in note for note in notes)
-    assert any("odometry.npy was found and not used: others are" in note for note in notes)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.sources import intrinsics_file, inverse_depth, pictures, poses
 from touchfield.sources.camera import DepthCode, Intrinsics
 from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
-from touchfield.sources.depth_reader import Layout
+from touchfield.sources.depth_layouts import Layout
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
@@ -160,7 +160,7 @@ unit = st.floats(-1, 1)
 @given(st.tuples(unit, unit, unit, unit).filter(lambda q: np.linalg.norm(q) > 0.1))
 def test_quaternions_agree_with_scipy(q: tuple[float, float, float, float]) -> None:
     normal = np.array([q]) / np.linalg.norm(q)
-    ours = poses.matrices_from_quaternions(normal, "q")
+    ours = poses.quaternion_poses(normal, np.zeros((1, 3)), "q")[:, :3, :3]
     assert np.allclose(ours, Rotation.from_quat(normal).as_matrix(), atol=1e-12)
 
 
@@ -205,12 +205,12 @@ def test_nearest_in_time_is_what_brute_force_finds(times: list[int], wanted: lis
 @pytest.mark.parametrize("text", ["1 2 3", "1 2 3 4 5 6 7 x", "", "0 0 0 0 0 0 0 0", "nan 0 0 0 0 0 0 1"])
 def test_a_bad_groundtruth_is_a_source_error(text: str) -> None:
     with pytest.raises(SourceError, match="truth"):
-        poses.parse_timed_poses(text, "truth")
+        poses.parse_poses(text, "truth")
 
 
 @given(st.text(alphabet="0123456789.-+eE \n,#naif", max_size=80))
 def test_no_text_of_poses_raises_anything_else(text: str) -> None:
-    for parse in (poses.parse_timed_poses, poses.parse_trajectory_log, poses.parse_extrinsics):
+    for parse in (poses.parse_poses, poses.parse_extrinsics):
         with pytest.raises(SourceError):
             parse(text, "where")
 

@@ -13,7 +13,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.encode import encode
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.depth_reader import depth_scene
+from touchfield.sources.depth_layouts import depth_scene
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.fused_scene import FusedScene, FusedVolume, stands
 from touchfield.sources.options import SourceOptions

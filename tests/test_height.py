@@ -14,8 +14,7 @@ from PIL import Image
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.camera import DepthSequence, Intrinsics
-from touchfield.sources.height_map import KIND, degree_m, jacksboro_scene
-from touchfield.sources.height_scene import HeightLattice, HeightScene
+from touchfield.sources.height_scene import KIND, HeightLattice, HeightScene, degree_m, jacksboro_scene
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES

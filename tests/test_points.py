@@ -15,7 +15,7 @@ from touchfield.job.points import fewest_points, next_points
 from touchfield.medium.trace import read_contacts
 from touchfield.reduction.kernel_points import Kernel, best_kernel, error_points, variance_points
 from touchfield.reduction.modes import ModePoints, mode_points, pod
-from touchfield.sources.curl_free import CurlFree, covariances
+from touchfield.sources.contact_trace import CurlFree, covariances
 from touchfield.sources.registry import open_source
 
 RNG = np.random.default_rng

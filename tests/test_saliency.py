@@ -167,7 +167,7 @@ def test_maps_in_any_order_are_those_in_sequence(monkeypatch: pytest.MonkeyPatch
     maps = SaliencyMaps(pictures, 25.0)
     expected = run(pictures.frames)
     for frame in [*range(COUNT), 3, 19, 0, 12, 11, 12]:
-        assert np.array_equal(maps.values(frame), expected[frame]), frame
+        assert np.array_equal(maps.at(frame), expected[frame]), frame
     assert len(maps._kept) <= 4 and 0 in maps._kept
 
 
@@ -175,10 +175,10 @@ def test_a_pass_in_order_reads_each_picture_once_and_a_step_back_few() -> None:
     pictures = Drawn()
     maps = SaliencyMaps(pictures, 25.0)
     for frame in range(COUNT):
-        maps.values(frame)
-        maps.values(frame)
+        maps.at(frame)
+        maps.at(frame)
     assert pictures.read == list(range(COUNT))
-    maps.values(COUNT - 2)
+    maps.at(COUNT - 2)
     assert pictures.read[COUNT:] == [COUNT - 2]
 
 

@@ -66,7 +66,6 @@ def test_the_rule_in_words() -> None:
     assert SegmentRule.parse(None) == SegmentRule()
     assert SegmentRule.parse("step=0.1, least=7px ,at-most=3") == SegmentRule(0.1, 7, at_most=3)
     assert SegmentRule.parse("least=1.5%") == SegmentRule(least_share=0.015)
-    assert SegmentRule().least_of(640, 480) == 614
     for rule in (SegmentRule(), SegmentRule(0.25, 9, at_most=254), SegmentRule(least_share=0.05)):
         assert SegmentRule.parse(rule.words) == rule
 

@@ -226,16 +226,6 @@ def test_vti_keeps_one_frame_and_pvd_names_several(tmp_path: Path, medium: Hapti
         assert bytes(map(int, notes["axes"].split()))[:-1].decode() == medium.axes
 
 
-@pytest.mark.parametrize("name", ["a.vti", "b.PVD"])
-def test_reading_vti_was_dropped_and_says_so(tmp_path: Path, medium: HapticMedium, name: str) -> None:
-    write_vti(tmp_path / "a.vti", medium.between(0, 1))
-    (tmp_path / "b.PVD").write_text("<VTKFile/>")
-    assert KIND.recognise(tmp_path / name)
-    with pytest.raises(SourceError, match=r"Reading \.vti was dropped; write \.npz") as caught:
-        KIND.open(tmp_path / name, SourceOptions())
-    assert caught.value.exit_code == 1 and name in str(caught.value)
-
-
 @given(st.data())
 @settings(max_examples=150)
 def test_damaged_files_give_a_field_or_a_source_error(

@@ -17,7 +17,6 @@ import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources import camera
 from touchfield.sources.camera import (
-    EDGE_STEP,
     INTERPOLATIONS,
     DepthSequence,
     InterpolatedSequence,
@@ -25,7 +24,7 @@ from touchfield.sources.camera import (
     blend,
 )
 from touchfield.sources.depth_layouts import LAYOUTS as DEPTH_LAYOUTS
-from touchfield.sources.depth_reader import Layout
+from touchfield.sources.depth_layouts import Layout
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.options import SourceOptions
@@ -110,7 +109,7 @@ def test_a_pass_decodes_each_source_frame_once(rule: str) -> None:
 
 
 def test_a_frame_may_be_changed_by_the_caller() -> None:
-    sequence = InterpolatedSequence(Kept(ramp(3), 10.0), 20.0, "edges")
+    sequence = InterpolatedSequence(Kept(ramp(3), 10.0), 20.0)
     for j in range(6):
         before = sequence.depth_m(j)
         sequence.depth_m(j)[:] = -1
@@ -143,31 +142,18 @@ def test_linear_is_the_mean_by_time_and_unknown_with_either(pair: np.ndarray, sh
 
 
 @given(depths, shares)
-def test_edges_makes_no_depth_that_was_not_seen(pair: np.ndarray, share: float) -> None:
-    mixed = blend(pair[0], pair[1], share, "edges")
-    low, high = pair.min(axis=0), pair.max(axis=0)
-    together = (low > 0) & (high - low <= EDGE_STEP * low)
-    nearer_in_time = pair[0] if share < 0.5 else pair[1]
-    assert np.array_equal(mixed[~together], nearer_in_time[~together])
-    assert np.allclose(mixed[together], blend(pair[0], pair[1], share)[together])
-
-
-@given(depths, shares, st.sampled_from(["linear", "edges"]))
-def test_time_may_run_backwards(pair: np.ndarray, share: float, rule: str) -> None:
-    if share == 0.5:  # in the middle the later frame is taken, whichever that is
-        return
-    there, back = blend(pair[0], pair[1], share, rule), blend(pair[1], pair[0], 1 - share, rule)
+def test_time_may_run_backwards(pair: np.ndarray, share: float) -> None:
+    there, back = blend(pair[0], pair[1], share), blend(pair[1], pair[0], 1 - share)
     assert np.allclose(there, back, rtol=1e-5)
 
 
 def test_a_hand_before_a_wall() -> None:
-    """A near strip moves over a far wall: linear lets it float between the two, the others do not."""
+    """A near strip moves over a far wall: linear lets it float between the two, nearest does not."""
     frames = np.full((2, 4, 8), 3.0, np.float32)
     frames[0, :, 2:4] = frames[1, :, 3:5] = 1.0
     seen = {rule: InterpolatedSequence(Kept(frames, 10.0), 40.0, rule).depth_m(1) for rule in INTERPOLATIONS}
     assert np.allclose(seen["linear"][0, 2:5], [1.5, 1.0, 2.5])
-    for rule in ("edges", "nearest"):
-        assert np.array_equal(seen[rule], frames[0])
+    assert np.array_equal(seen["nearest"], frames[0])
 
 
 # -- poses ---------------------------------------------------------------------------------------------------------
@@ -207,7 +193,7 @@ def test_a_pose_that_is_no_motion_is_an_error() -> None:
         (np.nan, "linear", "positive"),
         (np.inf, "linear", "positive"),
         (1e12, "linear", "at most 1048576 frames"),
-        (100.0, "cubic", "linear or edges or nearest"),
+        (100.0, "cubic", "linear or nearest"),
     ],
 )
 def test_what_cannot_be_is_refused(rate_hz: float, rule: str, message: str) -> None:
@@ -279,7 +265,7 @@ class First(DepthSequence):
 @pytest.mark.shared
 def test_twenty_real_frames_become_eight_hundred(shared_data: Path) -> None:
     source = First(tum.read_sequence(shared_data / "rgbd_tum_fr1_rpy", SourceOptions()), 20, 25.0)
-    by_rule = {rule: InterpolatedSequence(source, 1000.0, rule) for rule in ("linear", "edges")}
+    by_rule = {rule: InterpolatedSequence(source, 1000.0, rule) for rule in INTERPOLATIONS}
     flying, jumped = Counter[str](), 0
     for rule, sequence in by_rule.items():
         assert sequence.frame_count == 800
@@ -296,7 +282,7 @@ def test_twenty_real_frames_become_eight_hundred(shared_data: Path) -> None:
                 depth = sequence.depth_m(40 * i + j)
                 away = np.minimum(np.abs(depth - before), np.abs(depth - after))
                 flying[rule] += int((away > 0.05 * near)[jumps & (depth > 0)].sum())
-    assert flying == {"edges": 0, "linear": jumped}  # jumped counts both rules, flying both moments
+    assert flying == {"nearest": 0, "linear": jumped}  # jumped counts both rules, flying both moments
     assert jumped > 1000
 
 

@@ -248,7 +248,7 @@ def test_recordings_are_read_from_sound_and_from_text(tmp_path: Path) -> None:
         ("a.csv", b"\xff\xfe\x00", "a.csv: found bytes that are no text"),
         ("a.csv", b"t_s,ax_g\n0,1\n1,2\n", "a.csv line 1: found 't_s,ax_g'"),
         ("a.csv", b"t_s,a_g\n0,1\n1,nan\n2,1\n", "a.csv line 3: found '1,nan'; expected finite numbers"),
-        ("a.csv", b"t_s,a_g\n0,1\n1\n", "a.csv line 3: found '1'; expected a number in each column"),
+        ("a.csv", b"t_s,a_g\n0,1\n1\n", "a.csv line 3: found '1'; expected finite numbers, one in each column"),
         ("a.csv", b"t_s,a_g\n0,1\n1,1\n2,1\n2.5,1\n3.5,1\n", "a.csv line 5: found a step of 0.5 s"),
         ("a.csv", b"t_s,a_g\n1,1\n1,1\n1,1\n", "a.csv line 3: found a step of 0 s"),
         ("a.mp3", b"x", "a.mp3: found a name that ends in '.mp3'"),

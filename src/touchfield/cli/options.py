@@ -85,7 +85,7 @@ SCENE: tuple[Row, ...] = (
     ("rate-hz", float | None, None, "Frames a second of the medium; depth frames are interpolated in time."),
     ("seconds", float | None, None, "Simulations: their duration."),
     ("source-rate-hz", float | None, None, "Frames a second of the source, where it does not say."),
-    ("interpolation", str, "linear", "Between depth frames: linear, edges (not across depth edges) or nearest."),
+    ("interpolation", str, "linear", "Between depth frames: linear or nearest."),
     ("animation", str | None, None, "Animated models: name or number of the animation."),
     ("relative-depth", str | None, None, "Pictures and videos: the relative depth beside them."),
     ("near-m", float | None, None, "Relative depth: metres of its nearest value."),

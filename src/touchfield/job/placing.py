@@ -14,7 +14,7 @@ from touchfield.filters.device_filter import device_grid, device_medium
 from touchfield.medium import Grid, HapticMedium
 from touchfield.medium.placement import Placement
 from touchfield.sources.laws import LawSpec, profile_of
-from touchfield.sources.units import unit_notes
+from touchfield.sources.registry import unit_notes
 
 if TYPE_CHECKING:
     from touchfield.devices import Device

@@ -27,8 +27,7 @@ from touchfield.medium.trace import ContactTrace
 from touchfield.parallel import Report, silent
 from touchfield.reduction.kernel_points import Kernel, best_kernel, error_points, most_candidates, variance_points
 from touchfield.reduction.modes import ModePoints, mode_points, pod
-from touchfield.sources.contact_trace import recorded_contacts, require_contacts, thinned_contacts
-from touchfield.sources.curl_free import CurlFree
+from touchfield.sources.contact_trace import CurlFree, recorded_contacts, require_contacts, thinned_contacts
 
 MOST_POINTS: Final = 1000
 _LEARNT: Final = 400

@@ -24,7 +24,7 @@ import scipy.linalg
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.sources.curl_free import CurlFree, covariances
+from touchfield.sources.contact_trace import CurlFree, covariances
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

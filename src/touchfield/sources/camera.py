@@ -6,8 +6,8 @@ formula. Here frame j shows the source at t = j / rate, and a source frame i sta
 held (the last 40 of those 800).
 
 Depth maps are interpolated pixel by pixel, without regard to motion. Between a near and a far thing that take turns
-at a pixel, a linear rule gives depths at which there is nothing: a surface that floats between the two. "edges"
-avoids that: see `blend`. A lower rate than the source's picks and interpolates in the same way, without a low-pass.
+at a pixel, a linear rule gives depths at which there is nothing: a surface that floats between the two, which
+"nearest" avoids. A lower rate than the source's picks and interpolates in the same way, without a low-pass.
 """
 
 from __future__ import annotations
@@ -29,11 +29,7 @@ from touchfield.sources.poses import checked_poses, poses_between
 
 DEFAULT_RATE_HZ: Final = 30.0
 
-INTERPOLATIONS: Final = ("linear", "edges", "nearest")
-
-EDGE_STEP: Final = 0.05
-"""Of "edges": depths of one pixel in two frames belong together up to 5 % of the nearer one, as `HeightScene` takes
-neighbouring pixels to. The noise of depth cameras stays below it (a Kinect: 1 % at 4 m)."""
+INTERPOLATIONS: Final = ("linear", "nearest")
 
 STEP_RANGE_PER_M: Final = (5e-4, 2e-2)  # bounds of the noise step g, 1/m: 0.5 mm to 2 cm at a depth of 1 m
 MAX_FRAMES: Final = 1 << 20  # frames of the longest interpolated sequence: 17 minutes at 1 kHz
@@ -64,26 +60,17 @@ def require_frame(frame: int, count: int, name: str = "") -> None:
 
 
 class DepthSequence(ABC):
-    """Depth frames of one camera, read when they are asked for.
+    """Depth frames of one camera, read when they are asked for."""
 
-    Attributes
-    ----------
-    name : str; What to call it in messages (the path).
-    width, height : int; Pixels, the same for every frame.
-    poses : float64 [frame_count, 4, 4] or None; Camera-to-world matrices, metres.
-    is_captured : bool; A frame is taken when it is asked for: none is there ahead, and old ones are gone.
-    notes : tuple of str; What the user should be told.
-    """
-
-    name: str
+    name: str  # to call it in messages (the path)
     frame_count: int
-    width: int
+    width: int  # pixels, the same for every frame
     height: int
     intrinsics: Intrinsics
     rate_hz: float
-    poses: Float64s | None = None
-    is_captured = False
-    notes: tuple[str, ...] = ()
+    poses: Float64s | None = None  # [frame_count, 4, 4], camera to world, metres
+    is_captured = False  # a frame is taken when it is asked for: none is there ahead, and old ones are gone
+    notes: tuple[str, ...] = ()  # what the user should be told
 
     @abstractmethod
     def depth_m(self, frame: int) -> Float32s:
@@ -112,27 +99,22 @@ def noise_step_per_m(depth_m: Float32s) -> float:
 
 
 class Frames(Protocol):
-    """Stored numbers over time, ``values(frame)`` [height, width]; `size` is width and height."""
+    """Stored numbers over time; `size` is width and height."""
 
-    @property
-    def frame_count(self) -> int: ...
+    frame_count: int
+    size: tuple[int, int]
 
-    @property
-    def size(self) -> tuple[int, int]: ...
-
-    def values(self, frame: int) -> NDArray[Any]: ...
+    def values(self, frame: int) -> NDArray[Any]:
+        """The numbers of one frame, [height, width]."""
 
 
-@dataclass(frozen=True)
 class StoredFrame:
     """One array, [height, width], as the only frame."""
 
-    array: NDArray[Any]
-    frame_count: int = 1
+    frame_count = 1
 
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.array.shape[1], self.array.shape[0]
+    def __init__(self, array: NDArray[Any]) -> None:
+        self.array, self.size = array, (array.shape[1], array.shape[0])
 
     def values(self, frame: int) -> NDArray[Any]:
         return self.array
@@ -218,11 +200,24 @@ class InterpolatedSequence(DepthSequence):
         self.name, self.intrinsics = source.name, source.intrinsics
         self.width, self.height = source.width, source.height
         self.frame_count, self.rate_hz = max(1, round(frames)), float(rate_hz)
-        self.positions = self._positions()
+        at = np.arange(self.frame_count) * source.rate_hz / self.rate_hz
+        whole, last = np.rint(at), source.frame_count - 1.0
+        self.positions = np.minimum(np.where(np.abs(at - whole) < _SNAP_FRAMES, whole, at), last)
         self._decoded = lru_cache(maxsize=_KEPT)(source.depth_m)
         if source.poses is not None:
-            self.poses = self._poses_between(source.poses)
-        self.notes = (*source.notes, *self._note())
+            known = checked_poses(np.asarray(source.poses, np.float64), f"{self.name}, poses")
+            turns, positions_m = poses_between(quaternions_of(known[:, :3, :3]), known[:, :3, 3], self.positions)
+            self.poses = np.tile(np.eye(4), (self.frame_count, 1, 1))
+            self.poses[:, :3, :3], self.poses[:, :3, 3] = rotation_matrices(turns), positions_m
+            self.poses.flags.writeable = False
+        self.notes = source.notes
+        if source.frame_count > 1:
+            still = int((self.positions == last).sum())
+            hold = f"; the last {still} hold the last picture" if still > 1 else ""
+            self.notes += (
+                f"{source.frame_count} depth frames at {source.rate_hz:.4g} Hz are interpolated in time "
+                f"({interpolation}) to {self.frame_count} at {self.rate_hz:.6g} Hz{hold}.",
+            )
 
     def depth_m(self, frame: int) -> Float32s:
         require_frame(frame, self.frame_count, self.name)
@@ -231,7 +226,7 @@ class InterpolatedSequence(DepthSequence):
             return self._decoded(int(before)).copy()
         if self.interpolation == "nearest":
             return self._decoded(int(before) + (share >= 0.5)).copy()
-        return blend(self._decoded(int(before)), self._decoded(int(before) + 1), share, self.interpolation)
+        return blend(self._decoded(int(before)), self._decoded(int(before) + 1), share)
 
     def key_frames(self) -> Sequence[int]:
         """See `DepthSequence.key_frames`: the frame nearest to each of the source."""
@@ -239,52 +234,16 @@ class InterpolatedSequence(DepthSequence):
         frames: list[int] = np.unique(np.clip(np.rint(wanted), 0, self.frame_count - 1).astype(int)).tolist()
         return frames
 
-    def _positions(self) -> Float64s:
-        at = np.arange(self.frame_count) * self.source.rate_hz / self.rate_hz
-        whole = np.rint(at)
-        snapped: Float64s = np.where(np.abs(at - whole) < _SNAP_FRAMES, whole, at)
-        return np.minimum(snapped, self.source.frame_count - 1.0)
 
-    def _poses_between(self, poses: Float64s) -> Float64s:
-        """The poses at `positions`, float64 [frame_count, 4, 4]."""
-        known = checked_poses(np.asarray(poses, np.float64), f"{self.name}, poses")
-        between = np.tile(np.eye(4), (self.frame_count, 1, 1))
-        turns, between[:, :3, 3] = poses_between(quaternions_of(known[:, :3, :3]), known[:, :3, 3], self.positions)
-        between[:, :3, :3] = rotation_matrices(turns)
-        between.flags.writeable = False
-        return between
+def blend(before_m: Float32s, after_m: Float32s, share: float) -> Float32s:
+    """Depth between two frames, as in the paper: before + share (after - before), float32 [height, width], metres.
 
-    def _note(self) -> tuple[str, ...]:
-        source = self.source
-        if source.frame_count == 1:
-            return ()
-        still = int((self.positions == source.frame_count - 1).sum())
-        hold = f"; the last {still} hold the last picture" if still > 1 else ""
-        return (
-            f"{source.frame_count} depth frames at {source.rate_hz:.4g} Hz are interpolated in time "
-            f"({self.interpolation}) to {self.frame_count} at {self.rate_hz:.6g} Hz{hold}.",
-        )
-
-
-def blend(before_m: Float32s, after_m: Float32s, share: float, interpolation: str = "linear") -> Float32s:
-    """Depth between two frames float32 [height, width], metres, 0 where unknown: `share` of the way to the second.
-
-    "linear", as in the paper: before + share (after - before), pixel by pixel; a pixel that is unknown in either
-    frame is unknown. "edges": the same where both depths are known and differ by at most `EDGE_STEP` of the nearer
-    one; every other pixel takes the value, known or not, of the frame that is nearer in time. So each depth was
-    seen in one of the two frames or lies between two that belong together.
+    A pixel that is unknown (0) in either frame is unknown.
     """
-    nearer = np.minimum(before_m, after_m)
     mixed = after_m - before_m
-    if interpolation == "linear":
-        own, instead = np.zeros_like(mixed[:1, :1]), nearer <= 0
-    else:
-        own = before_m if share < 0.5 else after_m
-        nearer *= np.float32(EDGE_STEP)
-        instead = np.abs(mixed) > nearer  # of an unknown pixel the nearer is 0
     mixed *= np.float32(share)
     mixed += before_m
-    np.copyto(mixed, own, where=instead)
+    mixed[np.minimum(before_m, after_m) <= 0] = 0
     return mixed
 
 

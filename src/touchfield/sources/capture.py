@@ -24,11 +24,11 @@ from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import exactly, standard_input
 from touchfield.sources.camera import DepthCode, DepthSequence
-from touchfield.sources.depth_reader import list_files, source_rate, with_suffix
+from touchfield.sources.depth_layouts import required_scale, source_rate
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.fused_scene import FusedScene
 from touchfield.sources.intrinsics_file import camera_of
-from touchfield.sources.pictures import PICTURE_SUFFIXES, read_picture
+from touchfield.sources.pictures import PICTURE_SUFFIXES, list_files, read_picture, with_suffix
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,13 +52,7 @@ class CaptureEnd(SourceError):
 
 
 class Pictures(ABC):
-    """Where pictures come from.
-
-    Attributes
-    ----------
-    name : str; What to call it in messages.
-    in_order : bool; Every picture is shown, and its source waits; else the newest is.
-    """
+    """Where pictures come from: of each the newest is shown, or `in_order` each, while its source waits."""
 
     name: str
     in_order = False
@@ -83,27 +77,21 @@ class GrowingFolder(Pictures):
 
     def next(self) -> NDArray[Any]:
         """See `Pictures.next`. A picture that is being written is looked at again for a second, then passed over."""
-        until = time.monotonic() + PATIENCE_S
+        until, since = time.monotonic() + PATIENCE_S, 0.0
+        coming: Path | None = None
         while time.monotonic() < until:
             files = list_files(self._folder, with_suffix(*PICTURE_SUFFIXES))
-            if not files or files[-1] == self._last:
-                time.sleep(_LOOK_S)
-                continue
-            self._last = files[-1]
-            picture = self._whole(self._last)
-            if picture is not None:
-                return picture
+            if coming is None and files and files[-1] != self._last:
+                coming, since = files[-1], time.monotonic()
+            if coming is not None:
+                self._last = coming
+                try:
+                    return read_picture(coming)
+                except SourceError:
+                    if time.monotonic() > since + _UNFINISHED_S:
+                        coming = None
+            time.sleep(_LOOK_S)
         raise CaptureEnd(self.name, f"no new picture for {PATIENCE_S:g} s", "a folder that grows")
-
-    def _whole(self, path: Path) -> NDArray[Any] | None:
-        until = time.monotonic() + _UNFINISHED_S
-        while True:
-            try:
-                return read_picture(path)
-            except SourceError:
-                if time.monotonic() > until:
-                    return None
-                time.sleep(_LOOK_S)
 
 
 class PipedPictures(Pictures):
@@ -123,20 +111,17 @@ class PipedPictures(Pictures):
             raise SourceError(self.name, f"{bytes(data)!r}", "PNG pictures one behind the other")
         kind = b""
         while kind != b"IEND":
-            head = self._bytes(8)
-            length, kind = struct.unpack(">I4s", head)
+            head = exactly(self._stream, 8)
+            length, kind = struct.unpack(">I4s", head.ljust(8, b"\0"))
             if len(data) + length > _MOST_PNG_BYTES:
                 raise SourceError(self.name, f"a picture of more than {_MOST_PNG_BYTES} bytes", "fewer")
-            data += head + self._bytes(length + 4)
+            rest = exactly(self._stream, length + 4)
+            if len(rest) < length + 4:
+                raise CaptureEnd(self.name, "its end in the middle of a picture", "whole pictures")
+            data += head + rest
         path = Path(self._folder.name) / "picture.png"
         path.write_bytes(data)
         return read_picture(path)
-
-    def _bytes(self, count: int) -> bytes:
-        data = exactly(self._stream, count)
-        if len(data) < count:
-            raise CaptureEnd(self.name, "its end in the middle of a picture", "whole pictures")
-        return data
 
     def close(self) -> None:
         self._folder.cleanup()
@@ -190,10 +175,7 @@ class CapturedSequence(DepthSequence):
             raise SourceError(self.name, f"a picture {first.shape} of {first.dtype}", "16-bit (or float) grey depth")
         height, width = first.shape
         camera = camera_of(self.name, options.intrinsics, folders, (width, height))
-        scale = options.depth_scale or camera.units_per_m or scale or (1.0 if first.dtype.kind == "f" else None)
-        if scale is None:
-            mend = "Add --depth-scale, for example 1000 for millimetres."
-            raise SourceError(self.name, "no depth scale", "how many stored units are in one metre", mend)
+        scale = required_scale(self.name, options.depth_scale or camera.units_per_m or scale, first.dtype.kind == "f")
         self._metres: Callable[[NDArray[Any]], Float32s] = DepthCode(scale)
         self.frame_count, self.width, self.height = MOST_FRAMES, width, height
         self.intrinsics: Intrinsics = camera.intrinsics
@@ -243,17 +225,13 @@ class CapturedSequence(DepthSequence):
                         self._news.wait_for(lambda: len(self._waiting) < 2 or self._is_closed)
                     self._waiting.append(picture)
                     self._news.notify_all()
-        except SourceError as error:
-            self._stop(error)
-        except Exception as error:  # of a driver: whoever waits is told
-            self._stop(SourceError(self.name, str(error) or type(error).__name__, "pictures"))
+        except Exception as error:  # also of a driver: whoever waits is told
+            with self._news:
+                fault = SourceError(self.name, str(error) or type(error).__name__, "pictures")
+                self._fault = error if isinstance(error, SourceError) else fault
+                self._news.notify_all()
         finally:
             self._pictures.close()
-
-    def _stop(self, fault: SourceError) -> None:
-        with self._news:
-            self._fault = fault
-            self._news.notify_all()
 
 
 def captured(source: object, options: SourceOptions) -> Scene | None:

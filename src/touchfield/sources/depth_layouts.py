@@ -1,54 +1,57 @@
-"""Depth sequences as data sets lay them out on disk: a table of layouts for `touchfield.sources.depth_reader`.
+"""Depth sequences as data sets lay them out on disk: one table of layouts (`LAYOUTS`), and one reader of them.
 
-tum         TUM RGB-D (Sturm et al., IROS 2012), and Bonn's and ICL-NUIM's: ``depth/TIME.png``, ``depth.txt``,
-            ``groundtruth.txt``; value / 5000 = metres. It ships no intrinsics file: the published ones are used
-            where a name says which camera it was.
-redwood     Redwood (Choi et al., CVPR 2015) and Open3D: ``depth/*.png`` in millimetres, ``trajectory.log``.
+tum         TUM RGB-D (Sturm et al., IROS 2012), Bonn's and ICL-NUIM's: value / 5000 = metres. It ships no intrinsics
+            file: the published ones are used where a name says which camera it was.
+redwood     Redwood (Choi et al., CVPR 2015) and Open3D.
 sun3d       SUN3D (Xiao et al., ICCV 2013), the recordings of the paper's section 5.2 ("hotel barcelona"):
-            ``depth/FRAME-MICROSECONDS.png`` with rotated bits, mm = (v >> 3) | (v << 13) in 16 bits, and
-            ``extrinsics/*.txt`` with the 3x4 camera-to-world matrices of all colour frames, one under the other (of
-            several files the last is the newest). A depth frame takes the pose of the colour frame nearest in time.
-3dmatch     3DMatch (Zeng et al., CVPR 2017) and 7-Scenes (Shotton et al., CVPR 2013): ``frame-NNNNNN.depth.png`` in
-            millimetres and ``frame-NNNNNN.pose.txt``. Of a scene that holds ``seq-01``, ``seq-02``, ... the first is
-            read. ``camera-intrinsics.txt`` lies beside the frames or one folder up; 7-Scenes ships none.
-depth-folder  16-bit PNG or TIFF, or NPY, in a folder, in its ``depth/`` or in a folder of it. Scale and intrinsics
-            must be said, or lie in a file. Of a folder named like depth the folder above it is searched, too.
-depth-map   One such picture.
-depth-stack Frames in one file: NPY of shape [frames, height, width], or a TIFF of several pages. Named *depth*: an
-            NPY of heights over time has the same shape.
-depth-video  9 to 16 bits of grey a pixel, coded without loss (FFV1, 16-bit PNG), in MKV, AVI, MOV or MP4.
+            ``depth/FRAME-MICROSECONDS.png`` with rotated bits, and ``extrinsics/*.txt`` with the 3x4 camera-to-world
+            matrices of all colour frames; of several files the last is the newest.
+3dmatch     3DMatch (Zeng et al., CVPR 2017) and 7-Scenes (Shotton et al., CVPR 2013); of ``seq-01``, ``seq-02``, ...
+            the first is read. ``camera-intrinsics.txt`` lies beside the frames or one folder up.
+depth-folder, depth-map, depth-stack, depth-video  Pictures of no data set. Scale and intrinsics must be said, or
+            lie in a file; floats are metres. A stack is named *depth*: an NPY of heights over time is alike.
 
-Floats are metres unless a scale is given; whole numbers of the last four need one.
-A frame without a pose is left out, and a note says so (`touchfield.sources.placed_frames`).
+Pictures are decoded only when they are asked for.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import MissingExtra, SourceError
+from touchfield.files import readable
 from touchfield.medium.npz import read_npy_header
-from touchfield.sources.camera import Intrinsics
-from touchfield.sources.depth_reader import Layout, Shots, has_files, list_files
-from touchfield.sources.intrinsics_file import CameraFile, named_like_intrinsics
+from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, DepthSequence, Intrinsics, at_rate
+from touchfield.sources.intrinsics_file import CameraFile, camera_of, named_like_intrinsics
 from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo, video_header
 from touchfield.sources.pictures import (
     PICTURE_SUFFIXES,
     NpyFrames,
+    PictureFrames,
     PictureHeader,
     TiffFrames,
+    contents,
+    has_files,
+    list_files,
     page_sizes,
     picture_header,
 )
-from touchfield.sources.placed_frames import POSE_TOLERANCE_S, PlacedFrames, posed_frames
+from touchfield.sources.placed_frames import POSE_TOLERANCE_S, PlacedFrames, placed_frames, posed_frames
 from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text
-from touchfield.sources.registry import kinds
+from touchfield.sources.registry import SourceKind, kinds
+
+if TYPE_CHECKING:
+    from touchfield.sources.options import SourceOptions
+    from touchfield.sources.scene import Scene
+
 
 _ANY_PNG: Final = r".+\.png"
 _STAMPED_PNG: Final = r"\d+(\.\d+)?\.png"
@@ -58,8 +61,6 @@ _TRAJECTORY: Final = r"trajectory\.log|.*traj(ectory)?\.(log|txt)"
 _COLOUR: Final = r".+\.(jpg|jpeg|png)"
 _TEXT: Final = r".+\.txt"
 _MICROSECONDS: Final = re.compile(r"\d+-(\d{1,15})")
-_MOST_NAMES: Final = 6
-_TIFF: Final = (".tif", ".tiff")
 
 _CAMERAS: Final = {  # by the names in `_CAMERA_NAME`, for 640 x 480
     "1": ("freiburg1", Intrinsics(517.3, 516.5, 318.6, 255.3)),
@@ -81,10 +82,157 @@ _SEVEN_SCENES: Final = CameraFile(
 )
 
 
-def _files(folder: Path, form: str) -> tuple[Path, ...]:
-    return tuple(list_files(folder, form)) if folder.is_dir() else ()
+# -- the reader ----------------------------------------------------------------------------------------------
+class Shots(NamedTuple):
+    """The depth pictures of a sequence, in files or in one file, and where what belongs to them is looked for.
+
+    Times are seconds, NaN where a picture has none; `places` are the folders of poses, None if none are read.
+    """
+
+    paths: tuple[Path, ...]
+    where: Path
+    places: tuple[Path, ...] | None
+    camera_places: tuple[Path, ...]
+    times_s: Float64s | None = None
+    notes: tuple[str, ...] = ()
+    one_file: Any = None  # frames as of `PictureFrames`
+    rate_hz: float | None = None
 
 
+@dataclass(frozen=True)
+class Layout:
+    """One way to lay a depth sequence out on disk: a folder, unless `is_file`.
+
+    name, summary, recognise : As of `SourceKind`; of what a path that cannot be read would raise, `kind` takes care.
+    units_per_m : Stored units in a metre, unless a user or a file says otherwise; None where one must.
+    camera : Of pictures of 640 x 480 where no file tells, or ``camera(path)`` that knows it.
+    poses : ``poses(path, paths)`` where the layout has poses of its own form, None if they are not there.
+    is_rotated : See `DepthCode`; the scale is then the layout's or the user's.
+    is_timed : Poses are found by the times of the pictures.
+    """
+
+    name: str
+    summary: str
+    recognise: Callable[[Path], bool]
+    shots: Callable[[Path], Shots]
+    units_per_m: float | None = None
+    camera: CameraFile | Callable[[Path], CameraFile | None] | None = None
+    poses: Callable[[Path, tuple[Path, ...]], PlacedFrames | None] | None = None
+    is_rotated: bool = False
+    is_timed: bool = False
+    is_file: bool = False
+
+    @property
+    def kind(self) -> SourceKind:
+        return depth_kind(self.name, self.summary, self.recognise, self.read_sequence)
+
+    def read_sequence(self, path: Path, options: SourceOptions) -> CodedSequence:
+        """A sequence in this layout; `SourceError` if pictures, poses, scale or camera are missing or at fault."""
+        if path.is_dir() == self.is_file:
+            mend = "Name its kind with --as depth-folder." if self.is_file else "Give the folder that holds it."
+            raise SourceError(str(path), "a folder" if self.is_file else "a file", self.summary, mend)
+        shots = self.shots(path)
+        if not shots.paths and shots.one_file is None:
+            found = f"no depth picture but {contents(path)}"
+            raise SourceError(str(shots.where), found, self.summary, "Check the folder.")
+        own, placed = None, PlacedFrames(tuple(range(len(shots.paths))), None, ())
+        if self.poses is not None and options.frame == "world" and options.poses is None:
+            own = self.poses(path, shots.paths)
+        if shots.places is not None:
+            frames_of = shots.paths or int(shots.one_file.frame_count)
+            times_s = shots.times_s if self.is_timed else None
+            placed = own or placed_frames(str(shots.where), frames_of, options, shots.places, times_s)
+        frames = shots.one_file or PictureFrames(shots.paths)
+        for file, header in zip(frames.paths, frames.headers):
+            if header.channels != 1 or header.sample in ("", "uint8", "int8"):
+                mend = "Give the depth pictures, not colour or previews, saved with 16 bits."
+                raise SourceError(str(file), header.wording, "16-bit (or float) grey depth", mend)
+        default = None if frames.size != (640, 480) else self.camera(path) if callable(self.camera) else self.camera
+        camera = camera_of(str(shots.where), options.intrinsics, shots.camera_places, frames.size, default)
+        is_metres = bool(frames.headers) and frames.headers[0].sample.startswith("float")
+        of_file = None if self.is_rotated else camera.units_per_m
+        scale = required_scale(str(path), options.depth_scale or of_file or self.units_per_m, is_metres)
+        gaps = np.diff(np.empty(0) if shots.times_s is None else shots.times_s)
+        gaps = gaps[gaps > 1e-6]  # not NaN, and no stamp given twice
+        rate_hz = shots.rate_hz or (float(1 / np.median(gaps)) if len(gaps) else source_rate(options))
+        frames = frames.only(placed.kept) if shots.paths else frames
+        code = DepthCode(scale, self.is_rotated)
+        sequence = CodedSequence(str(path), frames, code, camera.intrinsics, rate_hz)
+        sequence.poses = camera.poses_of_pictures(placed.poses)
+        if sequence.poses is not None:
+            sequence.poses.flags.writeable = False
+        sequence.notes = (*placed.notes, *shots.notes, *camera.notes)
+        return sequence
+
+
+def required_scale(where: str, scale: float | None, is_metres: bool) -> float:
+    """Stored units in a metre: as something said, 1 of floats; else `SourceError`."""
+    if scale is None and not is_metres:
+        mend = "Add --depth-scale, for example 1000 for millimetres."
+        raise SourceError(where, "no depth scale", "how many stored units are in one metre", mend)
+    return scale or 1.0
+
+
+def source_rate(options: SourceOptions) -> float:
+    """Frames a second of a source that does not say: what the user said of it, else the medium's, else 30."""
+    return options.source_rate_hz or options.rate_hz or DEFAULT_RATE_HZ
+
+
+def is_known(recognise: Callable[[Path], bool]) -> Callable[[Path], bool]:
+    """The same test, but False for what cannot be read."""
+
+    def is_known(path: Path) -> bool:
+        try:
+            return recognise(path)
+        except (OSError, SourceError):
+            return False
+
+    return is_known
+
+
+def depth_kind(
+    name: str,
+    summary: str,
+    recognise: Callable[[Path], bool],
+    read_sequence: Callable[[Path, SourceOptions], DepthSequence],
+) -> SourceKind:
+    """A source kind of depth sequences; what cannot be read is a `SourceError` when it is opened."""
+
+    def open_scene(path: Path, options: SourceOptions) -> Scene:
+        with readable(path, "files that can be read"):
+            sequence = read_sequence(path, options)
+        return depth_scene(sequence, options)
+
+    return SourceKind(name, summary, is_known(recognise), open_scene)
+
+
+def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
+    """The scene of a depth sequence at the rate asked for, read as a camera's view or as a height map.
+
+    A sequence that does not say its own rate and whose `source_rate_hz` was not given already has it (`source_rate`),
+    and is not interpolated.
+    """
+    sequence = at_rate(sequence, options.rate_hz, options.interpolation)
+    if options.reading == "height":
+        from touchfield.sources.height_scene import HeightScene
+
+        return HeightScene.from_depth_sequence(sequence, options.exaggeration, options.segment)
+    from touchfield.sources.depth_scene import DepthScene
+
+    is_alone = options.world == "frames" or options.frame == "camera" or len(sequence.key_frames()) == 1
+    if not is_alone:
+        from touchfield.sources.fused_scene import FusedScene, stands
+
+        if sequence.poses is not None or stands(sequence):
+            return FusedScene(sequence, options.world, options.segment)
+    scene = DepthScene(sequence, frame=options.frame, segment=options.segment)
+    if not is_alone:
+        note = "No poses, and the camera or most of what it sees moves: each frame is felt alone (--world frames)"
+        scene.notes = (*scene.notes, note)
+    return scene
+
+
+# -- folders of data sets ------------------------------------------------------------------------------------
 def _stamped(path: Path) -> Shots:
     """Pictures that are there, in order of time, of ``depth.txt`` or of ``depth/TIME.png``."""
     listing, depth = path / "depth.txt", path / "depth"
@@ -95,11 +243,10 @@ def _stamped(path: Path) -> Shots:
         if len(stamped) < len(listed):
             notes = (f"{len(stamped)} of the {len(listed)} frames in depth.txt are there.",)
     else:
-        stamped = sorted((float(file.stem), file) for file in _files(depth, _STAMPED_PNG))
-    times_s = np.array([stamp for stamp, _ in stamped])
+        stamped = sorted((float(file.stem), file) for file in list_files(depth, _STAMPED_PNG))
     paths = tuple(file for _, file in stamped)
     where = path if paths else listing if listing.is_file() else depth
-    return Shots(paths, where, (path,), (path,), times_s, notes)
+    return Shots(paths, where, (path,), (path,), np.array([stamp for stamp, _ in stamped]), notes)
 
 
 def _listed(listing: Path) -> list[tuple[float, Path]]:
@@ -111,10 +258,10 @@ def _listed(listing: Path) -> list[tuple[float, Path]]:
             continue
         try:
             stamp, name = float(words[0]), PurePosixPath(words[1])
-        except (ValueError, IndexError) as error:
-            raise SourceError(f"{listing} line {number}", repr(line[:60]), "a time and a file name") from error
+        except (ValueError, IndexError):
+            stamp, name = np.inf, PurePosixPath()
         if not abs(stamp) < MAX_TIME_S or name.is_absolute() or ".." in name.parts:
-            raise SourceError(f"{listing} line {number}", repr(line[:60]), "a time, and a file inside the folder")
+            raise SourceError(f"{listing} line {number}", repr(line[:60]), "a time and a file name inside the folder")
         entries.append((stamp, listing.parent / name))
     return entries
 
@@ -140,54 +287,53 @@ def _published(path: Path) -> CameraFile | None:
     return None
 
 
+def _in_depth(path: Path) -> Shots:
+    return Shots(list_files(path / "depth", _ANY_PNG), path, (path,), (path, path / "depth"))
+
+
+def _sun3d(path: Path) -> Shots:
+    shots = _in_depth(path)
+    return shots._replace(times_s=_microseconds(shots.paths))
+
+
 def _microseconds(paths: tuple[Path, ...]) -> Float64s:
-    """Time stamps in seconds from names FRAME-MICROSECONDS."""
+    """Time stamps in seconds from names FRAME-MICROSECONDS; NaN for others."""
     matches = [_MICROSECONDS.fullmatch(file.stem) for file in paths]
     return np.array([int(match[1]) * 1e-6 if match else np.nan for match in matches])
 
 
-def _sun3d(path: Path) -> Shots:
-    paths = _files(path / "depth", _ANY_PNG)
-    return Shots(paths, path, (path,), (path,), _microseconds(paths))
-
-
 def _extrinsics(path: Path, paths: tuple[Path, ...]) -> PlacedFrames | None:
     """SUN3D's poses of colour frames, for the depth frames nearest in time."""
-    if not has_files(path / "extrinsics", _TEXT):
+    files = list_files(path / "extrinsics", _TEXT)
+    if not files:
         return None
-    file = list_files(path / "extrinsics", _TEXT)[-1]
-    poses = parse_extrinsics(read_text(file), str(file))
-    colour = _files(path / "image", _COLOUR)
+    poses = parse_extrinsics(read_text(files[-1]), str(files[-1]))
+    colour = list_files(path / "image", _COLOUR)
     times_s, wanted_s = _microseconds(colour), _microseconds(paths)
     if len(colour) == len(poses) and np.isfinite(times_s).all() and np.isfinite(wanted_s).all():
         order = np.argsort(times_s, kind="stable")
         nearest = nearest_in_time(times_s[order], wanted_s, POSE_TOLERANCE_S)
-        taken = [poses[order[i]] if i >= 0 else None for i in nearest]
-        return posed_frames(str(file), taken, "no posed colour frame within 20 ms")
+        some = [poses[order[i]] if i >= 0 else None for i in nearest]
+        return posed_frames(str(files[-1]), some, "no posed colour frame within 20 ms")
     if len(poses) == len(paths):
         return PlacedFrames(tuple(range(len(paths))), poses, ())
     found = f"{len(poses)} poses for {len(paths)} depth and {len(colour)} colour frames"
     mend = "Copy all frames of the sequence, or ignore the poses with --frame camera."
-    raise SourceError(str(file), found, "one for each frame", mend)
-
-
-def _redwood(path: Path) -> Shots:
-    return Shots(_files(path / "depth", _ANY_PNG), path, (path,), (path, path / "depth"))
+    raise SourceError(str(files[-1]), found, "one for each frame", mend)
 
 
 def _threedmatch(path: Path) -> Shots:
     """Frames of a folder, or of the first of its parts, with a note."""
-    folder = path
-    notes: tuple[str, ...] = ()
+    folder, notes = path, tuple[str, ...]()
     if not has_files(path, _FRAME_PNG):
         parts = [part for part in list_files(path, r"seq-\d+") if has_files(part, _FRAME_PNG)]
         folder = parts[0] if parts else path
-        if len(parts) > 1:
-            notes = (f"The first of {len(parts)} sequences, {folder.name}, is read.",)
+        notes = (f"The first of {len(parts)} sequences, {folder.name}, is read.",) if len(parts) > 1 else ()
     places = tuple(dict.fromkeys((folder, path)))
-    return Shots(_files(folder, _FRAME_PNG), folder, places, (folder, folder.absolute().parent), None, notes)
+    return Shots(list_files(folder, _FRAME_PNG), folder, places, (folder, folder.absolute().parent), None, notes)
 
 
+# -- pictures of no data set ---------------------------------------------------------------------------------
 def _plain(path: Path) -> Shots:
     """Pictures in ``depth/``, in the folder itself or, with a note, in its one folder with depth."""
     folder = next((folder for folder in (path / "depth", path) if _depth_pictures(folder)), None)
@@ -197,7 +343,7 @@ def _plain(path: Path) -> Shots:
         named = [inner for inner in inside if "depth" in inner.name.lower()]
         inside = named if len(named) == 1 else inside
         if len(inside) > 1:
-            names = ", ".join(f"{inner.name}/" for inner in inside[:_MOST_NAMES])
+            names = ", ".join(f"{inner.name}/" for inner in inside[:6])
             mend = f"Name one: {path / inside[0].name}"
             raise SourceError(str(path), f"{len(inside)} folders of depth pictures ({names})", "one", mend)
         folder = inside[0] if inside else path
@@ -210,11 +356,8 @@ def _plain(path: Path) -> Shots:
 
 def _depth_pictures(folder: Path) -> tuple[Path, ...]:
     """The pictures of a folder; where some are named like depth and others not, those that are."""
-    for form in _PLAIN:
-        if has_files(folder, form):
-            paths = list_files(folder, form)
-            return tuple([path for path in paths if "depth" in path.stem.lower()] or paths)
-    return ()
+    paths = next((list_files(folder, form) for form in _PLAIN if has_files(folder, form)), ())
+    return tuple([path for path in paths if "depth" in path.stem.lower()] or paths)
 
 
 def _is_depth(folder: Path) -> bool:
@@ -231,27 +374,16 @@ def _is_plain(path: Path) -> bool:
         return False
     if _depth_pictures(path / "depth"):
         return _is_depth(path / "depth")
+
+    def is_named(folder: Path) -> bool:
+        return any("depth" in path.stem.lower() for path in (folder, *_depth_pictures(folder)[:1]))
+
     has_camera = any(named_like_intrinsics((path,)))
     if _depth_pictures(path):
-        return (has_camera or _is_named_depth(path)) and _is_depth(path)
-    inner = [folder for folder in path.iterdir() if folder.is_dir() and (has_camera or _is_named_depth(folder))]
-    return any(_is_depth(folder) and not _is_of_a_layout(folder) for folder in inner)
-
-
-def _is_of_a_layout(folder: Path) -> bool:
-    """Tell a folder that is a source of another kind, and to be opened itself."""
-    return any(kind.recognise(folder) for kind in kinds() if kind.name != "depth-folder")
-
-
-def _is_named_depth(folder: Path) -> bool:
-    """Tell a folder that is named like depth, or whose pictures are."""
-    return any("depth" in path.stem.lower() for path in (folder, *_depth_pictures(folder)[:1]))
-
-
-# -- one file ------------------------------------------------------------------------------------------------
-def _one(path: Path) -> Shots:
-    """One picture; poses are not asked for."""
-    return Shots((path,), path, None, (path.absolute().parent,))
+        return (has_camera or is_named(path)) and _is_depth(path)
+    inner = [folder for folder in path.iterdir() if folder.is_dir() and (has_camera or is_named(folder))]
+    others = [kind for kind in kinds() if kind.name != "depth-folder"]  # a source of its own is opened itself
+    return any(_is_depth(folder) and not any(kind.recognise(folder) for kind in others) for folder in inner)
 
 
 def _is_one(path: Path) -> bool:
@@ -260,18 +392,18 @@ def _is_one(path: Path) -> bool:
 
 def _stack(path: Path) -> Shots:
     folder = (path.absolute().parent,)
-    frames = TiffFrames(path) if path.suffix.lower() in _TIFF else NpyFrames(path)
+    frames = NpyFrames(path) if path.suffix.lower() not in (".tif", ".tiff") else TiffFrames(path)
     return Shots((), path, folder, folder, one_file=frames)
 
 
 def _is_stack(path: Path) -> bool:
-    if "depth" not in path.name.lower() or not path.is_file():
+    if not _is_one(path) or path.suffix.lower() == ".png":
         return False
     if path.suffix.lower() == ".npy":
         with path.open("rb") as stream:
             shape = read_npy_header(stream, str(path)).shape
         return len(shape) == 3 and shape[2] != 1
-    if path.suffix.lower() not in _TIFF or picture_header(path).channels != 1:
+    if picture_header(path).channels != 1:
         return False
     sizes = page_sizes(path, most=2)
     return len(sizes) > 1 and sizes[1] == sizes[0]  # an elevation model keeps smaller copies of itself as pages
@@ -314,67 +446,44 @@ def _is_video(path: Path) -> bool:
 
 LAYOUTS: Final = (
     Layout(
-        "tum",
-        "TUM RGB-D sequence: a folder with depth/TIME.png (value/5000 m), depth.txt, groundtruth.txt",
-        _is_stamped,
-        _stamped,
-        5000.0,
-        _published,
-        is_timed=True,
+        "tum", "TUM RGB-D sequence: a folder with depth/TIME.png (value/5000 m), depth.txt, groundtruth.txt",
+        _is_stamped, _stamped, 5000.0, _published, is_timed=True,
     ),
     Layout(
-        "redwood",
-        "Redwood or Open3D sequence: a folder with depth/*.png (millimetres) and trajectory.log",
+        "redwood", "Redwood or Open3D sequence: a folder with depth/*.png (millimetres) and trajectory.log",
         lambda path: has_files(path, _TRAJECTORY) and has_files(path / "depth", _ANY_PNG),
-        _redwood,
-        1000.0,
-        _PRIMESENSE,
+        _in_depth, 1000.0, _PRIMESENSE,
     ),
     Layout(
-        "sun3d",
-        "SUN3D sequence: a folder with depth/*.png (rotated bits), intrinsics.txt, extrinsics/*.txt",
+        "sun3d", "SUN3D sequence: a folder with depth/*.png (rotated bits), intrinsics.txt, extrinsics/*.txt",
         lambda path: has_files(path / "extrinsics", _TEXT) and has_files(path / "depth", _ANY_PNG),
-        _sun3d,
-        1000.0,
-        poses=_extrinsics,
-        is_rotated=True,
+        _sun3d, 1000.0, poses=_extrinsics, is_rotated=True,
     ),
     Layout(
-        "3dmatch",
-        "3DMatch or 7-Scenes sequence: a folder with frame-NNNNNN.depth.png (millimetres) and .pose.txt",
-        lambda path: path.is_dir() and bool(_threedmatch(path).paths),
-        _threedmatch,
-        1000.0,
-        _SEVEN_SCENES,
+        "3dmatch", "3DMatch or 7-Scenes sequence: a folder with frame-NNNNNN.depth.png (millimetres) and .pose.txt",
+        lambda path: path.is_dir() and bool(_threedmatch(path).paths), _threedmatch, 1000.0, _SEVEN_SCENES,
     ),
     Layout(
         "depth-folder",
         "folder of 16-bit depth pictures, here or in depth/, poses beside them "
         "(needs --depth-scale and --intrinsics)",
-        _is_plain,
-        _plain,
+        _is_plain, _plain,
     ),
     Layout(
         "depth-map",
         "one depth picture named *depth*: 16-bit PNG or TIFF (needs --depth-scale), NPY in metres (--intrinsics)",
-        _is_one,
-        _one,
-        is_file=True,
+        _is_one, lambda path: Shots((path,), path, None, (path.absolute().parent,)), is_file=True,
     ),
     Layout(
         "depth-stack",
         "depth frames in one file named *depth*: NPY [frames, height, width] in metres, or a TIFF of several pages",
-        _is_stack,
-        _stack,
-        is_file=True,
+        _is_stack, _stack, is_file=True,
     ),
     Layout(
         "depth-video",
         "video of depth: 16-bit grey in MKV, AVI, MOV, MP4 (needs --depth-scale and --intrinsics; extra: video)",
-        _is_video,
-        _video,
-        is_file=True,
+        _is_video, _video, is_file=True,
     ),
-)
+)  # fmt: skip
 
 KINDS: Final = {layout.name: layout.kind for layout in LAYOUTS}

@@ -2,29 +2,23 @@
 
 The paper (sections 4 and 5.1) makes fields of depth video but gives no formula (nor has its [21] one). Here a sample
 is projected to its nearest pixel and phi is its signed distance to the tangent plane of the surface there (negative
-behind), n the plane's normal towards the camera, so that F = f(phi) n. Departures from a distance field, and why:
+behind), n the plane's normal towards the camera, so that F = f(phi) n. Only what the camera saw pushes: a pixel
+without depth, or without a normal to rely on, gives no force. A force lies no farther from the surface along its own
+ray (in depth z) than `RAY_LIMIT` times the distance that the profile reaches on that side, or a plane at a grazing
+angle would carry it far behind; a solid (the profile reaches to -inf) has no limit behind.
 
-- Only what the camera saw pushes: a pixel without depth, or without a normal to rely on, gives no force, and no
-  surface is guessed behind or between silhouettes.
-- *Ray limit.* A plane met at a grazing angle would carry its force far behind the surface. A force therefore lies
-  no farther from the surface along its own ray (in depth z) than `RAY_LIMIT` times the distance that the profile
-  reaches on that side. Walls at more than 75 degrees to the ray become thinner by it. A solid (the profile
-  reaches to -inf) has no limit behind: everything hidden by the surface is solid.
+With poses the scene lies in the coordinates of the first camera: a moving camera sees a standing world.
 
-With poses the scene lies in the coordinates of the first camera: a moving camera sees a standing world, and the
-workspace stays in front of the viewer.
-
-Tangent planes, robust to noise and edges, rest on one fact of the pinhole camera: over the pixels of a plane
-n . p = c the inverse depth w = 1/z is a linear function of the pixel, because n . (x/z, y/z, 1) = c w. So a straight
-line fit to w is exact on a plane, with one-sided support too, and its slopes give the normal::
+Tangent planes rest on one fact of the pinhole camera: over the pixels of a plane n . p = c the inverse depth w = 1/z
+is a linear function of the pixel. So a straight line fit to w is exact on a plane, and its slopes give the normal::
 
     n / c = (fx w_u, fy w_v, w - (u - cx) w_u - (v - cy) w_v)
 
-Noise of disparity sensors is moreover constant in w (it grows with z^2 in depth). The steps for each pixel:
+Noise of disparity sensors is moreover constant in w. The steps for each pixel:
 
-1. *Links.* Two neighbours lie on one surface if their w differ by at most a step g, or if the difference goes on
-   as the one before or after it (within g) and is no steeper than `SLOPE_LIMIT_PX` pixels of depth per pixel.
-   Nothing is ever linked across a pixel without depth.
+1. *Links.* Two neighbours lie on one surface if their w differ by at most a step g (`camera.noise_step_per_m`), or if
+   the difference goes on as the one before or after it (within g) and is no steeper than `SLOPE_LIMIT_PX` pixels of
+   depth per pixel. Nothing is ever linked across a pixel without depth.
 2. *Rows.* A least-squares line through the up to 4 pixels on each side that an unbroken chain of links reaches.
 3. *Columns.* The same down the columns, over the results of the rows, whose slopes are averaged with the weight
    of their support. The plane goes through the fitted w, not through the noisy pixel.
@@ -32,11 +26,12 @@ Noise of disparity sensors is moreover constant in w (it grows with z^2 in depth
    surface at more than 84 degrees.
 
 A step edge thus ends the support and never tilts a normal, as long as it is higher than g (in w) and than
-`SLOPE_LIMIT_PX` pixel footprints. The step g is taken from the sensor's own noise (`camera.noise_step_per_m`).
+`SLOPE_LIMIT_PX` pixel footprints.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -53,11 +48,8 @@ from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
-RAY_LIMIT: Final = 4.0
-"""A force lies no farther from the surface along the ray than this many times the reach of the profile."""
-
-SLOPE_LIMIT_PX: Final = 5.0
-"""Steepest slope along an image row or column, footprints of a pixel in depth per pixel: about 79 degrees."""
+RAY_LIMIT: Final = 4.0  # walls at more than 75 degrees to the ray become thinner by it
+SLOPE_LIMIT_PX: Final = 5.0  # along an image row or column, footprints of a pixel in depth per pixel: 79 degrees
 
 _NODES_AT_ONCE = 6000  # cubes of bricks tested in the first round
 _BOX_POINTS = 4_000_000  # points that `bounds_m` keeps
@@ -99,7 +91,13 @@ class DepthScene(MovingScene):
         self.notes, self.is_captured = tuple(sequence.notes), sequence.is_captured
         self._poses = None
         if frame == "world" and sequence.poses is not None:
-            self._poses = _relative_poses(sequence.poses, sequence.frame_count, f"{sequence.name}, poses")
+            poses, where = np.asarray(sequence.poses, np.float64), f"{sequence.name}, poses"
+            if poses.shape != (sequence.frame_count, 4, 4):
+                expected = f"({sequence.frame_count}, 4, 4): one for each frame"
+                raise SourceError(where, f"shape {poses.shape}", expected)
+            self._poses = checked_poses(poses[:, :3], where)
+            self._poses[:, :3, 3] -= self._poses[0, :3, 3]
+            self._poses[:, :3] = self._poses[0, :3, :3].T @ self._poses[:, :3]
         self._step_per_m = step_per_m
         self._frame_of_reference, self._rule = frame, SegmentRule.parse(segment)
         self._bodies: tuple[Body, ...] = ()
@@ -111,14 +109,23 @@ class DepthScene(MovingScene):
         Fewer, if that would be more than four million points in all; so stray readings do not count. Reads every
         frame once that is not interpolated, or else the first. Raises `SourceError` if no frame holds any depth.
         """
-        keys = () if self.sequence.is_captured else self.sequence.key_frames()
+        sequence, k = self.sequence, self.sequence.intrinsics
+        keys = () if sequence.is_captured else sequence.key_frames()
         frames = [i for i in keys if start <= i < stop] or [start]
-        count = self.sequence.width * self.sequence.height * len(frames)
+        count = sequence.width * sequence.height * len(frames)
         stride = max(_BOX_STRIDE_PX, int(np.ceil(np.sqrt(count / _BOX_POINTS))))
-        points = np.concatenate([self._points_m(i, stride) for i in frames])
-        if not len(points):
-            raise SourceError(self.sequence.name, "no depth in any frame", "at least one pixel with depth")
-        box: Float64s = np.percentile(points, _BOX_PERCENTILES, axis=0)
+        half = min(stride, sequence.height, sequence.width) // 2
+        points: list[Float64s] = []
+        for frame in frames:
+            z = self._depth_m(frame)[half::stride, half::stride].astype(np.float64)
+            v, u = np.nonzero((z > 0) & np.isfinite(z))
+            z = z[v, u]
+            x, y = (u * stride + half - k.cx) / k.fx, (v * stride + half - k.cy) / k.fy
+            rays, pose = np.stack([x, y, np.ones(len(z))], -1), self.pose(frame)
+            points.append((rays * z[:, None]) @ pose[:3, :3].T + pose[:3, 3])
+        if not any(map(len, points)):
+            raise SourceError(sequence.name, "no depth in any frame", "at least one pixel with depth")
+        box: Float64s = np.percentile(np.concatenate(points), _BOX_PERCENTILES, axis=0)
         return box
 
     def pose(self, frame: int) -> Float64s:
@@ -162,30 +169,6 @@ class DepthScene(MovingScene):
             raise SourceError(f"{sequence.name}, frame {frame}", f"a picture of shape {depth.shape}", expected)
         return depth
 
-    def _points_m(self, frame: int, stride: int) -> Float64s:
-        """Back-projected pixels in scene coordinates, float64 [n, 3]."""
-        k = self.sequence.intrinsics
-        depth = self._depth_m(frame)
-        half = min(stride, *depth.shape) // 2
-        z = depth[half::stride, half::stride].astype(np.float64)
-        v, u = np.nonzero((z > 0) & np.isfinite(z))
-        z = z[v, u]
-        rays = np.stack([(u * stride + half - k.cx) / k.fx, (v * stride + half - k.cy) / k.fy, np.ones(len(z))], -1)
-        pose = self.pose(frame)
-        points: Float64s = (rays * z[:, None]) @ pose[:3, :3].T + pose[:3, 3]
-        return points
-
-
-def _relative_poses(poses: Float64s, count: int, where: str) -> Float64s:
-    """Rigid motions relative to the first one, float64 [count, 4, 4]; `SourceError` for others, or too few."""
-    poses = np.asarray(poses, np.float64)
-    if poses.shape != (count, 4, 4):
-        raise SourceError(where, f"shape {poses.shape}", f"({count}, 4, 4): one for each frame")
-    relative = checked_poses(poses[:, :3], where)
-    relative[:, :3, 3] -= relative[0, :3, 3]
-    relative[:, :3] = relative[0, :3, :3].T @ relative[:, :3]
-    return relative
-
 
 def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> ForceField:
     """The force field of the planes of a depth map, in camera axes; `pose` float64 [4, 4] is scene from camera."""
@@ -218,23 +201,19 @@ def _candidates(query: Query, grid: Grid) -> Int32s:
     Cubes of bricks are halved from a size at which they are few, so that the work and the memory follow the
     surface and not the grid.
     """
+
+    def along(span: int) -> tuple[int, int, int]:
+        nx, ny, nz = (-(-n // (BRICK * span)) for n in grid.shape)
+        return nx, ny, nz
+
     span = 1
-    shape = grid.brick_shape
-    while shape[0] * shape[1] * shape[2] > _NODES_AT_ONCE:
+    while math.prod(along(span)) > _NODES_AT_ONCE:
         span *= 2
-        shape = _nodes_along(grid, span)
-    nodes = kernels.all_nodes(shape)
+    sorted_already, nodes = span == 1, kernels.all_nodes(along(span))
     nodes = nodes[kernels.may_hold_force(nodes, span, query)]
-    corners = kernels.all_nodes((2, 2, 2))
-    sorted_already = span == 1
     while span > 1:
         span //= 2
-        nodes = (2 * nodes[:, None] + corners).reshape(-1, 3)
-        nodes = nodes[(nodes < _nodes_along(grid, span)).all(axis=1)]
+        nodes = (2 * nodes[:, None] + kernels.all_nodes((2, 2, 2))).reshape(-1, 3)
+        nodes = nodes[(nodes < along(span)).all(axis=1)]
         nodes = nodes[kernels.may_hold_force(nodes, span, query)]
     return nodes if sorted_already else nodes[np.lexsort(nodes.T[::-1])]
-
-
-def _nodes_along(grid: Grid, span: int) -> tuple[int, int, int]:
-    nx, ny, nz = (-(-n // (BRICK * span)) for n in grid.shape)
-    return nx, ny, nz

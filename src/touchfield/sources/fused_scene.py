@@ -1,19 +1,16 @@
 """A depth sequence as a world that stands still: the fused field of all frames, or of those seen so far.
 
     fused    The medium is computed ahead, and so is its world: every frame knows what all frames saw, and what stands
-             does not tremble. What has not been seen yet may already be there.
+             does not tremble. Where a frame sees whole patches of samples that changed, what lies at and behind its
+             surface there is *moving* and follows the frames, as in a causal world. Narrower changes are noise, or a
+             pose that is a little off at the edge of a thing.
     causal   A frame knows what was seen up to it: what a live sender can do. What stands is renewed eight times a
              second, and not shaken by every look; bricks in which something changes follow every frame.
 
-In a fused world some samples changed. Where a frame sees whole patches of them, what
-lies at and behind its surface there is *moving*: it follows the frames, as a causal world does, and the rest stands.
-Narrower changes are noise, or a pose that is a little off at the edge of a thing.
-
 The fused volume (`FusedVolume`) is the mean of what posed depth maps tell each sample (Curless and Levoy 1996,
-KinectFusion 2011). It stands on the lattice that is asked for, in bricks that a surface passes, so that its memory
-follows the surface. A view says of a sample how far it lies from the tangent plane of its pixel (phi, negative
-behind), which is nearer to the truth than the distance along the ray (docs/decisions/0013). With the surface's
-*neighbourhood* |phi| <= 2 noise(z), at least a sample wide, three things can be said:
+KinectFusion 2011), in bricks that a surface passes. A view says of a sample how far it lies from the tangent plane of
+its pixel (phi, negative behind), which is nearer to the truth than the distance along the ray (docs/decisions/0013).
+With the surface's *neighbourhood* |phi| <= 2 noise(z), at least a sample wide, three things can be said:
 
 near   |phi| is within it: the mean of phi and of the plane's normal moves, weighted by 1 / noise^2 and by the
        squared cosine between ray and normal.
@@ -21,18 +18,17 @@ guess  the sample lies behind it, as far as the wall reaches: nobody has seen th
        farther behind, gives way to a surface seen near the sample, and does not return once rays have passed.
 free   the ray passed in front. Two in a row carve what stood there.
 
-What moves is found in the same pass: a surface carved, a surface in known free space, and a surface that shifts by
-more than its neighbourhood count as *changes* of the sample; its mean begins anew. Behind a surface in formerly free
-space the guess is allowed again, since the solid came with it.
+A surface carved, a surface in known free space, and one that shifts by more than its neighbourhood count as *changes*
+of the sample; its mean begins anew. Behind a surface in formerly free space the guess is allowed again.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from threading import Lock
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
@@ -45,8 +41,6 @@ from touchfield.sources.kernels.depth import brick_offsets
 from touchfield.sources.kernels.fusion import Rules, Samples, View
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from touchfield.sources.camera import DepthSequence
     from touchfield.sources.kernels.planes import SurfacePlanes
     from touchfield.sources.profile import ForceProfile
@@ -54,26 +48,16 @@ if TYPE_CHECKING:
 
 WORLDS: Final = ("fused", "causal")
 
-FIRST_LOOK: Final = 16.0
-"""What the first look at a surface counts in a causal world: a seventh fewer samples (of a Kinect's) then change
-beyond the mask from frame to frame (docs/decisions/0013)."""
+# of a causal world, measured in docs/decisions/0013:
+FIRST_LOOK: Final = 16.0  # what the first look at a surface counts: a seventh fewer samples then change with a frame
+RENEWALS_HZ: Final = 8.0  # so often what stands is shown anew: a third of the bytes go, and most steps a hand feels
+CHANGING: Final = 8  # a brick of 512 samples follows every frame once so many of them changed: an eighth of a plane
 
-RENEWALS_HZ: Final = 8.0
-"""So often a second a causal world shows what was seen meanwhile of what stands: a third of the bytes go, and most of
-the steps that a hand would feel (docs/decisions/0013)."""
-
-CHANGING: Final = 8
-"""A brick of 512 samples follows every frame once so many of them changed: an eighth of a plane through it."""
-PATCH_SHARE: Final = 1 / 12
-"""What moves is seen as a patch at least so high and wide, of the picture's height; a pose that is off by a degree or
-two makes seams along edges, which are narrower."""
+PATCH_SHARE: Final = 1 / 12  # of the picture's height: what moves is a patch so wide; a pose off makes narrow seams
 PATCH_DENSITY: Final = 0.7  # of the pixels of a patch, so many see a sample that changed
-STANDS_SHARE: Final = 0.7
-"""Of the pixels that are seen in two frames, so many must agree for a camera without poses to stand."""
-DRIFT_TIMES: Final = 2.0
-"""Poses drift if the residual of the last quarter is so many times that of the first, and above the noise."""
-SLACK: Final = 3.0
-"""A neighbourhood is at least so many times the mean residual of a view: poses are off by more than the sensor."""
+STANDS_SHARE: Final = 0.7  # of the pixels seen in two frames, so many agree if a camera without poses stands
+DRIFT_TIMES: Final = 2.0  # poses drift if the residual of the last quarter is so many times that of the first
+SLACK: Final = 3.0  # a neighbourhood is at least so many mean residuals of a view: poses are off more than the sensor
 OFF_TIMES: Final = 1.5  # a view is off whose residual is so many times the median of those so far
 _BYTES_PER_BRICK = 512 * (5 * 4 + 4)
 _KEPT_PLANES_BYTES = 256 << 20
@@ -83,19 +67,15 @@ _KEPT_WORLDS = 16  # an array asks for its depth in slabs
 class FusedVolume:
     """All that a depth sequence has told the samples of a lattice so far, in bricks int32 [n, 3] as they were added.
 
-    grid, profile : In scene metres; how far before and behind a surface there is a force.
-    step_per_m : float; Noise of the sensor, of inverse depth, 1/m.
-    first : float; How much more the first look at a surface counts than a later one. Above 1 what is felt early
-        moves less while the mean settles.
-
-    `residuals_m` are the mean residuals of the views against what was known.
+    `step_per_m` is the noise of the sensor, of inverse depth; the first look at a surface counts `first` times: above
+    1, what is felt early moves less while the mean settles. `residuals_m` are the mean residuals of the views.
     """
 
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, first: float = 1.0) -> None:
         self.grid, self.profile = grid, profile
         self.bricks = np.empty((0, 3), np.int32)
         self._slots = np.full(grid.brick_shape, -1, np.int32)
-        self._samples = _no_samples(64)
+        self._samples = kernels.no_samples(64)
         self.residuals_m: list[float] = []
         least = max(float(np.mean(grid.spacing_m)), profile.high_m)
         behind = min(max(-profile.low_m, 0.0), float(np.ptp(grid.box_m, axis=0).sum()))
@@ -117,7 +97,7 @@ class FusedVolume:
         if count > len(self._samples.weight):
             room = max(count, len(self._samples.weight) * 3 // 2)
             require_memory("fused volume", room, room * _BYTES_PER_BRICK)
-            grown = _no_samples(room)
+            grown = kernels.no_samples(room)
             grown.first(len(self.bricks)).take(self.samples)
             self._samples = grown
         self._slots[tuple(bricks.T)] = np.arange(len(self.bricks), count)
@@ -139,22 +119,19 @@ class FusedVolume:
         if before is not None:
             of.changes[...] = before
 
-    def mark(
-        self,
-        surface: SurfacePlanes,
-        pose: Float64s,
-        wanted: Bools,
-        choose: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
-        out: Bools,
-    ) -> None:
-        """Set in `out`, bool [n, 512], what lies at and behind surfaces of this view.
+    def mark_patches(self, surface: SurfacePlanes, pose: Float64s, changed: Bools, out: Bools) -> None:
+        """Set in `out` what lies at and behind patches of this view that see samples of `changed`, bool [n, 512].
 
-        `choose` makes the pixels to take of those whose surface is at a sample of `wanted`, bool [n, 512]; both
-        uint8 [height, width].
+        Patches are wider than a pose is off.
         """
-        view, _ = self._view(surface, pose, wanted)
-        view.marked[:-1] = choose(view.marked[:-1].reshape(view.height, view.width)).reshape(-1)
-        if view.marked.any():
+        from scipy.ndimage import maximum_filter, uniform_filter
+
+        view, _ = self._view(surface, pose, changed)
+        sees = view.marked[:-1].reshape(view.height, view.width)
+        size = max(3, round(PATCH_SHARE * view.height))
+        dense = uniform_filter(sees.astype(np.float32), size, mode="constant") >= PATCH_DENSITY
+        sees[...] = maximum_filter(dense.astype(np.uint8), size, mode="constant")
+        if sees.any():
             kernels.mark(self.bricks, view, self._rules, out)
 
     def forces_n(self) -> Float32s:
@@ -162,44 +139,24 @@ class FusedVolume:
         pieces = self.profile.table().astype(np.float32)
         return kernels.brick_forces(self.samples, pieces, self.grid.shape, self.bricks)
 
-    def field(self, forces_n: Float32s | None = None) -> ForceField:
-        """The force field of what is known, or of these forces of `bricks`."""
-        forces = self.forces_n() if forces_n is None else forces_n
+    def field(self, forces_n: Float32s) -> ForceField:
+        """The force field of these forces of `bricks`."""
         order = np.lexsort(self.bricks.T[::-1])
-        pushes = np.asarray(forces.any(axis=(1, 2, 3, 4)))
-        order = order[pushes[order]]
-        return ForceField(self.grid, self.bricks[order], forces[order])
+        order = order[np.asarray(forces_n.any(axis=(1, 2, 3, 4)))[order]]
+        return ForceField(self.grid, self.bricks[order], forces_n[order])
 
     def _view(self, surface: SurfacePlanes, pose: Float64s, wanted: Bools) -> tuple[View, float | None]:
         """The view, its pixels marked whose surface lies at a sample of `wanted`; its residual, metres."""
+        from scipy.ndimage import maximum_filter
+
         query = query_of(surface, pose, self.grid, self.profile)
         height, width = surface.size_px
+        finest = surface.tiles[: [*surface.places[1:, 0], len(surface.tiles)][0], 0].reshape(-1, surface.places[0, 1])
         view = View(
-            surface.planes.reshape(-1),
-            np.empty(height * width + 1, np.uint8),
-            surface.camera_px,
-            height,
-            width,
-            query.lattice_m,
-            brick_offsets(query),
-            query.turn,
-            _nearest_per_m(surface),
-        )
+            surface.planes.reshape(-1), np.empty(height * width + 1, np.uint8), surface.camera_px, height, width,
+            query.lattice_m, brick_offsets(query), query.turn, np.asarray(maximum_filter(finest, 3), np.float32),
+        )  # fmt: skip
         return view, kernels.surfaces_in(view, self._slots, self.grid.shape, self.samples, wanted)
-
-
-def _nearest_per_m(surface: SurfacePlanes) -> Float32s:
-    """Largest inverse depth of each finest tile and its eight neighbours, 1/m, float32 [rows, columns]."""
-    from scipy.ndimage import maximum_filter
-
-    ends = [*surface.places[1:, 0], len(surface.tiles)]
-    finest = surface.tiles[: ends[0], 0].reshape(-1, surface.places[0, 1])
-    return np.asarray(maximum_filter(finest, 3), np.float32)
-
-
-def _no_samples(count: int) -> Samples:
-    floats = (np.zeros((count, *shape), np.float32) for shape in ((512,), (512,), (3, 512)))
-    return Samples(*floats, *(np.zeros((count, 512), np.uint8) for _ in range(4)))
 
 
 class FusedScene(DepthScene):
@@ -219,9 +176,8 @@ class FusedScene(DepthScene):
     def take(self, start: int, stop: int) -> None:
         """See `Scene.take`: the world is fused from these frames."""
         keys = [key for key in self.sequence.key_frames() if start <= key < stop] or [start]
-        self._keys = np.asarray(keys)
-        self._planes = _Planes(self, self._keys)
-        self._worlds: dict[tuple[Grid, ForceProfile], _Fused | _Causal] = {}
+        self._planes = _Planes(self, np.asarray(keys))
+        self._worlds: dict[tuple[Grid, ForceProfile], _World] = {}
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """The force field of one frame at the points of `grid`; the same object where nothing moves.
@@ -238,7 +194,7 @@ class FusedScene(DepthScene):
                 while len(self._worlds) >= _KEPT_WORLDS:
                     del self._worlds[next(iter(self._worlds))]
                 self._worlds[grid, profile] = world
-            return world.field(max(1, int(np.searchsorted(self._keys, frame, side="right"))))
+            return world.field(max(1, int(np.searchsorted(self._planes.keys, frame, side="right"))))
 
     def learnt(self) -> tuple[str, ...]:
         """See `Scene.learnt`: what moves, and whether the poses drift."""
@@ -254,115 +210,110 @@ class _Planes:
         of = scene.sequence
         self._room = 0 if of.is_captured else _KEPT_PLANES_BYTES // (16 * of.width * of.height)
 
-    def __len__(self) -> int:
-        return len(self.keys)
-
-    def at_rate(self, rate_hz: float) -> Bools:
-        """True for the first key frame and for those that begin another period, whole frames long, bool [n]."""
-        frames = max(1, round(self.scene.rate_hz / rate_hz))
-        return np.asarray(np.diff((self.keys - self.keys[0]) // frames, prepend=-1) > 0)
-
     def __getitem__(self, i: int) -> tuple[SurfacePlanes, Float64s]:
         frame = int(self.keys[i])
-        planes = self._kept.get(i)
-        if planes is None:
-            planes = self.scene.planes(frame)
-            if len(self._kept) < self._room:
-                self._kept[i] = planes
+        planes = self._kept.get(i) or self.scene.planes(frame)
+        if len(self._kept) < self._room:
+            self._kept[i] = planes
         return planes, self.scene.pose(frame)
 
 
-class _Causal:
-    """A world of what was seen so far."""
+class _World(ABC):
+    """A world on one lattice, after the first key frames."""
+
+    _volume: FusedVolume
 
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes) -> None:
-        self._planes = planes
-        self._asked = grid, profile, step_per_m
-        self._renewals = planes.at_rate(RENEWALS_HZ)
+        self._planes, self._asked, self._seen = planes, (grid, profile, step_per_m), 0
         self._begin()
 
+    @abstractmethod
     def _begin(self) -> None:
         """Nothing seen yet."""
-        self._volume, self._seen = FusedVolume(*self._asked, FIRST_LOOK), 0
-        self._renew()
 
-    def _renew(self) -> None:
-        """Show what is known now."""
+    @abstractmethod
+    def field(self, seen: int) -> ForceField:
+        """The world as the first `seen` frames tell."""
+
+    def notes(self) -> tuple[str, ...]:
+        """A note where what the last frames see lies farther and farther from what was known."""
+        known = self._volume.residuals_m
+        quarter = len(known) // 4
+        if quarter < 2:
+            return ()
+        begin, end = float(np.mean(known[:quarter])), float(np.mean(known[-quarter:]))
+        if end < DRIFT_TIMES * begin or end < 2e-3:
+            return ()
+        growth = f"{1e3 * begin:.2g} mm in the first quarter of the frames and {1e3 * end:.2g} mm in the last"
+        return (f"The poses seem to drift: surfaces miss those known by {growth}; --world frames does without",)
+
+
+class _Causal(_World):
+    """A world of what was seen so far."""
+
+    def _begin(self) -> None:
+        frames = max(1, round(self._planes.scene.rate_hz / RENEWALS_HZ))
+        keys = self._planes.keys
+        self._renewals = np.asarray(np.diff((keys - keys[0]) // frames, prepend=-1) > 0)
+        self._volume = FusedVolume(*self._asked, FIRST_LOOK)
         self._stands_n = self._volume.forces_n()
         self._latest = self._stands = self._volume.field(self._stands_n)
 
-    def _see(self, i: int) -> None:
-        """Tell the volume what one more key frame sees."""
-        surface, pose = self._planes[i]
-        self._volume.cover(surface, pose)
-        self._volume.integrate(surface, pose)
-
     def field(self, seen: int) -> ForceField:
         """The world of the first `seen` frames where something changes, of those up to the renewal elsewhere."""
+        if seen == self._seen:
+            return self._latest
         if seen < self._seen:
+            self._seen = 0
             self._begin()
-        if seen != self._seen:
-            for i in range(self._seen, seen):
-                self._see(i)
-                if self._renewals[i]:
-                    self._renew()
-            self._seen = seen
-            self._latest = self._stands if self._renewals[seen - 1] else self._now()
+        volume = self._volume
+        for i in range(self._seen, seen):
+            volume.cover(*self._planes[i])
+            volume.integrate(*self._planes[i])
+            if self._renewals[i]:
+                self._stands_n = volume.forces_n()
+                self._stands = volume.field(self._stands_n)
+        self._seen, self._latest = seen, self._stands
+        follows = np.count_nonzero(volume.samples.changes, axis=1) >= CHANGING
+        if not self._renewals[seen - 1] and follows.any():
+            forces = volume.forces_n()
+            forces[~follows] = 0.0
+            stands = np.flatnonzero(~follows[: len(self._stands_n)])
+            forces[stands] = self._stands_n[stands]
+            self._latest = volume.field(forces)
         return self._latest
 
-    def _now(self) -> ForceField:
-        """The latest renewal, but for bricks that follow every frame."""
-        follows = np.count_nonzero(self._volume.samples.changes, axis=1) >= CHANGING
-        if not follows.any():
-            return self._stands
-        forces = self._volume.forces_n()
-        forces[~follows] = 0.0
-        stands = np.flatnonzero(~follows[: len(self._stands_n)])
-        forces[stands] = self._stands_n[stands]
-        return self._volume.field(forces)
 
-    def notes(self) -> tuple[str, ...]:
-        return _drift(self._volume.residuals_m)
-
-
-class _Fused:
+class _Fused(_World):
     """A world of all frames; what moves in it follows them."""
 
     def __init__(self, grid: Grid, profile: ForceProfile, step_per_m: float, planes: _Planes) -> None:
-        self._planes = planes
-        self._volume = FusedVolume(grid, profile, step_per_m)
-        for i in range(len(planes)):
+        self._volume, count = FusedVolume(grid, profile, step_per_m), len(planes.keys)
+        for i in range(count):
             self._volume.cover(*planes[i])
-            planes.scene.report(i + 1, 2 * len(planes))
-        for i in range(len(planes)):
+            planes.scene.report(i + 1, 2 * count)
+        for i in range(count):
             self._volume.integrate(*planes[i])
-            planes.scene.report(len(planes) + i + 1, 2 * len(planes))
+            planes.scene.report(count + i + 1, 2 * count)
         self._forces_n = self._volume.forces_n()
         self._still = self._volume.field(self._forces_n)
-        self._moving = self._moving_samples()
+        changed = self._volume.samples.changes > 0
+        self._moving = np.zeros(changed.shape, np.bool_)
+        for i in range(count if changed.any() else 0):
+            self._volume.mark_patches(*planes[i], changed, self._moving)
         self._rows = np.flatnonzero(self._moving.any(axis=1))
-        self._asked = grid, profile, step_per_m
-        self._begin()
+        super().__init__(grid, profile, step_per_m, planes)
 
     def _begin(self) -> None:
-        """The moving bricks before the first frame."""
-        self._part, self._seen = FusedVolume(*self._asked), 0
+        self._part = FusedVolume(*self._asked)
         self._part.add(self._volume.bricks[self._rows])
-
-    def _moving_samples(self) -> Bools:
-        """Samples at and behind the patches that changed, in any frame, bool [bricks, 512]."""
-        changed = self._volume.samples.changes > 0
-        moving = np.zeros(changed.shape, np.bool_)
-        if changed.any():
-            for i in range(len(self._planes)):
-                self._volume.mark(*self._planes[i], changed, _patches, moving)
-        return moving
 
     def field(self, seen: int) -> ForceField:
         """The world: it stands, but for what moves as the first `seen` frames tell."""
         if not len(self._rows):
             return self._still
         if seen < self._seen:
+            self._seen = 0
             self._begin()
         for i in range(self._seen, seen):
             self._part.integrate(*self._planes[i])
@@ -373,34 +324,11 @@ class _Fused:
         return self._volume.field(forces)
 
     def notes(self) -> tuple[str, ...]:
-        drift = _drift(self._volume.residuals_m)
         if not len(self._rows):
-            return drift
+            return super().notes()
         pushes = self._forces_n.any(axis=-1).reshape(-1, 512)
         share = float((self._moving & pushes).sum()) / max(1, int(pushes.sum()))
-        return (*drift, f"{100 * share:.2g} % of the world moves, and follows the frames; the rest stands")
-
-
-def _patches(seen: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Of the pixels that see a change, uint8 [height, width], those in patches wider than a pose is off."""
-    from scipy.ndimage import maximum_filter, uniform_filter
-
-    size = max(3, round(PATCH_SHARE * seen.shape[0]))
-    dense = uniform_filter(seen.astype(np.float32), size, mode="constant") >= PATCH_DENSITY
-    patches: NDArray[np.uint8] = maximum_filter(dense.astype(np.uint8), size, mode="constant")
-    return patches
-
-
-def _drift(known: list[float]) -> tuple[str, ...]:
-    """A note where what the last frames see lies farther and farther from what was known."""
-    quarter = len(known) // 4
-    if quarter < 2:
-        return ()
-    begin, end = float(np.mean(known[:quarter])), float(np.mean(known[-quarter:]))
-    if end < DRIFT_TIMES * begin or end < 2e-3:
-        return ()
-    growth = f"{1e3 * begin:.2g} mm in the first quarter of the frames and {1e3 * end:.2g} mm in the last"
-    return (f"The poses seem to drift: surfaces miss those known by {growth}; --world frames does without",)
+        return (*super().notes(), f"{100 * share:.2g} % of the world moves, and follows the frames; the rest stands")
 
 
 def stands(sequence: DepthSequence) -> bool:

@@ -67,11 +67,22 @@ def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None)
     if text.lstrip().startswith("{"):
         return _from_json(text, where, size)
     lines = [line.partition("#")[0] for line in text.splitlines()]
-    if any(_COLMAP.fullmatch(line) for line in lines):
-        return _from_colmap(lines, where, size)
+    cameras = {match.groups() for match in map(_COLMAP.fullmatch, lines) if match}
+    if len(cameras) > 1:
+        mend = "Name the camera of the depth with --intrinsics fx,fy,cx,cy."
+        raise SourceError(where, f"{len(cameras)} cameras that differ", "one camera", mend)
+    for model, width, height, rest in cameras:
+        values = _floats(rest, where)
+        if {"PINHOLE": 4, "SIMPLE_PINHOLE": 3}.get(model) != len(values):
+            found = f"a camera {model} of {len(values)} numbers"
+            raise SourceError(where, found, "PINHOLE or SIMPLE_PINHOLE", "Undistort it: colmap image_undistorter.")
+        values = values if model == "PINHOLE" else [values[0], *values]
+        return _scaled(values, (int(width), int(height)), where, size)
     entries = dict(re.findall(r"(?m)^\s*(m_\w+)\s*=\s*(.+?)\s*$", text))
     if "m_calibrationDepthIntrinsic" in entries:
-        return _from_info(entries, where)
+        shift = _floats(entries.get("m_depthShift", "0"), where)[0]
+        camera = _of_numbers(_floats(entries["m_calibrationDepthIntrinsic"], where), where)
+        return replace(camera, units_per_m=shift if shift > 0 else None)
     words = " ".join(lines).translate(str.maketrans(",;[]()", "      "))
     return _of_numbers(_floats(words, where), where)
 
@@ -163,20 +174,6 @@ def _matrix_of_json(data: Any, where: str) -> list[float]:
     return [numbers[3 * (i % 3) + i // 3] for i in range(9)] if is_turned else numbers
 
 
-def _from_colmap(lines: list[str], where: str, size: tuple[int, int] | None) -> CameraFile:
-    """The camera of COLMAP's ``cameras.txt``, whose pixel centres lie at one half, at the size of the pictures."""
-    cameras = {match.groups() for match in map(_COLMAP.fullmatch, lines) if match}
-    if len(cameras) > 1:
-        mend = "Name the camera of the depth with --intrinsics fx,fy,cx,cy."
-        raise SourceError(where, f"{len(cameras)} cameras that differ", "one camera", mend)
-    ((model, width, height, rest),) = cameras
-    values = _floats(rest, where)
-    if {"PINHOLE": 4, "SIMPLE_PINHOLE": 3}.get(model) != len(values):
-        found = f"a camera {model} of {len(values)} numbers"
-        raise SourceError(where, found, "PINHOLE or SIMPLE_PINHOLE", "Undistort it: colmap image_undistorter.")
-    return _scaled(values if model == "PINHOLE" else [values[0], *values], (int(width), int(height)), where, size)
-
-
 def _scaled(values: list[float], stated: tuple[int, int], where: str, size: tuple[int, int] | None) -> CameraFile:
     """A camera whose pixel centres lie at one half, for pictures of `stated` pixels, at the size of the depth."""
     fx, fy, cx, cy = values
@@ -190,13 +187,6 @@ def _scaled(values: list[float], stated: tuple[int, int], where: str, size: tupl
         return camera
     note = f"{Path(where).name} is for {width} x {height} pixels: scaled to the depth's."
     return replace(camera, notes=(*camera.notes, note))
-
-
-def _from_info(entries: dict[str, str], where: str) -> CameraFile:
-    """The depth camera of BundleFusion's ``info.txt``."""
-    shift = _floats(entries.get("m_depthShift", "0"), where)[0]
-    camera = _of_numbers(_floats(entries["m_calibrationDepthIntrinsic"], where), where)
-    return replace(camera, units_per_m=shift if shift > 0 else None)
 
 
 def named_like_intrinsics(folders: Iterable[Path]) -> Iterator[Path]:

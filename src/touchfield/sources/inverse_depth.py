@@ -2,17 +2,15 @@
 
 *Disparity*: depth = fx * baseline / (disparity + offset). Middlebury 2014 (PFM, ``calib.txt`` with cam0, cam1, doffs
 and a baseline in millimetres), KITTI (16-bit PNG, 256 units a pixel, 0 unknown), and scikit-image's
-``stereo_motorcycle``, which is Middlebury's at a quarter of its size. What is 0 or not finite is unknown.
+``stereo_motorcycle``. What is 0 or not finite is unknown.
 
 *Relative depth*, as estimators from one picture give it (MiDaS: Ranftl et al., TPAMI 2022; Depth Anything: Yang et
-al., CVPR 2024), has no unit. Its values are taken to be linear in inverse depth, the larger the nearer: with s from 0
-to 1 between the smallest and the largest value of all frames, 1/z = (1 - s)/far + s/near. Of a map whose larger
-values are farther, say a far smaller than near: near is then the depth of the largest value all the same.
+al., CVPR 2024), has no unit. With s from 0 to 1 between the smallest and the largest value of all frames, the larger
+the nearer, 1/z = (1 - s)/far + s/near. Of a map whose larger values are farther, say a far smaller than near.
 
-Such a map belongs to a picture or video by its name: ``NAME_depth.png``, ``NAME.depth.png``, ``NAME-depth.npy``, with
-anything after the word depth; or by ``--relative-depth``, which for a video is a grey video or a folder of maps. The
-frames have the map's own size, and no value is made up by resizing: intrinsics, which are those of the picture, are
-scaled.
+Such a map belongs to a picture or video by its name (``NAME_depth.png``, ``NAME.depth.png``, ``NAME-depth.npy``, with
+anything after the word depth), or by ``--relative-depth``, which for a video is a grey video or a folder of maps. The
+frames have the map's own size: intrinsics, which are those of the picture, are scaled.
 """
 
 from __future__ import annotations
@@ -27,12 +25,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Float32s, Float64s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra
+from touchfield.arrays import Float32s
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra, require_positive
 from touchfield.medium.npz import NpzArchive
 from touchfield.sources import pictures
 from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics, StoredFrame
-from touchfield.sources.depth_reader import depth_kind, list_files, source_rate, with_suffix
+from touchfield.sources.depth_layouts import depth_kind, source_rate
 from touchfield.sources.intrinsics_file import CameraFile, camera_of, parse_intrinsics
 from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo
 from touchfield.sources.options import SourceOptions
@@ -59,8 +57,7 @@ class StereoRig:
     disparity_offset_px: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (self.baseline_m > 0 and math.isfinite(self.baseline_m)):
-            raise InvalidArgument("baseline_m", repr(self.baseline_m), "a positive length in metres")
+        require_positive(baseline_m=self.baseline_m)
         if not math.isfinite(self.disparity_offset_px):
             raise InvalidArgument("disparity_offset_px", repr(self.disparity_offset_px), "a finite number of pixels")
 
@@ -98,12 +95,18 @@ def motorcycle_sequence() -> CodedSequence:
 
 def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
     """A disparity map: PFM, NPY or NPZ in pixels, or 16-bit PNG with 256 units a pixel (or ``depth_scale``)."""
-    disparity = _disparity_px(path, options)
-    size = disparity.shape[1], disparity.shape[0]
-    calibration = _calibration(path, size)
-    folders = (path.absolute().parent,)
+    suffix = path.suffix.lower()
+    values = {".pfm": _pfm, ".npz": _npz}.get(suffix, pictures.read_picture)(path)
+    if values.dtype == np.uint8:
+        raise SourceError(str(path), "an 8-bit picture", "16-bit PNG, PFM or NPY", "Give the disparity map itself.")
+    with np.errstate(over="ignore"):  # inf means unknown
+        units_per_px = options.depth_scale or (_KITTI_UNITS_PER_PX if suffix == ".png" else 1.0)
+        disparity = values.astype(np.float64) / units_per_px
+    size, folder = (disparity.shape[1], disparity.shape[0]), path.absolute().parent
+    name = "cam1" if path.stem.lower().startswith("disp1") else "cam0"
+    calibration = _calibration(folder / "calib.txt", size, name)
     default = CameraFile(calibration.intrinsics) if calibration else None
-    camera = camera_of(str(path), options.intrinsics, () if default else folders, size, default)
+    camera = camera_of(str(path), options.intrinsics, () if default else (folder,), size, default)
     baseline_m, offset_px = options.baseline_m, options.disparity_offset_px
     notes = camera.notes
     if calibration is not None:
@@ -116,24 +119,13 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
     return _of_disparity(str(path), disparity, StereoRig(camera.intrinsics, baseline_m, offset_px or 0.0), notes)
 
 
-def _disparity_px(path: Path, options: SourceOptions) -> Float64s:
-    """Float64 [height, width]."""
-    suffix, units_per_px = path.suffix.lower(), options.depth_scale
-    values = {".pfm": _pfm, ".npz": _npz}.get(suffix, pictures.read_picture)(path)
-    if values.dtype == np.uint8:
-        raise SourceError(str(path), "an 8-bit picture", "16-bit PNG, PFM or NPY", "Give the disparity map itself.")
-    if units_per_px is None:
-        units_per_px = _KITTI_UNITS_PER_PX if suffix == ".png" else 1.0
-    with np.errstate(over="ignore"):  # inf means unknown
-        return np.asarray(values.astype(np.float64) / units_per_px)
-
-
 def _pfm(path: Path) -> Float32s:
     """A grey PFM picture, of any byte order."""
-    with pictures.opened(path, ("PPM",), "a grey PFM picture, which begins with Pf") as image:
+    expected = "a grey PFM picture, which begins with Pf"
+    with pictures.opened(path, ("PPM",), expected) as image:
         pictures.bound_pixels(path, image.width, image.height)
         if image.mode != "F":
-            raise SourceError(str(path), "another picture", "a grey PFM picture, which begins with Pf")
+            raise SourceError(str(path), "another picture", expected)
         return np.array(image, np.float32)
 
 
@@ -151,14 +143,12 @@ def _npz(path: Path) -> NDArray[Any]:
     return archive.read(names[0])
 
 
-def _calibration(path: Path, size: tuple[int, int]) -> StereoRig | None:
-    """The camera of Middlebury's ``calib.txt`` beside the map, None without it; cam1 for a map named disp1."""
-    file = path.absolute().parent / "calib.txt"
+def _calibration(file: Path, size: tuple[int, int], camera: str) -> StereoRig | None:
+    """The camera of Middlebury's ``calib.txt`` of this name, None without the file."""
     if not file.is_file():
         return None
     lines = (line.partition("=") for line in read_text(file).splitlines())
     entries = {key.strip(): value.strip() for key, _, value in lines}
-    camera = "cam1" if path.stem.lower().startswith("disp1") else "cam0"
     try:
         stated = (int(entries.get("width", size[0])), int(entries.get("height", size[1])))
         baseline_m, offset_px = float(entries["baseline"]) / 1000, float(entries.get("doffs", "0"))
@@ -169,10 +159,6 @@ def _calibration(path: Path, size: tuple[int, int]) -> StereoRig | None:
         raise SourceError(str(file), f"a camera of {stated[0]} x {stated[1]} pixels", f"{size[0]} x {size[1]}")
     with blamed_on(f"{file}: "):
         return StereoRig(parse_intrinsics(matrix, f"{file}: {camera}").intrinsics, baseline_m, offset_px)
-
-
-def _is_disparity(path: Path) -> bool:
-    return "disp" in path.name.lower() and path.suffix.lower() in _SUFFIXES and path.is_file()
 
 
 # -- relative depth ------------------------------------------------------------------------------------------
@@ -196,7 +182,9 @@ class InverseDepth:
 def find_map(path: Path) -> Path | None:
     """The relative depth beside a picture or video, by its name; None where there is none."""
     suffixes = "|".join(suffix[1:] for suffix in (*pictures.PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
-    files = list_files(path.absolute().parent, re.escape(path.stem) + rf"[._-]depth([^a-z0-9].*)?\.({suffixes})")
+    files = pictures.list_files(
+        path.absolute().parent, re.escape(path.stem) + rf"[._-]depth([^a-z0-9].*)?\.({suffixes})"
+    )
     return files[0] if files else None
 
 
@@ -207,50 +195,43 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
     """
     if path.is_dir():
         raise SourceError(str(path), "a folder", "a picture or a video, with its relative depth beside it")
-    near_m, far_m, notes = _range(options)
+    near_m, far_m, notes = options.near_m, options.far_m, tuple[str, ...]()
+    if near_m is not None and near_m == far_m:
+        raise InvalidArgument("--near-m, --far-m", f"{near_m:g} m both", "two distances")
+    if near_m is None or far_m is None:
+        near_m = near_m or (far_m / 2 if far_m else NEAR_M)
+        far_m = far_m or 2 * near_m
+        taken = f"{near_m:g} m (largest value) to {far_m:g} m (smallest), linear in 1/z"
+        notes += (f"Relative depth taken as {taken} (--near-m, --far-m).",)
     maps, where = _maps(path, options)
     if path.suffix.lower() in VIDEO_SUFFIXES:
         video = GreyVideo(path)
-        size, rate_hz, count = video.size, video.header.rate_hz or source_rate(options), video.frame_count
+        (width, height), rate_hz, count = video.size, video.header.rate_hz or source_rate(options), video.frame_count
     else:
-        size, rate_hz, count = pictures.photo_size(path), source_rate(options), 1
+        (width, height), rate_hz, count = pictures.photo_size(path), source_rate(options), 1
     if maps.frame_count != count:
         raise SourceError(str(where), f"{maps.frame_count} maps", f"{count}, one for each frame of {path.name}")
-    intrinsics, more = _camera(path, options, size, maps.size, str(where))
+    x, y = maps.size[0] / width, maps.size[1] / height
+    if abs(x - y) > SHAPE_TOLERANCE * y:
+        expected = f"the shape of {path.name}, {width} x {height}"
+        raise SourceError(str(where), f"{maps.size[0]} x {maps.size[1]} pixels", expected, "Check the map.")
+    focal = width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG / 2))
+    note = f"No intrinsics: a field of view of {FIELD_OF_VIEW_DEG:g} degrees across is taken (--intrinsics)."
+    default = CameraFile(Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2), notes=(note,))
+    camera = camera_of(str(path), options.intrinsics, (path.absolute().parent,), (width, height), default)
+    k, notes = camera.intrinsics, (*notes, *camera.notes)
+    intrinsics = Intrinsics(k.fx * x, k.fy * y, (k.cx + 0.5) * x - 0.5, (k.cy + 0.5) * y - 0.5)
     if options.reading == "camera":
-        more += ("Relative depth has no true perspective: --reading height feels it as a relief.",)
-    scale = InverseDepth(*_extremes(str(path), maps), near_m, far_m)
-    return CodedSequence(str(path), maps, scale, intrinsics, rate_hz, (*notes, *more))
-
-
-def _extremes(name: str, maps: Frames) -> tuple[float, float]:
-    """The smallest and the largest value of all frames."""
+        notes += ("Relative depth has no true perspective: --reading height feels it as a relief.",)
     low, high = math.inf, -math.inf
-    for frame in range(maps.frame_count):
-        values = maps.values(frame)
+    for values in map(maps.values, range(maps.frame_count)):
         known = values[np.isfinite(values)]
         if known.size:
             low, high = min(low, float(known.min())), max(high, float(known.max()))
     if not (low < high and math.isfinite(high - low)):
         found = f"the one value {low:g}" if low == high else "no range of numbers"
-        raise SourceError(name, f"{found} in the relative depth", "near and far values", "Check the map.")
-    return low, high
-
-
-def _range(options: SourceOptions) -> tuple[float, float, tuple[str, ...]]:
-    """Near and far in metres; where one is not said, far is twice near, and a note says so."""
-    near_m, far_m = options.near_m, options.far_m
-    if near_m is not None and near_m == far_m:
-        raise InvalidArgument("--near-m, --far-m", f"{near_m:g} m both", "two distances")
-    if near_m is not None and far_m is not None:
-        return near_m, far_m, ()
-    near_m = near_m or (far_m / 2 if far_m else NEAR_M)
-    far_m = far_m or 2 * near_m
-    note = (
-        f"Relative depth taken as {near_m:g} m (largest value) to {far_m:g} m (smallest), linear in 1/z "
-        "(--near-m, --far-m)."
-    )
-    return near_m, far_m, (note,)
+        raise SourceError(str(path), f"{found} in the relative depth", "near and far values", "Check the map.")
+    return CodedSequence(str(path), maps, InverseDepth(low, high, near_m, far_m), intrinsics, rate_hz, notes)
 
 
 def _maps(path: Path, options: SourceOptions) -> tuple[Frames, Path]:
@@ -261,27 +242,11 @@ def _maps(path: Path, options: SourceOptions) -> tuple[Frames, Path]:
         raise SourceError(str(path), found, f"{path.stem}_depth.png (or .npy, ...)", mend)
     if where.suffix.lower() in VIDEO_SUFFIXES and where.is_file():
         return GreyVideo(where), where
-    files = list_files(where, with_suffix(*pictures.PICTURE_SUFFIXES)) if where.is_dir() else [where]
+    form = pictures.with_suffix(*pictures.PICTURE_SUFFIXES)
+    files = pictures.list_files(where, form) if where.is_dir() else (where,)
     if not files:
         raise SourceError(str(where), "no map", "a folder of PNG, TIFF or NPY maps")
     return pictures.PictureFrames(files, pictures.read_map), where
-
-
-def _camera(
-    path: Path, options: SourceOptions, size: tuple[int, int], map_size: tuple[int, int], where: str
-) -> tuple[Intrinsics, tuple[str, ...]]:
-    """Intrinsics in pixels of the map, from those of the picture: asked for, or of a field of view."""
-    (width, height), (columns, rows) = size, map_size
-    x, y = columns / width, rows / height
-    if abs(x - y) > SHAPE_TOLERANCE * y:
-        expected = f"the shape of {path.name}, {width} x {height}"
-        raise SourceError(where, f"{columns} x {rows} pixels", expected, "Check the map.")
-    focal = width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG / 2))
-    note = f"No intrinsics: a field of view of {FIELD_OF_VIEW_DEG:g} degrees across is taken (--intrinsics)."
-    default = CameraFile(Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2), notes=(note,))
-    camera = camera_of(str(path), options.intrinsics, (path.absolute().parent,), size, default)
-    k = camera.intrinsics
-    return Intrinsics(k.fx * x, k.fy * y, (k.cx + 0.5) * x - 0.5, (k.cy + 0.5) * y - 0.5), camera.notes
 
 
 def _is_relative(path: Path) -> bool:
@@ -293,7 +258,7 @@ KINDS: Final = {
     "disparity": depth_kind(
         "disparity",
         "disparity map named *disp*: PFM, NPY, NPZ or 16-bit PNG (needs --baseline-m and --intrinsics, or calib.txt)",
-        _is_disparity,
+        lambda path: "disp" in path.name.lower() and path.suffix.lower() in _SUFFIXES and path.is_file(),
         read_disparity,
     ),
     "relative-depth": depth_kind(

@@ -1,14 +1,11 @@
 """Pictures over time as arrays, by their number: of videos, grey or in colour, of animations and of files.
 
-Videos go through PyAV (the extra ``video``). Containers are Matroska, AVI, MOV and MP4; FFmpeg is told which by the
-suffix, so that nothing else that it knows (play lists, which name other files and addresses) is ever opened. Frames
-are counted by reading every packet, never by what a header says; a header that promises more than there is tells of a
-file that was cut. Decoding goes forward from the last key frame, so a pass in order decodes each frame once. A
-damaged frame is an error where the decoder tells it (PNG does). FFmpeg's decoder of FFV1 does not: it fills damaged
-slices from the frame before, which nothing but its log says.
+Videos go through PyAV (the extra ``video``). FFmpeg is told the container by the suffix, so that nothing else that it
+knows (play lists, which name other files and addresses) is ever opened. Frames are counted by reading every packet; a
+header that promises more than there is tells of a file that was cut. A pass in order decodes each frame once. Damaged
+frames are errors where the decoder tells them; that of FFV1 fills damaged slices from the frame before, unsaid.
 
-Of pictures in colour, also of an animated GIF, WebP or PNG, what is transparent is black. They are given as means
-over the pixels of a small map (`reduced`), so that nothing keeps a large one.
+Pictures in colour, transparent ones black, are given as means over the pixels of a small map (`reduced`).
 """
 
 from __future__ import annotations
@@ -70,8 +67,8 @@ class VideoHeader:
 
 def video_header(path: Path) -> VideoHeader:
     """The header of the first video stream."""
-    with _opened(path) as (_, stream):
-        return _header(path, stream)
+    with _opened(path) as (_, _, header):
+        return header
 
 
 class GreyVideo(InOrder):
@@ -79,8 +76,7 @@ class GreyVideo(InOrder):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with _opened(path) as (container, stream):
-            self.header = _header(path, stream)
+        with _opened(path) as (container, stream, self.header):
             self._stamps, self._keys = _scan(path, container, stream, self.header.rate_hz)
         super().__init__(str(path), len(self._stamps))
         self.size = self.header.width, self.header.height
@@ -94,7 +90,7 @@ class GreyVideo(InOrder):
 
     def _from(self, first: int) -> Iterator[NDArray[Any]]:
         """The numbers of the frames from a key frame on; the file stays open as long as they are asked for."""
-        with _opened(self.path) as (container, stream):
+        with _opened(self.path) as (container, stream, _):
             stream.codec_context.options = dict(_STRICT)
             if first:
                 container.seek(self._stamps[first], stream=stream, backward=True)
@@ -130,14 +126,6 @@ class GreyVideo(InOrder):
         return np.ascontiguousarray(colours[:, :, 1])
 
 
-def _header(path: Path, stream: Any) -> VideoHeader:
-    context, rate = stream.codec_context, stream.average_rate
-    bound_pixels(path, context.width, context.height)
-    pixels = context.pix_fmt or "unknown pixels"
-    rate_hz = float(rate) if rate and rate > 0 else None
-    return VideoHeader(context.width, context.height, pixels, context.name, rate_hz)
-
-
 def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tuple[list[int], list[int]]:
     """Time stamps of all frames, and the numbers of the key frames from which decoding can begin.
 
@@ -170,8 +158,8 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """The container and its first video stream; what FFmpeg raises is a `SourceError`."""
+def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
+    """The container, its first video stream and the header; what FFmpeg raises is a `SourceError`."""
     av = import_extra("av", "a video", "PyAV", "video")
     form = _FORMATS.get(path.suffix.lower())
     if form is None:
@@ -183,9 +171,12 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
             if not container.streams.video:
                 raise SourceError(str(path), "no video in the file", "a video stream")
             stream = container.streams.video[0]
-            if stream.codec_context is None:  # damage has hidden the codec's name
+            context, rate = stream.codec_context, stream.average_rate
+            if context is None:  # damage has hidden the codec's name
                 raise SourceError(str(path), "a video of no codec that is known", "a whole video", "Copy it again.")
-            yield container, stream
+            bound_pixels(path, context.width, context.height)
+            pixels, rate_hz = context.pix_fmt or "unknown pixels", float(rate) if rate and rate > 0 else None
+            yield container, stream, VideoHeader(context.width, context.height, pixels, context.name, rate_hz)
     except TouchfieldError:
         raise
     except (av.error.FFmpegError, ValueError, OverflowError) as error:  # PyAV raises others of these for odd headers
@@ -226,6 +217,10 @@ def reduced(colours: Colours) -> Colours:
 class ColourVideo(GreyVideo):
     """The frames of an ordinary video, in colour; see `GreyVideo`."""
 
+    @property
+    def rate_hz(self) -> float | None:
+        return self.header.rate_hz
+
     def picture(self, frame: int) -> Colours:
         return self.values(frame)
 
@@ -236,6 +231,8 @@ class ColourVideo(GreyVideo):
 class PictureFiles:
     """Pictures in at least one file, of one size, one a frame; of an animated one, the first."""
 
+    rate_hz = None
+
     def __init__(self, paths: tuple[Path, ...]) -> None:
         self.paths, self.frame_count = paths, len(paths)
         with _shallow(paths[0]) as image:
@@ -244,7 +241,7 @@ class PictureFiles:
     def picture(self, frame: int) -> Colours:
         require_frame(frame, self.frame_count)
         with _shallow(self.paths[frame]) as image:
-            return _small(image, str(self.paths[frame]), self.size)
+            return reduced(_as_shown(image, str(self.paths[frame]), self.size))
 
 
 class StillOrAnimated(InOrder):
@@ -278,25 +275,23 @@ class StillOrAnimated(InOrder):
         with _shallow(self.path) as image:
             for frame in range(self.frame_count):
                 image.seek(frame)
-                yield _small(image, f"{self.path}, frame {frame}", self.size)
+                yield reduced(_as_shown(image, f"{self.path}, frame {frame}", self.size))
 
 
-def _as_shown(image: Any) -> Colours:
-    """The pixels of an open picture, upright, sRGB, uint8 [height, width, 3]; transparent ones are black."""
+def _as_shown(image: Any, where: str = "", size: tuple[int, int] | None = None) -> Colours:
+    """The pixels of an open picture, upright, sRGB, uint8 [height, width, 3]; transparent ones are black.
+
+    Where a size is said, the picture must be of it.
+    """
     from PIL import Image, ImageOps
 
     upright = ImageOps.exif_transpose(image)
     if upright.mode == "P" or "A" in upright.mode or "a" in upright.mode or "transparency" in upright.info:
         shown = upright.convert("RGBA")
         upright = Image.alpha_composite(Image.new("RGBA", shown.size, (0, 0, 0, 255)), shown)
+    if size:
+        require_size(where, upright.size, size, "as before")
     return np.asarray(upright.convert("RGB"))
-
-
-def _small(image: Any, where: str, size: tuple[int, int]) -> Colours:
-    """The small map of an open picture, which must be of this size."""
-    colours = _as_shown(image)
-    require_size(where, colours.shape[1::-1], size, "as before")
-    return reduced(colours)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Options of a source beyond its path; each source kind reads what concerns it."""
+"""Options of a source beyond its path."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from touchfield.errors import InvalidArgument, require_positive
 
 @dataclass(frozen=True)
 class SourceOptions:
-    """Options of the source readers.
+    """Options of the source readers; each kind reads what concerns it.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ class SourceOptions:
         does not say its own rate, and `source_rate_hz` does not either, this is it.
     seconds : float or None; Of a simulation: its duration.
     source_rate_hz : float or None; Frames a second of the source, where it does not say.
-    interpolation : str; Of a depth sequence between two of its frames: "linear" (the paper's), "edges" (linear,
-        but never across a depth edge) or "nearest" (the frame nearest in time).
+    interpolation : str; Of a depth sequence between two of its frames: "linear" (the paper's) or "nearest" (the
+        frame nearest in time).
     animation : str or None; Of an animated model: name or number of the animation; None for the first.
     relative_depth : str or None; Of a picture or video: path of the relative depth that lies beside it.
     near_m, far_m : float or None; Of a relative depth: metres of its nearest and its farthest value.
@@ -81,7 +81,7 @@ class SourceOptions:
             ("reading", ("camera", "height")),
             ("shell", ("auto", "one", "two")),
             ("holes", ("small", "close", "leave")),
-            ("interpolation", ("linear", "edges", "nearest")),
+            ("interpolation", ("linear", "nearest")),
         ):
             if getattr(self, name) not in choices:
                 raise InvalidArgument(name, repr(getattr(self, name)), " or ".join(choices))

@@ -11,9 +11,11 @@ import struct
 import warnings
 import weakref
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from copy import copy
+from itertools import islice
 from pathlib import Path
 from threading import Lock
 from typing import IO, Any, Final, NamedTuple
@@ -43,8 +45,54 @@ _NPY_MAGIC: Final = b"\x93NUMPY"
 _PHOTO_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
 _ORIENTATION: Final = 0x0112
 _ON_ITS_SIDE: Final = (5, 6, 7, 8)
+_PARTS: Final = re.compile(r"(\d+)")
 
 
+# -- folders -------------------------------------------------------------------------------------------------
+def list_files(folder: Path, pattern: str) -> tuple[Path, ...]:
+    """The files of a folder whose whole name matches a regular expression, in the order of their numbers."""
+    if not folder.is_dir():
+        return ()
+    form = re.compile(pattern, re.IGNORECASE)
+    with readable(folder, "a folder that can be read"):
+        files = [p for p in folder.iterdir() if form.fullmatch(p.name) and not p.name.startswith(".")]
+    natural = {p: [(int(n), "") if n.isdecimal() else (-1, n) for n in _PARTS.split(p.name)] for p in files}
+    return tuple(sorted(files, key=natural.__getitem__))
+
+
+def with_suffix(*suffixes: str) -> str:
+    """The pattern of the names with one of these suffixes."""
+    return r".+\.(" + "|".join(suffix[1:] for suffix in suffixes) + ")"
+
+
+def has_files(folder: Path, pattern: str) -> bool:
+    """True if a folder is there and holds such a file; False where it cannot be read."""
+    try:
+        return bool(list_files(folder, pattern))
+    except (OSError, SourceError):
+        return False
+
+
+def contents(folder: Path) -> str:
+    """A folder in words: "24 .png (8-bit RGB), 1 .txt, folders colour/ and poses/"; bounded, and never an error."""
+    try:
+        entries = sorted(islice((p for p in folder.iterdir() if not p.name.startswith(".")), 10_000))
+    except OSError as error:
+        return error.strerror or str(error)
+    files, words = [p for p in entries if p.is_file()], []
+    for suffix, count in Counter(p.suffix.lower() for p in files).most_common(5):
+        samples = ""
+        if suffix in PICTURE_SUFFIXES:
+            with suppress(SourceError):
+                samples = f" ({picture_header(next(p for p in files if p.suffix.lower() == suffix)).wording})"
+        words.append(f"{count} {suffix or 'without an ending'}{samples}")
+    inner = [f"{p.name}/" for p in entries if p.is_dir()]
+    if inner:
+        words.append("the folders " + " ".join(inner[:5]) + " ..." * (len(inner) > 5))
+    return ", ".join(words) or "nothing"
+
+
+# -- one picture ---------------------------------------------------------------------------------------------
 class PictureHeader(NamedTuple):
     """Size in pixels, NumPy's name of the type of a sample ("" for one that is not read), and samples a pixel."""
 
@@ -65,17 +113,15 @@ def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) 
     if width < 1 or height < 1:
         raise SourceError(str(path), f"a picture of {width} x {height} pixels", "at least one pixel")
     if width * height > MAX_PIXELS:
-        raise SourceError(
-            str(path), f"{width} x {height} pixels", f"at most {MAX_PIXELS} pixels", "Give a smaller picture."
-        )
+        expected = f"at most {MAX_PIXELS} pixels"
+        raise SourceError(str(path), f"{width} x {height} pixels", expected, "Give a smaller picture.")
     size = path.stat().st_size
     if width * height * bytes_per_pixel > _MAX_EXPANSION * size:
-        raise SourceError(
-            str(path), f"{width} x {height} pixels in {size} bytes", "a whole picture", "Copy the file again."
-        )
+        found = f"{width} x {height} pixels in {size} bytes"
+        raise SourceError(str(path), found, "a whole picture", "Copy the file again.")
 
 
-def require_size(where: str, size: tuple[int, int], expected: tuple[int, int], of: str) -> None:
+def require_size(where: str, size: tuple[int, ...], expected: tuple[int, int], of: str) -> None:
     """`SourceError` unless a picture has the width and height of the one called `of`."""
     if size != expected:
         found, wanted = f"{size[0]} x {size[1]} pixels", f"{expected[0]} x {expected[1]}, {of}"
@@ -111,9 +157,22 @@ def picture_header(path: Path) -> PictureHeader:
         start = stream.read(33)
         stream.seek(0)
         if start.startswith(_PNG_SIGNATURE):
-            header = _png_header(path, start)
+            if len(start) < 33 or start[12:16] != b"IHDR":
+                found = f"a PNG cut after {len(start)} bytes"
+                raise SourceError(str(path), found, "a whole PNG", "Copy the file again.")
+            width, height, bits, colour = struct.unpack(">IIBB", start[16:26])
+            sample = f"uint{bits}" if bits in (8, 16) else ""
+            header = PictureHeader(width, height, sample, _PNG_CHANNELS.get(colour, 0))
         elif start.startswith(_NPY_MAGIC):
-            header = _npy_header(path, stream)
+            npy = read_npy_header(stream, str(path))
+            shape = npy.shape[:2] if len(npy.shape) == 3 and npy.shape[2] == 1 else npy.shape
+            if npy.dtype.kind not in "iuf":
+                raise SourceError(str(path), f"an array of {npy.dtype}", "an array of numbers")
+            if len(shape) != 2:
+                raise SourceError(
+                    str(path), f"an array of shape {shape}", "[height, width]", "Save one picture a file."
+                )
+            header = PictureHeader(shape[1], shape[0], npy.dtype.name, 1)
         elif start.startswith(b"P5"):
             header, _ = _pgm_header(path, stream)
         elif start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
@@ -138,11 +197,18 @@ def read_picture(path: Path) -> NDArray[Any]:
     size = (header.height, header.width)
     with readable(path, mend="Check path and rights."), path.open("rb") as stream:
         start = stream.read(6)
-        stream.seek(0)
         if start == _NPY_MAGIC:
             return _native(map_npy(path)).reshape(size)
         if start.startswith(b"P5"):
-            return _pgm_samples(path, stream)
+            stream.seek(0)
+            _, at = _pgm_header(path, stream)
+            kind = np.dtype(header.sample).newbyteorder(">")
+            need = at + header.width * header.height * kind.itemsize
+            if path.stat().st_size < need:
+                found = f"{path.stat().st_size} bytes"
+                raise SourceError(str(path), found, f"{need} bytes", "Copy the file again.")
+            stream.seek(at)
+            return _native(np.frombuffer(stream.read(need - at), kind).reshape(size))
     bound_pixels(path, header.width, header.height, np.dtype(header.sample).itemsize)
     with opened(path, ("PNG", "TIFF")) as image:
         values = np.array(image)
@@ -151,6 +217,15 @@ def read_picture(path: Path) -> NDArray[Any]:
     if header.sample == "uint16" and values.dtype != np.uint16:
         values = values.astype(np.uint16)  # older releases of Pillow give 16-bit PNGs as int32
     return _native(values)
+
+
+def _pgm_header(path: Path, stream: IO[bytes]) -> tuple[PictureHeader, int]:
+    """The header, and where the samples begin; they are as they stand, whatever the largest is said to be."""
+    match = _PGM_HEADER.match(stream.read(_PGM_HEADER_BYTES))
+    if match is None or not 1 <= int(match[3]) <= 65535:
+        raise SourceError(str(path), "no header of a PGM", "P5, width, height and the largest sample, up to 65535")
+    sample = "uint8" if int(match[3]) < 256 else "uint16"
+    return PictureHeader(int(match[1]), int(match[2]), sample, 1), match.end()
 
 
 def read_map(path: Path) -> NDArray[Any]:
@@ -179,42 +254,6 @@ def _native(values: NDArray[Any]) -> NDArray[Any]:
     return np.array(values, values.dtype.newbyteorder("="), order="C")
 
 
-def _png_header(path: Path, start: bytes) -> PictureHeader:
-    if len(start) < 33 or start[12:16] != b"IHDR":
-        raise SourceError(str(path), f"a PNG cut after {len(start)} bytes", "a whole PNG", "Copy the file again.")
-    width, height, bits, colour = struct.unpack(">IIBB", start[16:26])
-    return PictureHeader(width, height, f"uint{bits}" if bits in (8, 16) else "", _PNG_CHANNELS.get(colour, 0))
-
-
-def _npy_header(path: Path, stream: IO[bytes]) -> PictureHeader:
-    header = read_npy_header(stream, str(path))
-    shape = header.shape[:2] if len(header.shape) == 3 and header.shape[2] == 1 else header.shape
-    if header.dtype.kind not in "iuf":
-        raise SourceError(str(path), f"an array of {header.dtype}", "an array of numbers")
-    if len(shape) != 2:
-        raise SourceError(str(path), f"an array of shape {shape}", "[height, width]", "Save one picture a file.")
-    return PictureHeader(shape[1], shape[0], header.dtype.name, 1)
-
-
-def _pgm_header(path: Path, stream: IO[bytes]) -> tuple[PictureHeader, int]:
-    """The header, and where the samples begin; they are as they stand, whatever the largest is said to be."""
-    match = _PGM_HEADER.match(stream.read(_PGM_HEADER_BYTES))
-    if match is None or not 1 <= int(match[3]) <= 65535:
-        raise SourceError(str(path), "no header of a PGM", "P5, width, height and the largest sample, up to 65535")
-    sample = "uint8" if int(match[3]) < 256 else "uint16"
-    return PictureHeader(int(match[1]), int(match[2]), sample, 1), match.end()
-
-
-def _pgm_samples(path: Path, stream: IO[bytes]) -> NDArray[Any]:
-    header, start = _pgm_header(path, stream)
-    kind = np.dtype(header.sample).newbyteorder(">")
-    size = header.width * header.height * kind.itemsize
-    if path.stat().st_size < start + size:
-        raise SourceError(str(path), f"{path.stat().st_size} bytes", f"{start + size} bytes", "Copy the file again.")
-    stream.seek(start)
-    return _native(np.frombuffer(stream.read(size), kind).reshape(header.height, header.width))
-
-
 # -- frames --------------------------------------------------------------------------------------------------
 class PictureFrames:
     """Frames in files of one size, one a frame, read by `read` when they are asked for; see ``camera.Frames``."""
@@ -224,7 +263,7 @@ class PictureFrames:
         self.headers = tuple(map(picture_header, paths))
         self.paths, self.frame_count, self.size = tuple(paths), len(paths), self.headers[0][:2]
         for path, header in zip(self.paths, self.headers):
-            self._require(path, header[:2])
+            require_size(str(path), header[:2], self.size, f"as in {paths[0].name}")
 
     def only(self, kept: Sequence[int]) -> PictureFrames:
         """Some of these frames."""
@@ -236,11 +275,8 @@ class PictureFrames:
     def values(self, frame: int) -> NDArray[Any]:
         """The numbers of one frame, [height, width]."""
         values = self._read(self.paths[frame])
-        self._require(self.paths[frame], values.shape[::-1])
+        require_size(str(self.paths[frame]), values.shape[::-1], self.size, f"as in {self.paths[0].name}")
         return values
-
-    def _require(self, path: Path, size: tuple[int, ...]) -> None:
-        require_size(str(path), (size[0], size[1]), self.size, f"as in {self.paths[0].name}")
 
 
 class NpyFrames:
@@ -276,11 +312,16 @@ class TiffFrames:
 
     def values(self, frame: int) -> NDArray[Any]:
         """The numbers of one page, [height, width]."""
+        from PIL import Image
+
         (path,), sample = self.paths, self.headers[0].sample
         where = f"{path}, page {frame}"
         try:
             with self._lock:
-                image = self._image = self._image or self._open()
+                if self._image is None:  # kept open: each page tells where the next lies
+                    self._image = Image.open(path, formats=("TIFF",))
+                    weakref.finalize(self, self._image.close)
+                image = self._image
                 image.seek(frame)
                 require_size(where, image.size, self.size, "as the first page")
                 bound_pixels(path, *self.size, np.dtype(sample).itemsize)
@@ -292,17 +333,6 @@ class TiffFrames:
         if values.ndim != 2 or values.dtype.name != sample:
             raise SourceError(where, "another kind of picture", f"{sample}, as the first page")
         return _native(values)
-
-    def _open(self) -> Any:
-        """The file, open until these frames are no longer used.
-
-        Each page tells where the next one lies, so that a fresh look would go through all before it.
-        """
-        from PIL import Image
-
-        image = Image.open(self.paths[0], formats=("TIFF",))
-        weakref.finalize(self, image.close)
-        return image
 
 
 def page_sizes(path: Path, most: int = MAX_PAGES) -> list[tuple[int, int]]:
@@ -341,23 +371,20 @@ class InOrder(ABC):
         require_frame(frame, self.frame_count, self.name)
         with self._lock:
             if self._latest is None or self._latest[0] != frame:
-                self._latest = frame, self._go_to(frame)
+                first, where = self._begin(frame), f"{self.name}, frame {frame}"
+                if not first <= self._next <= frame:
+                    self._next, self._coming = first, self._from(first)
+                for number in range(self._next, frame + 1):
+                    self._next = -1  # until the frame is there
+                    try:
+                        array = next(self._coming)
+                    except StopIteration:
+                        expected = f"{self.frame_count} frames"
+                        raise SourceError(where, "no more frames", expected, "Copy the file again.") from None
+                    except SourceError as error:
+                        if error.where != self.name:
+                            raise
+                        raise SourceError(where, error.found, error.expected, error.mend) from error
+                    self._next = number + 1
+                self._latest = frame, array
             return self._latest[1]
-
-    def _go_to(self, frame: int) -> NDArray[Any]:
-        first, where = self._begin(frame), f"{self.name}, frame {frame}"
-        if not first <= self._next <= frame:
-            self._next, self._coming = first, self._from(first)
-        for number in range(self._next, frame + 1):
-            self._next = -1  # until the frame is there
-            try:
-                array: NDArray[Any] = next(self._coming)
-            except StopIteration:
-                expected = f"{self.frame_count} frames"
-                raise SourceError(where, "no more frames", expected, "Copy the file again.") from None
-            except SourceError as error:
-                if error.where != self.name:
-                    raise
-                raise SourceError(where, error.found, error.expected, error.mend) from error
-            self._next = number + 1
-        return array

@@ -1,15 +1,14 @@
-"""Depth frames with the camera poses that lie beside them: found, read, and matched to the frames.
+"""The camera poses of the frames of a depth sequence: found, read, and matched to the frames.
 
 Asked for with ``--poses``, or else, the first that is there: a folder ``pose/`` or ``poses/`` with one file a frame,
-NAME.txt beside the pictures, or a text named like poses (`_LISTS`). What was read is said, and in which convention;
-what is named like poses and was not read is said too, with why: a frame in a wrong place is felt in a wrong place.
+NAME.txt beside the pictures, or a text named like poses (`_LISTS`). What was read is said, and why a text was not: a
+frame in a wrong place is felt in a wrong place.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -36,13 +35,9 @@ _LISTS: Final = tuple(
         r".*(pose|traj|groundtruth).*\.(txt|log|tum)|.*\.gt\.freiburg", r"images\.txt", r"transforms\.json",
     )
 )  # fmt: skip
-_LIKE_POSES: Final = re.compile(
-    r".*(pose|traj|groundtruth|odometry|extrinsic).*|images\.(txt|bin)|transforms.*\.json|.*\.freiburg", re.I
-)
-_PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ply", ".mp4")
-_MODELS: Final = ("sparse/0", "sparse", "colmap", "colmap/sparse/0")  # places of a COLMAP model in a folder
 _LOOSE: Final = 4  # of `_LISTS`: from here on only named like poses, so that it may be something else
-_MOST_NOTES: Final = 4
+_MODELS: Final = ("sparse/0", "sparse", "colmap", "colmap/sparse/0")  # places of a COLMAP model in a folder
+_LOST: Final = "no pose, or tracking was lost"
 
 
 class PlacedFrames(NamedTuple):
@@ -53,20 +48,20 @@ class PlacedFrames(NamedTuple):
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Frames:
+class _Match(NamedTuple):
+    """A pose or None for each frame, a note on them, and why a frame may have none."""
+
+    poses: list[Float64s | None]
+    note: str
+    why: str
+
+
+class _Frames(NamedTuple):
     """The frames that poses are wanted for; their names are their numbers where they have none."""
 
     names: tuple[str, ...]
     paths: tuple[Path, ...]
     stamps_s: Float64s | None
-
-    def times_s(self) -> Float64s | None:
-        """Time stamps: those given, or those that file names hold; None where one holds none."""
-        if self.stamps_s is not None or not self.paths:
-            return self.stamps_s
-        numbers = [frame_number(name) for name in self.names]
-        return None if None in numbers else seconds(np.array(numbers, np.float64))
 
 
 def placed_frames(
@@ -82,8 +77,7 @@ def placed_frames(
     float64 [n] their times, where names do not tell them; `name` is theirs in an error. Raises `SourceError` if poses
     are at fault, or belong to no frame.
     """
-    count = frames if isinstance(frames, int) else len(frames)
-    everything = tuple(range(count))
+    everything = tuple(range(frames if isinstance(frames, int) else len(frames)))
     if options.frame == "camera":
         return PlacedFrames(everything, None, ())
     paths = () if isinstance(frames, int) else tuple(frames)
@@ -108,23 +102,8 @@ def posed_frames(name: str, poses: Sequence[Float64s | None], why: str, needs_al
     return PlacedFrames(kept, np.stack(present), lost)
 
 
-def frame_number(name: str) -> float | None:
-    """The last number in the name of a frame, such as 12.5 of ``depth_0012.5``; None where it has none."""
-    numbers = re.findall(r"\d+(?:\.\d+)?", name)
-    return float(numbers[-1]) if numbers else None
-
-
-class _Match(NamedTuple):
-    """A pose or None for each frame, a note on them, why a frame may have none, and their files."""
-
-    poses: list[Float64s | None]
-    note: str
-    why: str
-    files: set[Path]
-
-
 def _match(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> tuple[_Match | None, tuple[str, ...]]:
-    """The poses that are used, and a note for what is named like poses and is not used."""
+    """The poses that are used, and a note for each text that is named like poses and is not."""
     if options.poses is not None:
         asked = Path(options.poses)
         if asked.is_dir():
@@ -132,96 +111,61 @@ def _match(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> 
         if not asked.is_file():
             raise InvalidArgument("--poses", repr(options.poses[:80]), "a file or folder of poses that is there")
         return _of_list(asked, frames), ()
-    like = _named_like_poses(folders, frames)
-    match, refused = _of_folders(folders, frames), {}
-    for file in sorted((f for f in like if _rank(f) is not None), key=lambda f: (_rank(f), f.name)):
-        if match is not None:
-            break
+    match = _of_folders(folders, frames) if frames.paths else None
+    places = [*folders, *(folder / model for folder in folders for model in _MODELS)]
+    files = {file.resolve(): file for folder in reversed(places) if folder.is_dir() for file in folder.iterdir()}
+    ranks = {f: i for i, form in reversed([*enumerate(_LISTS)]) for f in files.values() if form.fullmatch(f.name)}
+    unread: list[str] = []
+    for file in sorted(ranks, key=lambda f: (ranks[f], f.name)):
+        if match is not None or not file.is_file() or file.name.startswith("."):
+            continue
         try:
             match = _of_list(file, frames)
         except SourceError as error:
-            if (_rank(file) or 0) < _LOOSE and frames.paths:
+            if ranks[file] < _LOOSE and frames.paths:
                 raise
-            refused[file] = f"{error.found}, expected {error.expected}"
-    reason = "others are" if match else "only text is, as --poses takes it"
-    used = match.files if match else set()
-    unread = {f: refused.get(f, reason) for f in like if f not in used and not used.intersection(_inside(f))}
-    notes = [f"{f.name} was found and not used: {why}." for f, why in unread.items()]
-    if len(notes) > _MOST_NOTES:
-        notes[_MOST_NOTES:] = [f"{len(notes) - _MOST_NOTES} more files named like poses were not used."]
-    return match, tuple(notes)
-
-
-def _rank(file: Path) -> int | None:
-    """The place in `_LISTS` of what a file is named like."""
-    return next((i for i, form in enumerate(_LISTS) if form.fullmatch(file.name) and file.is_file()), None)
-
-
-def _inside(folder: Path) -> tuple[Path, ...]:
-    return tuple(folder.glob("*.txt")) if folder.is_dir() else ()
-
-
-def _named_like_poses(folders: Sequence[Path], frames: _Frames) -> list[Path]:
-    """Files and folders beside the frames that are named like poses, each once."""
-    places = [*folders, *(folder / model for folder in folders for model in _MODELS)]
-    files: dict[Path, Path] = {}
-    for folder in places:
-        for file in sorted(folder.iterdir()) if folder.is_dir() else ():
-            is_picture = file.suffix.lower() in _PICTURES
-            if _LIKE_POSES.fullmatch(file.name) and not is_picture and not file.name.startswith("."):
-                files.setdefault(file.resolve(), file)
-    for path in frames.paths[:1]:
-        files.pop(path.resolve(), None)
-        files.pop(path.resolve().parent, None)
-    return list(files.values())
+            unread.append(f"{file.name} was found and not used: {error.found}, expected {error.expected}.")
+    return match, tuple(unread[:4])
 
 
 def _of_folders(folders: Sequence[Path], frames: _Frames) -> _Match | None:
     """Poses of one file a frame: in ``pose/`` or ``poses/``, or beside the pictures."""
-    if not frames.paths:
-        return None
-    for folder in folders:
-        for name in ("pose", "poses"):
-            files = sorted((folder / name).glob("*.txt"))
-            if files:
-                return _of_files(f"{name}/", files, frames)
-    beside = [_beside(path) for path in frames.paths]
-    first = next((file for file in beside if file is not None), None)
-    if first is None:
+    for folder in (folder / name for folder in folders for name in ("pose", "poses")):
+        files = sorted(folder.glob("*.txt"))
+        if files:
+            return _of_files(f"{folder.name}/", files, frames)
+    beside: list[Path | None] = []
+    for path in frames.paths:  # NAME.txt or NAME.pose.txt beside NAME.png or NAME.depth.png
+        stem = re.sub(r"[._-]?depth$", "", path.stem, flags=re.IGNORECASE)
+        names = (f"{path.stem}.txt", f"{stem}.txt", f"{stem}.pose.txt", f"{stem}_pose.txt", f"{stem}-pose.txt")
+        beside.append(next((file for name in names if (file := path.with_name(name)).is_file()), None))
+    files = [file for file in beside if file is not None]
+    if not files:
         return None
     try:
-        read_pose_file(first)
+        read_pose_file(files[0])
     except SourceError:
-        if "pose" in first.name.lower():
+        if "pose" in files[0].name.lower():
             raise
         return None  # words about the picture
     poses = [None if file is None else read_pose_file(file) for file in beside]
-    return _a_file_each(f"{first.name} and others", poses, {file for file in beside if file is not None})
+    return _Match(poses, _a_file_each(f"{files[0].name} and others"), _LOST)
 
 
-def _beside(path: Path) -> Path | None:
-    """NAME.txt or NAME.pose.txt beside NAME.png or NAME.depth.png."""
-    stem = re.sub(r"[._-]?depth$", "", path.stem, flags=re.IGNORECASE)
-    names = (f"{path.stem}.txt", f"{stem}.txt", f"{stem}.pose.txt", f"{stem}_pose.txt", f"{stem}-pose.txt")
-    return next((file for name in names if (file := path.with_name(name)).is_file()), None)
+def _a_file_each(name: str) -> str:
+    return f"Poses of {name}, a file a frame, scene from camera."
 
 
 def _of_files(name: str, files: Sequence[Path], frames: _Frames) -> _Match:
     indices = _by_name(frames.names, [file.name for file in files])
-    poses = [None if i < 0 else read_pose_file(files[i]) for i in indices]
-    return _a_file_each(name, poses, set(files))
-
-
-def _a_file_each(name: str, poses: list[Float64s | None], files: set[Path]) -> _Match:
-    note = f"Poses of {name}, a file a frame, scene from camera."
-    return _Match(poses, note, "no pose, or tracking was lost", files)
+    return _Match([None if i < 0 else read_pose_file(files[i]) for i in indices], _a_file_each(name), _LOST)
 
 
 def _of_list(file: Path, frames: _Frames) -> _Match:
     listed = parse_poses(read_text(file), str(file))
     indices, how, why = _matched(listed, frames, file)
     poses = [None if i < 0 else listed.poses[i] for i in indices]
-    return _Match(poses, f"Poses of {file.name}: {listed.form}; {how}.", f"{why} in {file.name}", {file})
+    return _Match(poses, f"Poses of {file.name}: {listed.form}; {how}.", f"{why} in {file.name}")
 
 
 def _matched(listed: PoseList, frames: _Frames, file: Path) -> tuple[list[int], str, str]:
@@ -229,7 +173,10 @@ def _matched(listed: PoseList, frames: _Frames, file: Path) -> tuple[list[int], 
     count, wanted = len(listed.poses), len(frames.names)
     if listed.names is not None:
         return _by_name(frames.names, listed.names), "matched by the names of pictures", "no entry"
-    times_s = frames.times_s()
+    numbers, times_s = [_frame_number(path.stem) for path in frames.paths], frames.stamps_s
+    is_numbered = bool(numbers) and None not in numbers
+    if times_s is None and is_numbered:
+        times_s = seconds(np.array(numbers, np.float64))
     if listed.times_s is not None and times_s is not None:
         is_counted = frames.stamps_s is None and bool((times_s % 1 == 0).all())  # 0, 1, 2 are no seconds
         if not is_counted or bool((listed.times_s % 1 == 0).all()):
@@ -238,8 +185,7 @@ def _matched(listed: PoseList, frames: _Frames, file: Path) -> tuple[list[int], 
                 return nearest, "the nearest in time", f"no pose within {POSE_TOLERANCE_S * 1000:.0f} ms"
     if count == wanted:
         return list(range(count)), "one for each frame, in order", ""
-    numbers = [frame_number(path.stem) for path in frames.paths]
-    if listed.times_s is None and numbers and None not in numbers:
+    if listed.times_s is None and is_numbered:
         known = range(count) if listed.numbers is None else listed.numbers.tolist()
         if listed.numbers is not None or max(n or 0.0 for n in numbers) < count:
             entries = {float(number): i for i, number in enumerate(known)}
@@ -254,7 +200,13 @@ def _by_name(wanted: Sequence[str], names: Sequence[str]) -> list[int]:
     numbers: dict[float | None, list[int]] = {}
     for i, stem in enumerate(Path(name).stem for name in names):
         stems.setdefault(stem, []).append(i)
-        numbers.setdefault(frame_number(stem), []).append(i)
+        numbers.setdefault(_frame_number(stem), []).append(i)
     numbers.pop(None, None)
-    alike = [stems.get(name) or numbers.get(frame_number(name)) or [] for name in wanted]
+    alike = [stems.get(name) or numbers.get(_frame_number(name)) or [] for name in wanted]
     return [entries[0] if len(entries) == 1 else -1 for entries in alike]
+
+
+def _frame_number(name: str) -> float | None:
+    """The last number in the name of a frame, such as 12.5 of ``depth_0012.5``; None where it has none."""
+    numbers = re.findall(r"\d+(?:\.\d+)?", name)
+    return float(numbers[-1]) if numbers else None

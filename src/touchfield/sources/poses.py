@@ -1,4 +1,6 @@
-"""Camera poses and pose tracks as people write them, the form of a text told by its content.
+"""Poses of cameras and tracks of bodies as people write them.
+
+The form of a text is told by its content:
 
 * 12 or 16 numbers a line: a 3x4 (KITTI) or 4x4 matrix; 13 or 17: the same behind the number of a frame (KITTI-360);
   4 a line: such matrices over several lines;
@@ -9,21 +11,16 @@
 * nerfstudio's ``transforms.json``: 4x4 matrices in the axes of OpenGL, and the names of pictures;
 * SUN3D's stacked 3x4 ``extrinsics``, and the one pose of a file a frame, where the layout says so.
 
-All but COLMAP's and nerfstudio's are taken as scene from camera, metres, in the axes of the pictures: x right,
-y down, z forward. A rotation must be one: within 1 % it is made exactly orthonormal (text rounds), beyond that it is
-an error.
-
-The track of a body (paper section 4.3, object motion) is comma-separated text, its columns named in the first line
-(`COLUMNS`), ``#`` before a comment; before its first and after its last pose the body stands still.
+All others are taken as scene from camera, metres, in the axes of the pictures: x right, y down, z forward. A rotation
+that is off by up to 1 % is made exactly orthonormal (text rounds).
 """
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -35,11 +32,10 @@ from touchfield.medium.pose_track import PoseTrack, rotation_matrices, slerp
 if TYPE_CHECKING:
     from touchfield.sources.shapes import Triple
 
-
 MAX_TIME_S: Final = 1e12  # time stamps stay below this: 32 thousand years
-COLUMNS: Final = ("t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
-
+COLUMNS: Final = ("t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")  # of the track of a body
 IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."  # the way on from a pose at fault
+
 _MAX_TEXT_BYTES: Final = 1 << 26
 _ROTATION_TOLERANCE: Final = 0.01
 _UNIT: Final = 1e-3  # how far from one the length of a body's quaternion may be: what three digits give
@@ -49,9 +45,8 @@ _FORMS: Final = (
 _FROM_CAMERA: Final = "scene from camera"
 
 
-@dataclass(frozen=True)
-class PoseList:
-    """Poses of a file, scene from camera, metres, float64 [n, 4, 4]; how they are written; and what they belong to.
+class PoseList(NamedTuple):
+    """Poses of a file, float64 [n, 4, 4]; how they are written; and what they belong to.
 
     That is times in seconds, float64 [n] ascending, numbers of frames, int64 [n], or names of pictures.
     """
@@ -63,6 +58,7 @@ class PoseList:
     names: tuple[str, ...] | None = None
 
 
+# -- numbers and matrices ------------------------------------------------------------------------------------
 def read_text(path: Path) -> str:
     """A text file; `SourceError` if it cannot be read, is longer than 64 MiB or is not text."""
     try:
@@ -75,19 +71,8 @@ def read_text(path: Path) -> str:
         raise SourceError(str(path), f"bytes that are no text at offset {error.start}", "a text file") from error
 
 
-# -- numbers and matrices ------------------------------------------------------------------------------------
-def _rows(text: str, columns: int, where: str) -> Float64s:
-    """Rows of numbers, float64 [n, columns]; ``#`` begins a comment, empty lines are skipped."""
-    rows = []
-    for number, line in enumerate(text.splitlines(), 1):
-        words = line.partition("#")[0].replace(",", " ").split()
-        if not words:
-            continue
-        values = _floats(words, f"{where} line {number}")
-        if len(values) != columns:
-            raise SourceError(f"{where} line {number}", f"{len(values)} numbers", f"{columns}")
-        rows.append(values)
-    return np.array(rows, np.float64).reshape(-1, columns)
+def _words(line: str) -> list[str]:
+    return line.partition("#")[0].replace(",", " ").split()
 
 
 def _floats(words: list[str], where: str) -> list[float]:
@@ -134,30 +119,13 @@ def checked_poses(matrices: Float64s, where: str) -> Float64s:
     return poses
 
 
-def matrices_from_quaternions(quaternions: Float64s, where: str) -> Float64s:
-    """Rotation matrices float64 [n, 3, 3] of quaternions (x, y, z, w) float64 [n, 4]."""
+def quaternion_poses(quaternions: Float64s, positions_m: Float64s, where: str) -> Float64s:
+    """Poses float64 [n, 4, 4] of quaternions (x, y, z, w), float64 [n, 4], of length 1, and positions [n, 3]."""
     _refuse(~(np.abs(quaternions) < 2).all(axis=1), where, "a quaternion that is not finite and small", "norm 1")
     norm = np.linalg.norm(quaternions, axis=1)
     _refuse(np.abs(norm - 1) > _ROTATION_TOLERANCE, where, "a quaternion of another norm", "norm 1 (qx qy qz qw)")
-    return rotation_matrices(np.roll(quaternions / norm[:, None], 1, axis=-1))
-
-
-def _posed(quaternions: Float64s, positions_m: Float64s, where: str) -> Float64s:
-    rotations = matrices_from_quaternions(quaternions, where)
+    rotations = rotation_matrices(np.roll(quaternions / norm[:, None], 1, axis=-1))
     return checked_poses(np.concatenate([rotations, positions_m[:, :, None]], axis=2), where)
-
-
-# -- poses of cameras ----------------------------------------------------------------------------------------
-def parse_timed_poses(text: str, where: str) -> tuple[Float64s, Float64s]:
-    """TUM's ``time tx ty tz qx qy qz qw``: times in seconds, ascending, float64 [n], and poses float64 [n, 4, 4]."""
-    rows = _rows(text, 8, where)
-    if not len(rows):
-        raise SourceError(where, "no pose", "lines of time tx ty tz qx qy qz qw", IGNORE_POSES)
-    rows[:, 0] = seconds(rows[:, 0])
-    is_odd = ~(np.abs(rows) < MAX_TIME_S).all(axis=1)
-    _refuse(is_odd, where, "numbers that are not finite", "time tx ty tz qx qy qz qw")
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
-    return rows[:, 0], _posed(rows[:, 4:], rows[:, 1:4], where)
 
 
 def seconds(stamps: Float64s) -> Float64s:
@@ -165,30 +133,6 @@ def seconds(stamps: Float64s) -> Float64s:
     size = float(np.abs(stamps).max(initial=0.0))
     unit = next((unit for least, unit in ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3)) if least <= size < 1e20), 1.0)
     return stamps / unit
-
-
-def parse_trajectory_log(text: str, where: str) -> tuple[Int64s, Float64s]:
-    """Redwood's ``trajectory.log``: the first number of each entry, int64 [n], and its pose, float64 [n, 4, 4]."""
-    entries = _entries(text, 19, where, "entry (3 and a 4x4 matrix)")
-    names = entries[:, 0]
-    _refuse(~((names >= 0) & (names < 2**53) & (names % 1 == 0)), where, "no frame number", "a whole number")
-    return names.astype(np.int64), checked_poses(entries[:, 3:].reshape(-1, 4, 4), where)
-
-
-def parse_extrinsics(text: str, where: str) -> Float64s:
-    """SUN3D's stacked 3x4 matrices, one a frame, as poses float64 [n, 4, 4]."""
-    return checked_poses(_entries(text, 12, where, "3x4 matrix").reshape(-1, 3, 4), where)
-
-
-def read_pose_file(path: Path) -> Float64s | None:
-    """The 4x4 or 3x4 pose of one frame, float64 [4, 4]; None where tracking was lost (numbers not finite)."""
-    values = np.array(_floats(read_text(path).replace(",", " ").split(), str(path)), np.float64)
-    if len(values) not in (12, 16):
-        raise SourceError(str(path), f"{len(values)} numbers", "16 of one 4x4 matrix, or 12 of a 3x4", IGNORE_POSES)
-    if not np.isfinite(values).all():
-        return None
-    pose: Float64s = checked_poses(values.reshape(1, -1, 4), str(path))[0]
-    return pose
 
 
 def nearest_in_time(times_s: Float64s, wanted_s: Float64s, tolerance_s: float) -> Int64s:
@@ -199,58 +143,79 @@ def nearest_in_time(times_s: Float64s, wanted_s: Float64s, tolerance_s: float) -
     before = np.maximum(after - 1, 0)
     is_before = np.abs(wanted_s - times_s[before]) <= np.abs(times_s[after] - wanted_s)
     nearest = np.where(is_before, before, after)
-    is_near = np.abs(times_s[nearest] - wanted_s) <= tolerance_s
-    return np.where(is_near, nearest, -1).astype(np.int64)
+    return np.where(np.abs(times_s[nearest] - wanted_s) <= tolerance_s, nearest, -1).astype(np.int64)
+
+
+# -- texts of poses ------------------------------------------------------------------------------------------
+def parse_extrinsics(text: str, where: str) -> Float64s:
+    """SUN3D's stacked 3x4 matrices, one a frame, as poses float64 [n, 4, 4]."""
+    return checked_poses(_entries(text, 12, where, "3x4 matrix").reshape(-1, 3, 4), where)
+
+
+def read_pose_file(path: Path) -> Float64s | None:
+    """The 4x4 or 3x4 pose of one frame, float64 [4, 4]; None where tracking was lost (numbers not finite)."""
+    values = np.array(_floats(read_text(path).replace(",", " ").split(), str(path)), np.float64)
+    if len(values) not in (12, 16):
+        raise SourceError(str(path), f"{len(values)} numbers", "16 of one 4x4 matrix, or 12 of a 3x4", IGNORE_POSES)
+    return checked_poses(values.reshape(1, -1, 4), str(path))[0] if np.isfinite(values).all() else None
 
 
 def parse_poses(text: str, where: str) -> PoseList:
     """Poses of a text in any of the forms above; `SourceError` for another, or if a pose is no rigid motion."""
     if text.lstrip().startswith("{"):
         return _of_transforms(text, where)
-    lines = [line.partition("#")[0].replace(",", " ").split() for line in text.splitlines()]
-    counts = [len(words) for words in lines if words]
-    if any(len(words) >= 10 and _is_number(words[0]) and not _is_number(words[-1]) for words in lines):
+    lines = [(f"{where} line {number}", _words(line)) for number, line in enumerate(text.splitlines(), 1)]
+    lines = [(place, words) for place, words in lines if words]
+    if any(len(words) >= 10 and _is_number(words[0]) and not _is_number(words[-1]) for _, words in lines):
         return _of_colmap(text, where)
-    if counts[:5] == [3, 4, 4, 4, 4]:
-        numbers, poses = parse_trajectory_log(text, where)
-        return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=numbers)
-    columns = counts[0] if counts else 0
-    if columns == 8:
-        times_s, poses = parse_timed_poses(text, where)
-        return PoseList(poses, f"time tx ty tz qx qy qz qw, {_FROM_CAMERA}", times_s)
-    if columns == 7:
-        return _of_seven(_rows(text, columns, where), where)
-    if columns not in (4, 12, 13, 16, 17):
+    columns = len(lines[0][1]) if lines else 0
+    if [len(words) for _, words in lines[:5]] == [3, 4, 4, 4, 4]:
+        rows = _entries(text, 19, where, "entry (3 and a 4x4 matrix)")
+        poses = checked_poses(rows[:, 3:].reshape(-1, 4, 4), where)
+        return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=_numbers(rows[:, 0], where))
+    if columns not in (4, 7, 8, 12, 13, 16, 17):
         raise SourceError(where, f"{columns} numbers in its first line", _FORMS, IGNORE_POSES)
-    rows = _rows(text, columns, where)
+    for place, words in lines:
+        if len(words) != columns:
+            raise SourceError(place, f"{len(words)} numbers", f"{columns}")
+    rows = np.array([_floats(words, place) for place, words in lines], np.float64)
+    if columns == 8:
+        rows[:, 0] = seconds(rows[:, 0])
+        is_odd = ~(np.abs(rows) < MAX_TIME_S).all(axis=1)
+        _refuse(is_odd, where, "numbers that are not finite", "time tx ty tz qx qy qz qw")
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        poses = quaternion_poses(rows[:, 4:], rows[:, 1:4], where)
+        return PoseList(poses, f"time tx ty tz qx qy qz qw, {_FROM_CAMERA}", rows[:, 0])
+    if columns == 7:
+        return _of_seven(rows, where)
     if columns == 4:
-        is_whole = len(rows) % 4 == 0 and bool((rows[3::4] == (0, 0, 0, 1)).all())
-        height = 4 if is_whole else 3
+        height = 4 if len(rows) % 4 == 0 and bool((rows[3::4] == (0, 0, 0, 1)).all()) else 3
         if len(rows) % height:
             raise SourceError(where, f"{len(rows)} lines of 4 numbers", "3 or 4 for each pose", IGNORE_POSES)
         return PoseList(checked_poses(rows.reshape(-1, height, 4), where), f"{height}x4 matrices, {_FROM_CAMERA}")
     is_numbered = columns in (13, 17)
     poses = checked_poses(rows[:, is_numbered:].reshape(len(rows), -1, 4), where)
-    form = f"a {columns // 4}x4 matrix a line, {_FROM_CAMERA}"
-    if not is_numbered:
-        return PoseList(poses, form)
-    if not (np.abs(rows[:, 0]) < 2**53).all() or (rows[:, 0] % 1 != 0).any():
-        raise SourceError(where, "lines that do not begin with a whole number", "the number of a frame", IGNORE_POSES)
-    return PoseList(poses, form, numbers=rows[:, 0].astype(np.int64))
+    numbers = _numbers(rows[:, 0], where) if is_numbered else None
+    return PoseList(poses, f"a {columns // 4}x4 matrix a line, {_FROM_CAMERA}", numbers=numbers)
+
+
+def _numbers(first: Float64s, where: str) -> Int64s:
+    """The numbers of frames, int64 [n]."""
+    _refuse(~((np.abs(first) < 2**53) & (first % 1 == 0)), where, "no frame number", "a whole number")
+    return first.astype(np.int64)
 
 
 def _of_seven(rows: Float64s, where: str) -> PoseList:
     """Positions and quaternions without a time, in one order or the other."""
     with np.errstate(over="ignore", invalid="ignore"):
-        is_last, is_first = (
-            bool((np.abs(np.linalg.norm(part, axis=1) - 1) < 0.01).all()) for part in (rows[:, 3:], rows[:, :4])
-        )
+        lengths = [np.linalg.norm(part, axis=1) for part in (rows[:, 3:], rows[:, :4])]
+        is_last, is_first = (bool((np.abs(length - 1) < 0.01).all()) for length in lengths)
     if is_last == is_first:
         found = "7 numbers a line, " + ("two ways to read them" if is_last else "no quaternion of length 1")
         raise SourceError(where, found, _FORMS, IGNORE_POSES)
     if is_last:
-        return PoseList(_posed(rows[:, 3:], rows[:, :3], where), f"tx ty tz qx qy qz qw, {_FROM_CAMERA}")
-    poses = _posed(np.roll(rows[:, :4], -1, axis=1), rows[:, 4:], where)
+        return PoseList(quaternion_poses(rows[:, 3:], rows[:, :3], where), f"tx ty tz qx qy qz qw, {_FROM_CAMERA}")
+    poses = quaternion_poses(np.roll(rows[:, :4], -1, axis=1), rows[:, 4:], where)
     return PoseList(poses, f"qw qx qy qz tx ty tz, {_FROM_CAMERA}")
 
 
@@ -268,12 +233,13 @@ def _of_transforms(text: str, where: str) -> PoseList:
 
 
 def _of_colmap(text: str, where: str) -> PoseList:
-    """COLMAP's ``images.txt``; the lines of points, which follow each picture's, may be empty or missing."""
+    """COLMAP's ``images.txt``; the lines of points after each picture's may be empty or missing."""
     names: list[str] = []
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), 1):
-        words = line.split(maxsplit=9)
-        if not words or words[0].startswith("#") or (names and _is_points(line)):
+        words, numbers = line.split(maxsplit=9), line.split()
+        is_points = len(numbers) % 3 == 0 and all(map(_is_number, numbers))
+        if not words or words[0].startswith("#") or (names and is_points):
             continue
         try:
             rows.append([float(word) for word in words[1:8]])
@@ -282,16 +248,11 @@ def _of_colmap(text: str, where: str) -> PoseList:
             expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
             raise SourceError(f"{where} line {number}", repr(line[:60]), expected, IGNORE_POSES) from None
     values = np.array(rows, np.float64).reshape(-1, 7)
-    turns = matrices_from_quaternions(np.roll(values[:, :4], -1, axis=1), where).transpose(0, 2, 1)
+    turns = quaternion_poses(np.roll(values[:, :4], -1, axis=1), np.zeros((len(values), 3)), where)
+    turns = turns[:, :3, :3].transpose(0, 2, 1)
     poses = checked_poses(np.concatenate([turns, -turns @ values[:, 4:, None]], axis=2), where)
     form = "COLMAP's: camera from scene, turned round; its unit is taken as a metre"
     return PoseList(poses, form, names=tuple(names))
-
-
-def _is_points(line: str) -> bool:
-    """Tell a line of points: triples of numbers."""
-    words = line.split()
-    return len(words) % 3 == 0 and all(map(_is_number, words))
 
 
 def _is_number(word: str) -> bool:
@@ -302,46 +263,43 @@ def _is_number(word: str) -> bool:
     return True
 
 
-# -- tracks of bodies ----------------------------------------------------------------------------------------
+# -- tracks of bodies (paper section 4.3, object motion) -----------------------------------------------------
 def read_pose_csv(path: Path) -> tuple[Float64s, Float64s, Float64s]:
     """Times, s, float64 [n], ascending; positions, m, float64 [n, 3]; quaternions w, x, y, z, float64 [n, 4].
 
-    Raises `SourceError`, which names file and line, if the file cannot be read, its columns are others, a number is
-    missing or not finite, time stands still or runs backwards, or a quaternion is not of length 1 to within 0.001.
+    Comma-separated text, its columns named in the first line (`COLUMNS`), ``#`` before a comment. Raises
+    `SourceError`, which names file and line, if the file cannot be read, its columns are others, a number is missing
+    or not finite, time stands still or runs backwards, or a quaternion is not of length 1 to within 0.001.
     """
     order: list[int] = []
     rows: list[list[float]] = []
-    for line, words in enumerate(read_text(path).splitlines(), 1):
-        fields = [word.strip() for word in words.partition("#")[0].split(",")]
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        where, fields = f"{path} line {number}", [word.strip() for word in line.partition("#")[0].split(",")]
         if fields == [""]:
             continue
-        if order:
-            rows.append(_row(f"{path} line {line}", fields, order, rows))
-            continue
-        if sorted(fields) != sorted(COLUMNS):
+        if not order and sorted(fields) != sorted(COLUMNS):
             found, expected = repr(",".join(fields))[:80], f"the columns {','.join(COLUMNS)}"
             mend = "Name these columns in the first line, in any order, with commas between them."
-            raise SourceError(f"{path} line {line}", found, expected, mend)
-        order = [fields.index(name) for name in COLUMNS]
+            raise SourceError(where, found, expected, mend)
+        if not order:
+            order = [fields.index(name) for name in COLUMNS]
+            continue
+        if len(fields) != len(order):
+            raise SourceError(where, f"{len(fields)} values", f"{len(order)}: {','.join(COLUMNS)}")
+        row = _floats([fields[i] for i in order], where)
+        if not all(abs(value) < MAX_TIME_S for value in row):  # nan compares as false
+            raise SourceError(where, repr(",".join(str(value) for value in row))[:80], "finite numbers")
+        if rows and row[0] <= rows[-1][0]:
+            found = f"t_s {row[0]:.9g} after {rows[-1][0]:.9g}"
+            raise SourceError(where, found, "times that rise from line to line", "Sort the lines, and drop doubles.")
+        if abs(math.hypot(*row[4:]) - 1.0) > _UNIT:
+            found = f"a quaternion of length {math.hypot(*row[4:]):g}"
+            raise SourceError(where, found, "length 1, in qw, qx, qy, qz")
+        rows.append(row)
     if not rows:
         raise SourceError(str(path), "no pose", f"lines of {','.join(COLUMNS)}")
     table = np.array(rows, np.float64)
     return table[:, 0], table[:, 1:4], table[:, 4:]
-
-
-def _row(where: str, fields: list[str], order: list[int], rows: list[list[float]]) -> list[float]:
-    if len(fields) != len(order):
-        raise SourceError(where, f"{len(fields)} values", f"{len(order)}: {','.join(COLUMNS)}")
-    row = _floats([fields[i] for i in order], where)
-    if not all(abs(value) < MAX_TIME_S for value in row):  # nan compares as false
-        raise SourceError(where, repr(",".join(fields))[:80], "finite numbers")
-    if rows and row[0] <= rows[-1][0]:
-        found = f"t_s {row[0]:.9g} after {rows[-1][0]:.9g}"
-        raise SourceError(where, found, "times that rise from line to line", "Sort the lines, and drop doubles.")
-    length = math.hypot(*row[4:])
-    if abs(length - 1.0) > _UNIT:
-        raise SourceError(where, f"a quaternion of length {length:g}", "length 1, in qw, qx, qy, qz")
-    return row
 
 
 def poses_between(quaternions: Float64s, positions_m: Float64s, at: Float64s) -> tuple[Float64s, Float64s]:
@@ -360,7 +318,10 @@ def poses_between(quaternions: Float64s, positions_m: Float64s, at: Float64s) ->
 def track_at_rate(
     times_s: Float64s, positions_m: Float64s, quaternions: Float64s, rate_hz: float, frame_count: int
 ) -> PoseTrack:
-    """The poses at the times 0, 1 / rate, ..., one a frame; as `read_pose_csv` gives them."""
+    """The poses at the times 0, 1 / rate, ..., one a frame, of what `read_pose_csv` gives.
+
+    Before its first and after its last pose a body stands still.
+    """
     at = np.interp(np.arange(frame_count) / rate_hz, times_s, np.arange(len(times_s)))
     unit = quaternions / np.linalg.norm(quaternions, axis=1)[:, None]
     return PoseTrack(*poses_between(unit, positions_m, at))

@@ -7,7 +7,6 @@ Sound has no unit: one to three channels, whose full scale the caller tells.
 
 from __future__ import annotations
 
-import math
 import struct
 import warnings
 from dataclasses import dataclass
@@ -110,7 +109,15 @@ def _read_csv(where: Path) -> tuple[float, Float64s]:
     if len(times) != 1 or len(found) != 1:
         raise SourceError(f"{where} line {lines[0][0]}", repr(lines[0][1][:80]), _EXAMPLE, "Name the columns so.")
     places = [names.index(name) for name in (*times, *found[0])]
-    rows = np.array([_numbers(f"{where} line {n}", line.split(","), places) for n, line in lines[1:]])
+    rows = np.zeros((len(lines) - 1, len(places)))
+    for row, (n, line) in zip(rows, lines[1:]):
+        words = line.split(",")
+        try:
+            row[:] = [float(words[place]) for place in places]
+        except (ValueError, IndexError):
+            row[:] = np.nan
+        if not np.isfinite(row).all():
+            raise SourceError(f"{where} line {n}", repr(line[:60]), "finite numbers, one in each column")
     steps = np.diff(rows[:, 0]) * _TIMES[times[0]]
     step_s = float(np.median(steps))
     uneven = np.flatnonzero(~(np.abs(steps - step_s) <= _UNEVEN * abs(step_s))) if step_s > 0 else np.array([0])
@@ -119,13 +126,3 @@ def _read_csv(where: Path) -> tuple[float, Float64s]:
         mend = "Resample it to a steady rate first."
         raise SourceError(f"{where} line {n}", told, f"steps of about {step_s:g} s, as most are", mend)
     return 1 / float(steps.mean()), rows[:, 1:] * _UNITS[found[0][0].partition("_")[2]]
-
-
-def _numbers(where: str, words: list[str], places: list[int]) -> list[float]:
-    try:
-        values = [float(words[place]) for place in places]
-    except (ValueError, IndexError):
-        raise SourceError(where, repr(",".join(words)[:60]), "a number in each column") from None
-    if not all(map(math.isfinite, values)):
-        raise SourceError(where, repr(",".join(words)[:60]), "finite numbers")
-    return values

@@ -15,10 +15,14 @@ from functools import cache
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
+from typing import Final
+
+import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.files import require_plain
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.pictures import contents
 from touchfield.sources.scene import Scene
 
 MODULES = (  # in the order in which they are asked: the particular before the general
@@ -39,10 +43,12 @@ MODULES = (  # in the order in which they are asked: the particular before the g
     "depth_layouts:depth-stack",
     "depth_layouts:depth-folder",
     "inverse_depth:disparity",
-    "height_map",
+    "height_scene",
     "depth_layouts:depth-map",
 )
 
+_UNIT_FACTORS: Final = (1000.0, 100.0, 1e4, 1e6, 10.0)  # between units that are mistaken, the usual first
+_LIKELY_M: Final = (0.01, 20.0)  # usual sizes of things and rooms
 _MOST_FOLDERS = 1000
 _MOST_TOLD = 6
 
@@ -135,7 +141,23 @@ def _open_inner(path: Path, options: SourceOptions) -> Scene:
         told = ", ".join(f"{p.name}/ ({kind.name})" for p, kind in found[:_MOST_TOLD])
         told = f"{len(found)} folders that are sources: {told}{', ...' * (len(found) > _MOST_TOLD)}"
         raise SourceError(str(path), told, "one", f"Name one: {found[0][0]}")
-    from touchfield.sources.depth_reader import contents
-
     held = f"no kind of source that is known, but {contents(path)}"
     raise SourceError(str(path), held, f"one of {names}", "Name its kind with --as.")
+
+
+def unit_notes(scene: Scene, start: int, stop: int) -> tuple[str, ...]:
+    """A warning where frames start to stop - 1 are out of all proportion, with the factor that would mend it."""
+    if scene.unit is None:
+        return ()
+    option, (low, high), is_divided = scene.unit
+    size_m = float(np.ptp(scene.bounds_between_m(start, stop), axis=0).max())
+    if low <= size_m <= high:
+        return ()
+    is_large = size_m > high
+    sizes = [(factor, size_m / factor if is_large else size_m * factor) for factor in _UNIT_FACTORS]
+    factor, mended_m = next((s for s in sizes if _LIKELY_M[0] <= s[1] <= _LIKELY_M[1]), sizes[0])
+    way = "larger" if is_large == is_divided else "smaller"
+    return (
+        f"Is the unit right? The scene measures {size_m:.3g} m across: with {option} {factor:g} times {way} it would "
+        f"be {mended_m:.3g} m.",
+    )

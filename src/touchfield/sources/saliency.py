@@ -1,30 +1,26 @@
 """An ordinary video as a symbolic haptic medium: where the eye would go, a force (paper section 5.1, figure 1).
 
-The paper's case 1: "extraction of saliency based features of the videos that are mapped to tactors", symbolic haptic
-media; a depth sequence felt as a surface is its case 2, direct. The picture is a plate, as wide as it is high in
-pixels, its longer side 1 m, row 0 at the top. Throughout the plate the force is along +z, towards the viewer, and
-its amplitude is the saliency there (0 to 1) times the largest amplitude of the force law: F_max, unless the law's
-wall is too thin to reach it. The device filter then pools, low-passes and samples the plate at the actuators of an
-array. On a point device the plate is a slab in front of the hand, `THICKNESS` of its longer side deep: within it the
-hand is pushed to the viewer, the more the more salient the place; there is no surface, and no spring. A force is held
-from one picture to the next where another rate is asked for: an interpolation would need a picture that a live source
-has not given yet.
+The paper's case 1: "extraction of saliency based features of the videos that are mapped to tactors". The picture is a
+plate, as wide as it is high in pixels, its longer side 1 m, row 0 at the top. Throughout the plate the force is along
++z, towards the viewer, and its amplitude is the saliency there (0 to 1) times the largest amplitude of the force law.
+The device filter pools, low-passes and samples the plate at the actuators of an array. On a point device the plate is
+a slab in front of the hand, `THICKNESS` of its longer side deep: there is no surface, and no spring. A force is held
+from one picture to the next where another rate is asked for.
 
 The paper leaves the model of saliency to others. This one is plain and cheap, of published parts, on the picture
 reduced to 64 pixels along its longer side:
 
 - *Spectral residual* of the luminance (Hou & Zhang, CVPR 2007): of the log amplitude spectrum its own 3 x 3 mean is
   taken off; back in the picture, with the phase kept, the square of what is left stands out where the picture is
-  unlike itself elsewhere. It knows no contrast, and would lift noise to the full. Two changes mend that: the
-  picture's mean is taken off before, and amplitudes are weighted by A / (A + `NOISE_LEVEL`), in units of white noise.
+  unlike itself elsewhere. It would lift noise to the full: so the picture's mean is taken off before, and amplitudes
+  are weighted by A / (A + `NOISE_LEVEL`), in units of white noise.
 - *Centre-surround contrast* of luminance and of the colour opponents R - G and B - (R + G) / 2 (after Itti, Koch &
   Niebur, TPAMI 1998): the difference of a narrow and a wide mean, without a sign, the sum of the three.
 - *Temporal contrast*: the same three against their own mean over the past `MEMORY_S` seconds, for what moves.
 
 Each part is divided by its peak of the past, which rises at once and fades over `FADE_S` seconds, and is never below
 a part's `FLOORS`; then the parts are averaged and divided by the peak of the average in the same way. So a map lies
-in 0..1, a quiet moment does not swell to the full from one frame to the next, and frame t needs frames 0..t alone:
-the model can be run on a live picture (`SaliencyModel.update`).
+in 0..1, and frame t needs frames 0..t alone: the model can be run on a live picture (`SaliencyModel.update`).
 """
 
 from __future__ import annotations
@@ -45,10 +41,10 @@ from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.sources import moving_pictures as moving
 from touchfield.sources.camera import MAX_FRAMES, require_frame
-from touchfield.sources.depth_reader import is_known, list_files, source_rate, with_suffix
+from touchfield.sources.depth_layouts import is_known, source_rate
 from touchfield.sources.moving_pictures import Pictures
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder
+from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder, list_files, with_suffix
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene
@@ -88,11 +84,19 @@ class SaliencyModel:
         The saliency is float32 [map height, map width], 0 to 1, of `map_size`, row 0 at the top. Raises
         `InvalidArgument` if the picture is of another size than the one before it.
         """
-        now = _opponents(moving.reduced(colours))
+        from scipy.ndimage import gaussian_filter
+
+        def smoothed(channels: Float32s, sigma_px: float) -> Float32s:
+            return np.stack([gaussian_filter(channel, sigma_px, mode="nearest") for channel in channels])
+
+        r, g, b = np.moveaxis(moving.reduced(colours).astype(np.float32) / 255, -1, 0)
+        now = np.stack([0.299 * r + 0.587 * g + 0.114 * b, r - g, b - (r + g) / 2]).astype(np.float32)
         mean = now if self.mean is None else self.mean
         if mean.shape != now.shape:
             raise InvalidArgument("picture", f"size {now.shape[1:]} of the map", f"{mean.shape[1:]}, as before")
-        parts = [_spectral_residual(now[0]), _centre_surround(now), _smoothed(np.abs(now - mean).sum(axis=0), 1.0)]
+        around = np.abs(smoothed(now, _CENTRE_PX) - smoothed(now, _SURROUND_PX)).sum(axis=0)
+        moves = gaussian_filter(np.abs(now - mean).sum(axis=0), 1.0, mode="nearest")
+        parts = [_spectral_residual(now[0]), around, moves]
         fade = math.exp(-1 / (FADE_S * self.rate_hz))
         peaks = [max(float(p.max()), fade * q, least) for p, q, least in zip(parts, self.peaks, FLOORS)]
         total = np.mean([part / peak for part, peak in zip(parts, peaks)], axis=0)
@@ -102,26 +106,7 @@ class SaliencyModel:
         return saliency, replace(self, mean=mean + share * (now - mean), peaks=tuple(peaks))
 
 
-def _opponents(colours: NDArray[np.uint8]) -> Float32s:
-    """Luminance, R - G and B - (R + G) / 2, float32 [3, height, width], 0..1 and -1..1."""
-    r, g, b = np.moveaxis(colours.astype(np.float32) / 255, -1, 0)
-    return np.stack([0.299 * r + 0.587 * g + 0.114 * b, r - g, b - (r + g) / 2]).astype(np.float32)
-
-
-def _smoothed(values: NDArray[Any], sigma_px: float) -> NDArray[Any]:
-    from scipy import ndimage
-
-    smooth: NDArray[Any] = ndimage.gaussian_filter(values, sigma_px, mode="nearest")
-    return smooth
-
-
-def _centre_surround(channels: Float32s) -> NDArray[Any]:
-    narrow, wide = (np.stack([_smoothed(c, s) for c in channels]) for s in (_CENTRE_PX, _SURROUND_PX))
-    contrast: NDArray[Any] = np.abs(narrow - wide).sum(axis=0)
-    return contrast
-
-
-def _spectral_residual(luminance: Float32s) -> NDArray[Any]:
+def _spectral_residual(luminance: Float32s) -> Float64s:
     from scipy import ndimage
 
     values = luminance.astype(np.float64)
@@ -132,11 +117,12 @@ def _spectral_residual(luminance: Float32s) -> NDArray[Any]:
     residual = log - ndimage.uniform_filter(log, 3, mode="wrap")
     salient = np.abs(np.fft.ifft2(spectrum / (amplitude + noise) * np.exp(residual))) ** 2
     # scaled so that it does not depend on the number of pixels: a spectrum of ones is one pixel of 1
-    return _smoothed(salient, _RESIDUAL_PX) * (2 * math.pi * _RESIDUAL_PX**2)
+    scale = 2 * math.pi * _RESIDUAL_PX**2
+    return np.asarray(ndimage.gaussian_filter(salient, _RESIDUAL_PX, mode="nearest") * scale)
 
 
 class SaliencyMaps(InOrder):
-    """The saliency maps of pictures over time, each made from the pictures up to it."""
+    """The saliency maps of pictures over time, float32 [map height, map width], 0 to 1, read-only."""
 
     def __init__(self, pictures: Pictures, rate_hz: float) -> None:
         super().__init__("pictures", pictures.frame_count)
@@ -144,27 +130,20 @@ class SaliencyMaps(InOrder):
         self._kept = {0: SaliencyModel(rate_hz)}  # the model before that picture
         self._apart = 1  # pictures between two that are kept
 
-    def values(self, frame: int) -> Float32s:
-        """The saliency of one picture, float32 [map height, map width], 0 to 1; read-only."""
-        return self.at(frame)
-
     def _begin(self, frame: int) -> int:
         return max(number for number in self._kept if number <= frame)
 
     def _from(self, first: int) -> Iterator[Float32s]:
         model = self._kept[first]
         for number in range(first, self.frame_count):
-            self._keep(number, model)
+            if number % self._apart == 0:
+                self._kept[number] = model
+            if len(self._kept) > _MOST_KEPT:
+                self._apart *= 2
+                self._kept = {n: kept for n, kept in self._kept.items() if n % self._apart == 0}
             saliency, model = model.update(self.pictures.picture(number))
             saliency.flags.writeable = False
             yield saliency
-
-    def _keep(self, number: int, model: SaliencyModel) -> None:
-        if number % self._apart == 0:
-            self._kept[number] = model
-        if len(self._kept) > _MOST_KEPT:
-            self._apart *= 2
-            self._kept = {n: kept for n, kept in self._kept.items() if n % self._apart == 0}
 
 
 class SaliencyScene(Scene):
@@ -205,7 +184,7 @@ class SaliencyScene(Scene):
     def saliency(self, frame: int) -> Float32s:
         """The saliency map of a frame, float32 [map height, map width], 0 to 1, row 0 at the top; read-only."""
         require_frame(frame, self.frame_count)
-        return self.maps.values(min(self.maps.frame_count - 1, int(frame * self._step + 1e-6)))
+        return self.maps.at(min(self.maps.frame_count - 1, int(frame * self._step + 1e-6)))
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """The forces along +z, saliency times the largest amplitude of `profile`, at the points of `grid`."""
@@ -257,25 +236,21 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
         found, mend = "an ordinary picture or video of 8 bits", "Name its kind with --as saliency if that is meant."
         raise SourceError(str(path), found, "16-bit grey depth, as --depth-scale says", mend)
     with readable(path, "files that can be read"):
-        pictures, rate_hz = _pictures(path, options)
+        if path.is_dir():
+            files = list_files(path, with_suffix(*PHOTO_SUFFIXES, *moving.ANIMATED_SUFFIXES))
+            if not files:
+                raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP, TIFF or GIF pictures")
+            pictures: Any = moving.PictureFiles(files)
+        elif path.suffix.lower() in moving.VIDEO_SUFFIXES:
+            header = moving.video_header(path)
+            if header.is_deep_grey:
+                mend = "Deep grey is depth: --as depth-video."
+                raise SourceError(str(path), f"a video of {header.pixels} pixels", "8 bits a colour", mend)
+            pictures = moving.ColourVideo(path)
+        else:
+            pictures = moving.StillOrAnimated(path)
     note = "Symbolic: forces tell where the picture catches the eye, and no surface; a point device feels a slab."
-    return SaliencyScene(pictures, rate_hz, options.rate_hz, (note,))
-
-
-def _pictures(path: Path, options: SourceOptions) -> tuple[Pictures, float]:
-    if path.is_dir():
-        files = list_files(path, with_suffix(*PHOTO_SUFFIXES, *moving.ANIMATED_SUFFIXES))
-        if not files:
-            raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP, TIFF or GIF pictures")
-        return moving.PictureFiles(tuple(files)), source_rate(options)
-    if path.suffix.lower() in moving.VIDEO_SUFFIXES:
-        header = moving.video_header(path)
-        if header.is_deep_grey:
-            mend = "Deep grey is depth: --as depth-video."
-            raise SourceError(str(path), f"a video of {header.pixels} pixels", "8 bits a colour", mend)
-        return moving.ColourVideo(path), header.rate_hz or source_rate(options)
-    picture = moving.StillOrAnimated(path)
-    return picture, picture.rate_hz or source_rate(options)
+    return SaliencyScene(pictures, pictures.rate_hz or source_rate(options), options.rate_hz, (note,))
 
 
 def _recognise(path: Path) -> bool:

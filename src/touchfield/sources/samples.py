@@ -28,11 +28,11 @@ def sample(name: str, options: SourceOptions | None = None) -> Scene:
     """
     options = options or SourceOptions()
     if name == "terrain":
-        from touchfield.sources.height_map import jacksboro_scene
+        from touchfield.sources.height_scene import jacksboro_scene
 
         return jacksboro_scene(options.exaggeration)
     if name == "motorcycle":
-        from touchfield.sources.depth_reader import depth_scene
+        from touchfield.sources.depth_layouts import depth_scene
         from touchfield.sources.inverse_depth import motorcycle_sequence
 
         return depth_scene(motorcycle_sequence(), options)

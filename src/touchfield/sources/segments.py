@@ -5,19 +5,14 @@ problem", and it gives no rule. Here is a plain one, which knows nothing of what
 its table) is one object, and what another thing hides in part may be two.
 
 - *Surfaces.* Two neighbouring pixels belong together if their depths z differ by at most ``step`` of the nearer one,
-  or their inverse depths by at most the noise step of the sensor (`camera.noise_step_per_m`). A surface is what
-  such links connect. A pixel without depth belongs to nothing.
+  or their inverse depths by at most the noise step of the sensor (`camera.noise_step_per_m`).
 - *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``least`` pixels.
-- *Over time.* An object keeps the pixels where it was last seen. The pairs of a surface and an object are taken by
-  the pixels that they share, the most first; each surface and each object once. So an object that vanishes, and is
-  seen again where it was, is the same (``at-most`` of those that are gone are remembered, the latest); one that moves
-  by more than its own width between two frames is a new one.
+- *Over time.* The pairs of a surface and an object are taken by the pixels that they share, the most first; each
+  surface and each object once. An object that vanishes, and is seen again where it was, is the same (``at-most`` of
+  those that are gone are remembered); one that moves by more than its own width between two frames is a new one.
 - *The whole sequence.* The ``at-most`` objects with the most pixels in all frames are kept. Everything else that has
-  a depth is one more object, the background.
-
-Each object is the sequence with all other pixels unknown: it stands still in the scene's frame and has a field for
-every frame, an empty one where it is not seen. Every pixel with a depth belongs to one object, so that the sum of the
-fields is that of the whole, except at the borders between objects: a plane is fitted to pixels of one object only.
+  a depth is one more object, the background. The sum of the fields is that of the whole, except at the borders: a
+  plane is fitted to pixels of one object only.
 """
 
 from __future__ import annotations
@@ -30,7 +25,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Bools, Float32s, Int32s, Int64s
+from touchfield.arrays import Float32s, Int32s, Int64s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.sources.camera import DepthSequence, require_frame
@@ -60,14 +55,14 @@ class SegmentRule:
     at_most: int = 16
 
     def __post_init__(self) -> None:
-        if not 0 < self.step <= 1:
-            raise InvalidArgument("segment step", repr(self.step), "a share of the depth, above 0 and up to 1")
-        if self.least_px is not None and self.least_px < 1:
-            raise InvalidArgument("segment least", repr(self.least_px), "at least 1 pixel")
-        if not 0 < self.least_share <= 1:
-            raise InvalidArgument("segment least", repr(self.least_share), "a share above 0 and up to 1")
-        if not 1 <= self.at_most <= LARGEST_AT_MOST:
-            raise InvalidArgument("segment at-most", repr(self.at_most), f"1 to {LARGEST_AT_MOST} objects")
+        for name, value, is_right, expected in (
+            ("step", self.step, 0 < self.step <= 1, "a share of the depth, above 0 and up to 1"),
+            ("least", self.least_px, self.least_px is None or self.least_px >= 1, "at least 1 pixel"),
+            ("least", self.least_share, 0 < self.least_share <= 1, "a share above 0 and up to 1"),
+            ("at-most", self.at_most, 1 <= self.at_most <= LARGEST_AT_MOST, f"1 to {LARGEST_AT_MOST} objects"),
+        ):
+            if not is_right:
+                raise InvalidArgument(f"segment {name}", repr(value), expected)
 
     @classmethod
     def parse(cls, text: str | None) -> SegmentRule:
@@ -76,23 +71,16 @@ class SegmentRule:
         for word in () if text is None else text.split(","):
             name, _, value = (part.strip() for part in word.partition("="))
             try:
-                if name == "step":
-                    asked["step"] = float(value)
-                elif name == "least" and value.endswith("%"):
+                if name == "least" and value.endswith("%"):
                     asked["least_share"] = float(value[:-1]) / 100
-                elif name == "least":
-                    asked["least_px"] = int(value.removesuffix("px"))
-                elif name == "at-most":
-                    asked["at_most"] = int(value)
                 else:
-                    raise ValueError
-            except ValueError:
+                    field, kind = {"step": ("step", float), "least": ("least_px", int), "at-most": ("at_most", int)}[
+                        name
+                    ]
+                    asked[field] = kind(value.removesuffix("px") if name == "least" else value)
+            except (KeyError, ValueError):
                 raise InvalidArgument("--segment", repr(word.strip()), _EXPECTED) from None
         return cls(**asked)  # type: ignore[arg-type]
-
-    def least_of(self, width: int, height: int) -> int:
-        """Pixels of the smallest object in a picture of this size."""
-        return max(1, round(self.least_share * width * height)) if self.least_px is None else self.least_px
 
     @property
     def words(self) -> str:
@@ -114,17 +102,12 @@ def surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> tuple[L
     # pixels at even places and the links between them at odd ones: then what is connected is connected in a picture
     links = np.zeros((2 * height - 1, 2 * width - 1), bool)
     links[::2, ::2] = depth > 0
-    links[::2, 1::2] = _linked(depth[:, :-1], depth[:, 1:], step, noise_step_per_m)
-    links[1::2, ::2] = _linked(depth[:-1], depth[1:], step, noise_step_per_m)
+    for between, a, b in ((links[::2, 1::2], depth[:, :-1], depth[:, 1:]), (links[1::2, ::2], depth[:-1], depth[1:])):
+        nearer = np.minimum(a, b)  # |a - b| <= max(step * nearer, g a b), as |1/a - 1/b| <= g
+        allowed = np.maximum(np.float32(step) * nearer, np.float32(noise_step_per_m) * a * b)
+        between[...] = (np.abs(a - b) <= allowed) & (nearer > 0)
     labels, count = ndimage.label(links)
     return np.ascontiguousarray(labels[::2, ::2], np.int32), int(count)
-
-
-def _linked(a: Float32s, b: Float32s, step: float, noise_step_per_m: float) -> Bools:
-    """True where neighbours belong together: |a - b| <= max(step * nearer, g a b), as |1/a - 1/b| <= g."""
-    nearer = np.minimum(a, b)
-    allowed = np.maximum(np.float32(step) * nearer, np.float32(noise_step_per_m) * a * b)
-    return np.asarray((np.abs(a - b) <= allowed) & (nearer > 0))
 
 
 class _Surface(NamedTuple):
@@ -145,7 +128,7 @@ class Segmentation:
     def __init__(self, sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float) -> None:
         self.sequence, self.rule = sequence, rule
         self._noise_step_per_m = noise_step_per_m
-        self._least_px = rule.least_of(sequence.width, sequence.height)
+        self._least_px = rule.least_px or max(1, round(rule.least_share * sequence.width * sequence.height))
         self._known_px = np.zeros(sequence.frame_count, np.int64)
         followed = self._followed()
         totals: dict[int, int] = {}

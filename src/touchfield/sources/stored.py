@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -21,18 +20,11 @@ from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Scene, field_of_points
 
-_RETIRED: Final = (".vti", ".pvd")  # written for ParaView, and read no more
-
 
 class StoredScene(Scene):
     """A medium as a scene: looked up by trilinear interpolation wherever it is asked.
 
-    to_the_bit : callable, optional; ``to_the_bit() -> HapticMedium``: the same with bricks of nothing but -0.0,
-        which are no forces.
-
-    Attributes
-    ----------
-    to_the_bit : callable; As given; without it, it gives `medium`.
+    ``to_the_bit()`` gives the same medium with bricks of nothing but -0.0, which are no forces; by default `medium`.
     """
 
     def __init__(self, medium: HapticMedium, to_the_bit: Callable[[], HapticMedium] | None = None) -> None:
@@ -72,8 +64,6 @@ def _touched(stored: ForceField, grid: Grid) -> Int32s:
 
 
 def _recognise(path: Path) -> bool:
-    if path.suffix.lower() in _RETIRED:
-        return path.is_file()
     if path.suffix.lower() == ".zarr":
         return path.is_dir()
     try:
@@ -87,8 +77,6 @@ def _open(path: Path, options: SourceOptions) -> Scene:
         return StoredScene(read_npz(path), lambda: read_npz(path, to_the_bit=True))
     if path.suffix.lower() == ".zarr":
         return StoredScene(read_zarr(path))
-    if path.suffix.lower() in _RETIRED:
-        raise SourceError(str(path), "VTK ImageData", ".npz", "Reading .vti was dropped; write .npz.")
     raise SourceError(str(path), f"a file named {path.suffix or 'without suffix'}", ".npz or .zarr")
 
 

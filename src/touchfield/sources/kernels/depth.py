@@ -26,24 +26,14 @@ _NX, _NY, _NZ, _C, _PHI, _FORCE, _SCRATCH = (B3 * q for q in range(7))
 
 
 class Query(NamedTuple):
-    """A depth map's planes and the lattice on which their force is asked for.
-
-    Attributes
-    ----------
-    lattice_m : float64 [4, 3]; In camera axes: the position of sample (0, 0, 0), and the steps along the three axes
-        of the grid, whose samples are `shape`.
-    turn : float32 [3, 3]; From camera axes to those of the force.
-    pieces : float32 [n, 4]; The force profile.
-    reach : float32 [3]; How far in front of and behind a plane a force may be, metres, and how many times as far
-        along the ray.
-    """
+    """A depth map's planes and the lattice on which their force is asked for."""
 
     surface: SurfacePlanes
-    lattice_m: Float64s
-    shape: tuple[int, int, int]
-    turn: Float32s
-    pieces: Float32s
-    reach: Float32s
+    lattice_m: Float64s  # [4, 3], camera axes: sample (0, 0, 0), and the steps along the three axes of the grid
+    shape: tuple[int, int, int]  # its samples
+    turn: Float32s  # [3, 3], from camera axes to those of the force
+    pieces: Float32s  # [n, 4], the force profile
+    reach: Float32s  # [3], m in front of and behind a plane, and how many times as far along the ray
 
 
 def all_nodes(shape: tuple[int, int, int]) -> Int32s:
@@ -182,15 +172,6 @@ def _any_force(r, count):
     return total > _0
 
 
-@njit(nogil=True)
-def _trim(r, order, count, ni, nj, nk):
-    """Take away the samples beyond the grid."""
-    for q in range(count):
-        s = order[q]
-        if (s >> 6) >= ni or (s >> 3 & 7) >= nj or (s & 7) >= nk:
-            r[q + _FORCE] = _0
-
-
 @njit(nogil=True, forceinline=True)
 def first_sample(brick, lattice):
     """The first sample of a brick in camera axes, metres, float32."""
@@ -209,8 +190,10 @@ def _evaluate(brick, count, order, offsets, lattice, shape, camera, height, widt
     gather(planes, index, count, r)
     _amplitudes(x, y, z, offsets, count, pieces, reach, r)
     ni, nj, nk = shape[0] - 8 * brick[0], shape[1] - 8 * brick[1], shape[2] - 8 * brick[2]
-    if min(ni, nj, nk) < 8:
-        _trim(r, order, count, ni, nj, nk)
+    for q in range(count if min(ni, nj, nk) < 8 else 0):  # beyond the grid
+        s = order[q]
+        if (s >> 6) >= ni or (s >> 3 & 7) >= nj or (s & 7) >= nk:
+            r[q + _FORCE] = _0
 
 
 @njit(cache=True, nogil=True)
@@ -311,16 +294,11 @@ def _of(query: Query, order: Int64s) -> tuple[Any, ...]:
     return (order, brick_offsets(query, order), *view, surface.planes.reshape(-1), query.pieces, query.reach)
 
 
-def _corners_m(query: Query, span: int) -> Float64s:
-    """Corners of a cube of bricks from its first sample, and their least and greatest z, float64 [10, 3], metres."""
-    corners = (8 * span - 1) * (np.indices((2, 2, 2)).reshape(3, 8).T @ query.lattice_m[1:])
-    return np.vstack([corners, np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())])
-
-
 def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
     """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of `span`."""
-    surface = query.surface
-    at = _corners_m(query, span), query.lattice_m, surface.camera_px, *surface.size_px
+    surface, corners = query.surface, (8 * span - 1) * (all_nodes((2, 2, 2)) @ query.lattice_m[1:])
+    ends = [np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())]
+    at = np.vstack([corners, *ends]), query.lattice_m, surface.camera_px, *surface.size_px
     view = nodes, span, *at, surface.tiles, surface.places, query.reach
     if uses_gpu():
         return on_host(filled(_may_hold, len(nodes), view, len(nodes), np.bool_))

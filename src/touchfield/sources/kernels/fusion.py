@@ -26,30 +26,22 @@ _NX, _NY, _NZ, _C = (B3 * q for q in range(4))
 
 
 class View(NamedTuple):
-    """A depth map and where the volume lies before it, in camera axes.
+    """A depth map and where the volume lies before it, in camera axes; see `SurfacePlanes` and `Query`.
 
-    Attributes
-    ----------
-    planes : float32 [4 (height width + 1)]; As `fit_planes` gives them.
-    marked : uint8 [height width + 1]; Of `integrate`: pixels whose surface stands where free space was known, so
-        that what lies behind is new, too. Of `mark`: pixels whose samples are asked for.
-    camera_px : float32 [4]; fx, fy, cx, cy.
-    lattice_m : float64 [4, 3]; Position of sample (0, 0, 0) and the steps along the axes of the grid.
-    offsets_m : float32 [3 * 512]; Positions of a brick's samples relative to its first, x of all, then y, then z.
-    turn : float32 [3, 3]; From camera axes to those of the scene.
-    nearest_per_m : float32 [rows, columns]; Largest inverse depth in each tile of 8 x 8 pixels and those around it:
-        what lies clearly before it is free.
+    `marked` are, of `integrate`, pixels whose surface stands where free space was known, so that what lies behind is
+    new, too; of `mark`, those whose samples are asked for. `nearest_per_m` is the largest inverse depth in each tile
+    of 8 x 8 pixels and those around it: what lies clearly before it is free.
     """
 
-    planes: Float32s
-    marked: NDArray[np.uint8]
+    planes: Float32s  # [4 (height width + 1)]
+    marked: NDArray[np.uint8]  # [height width + 1]
     camera_px: Float32s
     height: int
     width: int
     lattice_m: Float64s
-    offsets_m: Float32s
+    offsets_m: Float32s  # as `brick_offsets` gives them
     turn: Float32s
-    nearest_per_m: Float32s
+    nearest_per_m: Float32s  # [rows, columns]
 
 
 class Rules(NamedTuple):
@@ -67,26 +59,15 @@ class Rules(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """The memory of the samples of the bricks of a volume, [bricks, 512] each.
+    """The memory of the samples of the bricks of a volume, [bricks, 512] each."""
 
-    Attributes
-    ----------
-    distance_m, weight : float32; Mean signed distance to the surface, negative behind it, and its weight; 0 where
-        nothing is known but free space.
-    normal : float32 [bricks, 3, 512]; Mean normal, scene axes.
-    near : uint8; 1 where a surface was seen close by.
-    free : uint8; 0 until a ray passed, since; then 1, and 2 once one did with nothing near it.
-    strikes : uint8; How often in a row the view spoke against it.
-    changes : uint8; 1 where free space became a surface, a surface free space, or a surface another.
-    """
-
-    distance_m: Float32s
-    weight: Float32s
-    normal: Float32s
-    near: NDArray[np.uint8]
-    free: NDArray[np.uint8]
-    strikes: NDArray[np.uint8]
-    changes: NDArray[np.uint8]
+    distance_m: Float32s  # mean signed distance to the surface, negative behind it
+    weight: Float32s  # 0 where nothing is known but free space
+    normal: Float32s  # [bricks, 3, 512], mean normal, scene axes
+    near: NDArray[np.uint8]  # 1 where a surface was seen close by
+    free: NDArray[np.uint8]  # 0 until a ray passed, since; then 1, and 2 once one did with nothing near it
+    strikes: NDArray[np.uint8]  # how often in a row the view spoke against it
+    changes: NDArray[np.uint8]  # 1 where free space became a surface, a surface free space, or a surface another
 
     def first(self, count: int) -> Samples:
         """Those of the first bricks, as views."""
@@ -96,6 +77,12 @@ class Samples(NamedTuple):
         """Remember what `other`, of as many bricks, does."""
         for array, its in zip(self, other, strict=True):
             array[...] = its  # type: ignore[index]
+
+
+def no_samples(count: int) -> Samples:
+    """Samples of bricks of which nothing is known."""
+    floats = (np.zeros((count, *shape), np.float32) for shape in ((512,), (512,), (3, 512)))
+    return Samples(*floats, *(np.zeros((count, 512), np.uint8) for _ in range(4)))
 
 
 @njit(nogil=True)

@@ -17,6 +17,7 @@ from touchfield.medium.grid import Grid
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
+    from touchfield.sources.height_scene import HeightLattice
     from touchfield.sources.profile import ForceProfile
 
 
@@ -189,23 +190,15 @@ def _fill(begin, end, starts, bricks, shape, origin, spacing, lattice, facing, s
 
 
 def bricks_and_forces(
-    surface: tuple[Float64s, Float32s],
-    lattice: tuple[float, float, float, float],
-    facing: int,
-    step_m: float,
-    grid: Grid,
-    profile: ForceProfile,
+    heights_m: Float64s, slopes: Float32s, at: HeightLattice, grid: Grid, profile: ForceProfile
 ) -> tuple[Int32s, Float32s]:
     """The bricks that hold a force, int32 [n, 3] ascending, and the forces, float32 [n, 8, 8, 8, 3].
 
-    `surface` (float64 [rows, cols], float32 [rows, cols, 2]): heights, metres, NaN where unknown, and their slopes
-    dh/dx, dh/dy; `lattice` (x0_m, dx_m, y0_m, dy_m): sample (row, col) lies at x0 + col * dx, y0 + row * dy; dx and
-    dy are signed; `facing` int: 1: solid below the surface; -1: solid above it (behind it, where z points away);
-    `step_m` float: samples that differ by more are not joined.
+    `heights_m` float64 [rows, cols], NaN where unknown; `slopes` float32 [rows, cols, 2], dh/dx and dh/dy.
     """
-    heights, slopes = surface
     shape, origin, spacing = np.array(grid.shape), np.array(grid.origin_m), np.array(grid.spacing_m)
-    common = (shape, origin, spacing, np.array(lattice), float(facing), step_m, heights, slopes, profile.table())
+    lattice = np.array([at.x0_m, at.dx_m, at.y0_m, at.dy_m])
+    common = (shape, origin, spacing, lattice, float(at.facing), at.step_m, heights_m, slopes, profile.table())
     flags = np.zeros(grid.brick_shape, np.uint8)
     columns = flags.shape[0] * flags.shape[1]
     for_chunks(_flag, columns, *common, flags, chunk=16)

@@ -40,23 +40,17 @@ _OUT = 2 * _STRIDE  # normal and offset, four sections
 class SurfacePlanes(NamedTuple):
     """The planes of a depth map, in camera axes.
 
-    Attributes
-    ----------
-    size_px : (int, int); Height and width.
-    camera_px : float32 [4]; fx, fy, cx, cy.
-    planes : float32 [height * width + 1, 4]; Unit normal n towards the camera and offset c, metres, with n . p = c
-        on the plane; all zero where there is no plane, and in the last row.
-    tiles : float32 [m, 3]; Bounds for culling, of tiles of 8 x 8 pixels, then of 16 x 16 and so on up to one tile:
-        the largest and smallest inverse depth of the planes over their pixels, 1/m, and the least |c|, metres;
-        (0, 1e30, 1e30) where there is no plane.
-    places : int64 [levels, 2]; Where each size begins in `tiles`, and how many columns it has.
+    `planes` are unit normal n towards the camera and offset c, metres, with n . p = c on the plane; all zero where
+    there is no plane, and in the last row. `tiles` bound tiles of 8 x 8 pixels, then of 16 x 16 and so on up to one
+    tile: the largest and smallest inverse depth of the planes over their pixels, 1/m, and the least |c|, metres;
+    (0, 1e30, 1e30) where there is no plane.
     """
 
-    size_px: tuple[int, int]
-    camera_px: Float32s
-    planes: Float32s
-    tiles: Float32s
-    places: Int64s
+    size_px: tuple[int, int]  # height and width
+    camera_px: Float32s  # [4]: fx, fy, cx, cy
+    planes: Float32s  # [height * width + 1, 4]
+    tiles: Float32s  # [m, 3]
+    places: Int64s  # [levels, 2]: where each size begins in `tiles`, and how many columns it has
 
     @property
     def normals(self) -> Float32s:
