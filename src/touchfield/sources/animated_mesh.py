@@ -24,8 +24,8 @@ from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid, PoseTrack
 from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.camera import require_frame
-from touchfield.sources.gltf.document import members_of
-from touchfield.sources.gltf.model import Model, Poses
+from touchfield.sources.gltf_document import members_of
+from touchfield.sources.gltf_model import Model, Poses
 from touchfield.sources.mesh_holes import Mended, mended
 from touchfield.sources.mesh_scene import MeshScene, union_of
 from touchfield.sources.mesh_surface import Surface, welded_in_motion

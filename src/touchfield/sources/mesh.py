@@ -17,7 +17,7 @@ import numpy as np
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import SourceError
 from touchfield.files import require_beside, require_plain
-from touchfield.sources.gltf.document import members_of
+from touchfield.sources.gltf_document import members_of
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import welded
 from touchfield.sources.options import SourceOptions
