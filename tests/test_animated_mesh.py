@@ -19,9 +19,8 @@ from gltf_makers import CUBE, CUBE_FACES, Gltf, everything, moving_cube
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.animated_mesh import AnimatedMeshScene
-from touchfield.sources.mesh_holes import mended
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mesh_surface import Surface
+from touchfield.sources.mesh_surface import Surface, mended
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import open_source

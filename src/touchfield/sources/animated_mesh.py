@@ -26,9 +26,8 @@ from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.camera import require_frame
 from touchfield.sources.gltf_document import members_of
 from touchfield.sources.gltf_model import Model, Poses
-from touchfield.sources.mesh_holes import Mended, mended
 from touchfield.sources.mesh_scene import MeshScene, union_of
-from touchfield.sources.mesh_surface import Surface, welded_in_motion
+from touchfield.sources.mesh_surface import Mended, Surface, mended, welded_in_motion
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind

@@ -1,7 +1,7 @@
 """A triangle mesh as a scene: F = f(phi) n with phi the signed distance to it (paper section 4).
 
 Its reference [21] gives no formula; here phi is exact, and its sign that of the winding number for a closed mesh
-(inside where the winding number is not 0). Small holes are closed (`touchfield.sources.mesh_holes`). A mesh that
+(inside where the winding number is not 0). Small holes are closed (`touchfield.sources.mesh_surface`). A mesh that
 stays open is a shell: one-sided, with the wall behind its faces and the sign of the angle-weighted pseudo-normal, its
 force fading to 0 at the rim over the law's own reach; or two-sided, phi = |d| - T/2, a wall of thickness T around it.
 The wall of a nearly closed one stays within what it would enclose.
@@ -24,8 +24,7 @@ from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.pose_track import checked_rotation
-from touchfield.sources.mesh_holes import Mended, mended
-from touchfield.sources.mesh_surface import Surface, from_longest
+from touchfield.sources.mesh_surface import Mended, Surface, from_longest, mended
 from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
@@ -46,7 +45,7 @@ class MeshScene(Scene):
         (`touchfield.sources.mesh_surface.joined`).
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
     shell : str; Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face consistently.
-    holes : str; The rule by which holes are closed: "small", "close" or "leave" (`touchfield.sources.mesh_holes`).
+    holes : str; The rule by which holes are closed: "small", "close" or "leave" (`touchfield.sources.mesh_surface`).
     name : str; What to call it in messages.
     notes : tuple of str; What the reader has to tell; what kind of mesh it is comes behind.
 
