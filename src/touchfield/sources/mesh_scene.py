@@ -7,7 +7,7 @@ force fading to 0 at the rim over the law's own reach; or two-sided, phi = |d| -
 The wall of a nearly closed one stays within what it would enclose.
 Where closed parts overlap, distance is to the surface of their union: inside is where the winding
 number is not 0, and a wall with inside on both of its sides is not felt. Triangles that cross others are cut there
-(`touchfield.sources.kernels.mesh_union`); those that share a vertex are not cut by one another.
+(`touchfield.sources.kernels.mesh_sign`); those that share a vertex are not cut by one another.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
-    from touchfield.sources.kernels.mesh import Band
-    from touchfield.sources.kernels.mesh_samples import Motion
+    from touchfield.sources.kernels.mesh import Band, Motion
 
 
 _UNSURE: Final = 2e-9  # of the largest coordinate: so near, rounding spoils the direction to the nearest point
@@ -143,7 +142,7 @@ class MeshScene(Scene):
         fine for float64.
         """
         from touchfield.sources.kernels import mesh, mesh_sign
-        from touchfield.sources.kernels.mesh_samples import Rim
+        from touchfield.sources.kernels.mesh import Rim
 
         if frame != 0:
             raise InvalidArgument(f"{self.name}, frame", str(frame), "0, the only one")
@@ -209,7 +208,7 @@ class MeshScene(Scene):
 
     def _motion(self, velocities_m_s: Float64s, damping_n_s_per_m: float) -> Motion:
         """Motion of the triangles that are felt."""
-        from touchfield.sources.kernels.mesh_samples import Motion
+        from touchfield.sources.kernels.mesh import Motion
 
         faces, union = self.surface.triangles, self._union
         if union is None:
@@ -249,7 +248,7 @@ class Union(NamedTuple):
 
 def union_of(surface: Surface) -> Union | None:
     """The boundary of the union of a closed surface's parts; None where that is the surface as it is."""
-    from touchfield.sources.kernels import mesh_union as kernel
+    from touchfield.sources.kernels import mesh_sign as kernel
 
     faces = surface.triangles
     corners = surface.vertices_m[faces]
