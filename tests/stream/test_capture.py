@@ -24,8 +24,8 @@ from touchfield.sources import capture
 from touchfield.sources.camera import CodedSequence, DepthCode, StoredFrame
 from touchfield.sources.capture import CapturedSequence, CaptureEnd, GrowingFolder, PipedPictures, captured
 from touchfield.sources.fused_scene import FusedScene
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.profile import ForceProfile
 from touchfield.stream.live import LiveSegment
 from touchfield.stream.pipe import messages, write_message
 

@@ -295,8 +295,8 @@ class SlideMeter:
         for speed, total in self._sums.items():
             error, source, lattice = (total.mn(kind) for kind in range(3))
             seconds = float(total.samples[0]) / self._spec.rate_hz
-            known = lattice[0] if total.samples[2] else None, total.thirds_mn(0), total.thirds_mn(1)
-            results.append(Slide(speed, self._paths[speed], seconds, *error, *source, *known))
+            lattice_mn, thirds = lattice[0] if total.samples[2] else None, (total.thirds_mn(0), total.thirds_mn(1))
+            results.append(Slide(speed, self._paths[speed], seconds, *error, *source, lattice_mn, *thirds))
         return tuple(results)
 
 
@@ -329,7 +329,7 @@ class HandMotion:
     @property
     def margin(self) -> Margin:
         """The least margin to the threshold, over slides and hold."""
-        parts = (*self.slides, self.hold) if self.hold is not None else self.slides
+        parts: list[Slide | Hold] = [*self.slides, *([self.hold] if self.hold is not None else [])]
         margins = (margin_of(part.error_thirds_mn, self.threshold) for part in parts)
         return min(margins, default=Margin(math.inf, THIRDS_HZ[0]))
 

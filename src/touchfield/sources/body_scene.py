@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,16 +16,15 @@ from touchfield.medium.field import brick_keys
 from touchfield.parallel import for_chunks
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.camera import require_frame
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
 from touchfield.sources.shapes import Plane
 
 _AT_REST = (0.0,) * 9
 
 
-@dataclass(frozen=True)
-class _Part:
+class _Part(NamedTuple):
     """A body's field on a part of the lattice that begins at a brick, and the motion of its surface."""
 
     field: ForceField
@@ -91,17 +90,13 @@ class BodyScene(MovingScene):
         own frame cannot be moved (`Scene.moved`).
         """
         require_frame(frame, self.frame_count)
-        parts = [_Part(self._field_at_rest(grid, profile), (0, 0, 0))] if any(self._still) else []
-        moving = (n for n, still in enumerate(self._still) if not still)
+        still, moving = (np.flatnonzero(np.equal(self._still, which)).tolist() for which in (True, False))
+        parts = []
+        if still:
+            if self._kept is None or self._kept[:2] != (grid, profile):
+                self._kept = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
+            parts = [_Part(self._kept[2], (0, 0, 0))]
         return _sum(grid, [*parts, *self._parts(moving, frame, grid, profile)])
-
-    def _field_at_rest(self, grid: Grid, profile: ForceProfile) -> ForceField:
-        latest = self._kept
-        if latest is None or latest[0] != grid or latest[1] != profile:
-            still = (n for n, still in enumerate(self._still) if still)
-            latest = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
-            self._kept = latest
-        return latest[2]
 
     def _parts(self, which: Iterable[int], frame: int, grid: Grid, profile: ForceProfile) -> list[_Part]:
         parts = []

@@ -64,8 +64,7 @@ class Sampler:
 def _unit(quaternions: Float64s) -> Float64s:
     """Of length 1; no rotation where there is no length."""
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    turned: Float64s = np.where(lengths > 0, quaternions / np.where(lengths > 0, lengths, 1.0), (0.0, 0.0, 0.0, 1.0))
-    return turned
+    return np.asarray(np.where(lengths > 0, quaternions / np.where(lengths > 0, lengths, 1.0), (0.0, 0.0, 0.0, 1.0)))
 
 
 class Animation(NamedTuple):
@@ -250,8 +249,7 @@ class _Skin:
 
     def matrices(self, world: Float64s) -> Float64s:
         """Motions of a vertex with each joint, float64 [joints, 3, 4], from world matrices [nodes, 4, 4]."""
-        moved: Float64s = (world[self.joints] @ self._inverse_bind)[:, :3]
-        return moved
+        return np.asarray((world[self.joints] @ self._inverse_bind)[:, :3])
 
 
 def _joint_shares(geometry: _Geometry, joint_count: int) -> Any:
@@ -415,8 +413,9 @@ class Model:
         parts = []
         for piece in self._pieces:
             vertices, weights = piece.geometry.vertices, poses.weights.get(piece.node)
-            for number in () if weights is None else np.flatnonzero(weights[at]):
-                vertices = vertices + weights[at, number] * piece.geometry.targets[number]
+            own = np.zeros(0) if weights is None else weights[at]
+            for number in np.flatnonzero(own):
+                vertices = vertices + own[number] * piece.geometry.targets[number]
             matrices = world[piece.node, :3]
             if piece.skin is not None:
                 matrices = (piece.shares @ joints[piece.skin]).reshape(-1, 3, 4)

@@ -21,7 +21,7 @@ from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.camera import DepthSequence, noise_step_per_m
-from touchfield.sources.profile import ForceProfile
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, MovingScene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 

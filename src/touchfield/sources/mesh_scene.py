@@ -24,8 +24,8 @@ from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.pose_track import checked_rotation
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_surface import Mended, Surface, from_longest, mended
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ _LARGEST_IN_SPACINGS: Final = 1e12  # extent of mesh and grid: beyond, float64 h
 class MeshScene(Scene):
     """A mesh that stands still.
 
-    vertices_m : float array [n, 3]; Metres. Vertices at one place must be one
-        (`touchfield.sources.mesh_surface.joined`).
+    vertices_m : float array [n, 3] or Mended; Metres. Vertices at one place must be one
+        (`touchfield.sources.mesh_surface.joined`). A surface whose holes are closed already needs no triangles.
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
     shell : str; Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face consistently.
     holes : str; The rule by which holes are closed: "small", "close" or "leave" (`touchfield.sources.mesh_surface`).
@@ -63,24 +63,17 @@ class MeshScene(Scene):
 
     def __init__(
         self,
-        vertices_m: ArrayLike,
-        triangles: ArrayLike,
+        vertices_m: ArrayLike | Mended,
+        triangles: ArrayLike = (),
         *,
         shell: str = "auto",
         holes: str = "small",
         name: str = "mesh",
         notes: tuple[str, ...] = (),
     ) -> None:
-        self._hold(mended(Surface(vertices_m, triangles, name), holes), shell, name, notes)
-
-    @classmethod
-    def of_surface(cls, whole: Mended, *, shell: str = "auto", name: str = "mesh") -> MeshScene:
-        """The scene of a surface that is known already."""
-        scene = cls.__new__(cls)
-        scene._hold(whole, shell, name, ())
-        return scene
-
-    def _hold(self, whole: Mended, shell: str, name: str, notes: tuple[str, ...]) -> None:
+        whole = vertices_m
+        if not isinstance(whole, Mended):
+            whole = mended(Surface(whole, triangles, name), holes)
         if shell not in ("auto", "one", "two"):
             raise InvalidArgument("shell", repr(shell), "auto, one or two")
         self.name, self.surface = name, whole.surface
@@ -90,28 +83,20 @@ class MeshScene(Scene):
         edges = self.surface.edges
         is_sheet = edges.unbalanced_count > 0
         self.is_one_sided = shell == "one" or (shell == "auto" and is_sheet and whole.is_oriented)
-        self.notes = (*notes, *whole.notes, self._wording(shell))
-
-    def _wording(self, shell: str) -> str:
-        count, edges = len(self.surface.triangles), self.surface.edges
-        if self.is_closed:
-            return f"{count} triangles, closed: what they enclose is inside."
+        self._opening = "a sheet laid double"  # why the mesh is not closed
+        if edges.boundary_count:
+            self._opening = f"open with {edges.boundary_count} boundary edges"
+        elif is_sheet:
+            count = edges.unbalanced_count
+            self._opening = f"without a boundary but not closed, as at {count} edges triangles do not pair off"
         why = "as asked for"
         if shell == "auto":
             why = "all triangles face consistently" if self.is_one_sided else "triangles face inconsistently"
-            why = why if edges.unbalanced_count else "every triangle has a twin that faces the other way"
+            why = why if is_sheet else "every triangle has a twin that faces the other way"
         kind = "one-sided shell, the wall behind its faces" if self.is_one_sided else "two-sided shell"
-        return f"{count} triangles, {self._opening()}: taken as a {kind} ({why})."
-
-    def _opening(self) -> str:
-        """Why the mesh is not closed."""
-        edges = self.surface.edges
-        if edges.boundary_count:
-            return f"open with {edges.boundary_count} boundary edges"
-        if edges.unbalanced_count:
-            count = edges.unbalanced_count
-            return f"without a boundary but not closed, as at {count} edges triangles do not pair off"
-        return "a sheet laid double"
+        wording = f"{self._opening}: taken as a {kind} ({why})."
+        wording = "closed: what they enclose is inside." if self.is_closed else wording
+        self.notes = (*notes, *whole.notes, f"{len(self.surface.triangles)} triangles, {wording}")
 
     def bounds_m(self) -> Float64s:
         return self.surface.bounds_m
@@ -174,7 +159,7 @@ class MeshScene(Scene):
         pieces = profile.table()
         low, high = profile.low_m, profile.high_m
         if not self.is_closed and math.isinf(low):
-            found = f"a solid asked of a mesh that is {self._opening()}"
+            found = f"a solid asked of a mesh that is {self._opening}"
             mend = "Give --thickness-m or --holes close, or close the mesh."
             raise InvalidArgument(f"{self.name}, thickness_m", found, "the thickness of a shell", mend)
         # a sample on the surface may count as outside

@@ -50,7 +50,15 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.files import require_beside
 from touchfield.medium.pose_track import PoseTrack
-from touchfield.sources.analytic_scene import AnalyticScene, shape_of_table
+from touchfield.sources.analytic_scene import (
+    AnalyticScene,
+    known,
+    number,
+    read_toml,
+    shape_of_table,
+    tables,
+    text,
+)
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
@@ -59,7 +67,6 @@ from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Body
 from touchfield.sources.shapes import SHAPES, Plane, Triple
 from touchfield.sources.simulation import FRAME_RATE_HZ, frames_of, load_mujoco, model_of, simulated
-from touchfield.sources.toml_values import known, number, read_toml, tables, text
 
 Poses = tuple[Float64s, Float64s, Float64s]
 
@@ -213,7 +220,7 @@ def _body(path: Path, count: int, entry: dict[str, Any], anywhere: bool) -> Rigi
     kind = entry.get("kind")
     if not isinstance(kind, str) or kind not in _KINDS:
         raise SourceError(f"{where}: kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
-    own = _MESH
+    own: tuple[str, ...] = _MESH
     if kind != "mesh":  # the frame of a shape is the body's
         own = tuple(f.name for f in fields(SHAPES[kind]) if f.name not in ("center_m", "rotation_deg"))  # type: ignore[arg-type]
     known(where, entry, ("kind", *own, *_OF_BODY))

@@ -337,10 +337,8 @@ def _hull_points(shape: Superquadric) -> Float64s:
     e1, e2 = shape.exponents
 
     def power(value: Float64s, exponent: float) -> Float64s:
-        raised: Float64s = np.sign(value) * np.abs(np.where(np.abs(value) < 1e-12, 0.0, value)) ** exponent
-        return raised
+        return np.asarray(np.sign(value) * np.abs(np.where(np.abs(value) < 1e-12, 0.0, value)) ** exponent)
 
     ring = power(np.cos(along), e1)
     unit = ring * power(np.cos(around), e2), ring * power(np.sin(around), e2), power(np.sin(along), e1)
-    points: Float64s = np.unique(np.stack(unit, axis=-1).reshape(-1, 3), axis=0) * np.asarray(shape.half_extents_m)
-    return points
+    return np.asarray(np.unique(np.stack(unit, axis=-1).reshape(-1, 3), axis=0) * np.asarray(shape.half_extents_m))

@@ -431,8 +431,9 @@ def forces_near(
         forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
         held = np.zeros(len(bricks), np.bool_)
         owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
-        work = ((bricks, spans, ids, columns), surface, (lattice, shape, limits), events, rule, band.pieces)
-        for_chunks(_fill_bricks, len(bricks), *work, forces, held, owners)
+        near_all, frame = (bricks, spans, ids, columns), (lattice, shape, limits)
+        about = (near_all, surface, frame, events, rule, band.pieces)
+        for_chunks(_fill_bricks, len(bricks), *about, forces, held, owners)
     if motion is not None:
         velocities = np.ascontiguousarray(motion.velocities_m_s, np.float64)
         moves = motion.triangles, velocities, motion.damping_n_s_per_m
