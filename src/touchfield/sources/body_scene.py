@@ -114,17 +114,14 @@ class BodyScene(MovingScene):
             if not (np.array_equal(turn, np.eye(3)) and not shift.any()):
                 scene = scene.moved(turn, shift)
             field = scene.field(0 if body.is_rigid else frame, part, profile)
-            parts.append(_Part(field, first, self._motion(n, frame, profile.surface_damping_n_s_per_m)))
+            motion, damping = _AT_REST, profile.surface_damping_n_s_per_m
+            if damping and not self._still[n]:  # origin, b v and b omega
+                if n not in self._velocities:
+                    self._velocities[n] = body.track.velocities(self.rate_hz)
+                velocity, spin = (damping * values[frame] for values in self._velocities[n])
+                motion = tuple(np.concatenate([body.track.positions_m[frame], velocity, spin]).tolist())
+            parts.append(_Part(field, first, motion))
         return parts
-
-    def _motion(self, n: int, frame: int, damping: float) -> tuple[float, ...]:
-        """Origin, b v and b omega of a body."""
-        if not damping or self._still[n]:
-            return _AT_REST
-        if n not in self._velocities:
-            self._velocities[n] = self._bodies[n].track.velocities(self.rate_hz)
-        velocity, spin = (damping * values[frame] for values in self._velocities[n])
-        return tuple(np.concatenate([self._bodies[n].track.positions_m[frame], velocity, spin]).tolist())
 
 
 def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:

@@ -14,7 +14,7 @@ import math
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 from urllib.parse import unquote
 
 import numpy as np
@@ -130,9 +130,7 @@ class Element:
 
 def _whole(value: Any) -> int | None:
     """The whole number that a JSON number is; JSON does not tell 1 from 1.0."""
-    if not _is_finite(value) or value != int(value) or abs(value) > _LARGEST:
-        return None
-    return int(value)
+    return int(value) if _is_finite(value) and value == int(value) and abs(value) <= _LARGEST else None
 
 
 def _is_finite(value: Any) -> bool:
@@ -312,41 +310,36 @@ def _contents(path: Path, *, needs_bytes: bool) -> tuple[dict[str, Any], bytes]:
     with readable(path):
         if path.exists() and not path.is_file():
             raise SourceError(str(path), "a folder or a device", "one glTF file", "Name the file in it.")
-        size = path.stat().st_size
+        size, chunks = path.stat().st_size, {_BIN: b""}
         with path.open("rb") as stream:
-            chunk = b""
-            if stream.read(4) == b"glTF":
-                text = _chunk_of(path, stream, size, _JSON)
-                chunk = _chunk_of(path, stream, size, _BIN) if needs_bytes else b""
+            head = stream.read(12)
+            if not head.startswith(b"glTF"):
+                text = head + stream.read(size)
             else:
-                stream.seek(0)
-                text = stream.read(size)
+                version, length = struct.unpack("<II", head[4:]) if len(head) == 12 else (2, size + 1)
+                if version != 2:
+                    raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
+                if length > size:
+                    found, expected = f"{size} bytes", f"the {length} its header declares"
+                    raise SourceError(str(path), found, expected, "Copy it again.")
+                wanted = {_JSON, _BIN} if needs_bytes else {_JSON}
+                while wanted and len(head := stream.read(8)) == 8:
+                    length, kind = struct.unpack("<II", head)
+                    if length > size - stream.tell():
+                        found = f"a chunk of {length} bytes that is cut short"
+                        raise SourceError(str(path), found, "whole chunks", "Copy it again.")
+                    if kind in wanted:
+                        chunks[kind] = stream.read(length)
+                        wanted.remove(kind)
+                    else:
+                        stream.seek(length, 1)
+                if _JSON not in chunks:
+                    raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
+                text = chunks[_JSON]
     try:
         members = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), "text that is not JSON", "a glTF document", "Export it again.") from error
     if not isinstance(members, dict):
         raise SourceError(str(path), "JSON that is not an object", "a glTF document")
-    return members, chunk
-
-
-def _chunk_of(path: Path, stream: BinaryIO, size: int, kind: int) -> bytes:
-    """The next chunk of a GLB whose type is `kind`; for the binary one, empty where there is none."""
-    if stream.tell() == 4:
-        head = stream.read(8)
-        version, length = struct.unpack("<II", head) if len(head) == 8 else (2, size + 1)
-        if version != 2:
-            raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
-        if length > size:
-            raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
-    while len(head := stream.read(8)) == 8:
-        length, found = struct.unpack("<II", head)
-        if length > size - stream.tell():
-            text = f"a chunk of {length} bytes that is cut short"
-            raise SourceError(str(path), text, "whole chunks", "Copy it again.")
-        if found == kind:
-            return stream.read(length)
-        stream.seek(length, 1)
-    if kind == _JSON:
-        raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
-    return b""
+    return members, chunks[_BIN]

@@ -125,8 +125,9 @@ def _open(path: Path, options: SourceOptions) -> MeshScene:
     return scene
 
 
-def _recognise(path: Path) -> bool:
-    return path.suffix.lower() in _SUFFIXES and path.is_file()
-
-
-KIND = SourceKind("mesh", "a mesh of triangles: OBJ, STL, PLY, GLB, glTF or OFF", _recognise, _open)
+KIND = SourceKind(
+    "mesh",
+    "a mesh of triangles: OBJ, STL, PLY, GLB, glTF or OFF",
+    lambda path: path.suffix.lower() in _SUFFIXES and path.is_file(),
+    _open,
+)

@@ -25,7 +25,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh_surface import Mended, Surface, from_longest, mended
+from touchfield.sources.mesh_surface import Mended, Surface, from_longest, mended, unit
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ def union_of(surface: Surface) -> Union | None:
     faces = surface.triangles
     corners = surface.vertices_m[faces]
     extent = float(np.abs(surface.bounds_m).max()) + float(np.ptp(surface.bounds_m, axis=0).max())
-    normals = surface.face_normals()
+    normals = unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     boxes = kernel.boxes_of(corners)
     bins = kernel.sorted_into_bins(boxes)
     pairs = kernel.crossing_pairs(bins, boxes, corners, normals, faces, _TOUCHING * extent)

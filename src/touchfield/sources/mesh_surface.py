@@ -144,19 +144,14 @@ class Surface:
         a, b, c = ((self.vertices_m - self.bounds_m[0])[self.triangles[:, i]] for i in range(3))
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
-    def face_normals(self) -> Float64s:
-        """Unit normals of the triangles, float64 [m, 3]; 0 for one without area."""
-        a, b, c = (self.vertices_m[self.triangles[:, i]] for i in range(3))
-        return _unit(np.cross(b - a, c - a))
-
     def pseudo_normals(self) -> Float64s:
         """Unit normals of each triangle's face, vertices 0 to 2 and edges 01, 12, 20, float64 [m, 7, 3].
 
         Where they cancel (opposite faces that meet), the face's own normal stands.
         """
         corners = self.vertices_m[self.triangles]
-        along = _unit(np.roll(corners, -1, axis=1) - corners)
-        face = _unit(np.cross(along[:, 0], -along[:, 2]))
+        along = unit(np.roll(corners, -1, axis=1) - corners)
+        face = unit(np.cross(along[:, 0], -along[:, 2]))
         cosine = -np.einsum("tij,tij->ti", along, np.roll(along, 1, axis=1))
         angle = np.arccos(np.clip(cosine, -1, 1))
         normals = np.empty((len(face), 7, 3))
@@ -205,7 +200,8 @@ def _lengths(vectors: Float64s) -> Float64s:
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
-def _unit(vectors: Float64s) -> Float64s:
+def unit(vectors: Float64s) -> Float64s:
+    """Vectors [..., 3] of length 1; 0 for those without length."""
     lengths = _lengths(vectors)[..., None]
     return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
 
@@ -321,7 +317,13 @@ def mended(surface: Surface, holes: str) -> Mended:
         loops = _loops(done)
     if loops is None:  # no side is known, or there are too many
         return as_it_is
-    gaps = _measured(done, loops)
+    part_of, vertices = done.part_of_vertex(), done.vertices_m
+    areas = np.bincount(part_of[done.triangles[:, 0]], _areas(vertices, done.triangles))
+    gaps = []
+    for loop in loops:
+        patch, part = _patch(loop, vertices, _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY), part_of[loop[0]]
+        area, across = float(_areas(vertices, patch).sum()), float(np.linalg.norm(np.ptp(vertices[loop], axis=0)))
+        gaps.append(_Hole(loop, patch, part, area, area / areas[part] if areas[part] > 0 else np.inf, across))
     taken, left = ([h for h in gaps if (h.share <= HOLES[holes]) == is_small] for is_small in (True, False))
     if taken:
         done = done.with_triangles(np.concatenate([done.triangles, *(h.patch for h in taken)]))
@@ -339,17 +341,15 @@ def mended(surface: Surface, holes: str) -> Mended:
 
 
 def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
-    def words(holes: list[_Hole]) -> str:
+    notes = []
+    for holes, kind, what in ((taken, "hole", "closed"), (left, "open outline", "left, where the force falls to 0")):
         largest = sorted(holes, key=lambda h: -h.area_m2)[:_MOST_TOLD]
         sizes = ", ".join(f"{h.across_m:.3g} m across ({h.share:.2%} of its part)" for h in largest)
-        return sizes + (", ..." if len(holes) > _MOST_TOLD else "")
-
-    notes = []
-    if taken:
-        notes.append(f"{len(taken)} hole{'s' * (len(taken) > 1)} closed: {words(taken)}")
-    if left:
-        text = f"{len(left)} open outline{'s' * (len(left) > 1)} left, where the force falls to 0: {words(left)}"
-        notes.append(text + ("; --holes close closes them" if min(h.share for h in left) <= _NEARLY_CLOSED else ""))
+        if holes:
+            more = ", ..." * (len(holes) > _MOST_TOLD)
+            notes.append(f"{len(holes)} {kind}{'s' * (len(holes) > 1)} {what}: {sizes}{more}")
+    if left and min(h.share for h in left) <= _NEARLY_CLOSED:
+        notes[-1] += "; --holes close closes them"
     return tuple(notes)
 
 
@@ -387,19 +387,6 @@ def _loops(surface: Surface) -> list[Int64s] | None:
                     place[corner] = len(path)
                     path.append(corner)
     return [loop for loop in loops if len(loop) > 2]
-
-
-def _measured(surface: Surface, loops: list[Int64s]) -> list[_Hole]:
-    part_of, vertices = surface.part_of_vertex(), surface.vertices_m
-    areas = np.bincount(part_of[surface.triangles[:, 0]], _areas(vertices, surface.triangles))
-    most = _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY
-    gaps = []
-    for loop in loops:
-        patch, part = _patch(loop, vertices, most), int(part_of[loop[0]])
-        area, whole = float(_areas(vertices, patch).sum()), float(areas[part])
-        across = float(np.linalg.norm(np.ptp(vertices[loop], axis=0)))
-        gaps.append(_Hole(loop, patch, part, area, area / whole if whole > 0 else np.inf, across))
-    return gaps
 
 
 def _areas(vertices: Float64s, triangles: NDArray[Any]) -> Float64s:
