@@ -57,15 +57,10 @@ def load_mujoco() -> Any:
     return import_extra("mujoco", "a simulation of rigid bodies", "mujoco", "physics")
 
 
-def mujoco_faults(mujoco: Any) -> tuple[type[Exception], ...]:
-    """Errors of MuJoCo for a model at fault."""
-    return (ValueError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError)
-
-
 @contextmanager
-def warnings_heard(mujoco: Any) -> Iterator[list[str]]:
-    """The warnings of MuJoCo, which otherwise go to the screen and into a file in the working folder."""
-    heard: list[str] = []
+def _warnings_heard(where: str, found: str, expected: str) -> Iterator[list[str]]:
+    """Warnings of MuJoCo, which otherwise go to the screen and into a file; `SourceError` for a model at fault."""
+    mujoco, heard = load_mujoco(), list[str]()
     with _one_at_a_time:  # the handler is one for the whole process
         before = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(lambda said: heard.append(str(said)))
@@ -73,6 +68,8 @@ def warnings_heard(mujoco: Any) -> Iterator[list[str]]:
             with warnings.catch_warnings(record=True) as told:  # the compiler of models warns as Python does
                 warnings.simplefilter("always")
                 yield heard
+        except (ValueError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError) as error:
+            raise SourceError(where, f"{found} ({error})", expected) from error
         finally:
             mujoco.set_mju_user_warning(before)
             heard += [str(one.message) for one in told]
@@ -80,12 +77,8 @@ def warnings_heard(mujoco: Any) -> Iterator[list[str]]:
 
 def compiled(make: Callable[[], Any], where: str, found: str, expected: str) -> tuple[Any, tuple[str, ...]]:
     """Result of `make`, and what MuJoCo warned of; `SourceError` in these words where it refuses."""
-    mujoco = load_mujoco()
-    try:
-        with warnings_heard(mujoco) as heard:
-            made = make()
-    except mujoco_faults(mujoco) as error:
-        raise SourceError(where, f"{found} ({error})", expected) from error
+    with _warnings_heard(where, found, expected) as heard:
+        made = make()
     return made, tuple(f"MuJoCo warns: {' '.join(said.split())[:200]}" for said in heard)
 
 
@@ -128,23 +121,20 @@ def simulated(
     ids = np.asarray(body_ids, np.intp)
     positions, quaternions = np.empty((frame_count, len(ids), 3)), np.empty((frame_count, len(ids), 4))
     driven = [_driven(model, body, track, rate_hz) for body, track in (posed or {}).items()]
-    try:
-        with warnings_heard(mujoco) as heard:
-            data = mujoco.MjData(model)
-            key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START)
-            if key >= 0:
-                mujoco.mj_resetDataKeyframe(model, data, key)
-            for frame in range(frame_count):
-                for place, motion, poses, velocities in driven:
-                    data.qpos[place], data.qvel[motion] = poses[frame], velocities[frame]
-                mujoco.mj_kinematics(model, data)
-                positions[frame], quaternions[frame] = data.xpos[ids], data.xquat[ids]
-                if frame + 1 < frame_count:
-                    mujoco.mj_step(model, data, steps)
-                if heard:
-                    notes += _judged(mujoco, data, heard, f"{where}, {(frame + 1) / rate_hz:g} s")
-    except mujoco_faults(mujoco) as error:
-        raise SourceError(where, f"a simulation that stops: {error}", "a model that MuJoCo can step") from error
+    with _warnings_heard(where, "a simulation that stops", "a model that MuJoCo can step") as heard:
+        data = mujoco.MjData(model)
+        key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START)
+        if key >= 0:
+            mujoco.mj_resetDataKeyframe(model, data, key)
+        for frame in range(frame_count):
+            for place, motion, poses, velocities in driven:
+                data.qpos[place], data.qvel[motion] = poses[frame], velocities[frame]
+            mujoco.mj_kinematics(model, data)
+            positions[frame], quaternions[frame] = data.xpos[ids], data.xquat[ids]
+            if frame + 1 < frame_count:
+                mujoco.mj_step(model, data, steps)
+            if heard:
+                notes += _judged(mujoco, data, heard, f"{where}, {(frame + 1) / rate_hz:g} s")
     return [PoseTrack(quaternions[:, k], positions[:, k]) for k in range(len(ids))], notes
 
 
