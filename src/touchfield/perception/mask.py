@@ -72,12 +72,7 @@ def mask_n(amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0, *, masking_n: A
 
 
 def violations(
-    original_n: Float32s,
-    decoded_n: Float32s,
-    k: float,
-    f0_n: float = 0.0,
-    *,
-    masking_n: ArrayLike = 0.0,
+    original_n: Float32s, decoded_n: Float32s, k: float, f0_n: float = 0.0, *, masking_n: ArrayLike = 0.0
 ) -> Violations:
     """Compare two fields sample by sample, in float64.
 

@@ -72,8 +72,7 @@ class Crossover:
     """A split of a signal into what lies below a frequency and what lies above, which add up to it again.
 
     The low-pass h is a windowed sinc of an odd number of taps (Hamming), of linear phase; the high-pass is the
-    impulse at its middle less h. Both are 6 dB down at `cutoff_hz` and in phase there. Causal they are late by
-    `delay_s`; `split` takes that off.
+    impulse at its middle less h. Both are 6 dB down at `cutoff_hz` and in phase there; `split` takes their delay off.
 
     Raises `InvalidArgument` if a number is not positive and finite, or the cut-off is half of `rate_hz` or more.
     """
@@ -88,11 +87,6 @@ class Crossover:
         if _TAPS * self.rate_hz / self.cutoff_hz > _MOST_TAPS:
             raise InvalidArgument("cutoff_hz", f"{self.cutoff_hz:g} Hz at {self.rate_hz:g} Hz", "a higher one")
 
-    @property
-    def delay_s(self) -> float:
-        """How late a causal run of either part is, seconds: (taps - 1) / 2 samples."""
-        return (len(self.low_taps) - 1) / 2 / self.rate_hz
-
     @cached_property
     def low_taps(self) -> Float64s:
         """h, float64 [taps], of sum 1."""
@@ -101,13 +95,6 @@ class Crossover:
         count = 2 * math.ceil(_TAPS * self.rate_hz / self.cutoff_hz / 2) + 1
         taps = firwin(count, self.cutoff_hz, fs=self.rate_hz)
         return np.asarray((taps + taps[::-1]) / 2)
-
-    @cached_property
-    def high_taps(self) -> Float64s:
-        """The impulse less h, float64 [taps]."""
-        taps = -self.low_taps
-        taps[len(taps) // 2] += 1.0
-        return taps
 
     def split(self, signal: ArrayLike) -> tuple[Float64s, Float64s]:
         """The low part and the high part, without delay, each float64 as `signal`, in its unit.
@@ -298,11 +285,6 @@ class Reduced:
     def bits_per_s(self) -> float:
         """Bits for each second of the signal."""
         return self.bits * self.rate_hz / self.count
-
-    @property
-    def sent_share(self) -> float:
-        """Share of the coefficients that are not zero."""
-        return float((self.symbols != 0).mean())
 
     def decoded(self) -> Float64s:
         """The vibration, newtons, float64 [count]."""

@@ -93,7 +93,12 @@ class AnimatedMeshScene(MovingScene):
                 found = f"{self.rate_hz:g} for an animation of {self.duration_s:g} s"
                 raise InvalidArgument(f"{self.name}, rate_hz", found, f"at most {_MOST_FRAMES} frames")
             self.frame_count = max(1, math.ceil(count))
-            self._whole = mended(self._weld(model), holes)
+            self._model = model
+            looks = np.unique(np.linspace(0, self.frame_count - 1, _LOOKS).astype(int)).tolist()
+            rest = self._in_metres(model.vertices(model.poses(None, np.zeros(1)), 0), "at rest")
+            kept, triangles = welded_in_motion(np.stack([rest, *map(self.vertices_m, looks)]), model.triangles)
+            self._model = model.reduced(kept)
+            self._whole = mended(Surface(rest[kept], triangles, self.name), holes)
         self._surface = self._whole.surface
         scene = self._standing(self._whole)
         self.is_closed = scene.is_closed
@@ -105,15 +110,6 @@ class AnimatedMeshScene(MovingScene):
         text = f"Animation {_named(names, number)}: {self.duration_s:.4g} s, {self.frame_count} frame"
         text += "s" * (self.frame_count > 1) + (f"; there are also {others}." if others else ".")
         self.notes = (size, text, *scene.notes)
-
-    def _weld(self, model: Model) -> Surface:
-        """The surface at rest, its vertices those that are evaluated from now on."""
-        self._model = model
-        looks = np.unique(np.linspace(0, self.frame_count - 1, _LOOKS).astype(int))
-        rest = self._in_metres(model.vertices(model.poses(None, np.zeros(1)), 0), "at rest")
-        kept, triangles = welded_in_motion(np.stack([rest, *map(self.vertices_m, looks.tolist())]), model.triangles)
-        self._model = model.reduced(kept)
-        return Surface(rest[kept], triangles, self.name)
 
     # -- the surface -----------------------------------------------------------------------------------------------
     def vertices_m(self, frame: int) -> Float64s:
@@ -268,8 +264,7 @@ def rigid_parts(
 ) -> tuple[list[RigidPart], Bools]:
     """The rigid parts of a surface in motion, and which vertices deform, bool [n].
 
-    `surface` Surface: its triangles tell what is connected; `vertices_m` callable: the vertices of a frame, float64
-    [n, 3].
+    The triangles of `surface` tell what is connected; `vertices_m` gives the vertices of a frame, float64 [n, 3].
     """
     part_of = surface.part_of_vertex()
     used = np.unique(surface.triangles)
@@ -281,9 +276,17 @@ def rigid_parts(
     deforms = np.zeros(len(part_of), bool)
     deforms[used] = True
     deforms[order] = False
-    parts = []
-    for names, rotations, shifts in _alike(np.unique(part_of[order]), poses, start[order]):
-        has_vertex = np.isin(part_of, names) & ~deforms
+    if not len(order):
+        return [], deforms
+    # in groups that move alike
+    scale = np.ones((3, 4))
+    scale[:, 3] = 1 / max(float(np.abs(start[order]).max()), 1e-300)
+    rounded = np.round(poses[:, looks] * scale / (10 * _RIGID)).reshape(len(poses), -1)
+    _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    names, parts = np.unique(part_of[order]), []
+    for number in np.argsort(first):
+        rotations, shifts = poses[first[number], :, :, :3], poses[first[number], :, :, 3]
+        has_vertex = np.isin(part_of, names[group.reshape(-1) == number]) & ~deforms
         has_vertex[np.setdiff1d(np.arange(len(part_of)), used)] = False
         origin, extent = start[has_vertex].mean(axis=0), np.ptp(start[has_vertex], axis=0).max()
         places = rotations @ origin + shifts
@@ -296,11 +299,7 @@ def rigid_parts(
 
 
 def _fitted(
-    order: Int64s,
-    part_of: Int32s,
-    start: Float64s,
-    vertices_m: Callable[[int], Float64s],
-    frames: list[int] | range,
+    order: Int64s, part_of: Int32s, start: Float64s, vertices_m: Callable[[int], Float64s], frames: list[int] | range
 ) -> tuple[Int64s, Float64s]:
     """The vertices of those parts that are rigid in these frames, and x -> R x + t of each, [parts, frames, 3, 4]."""
     names = part_of[order]
@@ -328,23 +327,6 @@ def _fitted(
         poses[:, at, :, :3] = turn
         poses[:, at, :, 3] = there - np.einsum("pij,pj->pi", turn, centre)
     return order[is_rigid[number]], poses[is_rigid]
-
-
-def _alike(names: Int32s, poses: Float64s, points: Float64s) -> list[tuple[Int32s, Float64s, Float64s]]:
-    """Parts in groups that move alike: their names, and the rotations [f, 3, 3] and shifts [f, 3] of each group."""
-    if not len(names):
-        return []
-    scale = np.ones((3, 4))
-    scale[:, 3] = 1 / max(float(np.abs(points).max()), 1e-300)
-    looks = np.unique(np.linspace(0, poses.shape[1] - 1, _LOOKS).astype(int))
-    rounded = np.round(poses[:, looks] * scale / (10 * _RIGID)).reshape(len(poses), -1)
-    _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    group = group.reshape(-1)
-    groups = []
-    for number in np.argsort(first):
-        mine = poses[first[number]]
-        groups.append((names[group == number], mine[:, :, :3], mine[:, :, 3]))
-    return groups
 
 
 # -- names and files -----------------------------------------------------------------------------------------------

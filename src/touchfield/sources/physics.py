@@ -50,15 +50,7 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.files import require_beside
 from touchfield.medium.pose_track import PoseTrack
-from touchfield.sources.analytic_scene import (
-    AnalyticScene,
-    known,
-    number,
-    read_toml,
-    shape_of_table,
-    tables,
-    text,
-)
+from touchfield.sources.analytic_scene import AnalyticScene, known, number, read_toml, shape_of_table, tables, text
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions

@@ -202,10 +202,7 @@ class Superquadric(_Turned):
         unit, size = self._scaled(self._local(centres))
         gauge = self._gauge(unit)[0] * size
         low, high = gauge - radius_m / nearest - 1, gauge + radius_m / nearest - 1
-        return (
-            np.where(low > 0, low * nearest, low * farthest),
-            np.where(high > 0, high * farthest, high * nearest),
-        )
+        return (np.where(low > 0, low * nearest, low * farthest), np.where(high > 0, high * farthest, high * nearest))
 
 
 @dataclass(frozen=True)
