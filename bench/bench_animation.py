@@ -23,7 +23,7 @@ from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figu
 from touchfield.medium import Grid
 from touchfield.parallel import worker_count
 from touchfield.sources.animated_mesh import AnimatedMeshScene
-from touchfield.sources.profile import ForceProfile
+from touchfield.sources.laws import ForceProfile
 
 BAND = 4  # voxels
 FRAMES = 6

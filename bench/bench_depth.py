@@ -26,7 +26,7 @@ from touchfield.medium import ForceField, Grid
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_scene import RAY_LIMIT, DepthScene
 from touchfield.sources.kernels.planes import SurfacePlanes
-from touchfield.sources.profile import ForceProfile
+from touchfield.sources.laws import ForceProfile
 
 SIZE_PX = (480, 640)
 LOW_M, HIGH_M = (-1.0, -1.0, 0.6), (1.0, 1.0, 2.6)

@@ -33,12 +33,12 @@ from touchfield.filters.resample import low_pass, nyquist_per_m
 from touchfield.job import EncodeSpec, encode, open_stream, prepare
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.trace import Trace
-from touchfield.perception.slides import MARGIN_S, in_band, points_on_surface
+from touchfield.perception.hand_motion import MARGIN_S, in_band, points_on_surface
 from touchfield.render.offline import run_offline
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.fused_scene import FusedVolume
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import open_source
 
 TUM, ICL = "TUM fr1_rpy", "ICL living room"

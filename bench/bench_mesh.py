@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from machine import Bar, Figures, at_least, at_most, bench, column, timed
 from touchfield.medium import Grid
 from touchfield.parallel import worker_count
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.profile import ForceProfile
 
 Floats = NDArray[np.floating[Any]]
 Peer = Callable[[Floats, NDArray[np.int32], Floats], Floats]

@@ -20,9 +20,8 @@ import numpy as np
 from machine import SHARED, Bar, Figures, at_least, at_most, bench
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.job import Encoded, EncodeSpec, encode, hand_motion, open_stream
-from touchfield.perception.hand_motion import HandMotion, SlideSpec, margin_of
+from touchfield.perception.hand_motion import HandMotion, SlideSpec, in_band, margin_of
 from touchfield.perception.human import vibration_threshold
-from touchfield.perception.slides import in_band
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import Scene

@@ -23,7 +23,7 @@ from machine import SHARED, Bar, Figures, at_most, bench
 from touchfield.job import EncodeSpec
 from touchfield.job.prepare import prepare
 from touchfield.medium import ForceField
-from touchfield.perception.slides import in_band, points_on_surface, slide_m, surface_walks
+from touchfield.perception.hand_motion import in_band, points_on_surface, slide_m, surface_walks
 from touchfield.render.block import words as W
 from touchfield.render.kernels.proxy import held
 from touchfield.render.walls import wall_of

@@ -26,8 +26,8 @@ from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figu
 from touchfield.adapters.registry import point_device
 from touchfield.devices import device
 from touchfield.medium.trace import Trace
+from touchfield.perception.hand_motion import third_octave_power
 from touchfield.perception.human import vibration_threshold
-from touchfield.perception.slides import third_octave_power
 from touchfield.perception.vibrotactile import BANDS_HZ, Crossover, Stft, band_rms, dft321, reduced
 from touchfield.render.material import Material
 from touchfield.render.offline import run_offline
@@ -48,8 +48,7 @@ def laws(seconds: float) -> Figures:
         one = dft321(high)
         energy = np.abs(np.abs(np.fft.rfft(one)) ** 2 - spectrum) / np.maximum(spectrum, 1e-9 * spectrum.max())
         stft = Stft()
-        back = stft.signal(stft.spectra(one), len(one)), stft.of_real(stft.real_spectra(one), len(one))
-        lost = max(np.linalg.norm(own - one) for own in back)
+        lost = np.linalg.norm(stft.of_real(stft.real_spectra(one), len(one)) - one)
         worst["crossover"] = max(worst["crossover"], float(np.abs(low + high - signal).max() / np.abs(signal).max()))
         worst["dft321"] = max(worst["dft321"], float(energy.max()))
         worst["stft_db"] = min(worst["stft_db"], float(20 * np.log10(np.linalg.norm(one) / lost)))

@@ -9,7 +9,7 @@ from touchfield.medium import ForceField, Grid
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.fused_scene import FusedScene
-from touchfield.sources.profile import ForceProfile
+from touchfield.sources.laws import ForceProfile
 
 Float64s = NDArray[np.float64]
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.medium import ForceField, Grid
-    from touchfield.sources.profile import ForceProfile
+    from touchfield.sources.laws import ForceProfile
 
 __all__ = ["Coded", "CodedScene"]
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from touchfield.sources.profile import ForceProfile
+    from touchfield.sources.laws import ForceProfile
     from touchfield.sources.scene import Body
 
     Float64s = NDArray[np.float64]

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from touchfield.sources.camera import DepthSequence
-    from touchfield.sources.profile import ForceProfile
+    from touchfield.sources.laws import ForceProfile
 
 __all__ = ["NOMINAL", "READINGS", "DepthHeights", "PaperScene", "depth_scenes", "height_scene", "scene_1", "scenes"]
 

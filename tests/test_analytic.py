@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.analytic_scene import KIND, AnalyticScene
-from touchfield.sources.laws import LawSpec, profile_of
+from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.shapes import Box, Plane, Shape, Sphere, Superquadric
 
 SOLID = profile_of(LawSpec(), np.inf)

@@ -19,11 +19,10 @@ from gltf_makers import CUBE, CUBE_FACES, Gltf, everything, moving_cube
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.animated_mesh import AnimatedMeshScene
-from touchfield.sources.mesh_holes import mended
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mesh_surface import Surface
+from touchfield.sources.mesh_surface import Surface, mended
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import open_source
 
 
@@ -192,7 +191,7 @@ def test_a_surface_with_other_vertices_is_the_surface_of_those_vertices(seed: in
     np.testing.assert_array_equal(reused.bounds_m, fresh.bounds_m)
     np.testing.assert_allclose(reused.pseudo_normals(), fresh.pseudo_normals(), atol=1e-12)
     grid = Grid.over_box(turned.min(0) - 0.2, turned.max(0) + 0.2, (12, 13, 14))
-    fields = [MeshScene.of_surface(mended(s, "leave")).field(0, grid, law(0.3)) for s in (reused, fresh)]
+    fields = [MeshScene(mended(s, "leave")).field(0, grid, law(0.3)) for s in (reused, fresh)]
     np.testing.assert_allclose(dense(fields[0]), dense(fields[1]), atol=1e-6)
 
 

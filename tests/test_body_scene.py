@@ -14,8 +14,8 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import Body, Scene
 from touchfield.sources.shapes import Box, Plane, Sphere, Superquadric
 

@@ -30,8 +30,7 @@ from touchfield.filters import (
 )
 from touchfield.filters.resample import axis_weights, grid_weights, low_pass
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.sources.laws import LawSpec, profile_of
-from touchfield.sources.profile import ForceProfile
+from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES, Scene
 
 Forces = Callable[[NDArray[np.float64], ForceProfile], NDArray[np.float64]]

@@ -16,8 +16,8 @@ from touchfield.medium import ForceField, Grid
 from touchfield.sources.depth_layouts import depth_scene
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.fused_scene import FusedScene, FusedVolume, stands
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.profile import ForceProfile
 
 WALL = ForceProfile(((-0.18, 0.0, 0.0, -18.0),))
 STILL = np.tile(np.eye(4), (12, 1, 1))

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from gltf_makers import CUBE, CUBE_FACES, Gltf, everything, glb, moving_cube
 from touchfield.sources.animated_mesh import KIND
-from touchfield.sources.gltf.document import Document, members_of
-from touchfield.sources.gltf.model import Model
-from touchfield.sources.gltf.nodes import Sampler
+from touchfield.sources.gltf_document import Document, members_of
+from touchfield.sources.gltf_model import Model, Sampler
 
 TRIANGLE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
 
@@ -27,7 +26,7 @@ def at(model: Model, times: list[float], animation: int | None = 0) -> np.ndarra
 
 
 def floats(gltf: Gltf, number: int, kind: str, tmp_path: Path) -> np.ndarray:
-    return Document(gltf.save(tmp_path / "a.gltf")).floats(number, kind)
+    return Document(gltf.save(tmp_path / "a.gltf")).array(number, kind)
 
 
 # -- bytes ---------------------------------------------------------------------------------------------------------

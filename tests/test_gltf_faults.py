@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from gltf_makers import CUBE, Gltf, everything, glb, moving_cube
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.sources.animated_mesh import KIND, AnimatedMeshScene
-from touchfield.sources.gltf.document import Document
+from touchfield.sources.gltf_document import Document
 from touchfield.sources.options import SourceOptions
 
 Change = Callable[[dict[str, Any]], Any]
@@ -201,9 +201,9 @@ def test_many_accessors_of_the_same_bytes_cannot_ask_for_much_memory(tmp_path: P
     for _ in range(100):
         gltf.put("accessors", bufferView=view, count=1 << 16, componentType=5121, type="SCALAR")
     accessors = Document(gltf.save(tmp_path / "many.gltf"))
-    assert accessors.floats(0, "SCALAR").shape == (1 << 16, 1)
+    assert accessors.array(0, "SCALAR").shape == (1 << 16, 1)
     with pytest.raises(SourceError, match=r"accessors\[\d+\]: found \d+ elements asked of \d+ bytes"):
-        list(map(accessors.floats, range(100), ["SCALAR"] * 100))
+        list(map(accessors.array, range(100), ["SCALAR"] * 100))
 
 
 def test_buffers_at_fault(tmp_path: Path) -> None:

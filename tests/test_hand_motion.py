@@ -7,17 +7,20 @@ from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
-from touchfield.perception.hand_motion import SlideMeter, SlideSpec, margin_of, slides
-from touchfield.perception.human import THIRDS_HZ, vibration_threshold, vibration_thresholds
-from touchfield.perception.slides import (
+from touchfield.perception.hand_motion import (
     MARGIN_S,
+    SlideMeter,
+    SlideSpec,
     in_band,
     level_of,
+    margin_of,
     points_on_surface,
     slide_m,
+    slides,
     surface_walks,
     third_octave_power,
 )
+from touchfield.perception.human import THIRDS_HZ, vibration_threshold, vibration_thresholds
 
 RATE_HZ = 1000.0
 RADIUS_M, STIFFNESS = 0.02, 500.0

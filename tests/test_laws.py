@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
-from touchfield.sources.laws import LAWS, LawSpec, profile_of
-from touchfield.sources.profile import ForceProfile
+from touchfield.sources.laws import LAWS, ForceProfile, LawSpec, profile_of
 
 stiffness = st.floats(10, 1e4)
 force_max = st.floats(0.1, 40)

@@ -14,9 +14,8 @@ from scipy import ndimage, signal
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
-from touchfield.perception.human import figure, human
+from touchfield.perception.human import figure
 from touchfield.perception.mask import (
-    SITE_WEBER_FIGURES,
     SpatialMasking,
     body_mask_n,
     mask_n,
@@ -154,29 +153,20 @@ def test_an_empty_field_has_no_masks() -> None:
 # -- of arrays and sites ----------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40)
-@given(st.tuples(st.integers(1, 9), st.integers(1, 9)).filter(lambda s: max(s) > 1), st.integers(0, 99))
-def test_an_array_is_its_sites(shape: tuple[int, int], seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    levels, k = rng.exponential(size=(2, *shape)), rng.uniform(0, 0.3, shape)
-    masking = SpatialMasking(0.1, 0.05, 0.3, 0.035)
-    pitch = (0.015, 0.01)
-    places = np.stack(np.meshgrid(*[p * np.arange(n) for p, n in zip(pitch, shape, strict=True)], indexing="ij"), -1)
-    weights = site_weights(places.reshape(-1, 2), [0.035] * math.prod(shape))
-    hidden = (levels.reshape(2, -1) @ weights.T).reshape(levels.shape)
-    assert masking.array_mask_n(levels, pitch, k) == pytest.approx(np.maximum(0.05, k * levels + 0.3 * hidden))
-    made = masking.array_mask_n(levels, pitch)
-    assert made == pytest.approx(np.maximum(0.05, 0.1 * levels + 0.3 * hidden))
-    assert body_mask_n(levels.reshape(2, -1), places.reshape(-1, 2), [masking] * math.prod(shape)) == pytest.approx(
-        made.reshape(2, -1)
-    )
+def array_mask_n(
+    masking: SpatialMasking, levels: NDArray[np.float64], pitch: tuple[float, float]
+) -> NDArray[np.float64]:
+    """The mask of an array of actuators [N, M]: its places are the sites."""
+    along = [p * np.arange(n) for p, n in zip(pitch, levels.shape, strict=True)]
+    places = np.stack(np.meshgrid(*along, indexing="ij"), -1)
+    return body_mask_n(levels.reshape(-1), places.reshape(-1, 2), [masking] * levels.size).reshape(levels.shape)
 
 
 def test_a_field_one_sample_deep_is_an_array_away_from_its_border() -> None:
     grid = Grid((30, 40, 1), (0.01, 0.012, 0.01), (0.0, 0.0, 0.0))
     field = noise(grid, 4, 0.5)
     masking = SpatialMasking(0.07, 0.01, 0.5, 0.03)
-    plane = masking.array_mask_n(amplitudes(field)[..., 0], (0.01, 0.012))
+    plane = array_mask_n(masking, amplitudes(field)[..., 0], (0.01, 0.012))
     made = dense(field, masking.field_mask_n(field))[..., 0]
     assert made[3:-3, 2:-2] == pytest.approx(plane[3:-3, 2:-2], rel=1e-6)
     assert (made <= plane * (1 + 1e-6)).all()  # beyond the border the field has silence, the array nothing
@@ -185,14 +175,14 @@ def test_a_field_one_sample_deep_is_an_array_away_from_its_border() -> None:
 @given(arrays(np.float64, (4, 3), elements=st.floats(0, 10)), st.integers(0, 11), st.floats(0, 5))
 def test_arrays_keep_the_laws(levels: NDArray[np.float64], one: int, more: float) -> None:
     masking, plain = SpatialMasking(0.1, 0.02, 0.4, 0.025), SpatialMasking(0.1, 0.02)
-    made = masking.array_mask_n(levels, (0.01, 0.01))
-    assert np.array_equal(plain.array_mask_n(levels, (0.01, 0.01)), mask_n(levels, 0.1, 0.02))
+    made = array_mask_n(masking, levels, (0.01, 0.01))
+    assert np.array_equal(array_mask_n(plain, levels, (0.01, 0.01)), mask_n(levels, 0.1, 0.02))
     assert (made >= mask_n(levels, 0.1, 0.02)).all()
     louder = levels.copy()
     louder.flat[one] += more
-    assert (masking.array_mask_n(louder, (0.01, 0.01)) >= made).all()
+    assert (array_mask_n(masking, louder, (0.01, 0.01)) >= made).all()
     twice = SpatialMasking(0.1, 0.04, 0.4, 0.025)
-    assert np.array_equal(twice.array_mask_n(2 * levels, (0.01, 0.01)), 2 * made)
+    assert np.array_equal(array_mask_n(twice, 2 * levels, (0.01, 0.01)), 2 * made)
 
 
 def test_weights_of_sites() -> None:
@@ -212,7 +202,6 @@ def test_body_sites_have_their_own_figures() -> None:
     assert SpatialMasking(0.1).radius_m == 0.0025
     forearm = SpatialMasking.at_site("forearm", k=0.2, f0_n=0.1)
     assert forearm == SpatialMasking(0.2, 0.1, 0.0, 0.035)
-    assert set(SITE_WEBER_FIGURES) <= set(human()["two_point_threshold_mm"].of)
     with pytest.raises(InvalidArgument, match="Weber fraction"):
         SpatialMasking.at_site("forearm")
     with pytest.raises(InvalidArgument, match="finger, palm"):
@@ -252,14 +241,10 @@ def test_a_radius_that_does_not_fit_the_lattice() -> None:
         SpatialMasking(0.1, beta=0.1, radius_m=0.0009).field_mask_n(field)
     with pytest.raises(InvalidArgument, match="at most 64 samples"):
         SpatialMasking(0.1, beta=0.1, radius_m=0.066).field_mask_n(field)
-    with pytest.raises(InvalidArgument, match="radius_m"):
-        SpatialMasking(0.1, beta=0.1).array_mask_n(np.ones((3, 3)), (0.01, 0.01))
     column = noise(Grid((1, 1, 9), (0.001, 0.001, 0.01), (0.0, 0.0, 0.0)), 1, 0.9)
     masking = SpatialMasking(0.1, beta=0.1, radius_m=0.005)
     with pytest.raises(InvalidArgument, match=r"at least the distance between neighbours, 0\.01 m"):
         masking.field_mask_n(column)
-    with pytest.raises(InvalidArgument, match=r"at least the distance between neighbours, 0\.01 m"):
-        masking.array_mask_n(np.ones((1, 9)), (0.001, 0.01))
 
 
 @pytest.mark.parametrize("radius_m", [0.0001, 0.005, 1.0])
@@ -267,33 +252,21 @@ def test_one_sample_alone_has_the_plain_mask(radius_m: float) -> None:
     masking, plain = SpatialMasking(0.1, 0.02, 0.5, radius_m), SpatialMasking(0.1, 0.02)
     lone = ForceField.from_dense(Grid((1, 1, 1), (0.001,) * 3, (0.0,) * 3), np.full((1, 1, 1, 3), 3.0))
     assert np.array_equal(masking.field_mask_n(lone), plain.field_mask_n(lone))
-    levels = np.array([[[0.1]], [[4.0]]])
-    made = masking.array_mask_n(levels, (0.001, 0.001))
-    assert np.array_equal(made, mask_n(levels, 0.1, 0.02))
+    assert np.array_equal(body_mask_n([[0.1], [4.0]], [[0.0]], [masking]), mask_n([[0.1], [4.0]], 0.1, 0.02))
 
 
-def test_arrays_and_sites_that_do_not_fit() -> None:
+def test_sites_that_do_not_fit() -> None:
     masking = SpatialMasking(0.1, beta=0.1, radius_m=0.02)
-    for levels in (np.ones(3), np.array([[1.0, math.nan]]), np.array([[1.0, -1.0]]), np.zeros((0, 3))):
+    for levels in (1.0, np.ones(3), np.array([[1.0, math.nan]]), np.array([[1.0, -1.0]]), np.zeros((0, 3))):
         with pytest.raises(InvalidArgument, match="amplitudes_n"):
-            masking.array_mask_n(levels, (0.01, 0.01))
-    for pitch in ((0.0, 0.01), (0.01, math.nan), (0.01,), 0.001, None, "ab", (0.01, [0.01])):
-        with pytest.raises(InvalidArgument, match="pitch_m"):
-            masking.array_mask_n(np.ones((3, 3)), pitch)
+            body_mask_n(levels, [[0.0], [0.01]], [masking] * 2)
     ragged = [[1.0, 2.0], [3.0]]
-    with pytest.raises(InvalidArgument, match="amplitudes_n: found what is no array of numbers"):
-        masking.array_mask_n(ragged, (0.01, 0.01))
-    with pytest.raises(InvalidArgument, match="k: found what is no array of numbers"):
-        masking.array_mask_n(np.ones((2, 2)), (0.01, 0.01), ragged)
     with pytest.raises(InvalidArgument, match="amplitudes_n: found what is no array of numbers"):
         body_mask_n(ragged, [[0.0], [0.01]], [masking] * 2)
     with pytest.raises(InvalidArgument, match="positions_m: found what is no array of numbers"):
         body_mask_n([1.0, 2.0], ragged, [masking] * 2)
     with pytest.raises(InvalidArgument, match="radii_m: found what is no array of numbers"):
         site_weights([[0.0], [1.0]], ragged)
-    for k in (np.ones((2, 3)), -0.1, math.nan):
-        with pytest.raises(InvalidArgument, match="k:"):
-            masking.array_mask_n(np.ones((3, 3)), (0.01, 0.01), k)
     with pytest.raises(InvalidArgument, match="one for each site"):
         body_mask_n([1.0, 2.0], [[0.0], [1.0]], [masking])
     with pytest.raises(InvalidArgument, match="radii_m"):

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from test_mesh_scene import segment_distance
 from touchfield.errors import InvalidArgument
 from touchfield.medium import Grid
-from touchfield.sources.mesh_holes import HOLES
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.profile import ForceProfile
+from touchfield.sources.mesh_surface import HOLES
 
 WALL_M = 0.25
 LAW = ForceProfile(((-WALL_M, 0.0, 0.0, -12.0),))

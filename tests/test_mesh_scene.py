@@ -17,11 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import Grid
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh import KIND, read_triangles
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import joined
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.profile import ForceProfile
 
 Mesh = tuple[np.ndarray, np.ndarray]
 CUBE_FACES = np.array(

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from test_mesh_scene import Mesh, all_points, cube, distance_to, inverted, measured, together
 from touchfield.medium import Grid
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene, union_of
 from touchfield.sources.mesh_surface import Surface
-from touchfield.sources.profile import ForceProfile
 
 SOLID = ForceProfile(((-math.inf, 0.0, 0.0, -1.0),))
 

@@ -141,8 +141,8 @@ def test_scene_1_of_the_paper(name: str, count: int) -> None:
 def test_energy_falls(tmp_path: Path) -> None:
     import mujoco
 
-    from touchfield.sources.physics_model import model_of
-    from touchfield.sources.physics_table import read_physics
+    from touchfield.sources.physics import read_physics
+    from touchfield.sources.simulation import model_of
 
     path = Path(sys.modules["touchfield.sources"].__path__[0]) / "scenes" / "falling-4.toml"
     model, ids, _ = model_of(mujoco, read_physics(path), {}, "scene")

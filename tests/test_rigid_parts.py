@@ -13,7 +13,7 @@ from touchfield.job.prepare import prepare
 from touchfield.medium import Grid
 from touchfield.sources.animated_mesh import AnimatedMeshScene
 from touchfield.sources.body_scene import BodyScene
-from touchfield.sources.profile import ForceProfile
+from touchfield.sources.laws import ForceProfile
 
 
 def small_rig(path: Path, rigid: bool = True) -> AnimatedMeshScene:

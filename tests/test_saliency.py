@@ -13,11 +13,10 @@ from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import Grid
 from touchfield.sources import moving_pictures, saliency
-from touchfield.sources.laws import LawSpec, profile_of
+from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
 from touchfield.sources.moving_pictures import PictureFiles, StillOrAnimated
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import MAX_PIXELS
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import open_source
 from touchfield.sources.saliency import SaliencyMaps, SaliencyModel, SaliencyScene
 from video_makers import write_video

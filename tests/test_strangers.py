@@ -336,7 +336,7 @@ def test_a_fault_within_mujoco_is_a_source_error(tmp_path: Path, monkeypatch: py
     def stops(*_: object) -> None:
         raise mujoco.FatalError("mju_makeFrame: xaxis of contact frame undefined")
 
-    monkeypatch.setattr("touchfield.sources.physics_model._overlaps", stops)
+    monkeypatch.setattr("touchfield.sources.simulation._overlaps", stops)
     path = tmp_path / "scene.toml"
     path.write_text(PHYSICS.format(physics="", kind="sphere", body="radius_m = 0.1"))
     with pytest.raises(SourceError, match="xaxis of contact frame"):

@@ -24,8 +24,8 @@ from touchfield.sources import capture
 from touchfield.sources.camera import CodedSequence, DepthCode, StoredFrame
 from touchfield.sources.capture import CapturedSequence, CaptureEnd, GrowingFolder, PipedPictures, captured
 from touchfield.sources.fused_scene import FusedScene
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.profile import ForceProfile
 from touchfield.stream.live import LiveSegment, messages, write_message
 
 OPTIONS = SourceOptions(intrinsics="60,60,31.5,23.5", depth_scale=1000.0, source_rate_hz=50.0, world="causal")

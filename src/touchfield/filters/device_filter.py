@@ -38,7 +38,7 @@ from touchfield.medium.placement import Placement
 if TYPE_CHECKING:
     from touchfield.devices import Device
     from touchfield.sources.analytic_scene import AnalyticScene
-    from touchfield.sources.profile import ForceProfile
+    from touchfield.sources.laws import ForceProfile
     from touchfield.sources.scene import Scene
 
 NW_RANGE: Final = (3, 10)

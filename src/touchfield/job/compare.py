@@ -27,7 +27,7 @@ from touchfield.stream.opened import OpenStream, open_stream
 
 if TYPE_CHECKING:
     from touchfield.job.prepare import Prepared
-    from touchfield.perception.slides import Forces
+    from touchfield.perception.hand_motion import Forces
 
 
 _SLIDE_FRAMES: Final = 4

@@ -19,7 +19,7 @@ from touchfield.sources.registry import unit_notes
 if TYPE_CHECKING:
     from touchfield.devices import Device
     from touchfield.job.spec import EncodeSpec
-    from touchfield.sources.profile import ForceProfile
+    from touchfield.sources.laws import ForceProfile
     from touchfield.sources.scene import Scene
 
 

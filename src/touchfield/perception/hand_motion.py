@@ -2,8 +2,14 @@
 
 A mask bounds the error of each sample. A hand that moves meets one sample after another, so that an error that
 differs from one to the next becomes vibration: e(t) = F_decoded(x(t)) - F_source(x(t)), both interpolated as the
-receiver does, along seeded paths at three speeds, in the band from 40 to 400 Hz (`slides`). Beside it stand what the
-source itself has in that band, and what its lattice adds to the field that it samples, where that is known.
+receiver does, along seeded paths at three speeds, in the band from 40 to 400 Hz (Butterworth of order 4, forwards
+and backwards; thirds of an octave: the power of a Hann window's spectrum). Beside it stand what the source itself has
+in that band, and what its lattice adds to the field that it samples, where that is known.
+
+A path starts at a random sample of the support and is brought to the level |F| = 1 N along the force, then steps
+along the surface by one spacing at a time and is brought back each time; its direction turns at random where the
+surface ends. Of these points one every 50 ms is kept, and a cubic spline runs through them, so that the path itself
+holds next to nothing above 20 Hz.
 
 Where nothing moves the source makes no step; a coder whose errors differ from frame to frame does. Points are seeded
 on the surface of a frame and held until the next points are, and the force at each is kept for source, for what a
@@ -14,31 +20,191 @@ blended linearly up to 1000 samples a second, as the receiver does. Nothing here
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.arrays import Bools, Float64s
+from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.perception.human import THIRDS_HZ, VibrationThreshold, vibration_threshold
-from touchfield.perception.slides import LEAST_S, MARGIN_S, BandSums, points_on_surface, slide_m, surface_walks
 
 if TYPE_CHECKING:
     from touchfield.medium import ForceField
-    from touchfield.perception.slides import Forces
+
+Forces = Callable[["Float64s"], "NDArray[Any]"]
+"""``forces(points_m [n, 3]) -> newtons [n, 3]``: what a hand meets, for example `ForceField.sample_n`."""
 
 SPEEDS_MM_S: Final = (50.0, 100.0, 200.0)
 
 STILL_N: Final = 1e-3
 """A source that changes by no more than this makes no step, newtons."""
 
+BAND_HZ: Final = (40.0, 400.0)
+LEVEL_N: Final = 1.0
+MARGIN_S: Final = 0.1  # filtered and not counted, on either side: the slowest pole has fallen to 1e-4
+LEAST_S: Final = 0.25  # a signal shorter than this, its margins beside, is not measured
+
+_KNOT_S: Final = 0.05
+_TRIES: Final = 32  # candidates for each start that is asked for
+_TURNS: Final = 24  # directions that a path tries where the surface ends
 _PARTS: Final = 4
 _PART_S: Final = 0.5
 _MOST_FRAMES: Final = 4096
 _SERVO_HZ: Final = 1000.0
 
 
+# -- paths ---------------------------------------------------------------------------------------------------
+class SurfaceWalks(NamedTuple):
+    """Points along the surface, one spacing apart."""
+
+    points_m: Float64s  # float64 [steps, walks, 3]
+    steps: Int64s  # int64 [walks]; points that each walk has; those beyond stand still
+    step_m: float
+
+
+def level_of(field: ForceField) -> float:
+    """The force at which a hand slides, newtons: 1 N, or half the largest of the field where that is less."""
+    square = (field.forces_n.astype(np.float64) ** 2).sum(axis=-1).max(initial=0.0)
+    return min(LEVEL_N, float(np.sqrt(square)) / 2)
+
+
+def points_on_surface(field: ForceField, count: int, rng: np.random.Generator) -> Float64s:
+    """Up to `count` random points at the level, metres, float64 [n, 3]; none where no sample leads to one."""
+    positions = field.positions()
+    if not len(positions):
+        return np.zeros((0, 3))
+    chosen = positions[rng.integers(len(positions), size=_TRIES * count)]
+    start_m = field.grid.to_m(chosen + rng.uniform(-0.25, 0.25, chosen.shape))
+    points_m, met = _to_level(field, start_m, level_of(field), 48)
+    return points_m[met][:count]
+
+
+def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random.Generator) -> SurfaceWalks:
+    """Walk along the surface from `count` random points, `length_m` each; one that finds no way on is shorter."""
+    level, step_m = level_of(field), min(field.grid.spacing_m)
+    at = points_on_surface(field, count, rng)
+    steps = max(1, round(length_m / step_m)) + 1
+    points = np.empty((steps, len(at), 3))
+    points[0] = at
+    done = np.ones(len(at), np.int64)
+    heading = rng.normal(size=at.shape)
+    stuck = np.zeros(len(at), np.int64)
+    while len(at) and (going := np.flatnonzero((done < steps) & (stuck < _TURNS))).size:
+        here = points[done[going] - 1, going]
+        normal = _unit(field.sample_n(here).astype(np.float64))
+        ahead = _unit(heading[going] - (heading[going] * normal).sum(axis=1, keepdims=True) * normal)
+        found, met = _to_level(field, here + step_m * ahead, level, 6)
+        moved = np.linalg.norm(found - here, axis=1)
+        met &= (moved > 0.5 * step_m) & (moved < 2 * step_m)
+        points[done[going][met], going[met]] = found[met]
+        heading[going] = np.where(met[:, None], ahead, rng.normal(size=ahead.shape))
+        done[going] += met
+        stuck[going] = np.where(met, 0, stuck[going] + 1)
+    for walk, last in enumerate(done):
+        points[last:, walk] = points[last - 1, walk]
+    return SurfaceWalks(points, done, step_m)
+
+
+def slide_m(walks: SurfaceWalks, walk: int, speed_m_per_s: float, duration_s: float, rate_hz: float) -> Float64s:
+    """Where a hand is that slides along one walk, metres, float64 [samples, 3]; none of a walk below four knots."""
+    from scipy.interpolate import CubicSpline
+
+    per_step_s = walks.step_m / speed_m_per_s
+    knots_s = np.arange(0.0, min(duration_s, (walks.steps[walk] - 1) * per_step_s) + 1e-9, _KNOT_S)
+    if len(knots_s) < 4:
+        return np.zeros((0, 3))
+    index = knots_s / per_step_s
+    low = np.minimum(index.astype(np.int64), walks.steps[walk] - 2)
+    share = (index - low)[:, None]
+    points = (1 - share) * walks.points_m[low, walk] + share * walks.points_m[low + 1, walk]
+    return np.asarray(CubicSpline(knots_s, points)(np.arange(0.0, knots_s[-1], 1 / rate_hz)))
+
+
+def _to_level(field: ForceField, points_m: Float64s, level_n: float, rounds: int) -> tuple[Float64s, Bools]:
+    """Points moved along the force to where it is `level_n`; where that came within 2 %."""
+    most_m = 0.5 * min(field.grid.spacing_m)
+    points = points_m.copy()
+    for _ in range(rounds):
+        forces = field.sample_n(points).astype(np.float64)
+        size = np.linalg.norm(forces, axis=1)
+        outwards = _unit(forces)
+        deeper = np.linalg.norm(field.sample_n(points - most_m * outwards), axis=1)
+        per_m = np.maximum((deeper - size) / most_m, 1e-9)  # in a saturated depth the way out is the only one
+        points -= outwards * np.clip((level_n - size) / per_m, -most_m, most_m)[:, None]
+    forces = field.sample_n(points).astype(np.float64)
+    return points, np.abs(np.linalg.norm(forces, axis=1) - level_n) <= 0.02 * level_n
+
+
+def _unit(vectors: Float64s) -> Float64s:
+    size = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
+
+
+# -- what lies in the band -------------------------------------------------------------------------------------
+def in_band(signal: Float64s, rate_hz: float) -> Float64s:
+    """The part of a signal [samples, ...] from 40 to 400 Hz, without its margins, float64 [samples - 2 margin, ...].
+
+    Raises `InvalidArgument` if the rate is below 1000 samples a second or the signal too short.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    margin = round(MARGIN_S * rate_hz)
+    _check(len(signal) - 2 * margin, rate_hz)
+    sections = butter(4, BAND_HZ, "bandpass", fs=rate_hz, output="sos")
+    filtered: Float64s = sosfiltfilt(sections, signal, axis=0)
+    return filtered[margin : len(signal) - margin]
+
+
+def third_octave_power(signal: Float64s, rate_hz: float) -> Float64s:
+    """Mean square of a signal [samples, components] in each third of `THIRDS_HZ`, components added, float64 [11]."""
+    n = len(signal)
+    _check(n, rate_hz)
+    window = np.hanning(n)
+    power = np.abs(np.fft.rfft(window[:, None] * (signal - signal.mean(axis=0)), axis=0)) ** 2
+    power = 2 * power.sum(axis=1) / (n * (window**2).sum())
+    frequency_hz = np.fft.rfftfreq(n, 1 / rate_hz)
+    edges = np.searchsorted(frequency_hz, np.outer(THIRDS_HZ, [10**-0.05, 10**0.05]))
+    return np.array([power[a:b].sum() for a, b in edges])
+
+
+def _check(samples: int, rate_hz: float) -> None:
+    if not rate_hz >= _SERVO_HZ:
+        raise InvalidArgument("rate_hz", repr(rate_hz), f"{_SERVO_HZ:g} or more")
+    if samples < LEAST_S * rate_hz:
+        raise InvalidArgument("signal", f"{samples / rate_hz:.3g} s", f"{LEAST_S:g} s or more")
+
+
+class BandSums:
+    """Signals of some kinds from 40 to 400 Hz: sums of squares, peaks, and thirds of an octave by weight."""
+
+    def __init__(self, kinds: int) -> None:
+        self.samples, self._power, self._peak, self._weight = np.zeros((4, kinds))
+        self._thirds = np.zeros((kinds, len(THIRDS_HZ)))
+
+    def add(self, kind: int, signal: Float64s, rate_hz: float, weight: int = 0) -> None:
+        """Count a signal in newtons [samples, 3]; a `weight` of 0 leaves its thirds out."""
+        squares = (in_band(signal, rate_hz) ** 2).sum(axis=1)
+        self.samples[kind] += len(squares)
+        self._power[kind] += squares.sum()
+        self._peak[kind] = max(self._peak[kind], squares.max())
+        if weight:
+            self._weight[kind] += weight
+            self._thirds[kind] += weight * third_octave_power(signal, rate_hz)
+
+    def mn(self, kind: int) -> tuple[float, float]:
+        """Rms and largest, millinewtons."""
+        power = self._power[kind] / max(1, self.samples[kind])
+        return 1e3 * math.sqrt(power), 1e3 * math.sqrt(self._peak[kind])
+
+    def thirds_mn(self, kind: int) -> Float64s:
+        """Rms in each third of an octave, millinewtons."""
+        return np.asarray(1e3 * np.sqrt(self._thirds[kind] / max(1, self._weight[kind])))
+
+
+# -- a hand that slides ------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class SlideSpec:
     """The slides to measure."""
@@ -125,14 +291,13 @@ class SlideMeter:
 
     def slides(self) -> tuple[Slide, ...]:
         """The results, one for each speed."""
-        return tuple(self._slide(speed, total) for speed, total in self._sums.items())
-
-    def _slide(self, speed: float, total: BandSums) -> Slide:
-        error, source, lattice = (total.mn(kind) for kind in range(3))
-        return Slide(
-            speed, self._paths[speed], float(total.samples[0]) / self._spec.rate_hz, *error, *source,
-            lattice[0] if total.samples[2] else None, total.thirds_mn(0), total.thirds_mn(1),
-        )  # fmt: skip
+        results = []
+        for speed, total in self._sums.items():
+            error, source, lattice = (total.mn(kind) for kind in range(3))
+            seconds = float(total.samples[0]) / self._spec.rate_hz
+            lattice_mn, thirds = lattice[0] if total.samples[2] else None, (total.thirds_mn(0), total.thirds_mn(1))
+            results.append(Slide(speed, self._paths[speed], seconds, *error, *source, lattice_mn, *thirds))
+        return tuple(results)
 
 
 def slides(
@@ -144,6 +309,7 @@ def slides(
     return meter.slides()
 
 
+# -- both, and a hand that holds still -----------------------------------------------------------------------------
 @dataclass(frozen=True)
 class HandMotion:
     """Decoded less source as a hand feels it that moves, and (but for a single frame) as one that holds still."""
@@ -163,10 +329,9 @@ class HandMotion:
     @property
     def margin(self) -> Margin:
         """The least margin to the threshold, over slides and hold."""
-        every = [margin_of(part.error_thirds_mn, self.threshold) for part in self.slides]
-        if self.hold is not None:
-            every.append(margin_of(self.hold.error_thirds_mn, self.threshold))
-        return min(every, default=Margin(math.inf, THIRDS_HZ[0]))
+        parts: list[Slide | Hold] = [*self.slides, *([self.hold] if self.hold is not None else [])]
+        margins = (margin_of(part.error_thirds_mn, self.threshold) for part in parts)
+        return min(margins, default=Margin(math.inf, THIRDS_HZ[0]))
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; a figure is None where nothing was measured."""

@@ -12,16 +12,15 @@ distance within which two points are felt as one; the cut at a cube lets the sum
 figure: it is 0 by default, which is the plain mask to the last bit.
 
 In a field the j are all the samples around, and space without a force counts as a stimulus of 0 N, beyond the grid
-too. Of an array or of body sites there are only those that exist, and the weights are shared among them.
+too. Of body sites, or the actuators of an array, there are only those that exist; the weights are shared among them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Real
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -73,12 +72,7 @@ def mask_n(amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0, *, masking_n: A
 
 
 def violations(
-    original_n: Float32s,
-    decoded_n: Float32s,
-    k: float,
-    f0_n: float = 0.0,
-    *,
-    masking_n: ArrayLike = 0.0,
+    original_n: Float32s, decoded_n: Float32s, k: float, f0_n: float = 0.0, *, masking_n: ArrayLike = 0.0
 ) -> Violations:
     """Compare two fields sample by sample, in float64.
 
@@ -106,15 +100,8 @@ def violations(
     return Violations(count, share, None if beyond else worst)
 
 
-SITE_WEBER_FIGURES: Final[Mapping[str, str]] = MappingProxyType({"finger": "force_weber_fraction"})
-"""Body sites whose Weber fraction of force ``human.toml`` knows, and the name of that figure."""
-
 MAX_REACH: Final = 64
 MAX_SITES: Final = 4096
-
-
-def _finger_radius_m() -> float:
-    return figure("two_point_threshold_mm") / 1000
 
 
 def site_radius_m(site: str) -> float:
@@ -137,7 +124,7 @@ class SpatialMasking:
     f0_n: float = 0.0  # absolute threshold F_0, 0 or more
     beta: float = 0.0  # how much of the mean stimulus around is hidden here, 0 or more; no agreed figure
     # R, positive; by default the two-point threshold of a finger, 2.5 mm
-    radius_m: float = field(default_factory=_finger_radius_m)
+    radius_m: float = field(default_factory=lambda: figure("two_point_threshold_mm") / 1000)
 
     def __post_init__(self) -> None:
         for name in ("k", "f0_n", "beta", "radius_m"):
@@ -156,9 +143,9 @@ class SpatialMasking:
         Raises `InvalidArgument` if there is no such site, or no figure for its Weber fraction and `k` is not given.
         """
         radius_m = site_radius_m(site)
-        if k is None and site not in SITE_WEBER_FIGURES:
+        if k is None and site != "finger":
             raise InvalidArgument("k", "none", f"a Weber fraction: there is no figure for {site!r}")
-        return cls(figure(SITE_WEBER_FIGURES[site]) if k is None else k, f0_n, beta, radius_m)
+        return cls(figure("force_weber_fraction") if k is None else k, f0_n, beta, radius_m)
 
     def hidden_n(self, field: ForceField) -> Float32s:
         """Beta times the mean of |F| around, at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]."""
@@ -174,42 +161,26 @@ class SpatialMasking:
         if not self.beta or max(field.grid.shape) == 1 or not len(levels):
             return mask_n(levels, self.k, self.f0_n).astype(np.float32)
         grid = field.grid
-        factors = [_factors(self.radius_m, h, n > 1) for h, n in zip(grid.spacing_m, grid.shape, strict=True)]
-        reach = [len(row) - 1 for row in factors]
+        reach = [
+            math.floor(min(self.radius_m / spacing_m * (1 + 1e-9), 1e9)) if count > 1 else 0
+            for spacing_m, count in zip(grid.spacing_m, grid.shape, strict=True)
+        ]
+        if max(reach) > MAX_REACH:
+            found = f"{self.radius_m:g}, {max(reach)} samples"
+            raise InvalidArgument("radius_m", found, f"at most {MAX_REACH} samples")
         if not any(reach):
-            raise _no_neighbour(self.radius_m, grid.spacing_m, grid.shape)
+            nearest_m = min(h for h, n in zip(grid.spacing_m, grid.shape, strict=True) if n > 1)
+            expected = f"at least the distance between neighbours, {nearest_m:g} m"
+            raise InvalidArgument("radius_m", f"{self.radius_m:g}", expected, "Or take beta = 0.")
+        # exp(-2 d^2 / R^2) at 0, 1, .. samples along each axis
+        steps = zip(reach, np.array(grid.spacing_m) / self.radius_m)
+        factors = [np.exp(-2 * (np.arange(count + 1) * step) ** 2) for count, step in steps]
         share = self.beta / float(np.prod([2 * row.sum() - 1 for row in factors]) - 1)
         masks = np.empty(levels.shape, np.float32)
         for span, blocks in blocks_around(field, levels, field.bricks, reach, reach):
-            around = _neighbour_sums(blocks, factors)
-            hidden_n = around[(slice(None), *(slice(r, r + BRICK) for r in reach))] * share
+            hidden_n = _neighbour_sums(blocks, factors)[(slice(None), *(slice(r, r + BRICK) for r in reach))] * share
             masks[span] = mask_n(levels[span], self.k, self.f0_n, masking_n=hidden_n)
         return masks
-
-    def array_mask_n(
-        self, amplitudes_n: ArrayLike, pitch_m: tuple[float, float], k: ArrayLike | None = None
-    ) -> Float64s:
-        """Delta at the actuators of an array, newtons, float64 [..., N, M].
-
-        amplitudes_n : float [..., N, M]; |F| of each actuator, newtons; axes before the last two are frames.
-        pitch_m : (float, float); distance between neighbours along each axis, metres, positive.
-        k : float [N, M], optional; the Weber fraction of each actuator's site, in place of the one k.
-        Raises `InvalidArgument` if a number is out of range, or beta > 0 and R is below the pitch along each axis of
-        more than one.
-        """
-        levels = _levels(amplitudes_n, 2)
-        rows = levels.shape[-2:]
-        pitches = _numbers("pitch_m", pitch_m)
-        if pitches.shape != (2,) or not (np.isfinite(pitches) & (pitches > 0)).all():
-            raise InvalidArgument("pitch_m", repr(pitch_m), "two positive lengths in metres")
-        own = _weber_fractions(self.k if k is None else k, rows) * levels
-        if not self.beta or max(rows) == 1:
-            return mask_n(own, 1.0, self.f0_n)
-        both = [_factors(self.radius_m, p, n > 1)[:n] for p, n in zip(pitches.tolist(), rows, strict=True)]
-        if max(map(len, both)) == 1:
-            raise _no_neighbour(self.radius_m, pitches.tolist(), rows)
-        hidden_n = self.beta * (_neighbour_sums(levels, both) / _neighbour_sums(np.ones(rows), both))
-        return mask_n(own, 1.0, self.f0_n, masking_n=hidden_n)
 
 
 def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
@@ -244,9 +215,11 @@ def body_mask_n(amplitudes_n: ArrayLike, positions_m: ArrayLike, sites: Sequence
     sites : sequence of SpatialMasking; one for each, such as ``SpatialMasking.at_site("palm", k=0.1, beta=0.2)``.
     Raises `InvalidArgument` if a shape does not fit or a number is out of range.
     """
-    levels = _levels(amplitudes_n, 1)
-    if levels.shape[-1] != len(sites):
+    levels = _numbers("amplitudes_n", amplitudes_n)
+    if not levels.ndim or levels.shape[-1] != len(sites):
         raise InvalidArgument("amplitudes_n", f"shape {levels.shape}", f"[..., {len(sites)}], one for each site")
+    if not (np.isfinite(levels) & (levels >= 0)).all():
+        raise InvalidArgument("amplitudes_n", "a negative number or one that is not finite", "newtons, 0 or more")
     weights = site_weights(positions_m, [s.radius_m for s in sites])
     if len(weights) != len(sites):
         raise InvalidArgument("positions_m", f"{len(weights)} places", f"{len(sites)}, one for each site")
@@ -273,21 +246,6 @@ def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
     return others
 
 
-def _factors(radius_m: float, spacing_m: float, is_wide: bool) -> Float64s:
-    """exp(-2 d^2 / R^2) at 0, 1, .. samples along one axis, as far as R reaches."""
-    reach = math.floor(min(radius_m / spacing_m * (1 + 1e-9), 1e9)) if is_wide else 0
-    if reach > MAX_REACH:
-        raise InvalidArgument("radius_m", f"{radius_m:g}, {reach} samples", f"at most {MAX_REACH} samples")
-    return np.asarray(np.exp(-2 * (np.arange(reach + 1) * (spacing_m / radius_m)) ** 2))
-
-
-def _no_neighbour(radius_m: float, spacings_m: Sequence[float], counts: Sequence[int]) -> InvalidArgument:
-    nearest_m = min(h for h, n in zip(spacings_m, counts, strict=True) if n > 1)
-    return InvalidArgument(
-        "radius_m", f"{radius_m:g}", f"at least the distance between neighbours, {nearest_m:g} m", "Or take beta = 0."
-    )
-
-
 def _numbers(where: str, values: ArrayLike) -> Float64s:
     try:
         return np.asarray(values, np.float64)
@@ -298,21 +256,3 @@ def _numbers(where: str, values: ArrayLike) -> Float64s:
 def _amplitudes(forces_n: NDArray[Any]) -> Float64s:
     x, y, z = (forces_n[..., c].astype(np.float64) for c in range(3))
     return np.asarray(np.sqrt(x * x + y * y + z * z))
-
-
-def _levels(amplitudes_n: ArrayLike, axes: int) -> Float64s:
-    levels = _numbers("amplitudes_n", amplitudes_n)
-    if levels.ndim < axes or not levels.size:
-        raise InvalidArgument("amplitudes_n", f"shape {levels.shape}", f"at least {axes} axes, none of them empty")
-    if not (np.isfinite(levels) & (levels >= 0)).all():
-        raise InvalidArgument("amplitudes_n", "a negative number or one that is not finite", "newtons, 0 or more")
-    return levels
-
-
-def _weber_fractions(k: ArrayLike, shape: tuple[int, ...]) -> Float64s:
-    fractions = _numbers("k", k)
-    if fractions.ndim and fractions.shape != shape:
-        raise InvalidArgument("k", f"shape {fractions.shape}", f"one number, or {shape}")
-    if not (np.isfinite(fractions) & (fractions >= 0)).all():
-        raise InvalidArgument("k", "a negative number or one that is not finite", "Weber fractions, 0 or more")
-    return fractions

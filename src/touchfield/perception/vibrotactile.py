@@ -72,8 +72,7 @@ class Crossover:
     """A split of a signal into what lies below a frequency and what lies above, which add up to it again.
 
     The low-pass h is a windowed sinc of an odd number of taps (Hamming), of linear phase; the high-pass is the
-    impulse at its middle less h. Both are 6 dB down at `cutoff_hz` and in phase there. Causal they are late by
-    `delay_s`; `split` takes that off.
+    impulse at its middle less h. Both are 6 dB down at `cutoff_hz` and in phase there; `split` takes their delay off.
 
     Raises `InvalidArgument` if a number is not positive and finite, or the cut-off is half of `rate_hz` or more.
     """
@@ -88,11 +87,6 @@ class Crossover:
         if _TAPS * self.rate_hz / self.cutoff_hz > _MOST_TAPS:
             raise InvalidArgument("cutoff_hz", f"{self.cutoff_hz:g} Hz at {self.rate_hz:g} Hz", "a higher one")
 
-    @property
-    def delay_s(self) -> float:
-        """How late a causal run of either part is, seconds: (taps - 1) / 2 samples."""
-        return (len(self.low_taps) - 1) / 2 / self.rate_hz
-
     @cached_property
     def low_taps(self) -> Float64s:
         """h, float64 [taps], of sum 1."""
@@ -101,13 +95,6 @@ class Crossover:
         count = 2 * math.ceil(_TAPS * self.rate_hz / self.cutoff_hz / 2) + 1
         taps = firwin(count, self.cutoff_hz, fs=self.rate_hz)
         return np.asarray((taps + taps[::-1]) / 2)
-
-    @cached_property
-    def high_taps(self) -> Float64s:
-        """The impulse less h, float64 [taps]."""
-        taps = -self.low_taps
-        taps[len(taps) // 2] += 1.0
-        return taps
 
     def split(self, signal: ArrayLike) -> tuple[Float64s, Float64s]:
         """The low part and the high part, without delay, each float64 as `signal`, in its unit.
@@ -203,7 +190,7 @@ def band_rms(signal: ArrayLike, rate_hz: float) -> Float64s:
 
 @dataclass(frozen=True)
 class Stft:
-    """Spectra of frames, half of each shared with the next, that give the signal back.
+    """Spectra of frames, half of each shared with the next; the real ones give the signal back.
 
     A sine is the window before and after, whose squares add up to 1 (constant overlap-add); transforms keep energy,
     so that the squares of all coefficients, those between the ends counted twice, are those of the signal.
@@ -217,25 +204,9 @@ class Stft:
         if self.length < 4 or self.length % 4:
             raise InvalidArgument("length", repr(self.length), "samples, a multiple of 4")
 
-    @cached_property
-    def window(self) -> Float64s:
-        """float64 [length]."""
-        return np.asarray(np.sin(np.pi * (np.arange(self.length) + 0.5) / self.length))
-
     def spectra(self, signal: ArrayLike) -> NDArray[np.complex128]:
         """Coefficients, complex128 [frames, length / 2 + 1], of float [n]; `InvalidArgument` as of `dft321`."""
         return np.asarray(np.fft.rfft(self._frames(signal), axis=1, norm="ortho"))
-
-    def signal(self, spectra: NDArray[np.complex128], count: int) -> Float64s:
-        """The first `count` samples of the signal of these coefficients, float64 [count].
-
-        Raises `InvalidArgument` if the coefficients are not [frames, length / 2 + 1], or tell fewer samples.
-        """
-        hop = self.length // 2
-        if spectra.ndim != 2 or spectra.shape[1] != hop + 1 or not 0 < count <= (len(spectra) - 1) * hop:
-            found = f"shape {spectra.shape} for {count} samples"
-            raise InvalidArgument("spectra", found, f"[frames, {hop + 1}] that tell as many")
-        return self._joined(np.fft.irfft(spectra, self.length, axis=1, norm="ortho"), count)
 
     def real_spectra(self, signal: ArrayLike) -> Float64s:
         """As many coefficients as samples, float64 [frames, length / 2]: the modified discrete cosine transform.
@@ -253,19 +224,21 @@ class Stft:
         from scipy.fft import dct
 
         low, high = np.split(dct(coefficients, type=4, norm="ortho", axis=1), 2, axis=1)
-        return self._joined(np.concatenate([high, -high[:, ::-1], -low[:, ::-1], -low], axis=1), count)
+        own = np.concatenate([high, -high[:, ::-1], -low[:, ::-1], -low], axis=1) * self.window
+        hop, whole = self.length // 2, np.zeros((len(own) + 1) * self.length // 2)
+        whole[:-hop] += own[:, :hop].ravel()
+        whole[hop:] += own[:, hop:].ravel()
+        return whole[hop : hop + count]
+
+    @cached_property
+    def window(self) -> Float64s:
+        """float64 [length]."""
+        return np.asarray(np.sin(np.pi * (np.arange(self.length) + 0.5) / self.length))
 
     def _frames(self, signal: ArrayLike) -> Float64s:
         x, hop = _signal("signal", signal, ("[n]",)), self.length // 2
         wide = np.pad(x, (hop, hop + -len(x) % hop))
         return np.asarray(np.lib.stride_tricks.sliding_window_view(wide, self.length)[::hop] * self.window)
-
-    def _joined(self, frames: Float64s, count: int) -> Float64s:
-        hop, whole = self.length // 2, np.zeros((len(frames) + 1) * self.length // 2)
-        own = frames * self.window
-        whole[:-hop] += own[:, :hop].ravel()
-        whole[hop:] += own[:, hop:].ravel()
-        return whole[hop : hop + count]
 
 
 # -- what must be sent --------------------------------------------------------------------------------------------
@@ -313,11 +286,6 @@ class Reduced:
         """Bits for each second of the signal."""
         return self.bits * self.rate_hz / self.count
 
-    @property
-    def sent_share(self) -> float:
-        """Share of the coefficients that are not zero."""
-        return float((self.symbols != 0).mean())
-
     def decoded(self) -> Float64s:
         """The vibration, newtons, float64 [count]."""
         step = _steps(self.exponents)[_bands_of_bins(self.length, self.rate_hz)]
@@ -335,14 +303,6 @@ def _steps(exponents: NDArray[np.int16]) -> Float64s:
 def _bands_of_bins(length: int, rate_hz: float) -> Int64s:
     """The band of each bin; the same for a receiver."""
     return np.searchsorted(_edges(rate_hz), (np.arange(length // 2) + 0.5) * rate_hz / length, side="right")
-
-
-def _limits_n(threshold: VibrationThreshold, rate_hz: float, margin_db: float) -> Float64s:
-    """Bounds of the error in each band, newtons rms: the least of the threshold within it, less the margin."""
-    edges = _edges(rate_hz)
-    inside = edges[:, None] * 10 ** np.linspace(0, 0.1, 9)
-    thirds = threshold.force_rms_mn(inside).min(axis=1)
-    return np.asarray(1e-3 * 10 ** (-margin_db / 20) * np.append(thirds[:1], thirds))
 
 
 def reduced(
@@ -364,12 +324,22 @@ def reduced(
         raise InvalidArgument("rate_hz", repr(rate_hz), "100 Hz or more")
     if not 0 <= margin_db < 200:
         raise InvalidArgument("margin_db", repr(margin_db), "0 dB or more")
-    edges, limits = _edges(rate_hz), _limits_n(threshold or vibration_threshold(), rate_hz, margin_db)
+    edges = _edges(rate_hz)
+    # bounds of the error in each band, newtons rms: the least of the threshold within it, less the margin
+    inside = edges[:, None] * 10 ** np.linspace(0, 0.1, 9)
+    thirds = (threshold or vibration_threshold()).force_rms_mn(inside).min(axis=1)
+    limits = 1e-3 * 10 ** (-margin_db / 20) * np.append(thirds[:1], thirds)
     stft = Stft(1 << max(4, round(math.log2(0.064 * rate_hz))))
     spectra, band = stft.real_spectra(x), _bands_of_bins(stft.length, rate_hz)
 
     def made(exponents: NDArray[np.int16]) -> Reduced:
-        return Reduced(_symbols(spectra, band, exponents), exponents, rate_hz, len(x))
+        parts = spectra / _steps(exponents)[band]
+        if np.abs(parts).max(initial=0.0) >= 2**31:
+            found = f"{np.abs(parts).max():g} steps"
+            raise InvalidArgument("vibration_n", found, "fewer than 2^31", "Check its unit.")
+        is_sent = (np.abs(parts) >= _DEAD) & (exponents > _NOTHING)[band]
+        symbols = np.where(is_sent, np.rint(parts), 0).astype(np.int32)
+        return Reduced(symbols, exponents, rate_hz, len(x))
 
     def beyond(exponents: NDArray[np.int16]) -> Bools:
         lost = _window_power(x - made(exponents).decoded(), rate_hz, edges)
@@ -405,12 +375,3 @@ def _fine_enough(
         finer = np.where(near, exponents - 1, exponents)
         exponents = np.where(silent, np.where(woken, begin, _NOTHING), finer).astype(np.int16)
     raise InvalidArgument("vibration_n", "what no step makes fine enough", "forces of a hand", "Check its unit.")
-
-
-def _symbols(spectra: Float64s, band: Int64s, exponents: NDArray[np.int16]) -> Int32s:
-    """Coefficients in steps; nothing of what is below a share of a step, or in a band of which nothing is sent."""
-    parts = spectra / _steps(exponents)[band]
-    if np.abs(parts).max(initial=0.0) >= 2**31:
-        raise InvalidArgument("vibration_n", f"{np.abs(parts).max():g} steps", "fewer than 2^31", "Check its unit.")
-    is_sent = (np.abs(parts) >= _DEAD) & (exponents > _NOTHING)[band]
-    return np.where(is_sent, np.rint(parts), 0).astype(np.int32)

@@ -21,7 +21,8 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,15 +30,14 @@ import numpy as np
 
 from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_positive
+from touchfield.files import plain_size
 from touchfield.medium import ForceField, Grid
-from touchfield.sources.options import SourceOptions
-from touchfield.sources.profile import ForceProfile
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_that, field_of_points
 from touchfield.sources.shapes import SHAPES, Plane, Shape, moved
-from touchfield.sources.toml_values import known, number, number_or_list, read_toml, tables, text
 
-_TOP: Final = ("axes", "rate_hz", "combine", "shape")
+_MAX_BYTES: Final = 1 << 24
 
 COMBINATIONS: Final = ("sum", "union")
 
@@ -91,8 +91,7 @@ class AnalyticScene(Scene):
             nearer = other_phi < phi
             phi = np.where(nearer, other_phi, phi)
             normal = np.where(nearer[:, None], other_normal, normal)
-        forces: Float64s = profile(phi)[:, None] * normal
-        return forces
+        return np.asarray(profile(phi)[:, None] * normal)
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` does not matter."""
@@ -109,6 +108,51 @@ class AnalyticScene(Scene):
 
 
 # -- from a file ---------------------------------------------------------------------------------------------
+def read_toml(path: Path, expected: str) -> dict[str, Any]:
+    """The table of a TOML file of up to 16 MiB; `SourceError` if it cannot be read, is longer, or is no TOML."""
+    try:
+        size = plain_size(path, expected)
+        if size > _MAX_BYTES:
+            raise SourceError(str(path), f"{size} bytes", f"{expected} of up to {_MAX_BYTES} bytes")
+        return tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise SourceError(str(path), f"that it cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise SourceError(str(path), f"no TOML ({error})", expected) from error
+
+
+def known(where: str, table: dict[str, Any], names: Iterable[str]) -> None:
+    """`SourceError` for a key that is not one of `names`."""
+    names = tuple(names)
+    for key in table:
+        if key not in names:
+            raise SourceError(f"{where}: {key}", "a key that is not known", f"one of {', '.join(names)}")
+
+
+def number(where: str, value: Any) -> float:
+    """A number of TOML as float; `SourceError` for anything else, true and false among it."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise SourceError(where, repr(value)[:60], "a number")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise SourceError(where, "a number beyond all bounds", "a number") from error
+
+
+def text(where: str, value: Any) -> str:
+    """A text; `SourceError` for anything else."""
+    if not isinstance(value, str):
+        raise SourceError(where, repr(value)[:60], "a text")
+    return value
+
+
+def tables(where: str, value: Any, name: str) -> list[dict[str, Any]]:
+    """At least one table of ``[[name]]``; `SourceError` for anything else."""
+    if not isinstance(value, list) or not value or not all(isinstance(entry, dict) for entry in value):
+        raise SourceError(f"{where}: {name}", "no list of tables", f"at least one [[{name}]] table")
+    return value
+
+
 def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
     """Read a scene of shapes; `rate_hz` stands in where the file gives none.
 
@@ -116,13 +160,11 @@ def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
     thing.
     """
     table = read_toml(path, "a TOML file with [[shape]] tables")
-    known(f"{path}", table, _TOP)
+    known(f"{path}", table, ("axes", "rate_hz", "combine", "shape"))
     entries = tables(f"{path}", table.get("shape"), "shape")
     shapes = [shape_of_table(f"{path}: shape {i + 1}", entry) for i, entry in enumerate(entries)]
-    axes, combine = (
-        text(f"{path}: {name}", table.get(name, default))
-        for name, default in (("axes", UP_Y_AXES), ("combine", "sum"))
-    )
+    axes = text(f"{path}: axes", table.get("axes", UP_Y_AXES))
+    combine = text(f"{path}: combine", table.get("combine", "sum"))
     rate = number(f"{path}: rate_hz", table["rate_hz"]) if "rate_hz" in table else rate_hz or 30.0
     with blamed_on(f"{path}: "):
         return AnalyticScene(shapes, combine, axes, rate)
@@ -143,7 +185,9 @@ def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
     values = {}
     for f in fields:
         if f.name in entry:
-            values[f.name] = number_or_list(f"{where}: {f.name}", entry[f.name])
+            value, place = entry[f.name], f"{where}: {f.name}"
+            is_list = isinstance(value, list)
+            values[f.name] = tuple(number(place, item) for item in value) if is_list else number(place, value)
         elif f.default is dataclasses.MISSING:
             raise SourceError(f"{where}: {f.name}", "nothing", f"a value; a {kind} needs it")
     try:
@@ -153,12 +197,9 @@ def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
         raise SourceError(where, "a number for a list, or a list for a number", f"the keys of a {kind}") from error
 
 
-def _recognise(path: Path) -> bool:
-    return path.suffix.lower() == ".toml" and path.is_file()
-
-
-def _open(path: Path, options: SourceOptions) -> Scene:
-    return read_analytic(path, options.rate_hz)
-
-
-KIND = SourceKind("analytic", "shapes with a formula, from a .toml file", _recognise, _open)
+KIND = SourceKind(
+    "analytic",
+    "shapes with a formula, from a .toml file",
+    lambda path: path.suffix.lower() == ".toml" and path.is_file(),
+    lambda path, options: read_analytic(path, options.rate_hz),
+)

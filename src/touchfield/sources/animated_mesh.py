@@ -6,33 +6,38 @@ are one is found once (`touchfield.sources.mesh_surface.welded_in_motion`); a fr
 vertices.
 
 Source of the evaluation: Khronos, glTF 2.0 specification (2021); of the force on a moving surface: paper section 3.2.
+
+As objects, its bodies are the connected parts whose vertices move as one rigid body. What moves a part (a node, a
+joint that carries all of it, several that move alike) does not matter: its motion is fitted from its vertices, frame
+by frame, and it is rigid where no vertex is farther from the fit than 1e-5 of the part's extent. Parts that move
+alike are one. Source of the fit: W. Kabsch, A solution for the best rotation to relate two sets of vectors, Acta
+Cryst. A32, 1976.
 """
 
 from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from touchfield.arrays import Bools, Float64s
+from touchfield.arrays import Bools, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid, PoseTrack
-from touchfield.medium.pose_track import checked_rotation
+from touchfield.medium.pose_track import checked_rotation, quaternions_of
 from touchfield.sources.camera import require_frame
-from touchfield.sources.gltf.document import members_of
-from touchfield.sources.gltf.model import Model, Poses
-from touchfield.sources.mesh_holes import Mended, mended
+from touchfield.sources.gltf_document import members_of
+from touchfield.sources.gltf_model import Model, Poses
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene, union_of
-from touchfield.sources.mesh_surface import Surface, welded_in_motion
+from touchfield.sources.mesh_surface import Mended, Surface, mended, welded_in_motion
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.rigid_parts import RigidPart, rigid_parts
 from touchfield.sources.scene import UP_Y_AXES, Body, MovingScene, size_note
 
 _RATE_HZ: Final = 60.0
@@ -42,6 +47,7 @@ _NODE_POSES: Final = 1 << 17  # node matrices of a block of times: about 50 MB w
 _LOOKS: Final = 16  # times at which vertices must be together to be one
 _OVERLAP_LOOKS: Final = 5  # times at which bodies must not overlap
 _LARGEST: Final = 1e15
+_RIGID: Final = 1e-5
 
 
 class AnimatedMeshScene(MovingScene):
@@ -81,36 +87,29 @@ class AnimatedMeshScene(MovingScene):
             self._animation = model.animation(number)
             self.duration_s = self._animation.duration_s
             self._steps_in_block = max(1, min(_BLOCK, _NODE_POSES // max(model.node_count, 1)))
-            self.frame_count = self._count_frames()
-            self._whole = mended(self._weld(model), holes)
+            # a duration in float32 may lie a little behind its frame
+            count = self.duration_s * self.rate_hz * (1 - 1e-6)
+            if count > _MOST_FRAMES:
+                found = f"{self.rate_hz:g} for an animation of {self.duration_s:g} s"
+                raise InvalidArgument(f"{self.name}, rate_hz", found, f"at most {_MOST_FRAMES} frames")
+            self.frame_count = max(1, math.ceil(count))
+            self._model = model
+            looks = np.unique(np.linspace(0, self.frame_count - 1, _LOOKS).astype(int)).tolist()
+            rest = self._in_metres(model.vertices(model.poses(None, np.zeros(1)), 0), "at rest")
+            kept, triangles = welded_in_motion(np.stack([rest, *map(self.vertices_m, looks)]), model.triangles)
+            self._model = model.reduced(kept)
+            self._whole = mended(Surface(rest[kept], triangles, self.name), holes)
         self._surface = self._whole.surface
-        scene = MeshScene.of_surface(self._whole, shell=shell, name=self.name)
+        scene = self._standing(self._whole)
         self.is_closed = scene.is_closed
-        size = size_note(np.ptp(self.vertices_m(0), axis=0), unit_m, " in the first frame")
-        self.notes = (size, self._wording(number, model.animation_names), *scene.notes)
-
-    def _count_frames(self) -> int:
-        # a duration in float32 may lie a little behind its frame
-        count = self.duration_s * self.rate_hz * (1 - 1e-6)
-        if count > _MOST_FRAMES:
-            found = f"{self.rate_hz:g} for an animation of {self.duration_s:g} s"
-            raise InvalidArgument(f"{self.name}, rate_hz", found, f"at most {_MOST_FRAMES} frames")
-        return max(1, math.ceil(count))
-
-    def _weld(self, model: Model) -> Surface:
-        """The surface at rest, its vertices those that are evaluated from now on."""
-        self._model = model
-        looks = np.unique(np.linspace(0, self.frame_count - 1, _LOOKS).astype(int))
-        rest = self._in_metres(model.vertices(model.poses(None, np.zeros(1)), 0), "at rest")
-        kept, triangles = welded_in_motion(np.stack([rest, *map(self.vertices_m, looks.tolist())]), model.triangles)
-        self._model = model.reduced(kept)
-        return Surface(rest[kept], triangles, self.name)
-
-    def _wording(self, number: int, names: list[str]) -> str:
+        size, names = (
+            size_note(np.ptp(self.vertices_m(0), axis=0), unit_m, " in the first frame"),
+            model.animation_names,
+        )
         others = ", ".join(_named(names, i) for i in range(len(names)) if i != number)
-        frames = "1 frame" if self.frame_count == 1 else f"{self.frame_count} frames"
-        text = f"Animation {_named(names, number)}: {self.duration_s:.4g} s, {frames}"
-        return f"{text}; there are also {others}." if others else f"{text}."
+        text = f"Animation {_named(names, number)}: {self.duration_s:.4g} s, {self.frame_count} frame"
+        text += "s" * (self.frame_count > 1) + (f"; there are also {others}." if others else ".")
+        self.notes = (size, text, *scene.notes)
 
     # -- the surface -----------------------------------------------------------------------------------------------
     def vertices_m(self, frame: int) -> Float64s:
@@ -134,8 +133,7 @@ class AnimatedMeshScene(MovingScene):
         before, after = self._time_s(step - 1), self._time_s(step + 1)
         if after <= before:
             return np.zeros_like(self._surface.vertices_m)
-        velocities: Float64s = (self._at_step(step + 1) - self._at_step(step - 1)) / (after - before)
-        return velocities
+        return np.asarray((self._at_step(step + 1) - self._at_step(step - 1)) / (after - before))
 
     def surface(self, frame: int) -> Surface:
         """The surface of a frame: the triangles are the same in all, but each begins with its longest edge."""
@@ -184,7 +182,7 @@ class AnimatedMeshScene(MovingScene):
         return latest[1]
 
     def _standing(self, whole: Mended) -> MeshScene:
-        return MeshScene.of_surface(whole, shell=self.shell, name=self.name)
+        return MeshScene(whole, shell=self.shell, name=self.name)
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; with the damping of a moving surface where `profile` asks for it.
@@ -253,6 +251,85 @@ class AnimatedMeshScene(MovingScene):
         return other
 
 
+class RigidPart(NamedTuple):
+    """Connected parts that move alike."""
+
+    has_vertex: Bools  # bool [n]; which vertices are its own
+    origin_m: Float64s  # float64 [3]; where the origin of its own frame lies in frame 0, in which it is not turned
+    track: PoseTrack  # scene from its own frame
+
+
+def rigid_parts(
+    surface: Surface, vertices_m: Callable[[int], Float64s], frame_count: int
+) -> tuple[list[RigidPart], Bools]:
+    """The rigid parts of a surface in motion, and which vertices deform, bool [n].
+
+    The triangles of `surface` tell what is connected; `vertices_m` gives the vertices of a frame, float64 [n, 3].
+    """
+    part_of = surface.part_of_vertex()
+    used = np.unique(surface.triangles)
+    order = used[np.argsort(part_of[used], kind="stable")]
+    looks = np.unique(np.linspace(0, frame_count - 1, _LOOKS).astype(int)).tolist()
+    start = vertices_m(0)
+    order, _ = _fitted(order, part_of, start, vertices_m, looks)  # what deforms mostly shows soon
+    order, poses = _fitted(order, part_of, start, vertices_m, range(frame_count))
+    deforms = np.zeros(len(part_of), bool)
+    deforms[used] = True
+    deforms[order] = False
+    if not len(order):
+        return [], deforms
+    # in groups that move alike
+    scale = np.ones((3, 4))
+    scale[:, 3] = 1 / max(float(np.abs(start[order]).max()), 1e-300)
+    rounded = np.round(poses[:, looks] * scale / (10 * _RIGID)).reshape(len(poses), -1)
+    _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    names, parts = np.unique(part_of[order]), []
+    for number in np.argsort(first):
+        rotations, shifts = poses[first[number], :, :, :3], poses[first[number], :, :, 3]
+        has_vertex = np.isin(part_of, names[group.reshape(-1) == number]) & ~deforms
+        has_vertex[np.setdiff1d(np.arange(len(part_of)), used)] = False
+        origin, extent = start[has_vertex].mean(axis=0), np.ptp(start[has_vertex], axis=0).max()
+        places = rotations @ origin + shifts
+        moved = np.abs(rotations - np.eye(3)).max() * extent + np.abs(places - origin).max(initial=0.0)
+        track = PoseTrack.still(frame_count, origin)
+        if moved > _RIGID * extent:
+            track = PoseTrack(quaternions_of(rotations), places)
+        parts.append(RigidPart(has_vertex, origin, track))
+    return parts, deforms
+
+
+def _fitted(
+    order: Int64s, part_of: Int32s, start: Float64s, vertices_m: Callable[[int], Float64s], frames: list[int] | range
+) -> tuple[Int64s, Float64s]:
+    """The vertices of those parts that are rigid in these frames, and x -> R x + t of each, [parts, frames, 3, 4]."""
+    names = part_of[order]
+    first = np.flatnonzero(np.append(True, names[1:] != names[:-1]))[: len(names)]
+    count = np.diff(np.append(first, len(names)))[:, None]
+    if not len(order):
+        return order, np.zeros((0, len(frames), 3, 4))
+    number = np.repeat(np.arange(len(first)), count[:, 0])
+    before = start[order]
+    centre = np.add.reduceat(before, first) / count
+    off = before - centre[number]
+    extent = np.maximum.reduceat(np.linalg.norm(off, axis=1), first)
+    is_rigid = np.ones(len(first), bool)
+    poses = np.zeros((len(first), len(frames), 3, 4))
+    for at, frame in enumerate(frames):
+        after = vertices_m(frame)[order]
+        there = np.add.reduceat(after, first) / count
+        gone = after - there[number]
+        together = np.add.reduceat(gone[:, :, None] * off[:, None, :], first)
+        u, _, v = np.linalg.svd(together)
+        u[:, :, 2] *= np.linalg.det(u @ v)[:, None]
+        turn = u @ v
+        error = np.linalg.norm(np.einsum("nij,nj->ni", turn[number], off) - gone, axis=1)
+        is_rigid &= np.maximum.reduceat(error, first) <= _RIGID * extent
+        poses[:, at, :, :3] = turn
+        poses[:, at, :, 3] = there - np.einsum("pij,pj->pi", turn, centre)
+    return order[is_rigid[number]], poses[is_rigid]
+
+
+# -- names and files -----------------------------------------------------------------------------------------------
 def _numbered(name: str, names: list[str], asked: str | None) -> int:
     """The number of the animation that was asked for, by name or number."""
     if asked is None and names:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,16 +16,15 @@ from touchfield.medium.field import brick_keys
 from touchfield.parallel import for_chunks
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.camera import require_frame
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
 from touchfield.sources.shapes import Plane
 
 _AT_REST = (0.0,) * 9
 
 
-@dataclass(frozen=True)
-class _Part:
+class _Part(NamedTuple):
     """A body's field on a part of the lattice that begins at a brick, and the motion of its surface."""
 
     field: ForceField
@@ -91,17 +90,13 @@ class BodyScene(MovingScene):
         own frame cannot be moved (`Scene.moved`).
         """
         require_frame(frame, self.frame_count)
-        parts = [_Part(self._field_at_rest(grid, profile), (0, 0, 0))] if any(self._still) else []
-        moving = (n for n, still in enumerate(self._still) if not still)
+        still, moving = (np.flatnonzero(np.equal(self._still, which)).tolist() for which in (True, False))
+        parts = []
+        if still:
+            if self._kept is None or self._kept[:2] != (grid, profile):
+                self._kept = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
+            parts = [_Part(self._kept[2], (0, 0, 0))]
         return _sum(grid, [*parts, *self._parts(moving, frame, grid, profile)])
-
-    def _field_at_rest(self, grid: Grid, profile: ForceProfile) -> ForceField:
-        latest = self._kept
-        if latest is None or latest[0] != grid or latest[1] != profile:
-            still = (n for n, still in enumerate(self._still) if still)
-            latest = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
-            self._kept = latest
-        return latest[2]
 
     def _parts(self, which: Iterable[int], frame: int, grid: Grid, profile: ForceProfile) -> list[_Part]:
         parts = []
@@ -119,17 +114,14 @@ class BodyScene(MovingScene):
             if not (np.array_equal(turn, np.eye(3)) and not shift.any()):
                 scene = scene.moved(turn, shift)
             field = scene.field(0 if body.is_rigid else frame, part, profile)
-            parts.append(_Part(field, first, self._motion(n, frame, profile.surface_damping_n_s_per_m)))
+            motion, damping = _AT_REST, profile.surface_damping_n_s_per_m
+            if damping and not self._still[n]:  # origin, b v and b omega
+                if n not in self._velocities:
+                    self._velocities[n] = body.track.velocities(self.rate_hz)
+                velocity, spin = (damping * values[frame] for values in self._velocities[n])
+                motion = tuple(np.concatenate([body.track.positions_m[frame], velocity, spin]).tolist())
+            parts.append(_Part(field, first, motion))
         return parts
-
-    def _motion(self, n: int, frame: int, damping: float) -> tuple[float, ...]:
-        """Origin, b v and b omega of a body."""
-        if not damping or self._still[n]:
-            return _AT_REST
-        if n not in self._velocities:
-            self._velocities[n] = self._bodies[n].track.velocities(self.rate_hz)
-        velocity, spin = (damping * values[frame] for values in self._velocities[n])
-        return tuple(np.concatenate([self._bodies[n].track.positions_m[frame], velocity, spin]).tolist())
 
 
 def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:

@@ -43,8 +43,8 @@ from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_
 from touchfield.sources.kernels import depth as kernels
 from touchfield.sources.kernels.depth import Query
 from touchfield.sources.kernels.planes import SurfacePlanes, fit_planes
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.poses import checked_poses
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 

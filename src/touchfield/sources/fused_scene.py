@@ -43,7 +43,7 @@ from touchfield.sources.kernels.fusion import Rules, Samples, View
 if TYPE_CHECKING:
     from touchfield.sources.camera import DepthSequence
     from touchfield.sources.kernels.planes import SurfacePlanes
-    from touchfield.sources.profile import ForceProfile
+    from touchfield.sources.laws import ForceProfile
 
 
 WORLDS: Final = ("fused", "causal")

@@ -30,9 +30,9 @@ from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_ex
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.npz import NpzArchive, map_npy, read_npy_header
 from touchfield.sources.camera import DepthSequence, noise_step_per_m
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import opened
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, MovingScene, Scene
 from touchfield.sources.segments import SegmentRule, segmented_bodies

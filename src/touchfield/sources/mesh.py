@@ -17,7 +17,7 @@ import numpy as np
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import SourceError
 from touchfield.files import require_beside, require_plain
-from touchfield.sources.gltf.document import members_of
+from touchfield.sources.gltf_document import members_of
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import welded
 from touchfield.sources.options import SourceOptions
@@ -125,8 +125,9 @@ def _open(path: Path, options: SourceOptions) -> MeshScene:
     return scene
 
 
-def _recognise(path: Path) -> bool:
-    return path.suffix.lower() in _SUFFIXES and path.is_file()
-
-
-KIND = SourceKind("mesh", "a mesh of triangles: OBJ, STL, PLY, GLB, glTF or OFF", _recognise, _open)
+KIND = SourceKind(
+    "mesh",
+    "a mesh of triangles: OBJ, STL, PLY, GLB, glTF or OFF",
+    lambda path: path.suffix.lower() in _SUFFIXES and path.is_file(),
+    _open,
+)

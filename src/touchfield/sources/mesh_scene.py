@@ -1,13 +1,13 @@
 """A triangle mesh as a scene: F = f(phi) n with phi the signed distance to it (paper section 4).
 
 Its reference [21] gives no formula; here phi is exact, and its sign that of the winding number for a closed mesh
-(inside where the winding number is not 0). Small holes are closed (`touchfield.sources.mesh_holes`). A mesh that
+(inside where the winding number is not 0). Small holes are closed (`touchfield.sources.mesh_surface`). A mesh that
 stays open is a shell: one-sided, with the wall behind its faces and the sign of the angle-weighted pseudo-normal, its
 force fading to 0 at the rim over the law's own reach; or two-sided, phi = |d| - T/2, a wall of thickness T around it.
 The wall of a nearly closed one stays within what it would enclose.
 Where closed parts overlap, distance is to the surface of their union: inside is where the winding
 number is not 0, and a wall with inside on both of its sides is not felt. Triangles that cross others are cut there
-(`touchfield.sources.kernels.mesh_union`); those that share a vertex are not cut by one another.
+(`touchfield.sources.kernels.mesh_sign`); those that share a vertex are not cut by one another.
 """
 
 from __future__ import annotations
@@ -24,14 +24,12 @@ from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.pose_track import checked_rotation
-from touchfield.sources.mesh_holes import Mended, mended
-from touchfield.sources.mesh_surface import Surface, from_longest
-from touchfield.sources.profile import ForceProfile
+from touchfield.sources.laws import ForceProfile
+from touchfield.sources.mesh_surface import Mended, Surface, from_longest, mended, unit
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
-    from touchfield.sources.kernels.mesh import Band
-    from touchfield.sources.kernels.mesh_samples import Motion
+    from touchfield.sources.kernels.mesh import Band, Motion
 
 
 _UNSURE: Final = 2e-9  # of the largest coordinate: so near, rounding spoils the direction to the nearest point
@@ -42,11 +40,11 @@ _LARGEST_IN_SPACINGS: Final = 1e12  # extent of mesh and grid: beyond, float64 h
 class MeshScene(Scene):
     """A mesh that stands still.
 
-    vertices_m : float array [n, 3]; Metres. Vertices at one place must be one
-        (`touchfield.sources.mesh_surface.joined`).
+    vertices_m : float array [n, 3] or Mended; Metres. Vertices at one place must be one
+        (`touchfield.sources.mesh_surface.joined`). A surface whose holes are closed already needs no triangles.
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
     shell : str; Of an open mesh: "one" sided, "two" sided, or "auto": one where all triangles face consistently.
-    holes : str; The rule by which holes are closed: "small", "close" or "leave" (`touchfield.sources.mesh_holes`).
+    holes : str; The rule by which holes are closed: "small", "close" or "leave" (`touchfield.sources.mesh_surface`).
     name : str; What to call it in messages.
     notes : tuple of str; What the reader has to tell; what kind of mesh it is comes behind.
 
@@ -65,24 +63,17 @@ class MeshScene(Scene):
 
     def __init__(
         self,
-        vertices_m: ArrayLike,
-        triangles: ArrayLike,
+        vertices_m: ArrayLike | Mended,
+        triangles: ArrayLike = (),
         *,
         shell: str = "auto",
         holes: str = "small",
         name: str = "mesh",
         notes: tuple[str, ...] = (),
     ) -> None:
-        self._hold(mended(Surface(vertices_m, triangles, name), holes), shell, name, notes)
-
-    @classmethod
-    def of_surface(cls, whole: Mended, *, shell: str = "auto", name: str = "mesh") -> MeshScene:
-        """The scene of a surface that is known already."""
-        scene = cls.__new__(cls)
-        scene._hold(whole, shell, name, ())
-        return scene
-
-    def _hold(self, whole: Mended, shell: str, name: str, notes: tuple[str, ...]) -> None:
+        whole = vertices_m
+        if not isinstance(whole, Mended):
+            whole = mended(Surface(whole, triangles, name), holes)
         if shell not in ("auto", "one", "two"):
             raise InvalidArgument("shell", repr(shell), "auto, one or two")
         self.name, self.surface = name, whole.surface
@@ -92,28 +83,20 @@ class MeshScene(Scene):
         edges = self.surface.edges
         is_sheet = edges.unbalanced_count > 0
         self.is_one_sided = shell == "one" or (shell == "auto" and is_sheet and whole.is_oriented)
-        self.notes = (*notes, *whole.notes, self._wording(shell))
-
-    def _wording(self, shell: str) -> str:
-        count, edges = len(self.surface.triangles), self.surface.edges
-        if self.is_closed:
-            return f"{count} triangles, closed: what they enclose is inside."
+        self._opening = "a sheet laid double"  # why the mesh is not closed
+        if edges.boundary_count:
+            self._opening = f"open with {edges.boundary_count} boundary edges"
+        elif is_sheet:
+            count = edges.unbalanced_count
+            self._opening = f"without a boundary but not closed, as at {count} edges triangles do not pair off"
         why = "as asked for"
         if shell == "auto":
             why = "all triangles face consistently" if self.is_one_sided else "triangles face inconsistently"
-            why = why if edges.unbalanced_count else "every triangle has a twin that faces the other way"
+            why = why if is_sheet else "every triangle has a twin that faces the other way"
         kind = "one-sided shell, the wall behind its faces" if self.is_one_sided else "two-sided shell"
-        return f"{count} triangles, {self._opening()}: taken as a {kind} ({why})."
-
-    def _opening(self) -> str:
-        """Why the mesh is not closed."""
-        edges = self.surface.edges
-        if edges.boundary_count:
-            return f"open with {edges.boundary_count} boundary edges"
-        if edges.unbalanced_count:
-            count = edges.unbalanced_count
-            return f"without a boundary but not closed, as at {count} edges triangles do not pair off"
-        return "a sheet laid double"
+        wording = f"{self._opening}: taken as a {kind} ({why})."
+        wording = "closed: what they enclose is inside." if self.is_closed else wording
+        self.notes = (*notes, *whole.notes, f"{len(self.surface.triangles)} triangles, {wording}")
 
     def bounds_m(self) -> Float64s:
         return self.surface.bounds_m
@@ -144,7 +127,7 @@ class MeshScene(Scene):
         fine for float64.
         """
         from touchfield.sources.kernels import mesh, mesh_sign
-        from touchfield.sources.kernels.mesh_samples import Rim
+        from touchfield.sources.kernels.mesh import Rim
 
         if frame != 0:
             raise InvalidArgument(f"{self.name}, frame", str(frame), "0, the only one")
@@ -176,7 +159,7 @@ class MeshScene(Scene):
         pieces = profile.table()
         low, high = profile.low_m, profile.high_m
         if not self.is_closed and math.isinf(low):
-            found = f"a solid asked of a mesh that is {self._opening()}"
+            found = f"a solid asked of a mesh that is {self._opening}"
             mend = "Give --thickness-m or --holes close, or close the mesh."
             raise InvalidArgument(f"{self.name}, thickness_m", found, "the thickness of a shell", mend)
         # a sample on the surface may count as outside
@@ -210,7 +193,7 @@ class MeshScene(Scene):
 
     def _motion(self, velocities_m_s: Float64s, damping_n_s_per_m: float) -> Motion:
         """Motion of the triangles that are felt."""
-        from touchfield.sources.kernels.mesh_samples import Motion
+        from touchfield.sources.kernels.mesh import Motion
 
         faces, union = self.surface.triangles, self._union
         if union is None:
@@ -250,12 +233,12 @@ class Union(NamedTuple):
 
 def union_of(surface: Surface) -> Union | None:
     """The boundary of the union of a closed surface's parts; None where that is the surface as it is."""
-    from touchfield.sources.kernels import mesh_union as kernel
+    from touchfield.sources.kernels import mesh_sign as kernel
 
     faces = surface.triangles
     corners = surface.vertices_m[faces]
     extent = float(np.abs(surface.bounds_m).max()) + float(np.ptp(surface.bounds_m, axis=0).max())
-    normals = surface.face_normals()
+    normals = unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     boxes = kernel.boxes_of(corners)
     bins = kernel.sorted_into_bins(boxes)
     pairs = kernel.crossing_pairs(bins, boxes, corners, normals, faces, _TOUCHING * extent)

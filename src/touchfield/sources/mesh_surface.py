@@ -1,26 +1,41 @@
-"""Triangle meshes: edges, closedness, angle-weighted pseudo-normals, and vertices that are one.
+"""Triangle meshes: edges, closedness, angle-weighted pseudo-normals, vertices that are one, and holes.
 
 Source of the pseudo-normals: J. A. Baerentzen and H. Aanaes, Signed distance computation using the angle weighted
 pseudonormal, IEEE TVCG 11(3), 2005: at a vertex the normals of its faces weighted by their angles there, on an edge
 the sum of its two. Their sign tells on which side a point is whose nearest point is there.
+
+Holes are loops of the edges that are run through more often in one direction than in the other, which are a cycle.
+The rule: a hole is small if the patch that closes it has at most 5 % of the area of the connected part it lies in.
+"small" closes those and leaves the others, "close" closes all, "leave" none. Where triangles face inconsistently they
+are turned, but only if what results is closed; else nothing says where a hole has its inside. Source of the patch: G.
+Barequet and M. Sharir, Filling gaps in the boundary of a polyhedron, CAGD 12(2), 1995: of all triangulations of the
+loop the one of least area. Of a long loop every second corner is first cut off, until 128 are left. No vertex is
+added, so that a patch moves with its mesh.
 """
 
 from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s, Int32s, Int64s
-from touchfield.errors import SourceError
+from touchfield.errors import InvalidArgument, SourceError
 
 _LARGEST_M: Final = 1e15
 # of the extent: vertices this near are joined where that closes the mesh (the digits of float32), in a mesh that
 # moves only if they never part farther than the second (those of 8-bit weights)
 _WELD, _TOGETHER = 1e-7, 1e-3
+
+HOLES: Final = {"small": 0.05, "close": np.inf, "leave": -1.0}  # of its part: the largest hole that is closed
+# a part with more of its area missing is a sheet: its wall lies behind its faces, not within what they enclose
+_NEARLY_CLOSED: Final = 0.75
+_MOST_EDGES: Final = 1 << 18
+_LONGEST, _LONGEST_OF_MANY, _MANY = 128, 24, 100
+_MOST_TOLD: Final = 5
 
 
 @dataclass(frozen=True)
@@ -129,19 +144,14 @@ class Surface:
         a, b, c = ((self.vertices_m - self.bounds_m[0])[self.triangles[:, i]] for i in range(3))
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
-    def face_normals(self) -> Float64s:
-        """Unit normals of the triangles, float64 [m, 3]; 0 for one without area."""
-        a, b, c = (self.vertices_m[self.triangles[:, i]] for i in range(3))
-        return _unit(np.cross(b - a, c - a))
-
     def pseudo_normals(self) -> Float64s:
         """Unit normals of each triangle's face, vertices 0 to 2 and edges 01, 12, 20, float64 [m, 7, 3].
 
         Where they cancel (opposite faces that meet), the face's own normal stands.
         """
         corners = self.vertices_m[self.triangles]
-        along = _unit(np.roll(corners, -1, axis=1) - corners)
-        face = _unit(np.cross(along[:, 0], -along[:, 2]))
+        along = unit(np.roll(corners, -1, axis=1) - corners)
+        face = unit(np.cross(along[:, 0], -along[:, 2]))
         cosine = -np.einsum("tij,tij->ti", along, np.roll(along, 1, axis=1))
         angle = np.arccos(np.clip(cosine, -1, 1))
         normals = np.empty((len(face), 7, 3))
@@ -187,14 +197,13 @@ def from_longest(corners: Float64s) -> Int64s:
 def _lengths(vectors: Float64s) -> Float64s:
     """The lengths of vectors [..., 3], several times as fast as `numpy.linalg.norm` along so short an axis."""
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    lengths: Float64s = np.sqrt(x * x + y * y + z * z)
-    return lengths
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
-def _unit(vectors: Float64s) -> Float64s:
+def unit(vectors: Float64s) -> Float64s:
+    """Vectors [..., 3] of length 1; 0 for those without length."""
     lengths = _lengths(vectors)[..., None]
-    scaled: Float64s = vectors / np.where(lengths > 0, lengths, 1.0)
-    return scaled
+    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
 
 
 def _is_double_sheet(triangles: Int32s) -> bool:
@@ -266,3 +275,178 @@ def welded_in_motion(poses: Float64s, triangles: Int64s) -> tuple[Int64s, Int32s
 def _unbalanced(triangles: NDArray[Any], vertex_count: int) -> int:
     whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     return Edges.of(triangles[whole], vertex_count).unbalanced_count if whole.any() else 1
+
+
+# -- holes -------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Mended:
+    """A surface with holes closed, and what is left open."""
+
+    surface: Surface
+    lids: Int32s  # int32 [l, 3]; would close what is left open of a nearly closed mesh: tell inside, and are not felt
+    rim: Int32s  # int32 [r, 2]; edges at the holes that are left
+    is_oriented: bool  # whether neighbouring triangles face alike
+    notes: tuple[str, ...]
+
+
+class _Hole(NamedTuple):
+    loop: Int64s
+    patch: Int32s
+    part: int  # connected part of the surface that it lies in
+    area_m2: float
+    share: float  # of the area of that part
+    across_m: float
+
+
+def mended(surface: Surface, holes: str) -> Mended:
+    """Close the holes of a surface by a rule: "small", "close" or "leave"; `InvalidArgument` for another word."""
+    if holes not in HOLES:
+        raise InvalidArgument("holes", repr(holes), " or ".join(HOLES))
+    none, is_mixed = np.zeros((0, 3), np.int32), surface.edges.repeated_count > 0
+    as_it_is = Mended(surface, none, none[:, :2], not is_mixed, ())
+    if surface.is_closed:
+        return replace(as_it_is, is_oriented=True)
+    notes: tuple[str, ...] = ()
+    done, loops = surface, None
+    if is_mixed:
+        faces, count, is_two_sided = _turned(surface.triangles, surface.edges)
+        done = surface.with_triangles(faces)
+        if count:
+            notes = (f"{count} triangles turned to face as their neighbours do",)
+    if not is_mixed or is_two_sided:
+        loops = _loops(done)
+    if loops is None:  # no side is known, or there are too many
+        return as_it_is
+    part_of, vertices = done.part_of_vertex(), done.vertices_m
+    areas = np.bincount(part_of[done.triangles[:, 0]], _areas(vertices, done.triangles))
+    gaps = []
+    for loop in loops:
+        patch, part = _patch(loop, vertices, _LONGEST if len(loops) <= _MANY else _LONGEST_OF_MANY), part_of[loop[0]]
+        area, across = float(_areas(vertices, patch).sum()), float(np.linalg.norm(np.ptp(vertices[loop], axis=0)))
+        gaps.append(_Hole(loop, patch, part, area, area / areas[part] if areas[part] > 0 else np.inf, across))
+    taken, left = ([h for h in gaps if (h.share <= HOLES[holes]) == is_small] for is_small in (True, False))
+    if taken:
+        done = done.with_triangles(np.concatenate([done.triangles, *(h.patch for h in taken)]))
+    if is_mixed and not done.is_closed:
+        return as_it_is
+    lids, rim = none, none[:, :2]
+    if left:
+        rim = np.concatenate([np.stack([h.loop, np.roll(h.loop, -1)], axis=1) for h in left]).astype(np.int32)
+        if np.bincount([h.part for h in left], [h.share for h in left]).max() <= _NEARLY_CLOSED:
+            lids = np.concatenate([h.patch for h in left])
+            if done.with_triangles(np.concatenate([done.triangles, lids])).volume_m3() < 0:
+                done, lids = done.with_triangles(done.triangles[:, ::-1]), lids[:, ::-1]
+                notes = (*notes, "The triangles faced inwards and are turned over")
+    return Mended(done, lids, rim, True, (*notes, *_told(taken, left)))
+
+
+def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
+    notes = []
+    for holes, kind, what in ((taken, "hole", "closed"), (left, "open outline", "left, where the force falls to 0")):
+        largest = sorted(holes, key=lambda h: -h.area_m2)[:_MOST_TOLD]
+        sizes = ", ".join(f"{h.across_m:.3g} m across ({h.share:.2%} of its part)" for h in largest)
+        if holes:
+            more = ", ..." * (len(holes) > _MOST_TOLD)
+            notes.append(f"{len(holes)} {kind}{'s' * (len(holes) > 1)} {what}: {sizes}{more}")
+    if left and min(h.share for h in left) <= _NEARLY_CLOSED:
+        notes[-1] += "; --holes close closes them"
+    return tuple(notes)
+
+
+# -- loops ---------------------------------------------------------------------------------------------------
+def _loops(surface: Surface) -> list[Int64s] | None:
+    """The loops of the edges that lack a partner, each in the direction of the triangles that would close it.
+
+    None if they are too many.
+    """
+    faces, of = surface.triangles, surface.edges.edge_of.reshape(-1)
+    begin, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    net = np.bincount(of, np.where(begin < end, 1, -1)).astype(np.int64)
+    open_ = np.flatnonzero(net)
+    if np.abs(net[open_]).sum() > _MOST_EDGES:
+        return None
+    ends = np.zeros((len(net), 2), np.int64)
+    ends[of] = np.sort(np.stack([begin, end], axis=1), axis=1)
+    after: dict[int, list[int]] = {}
+    for (low, high), much in zip(ends[open_].tolist(), net[open_].tolist()):
+        u, v = (high, low) if much > 0 else (low, high)  # against the triangle that is there
+        after.setdefault(u, []).extend([v] * abs(much))
+    loops = []
+    for first in list(after):
+        while after.get(first):
+            path, place = [first], {first: 0}
+            while after.get(path[-1]):
+                corner = after[path[-1]].pop()
+                if corner in place:  # a loop is closed: cut it off
+                    begin_at = place[corner]
+                    loops.append(np.array(path[begin_at:], np.int64))
+                    for gone in path[begin_at + 1 :]:
+                        del place[gone]
+                    del path[begin_at + 1 :]
+                else:
+                    place[corner] = len(path)
+                    path.append(corner)
+    return [loop for loop in loops if len(loop) > 2]
+
+
+def _areas(vertices: Float64s, triangles: NDArray[Any]) -> Float64s:
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+
+
+# -- patches -------------------------------------------------------------------------------------------------
+def _patch(loop: Int64s, vertices: Float64s, most: int) -> Int32s:
+    """Triangles that close a loop, int32 [len(loop) - 2, 3]."""
+    triangles = []
+    while len(loop) > most:
+        cut = np.arange(0, len(loop) - 2, 2)
+        triangles.append(np.stack([loop[cut], loop[cut + 1], loop[cut + 2]], axis=1))
+        loop = np.delete(loop, cut + 1)
+    points, n = vertices[loop], len(loop)
+    cost = np.zeros((n, n))
+    best = np.zeros((n, n), np.int64)
+    for gap in range(2, n):
+        i = np.arange(n - gap)[:, None]
+        j = i + np.arange(1, gap)
+        k = i + gap
+        area = np.linalg.norm(np.cross(points[j] - points[i], points[k] - points[i]), axis=2)
+        total = cost[i, j] + cost[j, k] + area
+        choice = total.argmin(axis=1)
+        best[i[:, 0], k[:, 0]] = j[i[:, 0], choice]
+        cost[i[:, 0], k[:, 0]] = total[i[:, 0], choice]
+    stack = [(0, n - 1)]
+    while stack:
+        first, last = stack.pop()
+        if last - first > 1:
+            middle = int(best[first, last])
+            triangles.append(loop[None, [first, middle, last]])
+            stack += [(first, middle), (middle, last)]
+    return np.concatenate(triangles).astype(np.int32)
+
+
+# -- facing --------------------------------------------------------------------------------------------------
+def _turned(triangles: Int32s, edges: Edges) -> tuple[Int32s, int, bool]:
+    """The triangles turned so that neighbours face alike, most of each part as they were; how many; whether all can.
+
+    Each triangle is two nodes of a graph, as it is and turned over; nodes that fit together are joined.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(triangles)
+    flat = edges.edge_of.reshape(-1)
+    is_up = (triangles < np.roll(triangles, -1, axis=1)).reshape(-1)
+    order = np.argsort(flat, kind="stable")
+    pairs = np.flatnonzero(np.bincount(flat) == 2)
+    first = order[np.searchsorted(flat[order], pairs)]
+    second = order[np.searchsorted(flat[order], pairs) + 1]
+    flip = (is_up[first] == is_up[second]).astype(np.int64)
+    f, g = first // 3, second // 3
+    rows = np.concatenate([2 * f, 2 * f + 1])
+    columns = np.concatenate([2 * g + flip, 2 * g + 1 - flip])
+    graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(2 * count, 2 * count))
+    _, label = connected_components(graph, directed=False)
+    as_is, over = label[0::2], label[1::2]
+    votes = np.bincount(as_is, minlength=label.max() + 1)
+    turn = (votes[over] > votes[as_is]) | ((votes[over] == votes[as_is]) & (over < as_is))
+    return np.where(turn[:, None], triangles[:, ::-1], triangles), int(turn.sum()), bool((as_is != over).all())

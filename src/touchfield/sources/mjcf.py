@@ -7,6 +7,12 @@ without. Every place at which there is something is looked at here; attributes a
 of a later version is met, too. The library `mujoco` reads and steps it (extra "physics"). The duration is what is
 asked for, else ``<custom><numeric name="touchfield_seconds" data="..."/></custom>``, else 2 s. The simulation begins
 from the keyframe of the name "touchfield", else from the model's own initial state. Lengths are metres.
+
+What is touched is what collides, as in MuJoCo itself: a geom with contype or conaffinity, or of an explicit contact
+pair. Geoms that only look (both zero) are left out; where a model has no others, those of the groups 0 to 2 are
+taken, which MuJoCo's viewers show. A mesh is touched as it is, although MuJoCo collides its convex hull. The geoms of
+a body that have a formula are one body, their union. Each mesh or height field of a body that has other geoms too is
+a body of its own, "body/geom", with the same track: where they overlap, forces are added.
 """
 
 from __future__ import annotations
@@ -14,21 +20,27 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator
+from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import product
+from itertools import chain, count, product
 from pathlib import Path
 from typing import Any, Final
 from xml.parsers import expat
 
-from touchfield.errors import SourceError
+import numpy as np
+
+from touchfield.arrays import Float64s, Int32s
+from touchfield.errors import SourceError, blamed_on
 from touchfield.files import plain_size, readable, require_beside, require_plain
+from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
-from touchfield.sources.mujoco_bodies import pieces_of
+from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.mesh_surface import joined
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import Body
+from touchfield.sources.scene import UP_Z_AXES, Body, Scene
+from touchfield.sources.shapes import SHAPES, Shape, moved
 from touchfield.sources.simulation import FRAME_RATE_HZ, compiled, frames_of, load_mujoco, simulated
 
 _SECONDS: Final = 2.0
@@ -38,6 +50,8 @@ _HEAD_BYTES: Final = 1 << 16
 _MAX_BYTES: Final = 1 << 26
 _MAX_FILES: Final = 256
 _MAX_PLACES: Final = 1 << 16
+_NUMBER: Final = r"\d+(?:\.\d*)?(?:[eE]\+?\d+)?"
+_SHOWN_GROUPS: Final = 3
 _FOLDERS: Final = ("assetdir", "meshdir", "texturedir")
 _MODELS: Final = ("include", "model")
 _MOST: Final = {("count",): 1 << 16, ("nkey",): 1 << 16, ("nrow", "ncol"): 1 << 24, ("width", "height"): 1 << 24}
@@ -49,26 +63,23 @@ def _open(path: Path, options: SourceOptions) -> BodyScene:
     check_files(path, anywhere=options.allow_outside)
     read = partial(mujoco.MjModel.from_xml_path, str(path))
     model, notes = compiled(read, str(path), "a model that MuJoCo cannot read", "a whole MJCF model")
-    pieces, more = pieces_of(mujoco, model, str(path), options.shell)
-    seconds, rate = _seconds(mujoco, model, path, options), options.rate_hz or FRAME_RATE_HZ
-    bodies = sorted({piece.body_id for piece in pieces})
-    frames = frames_of(str(path), seconds, rate, len(bodies))
-    tracks, told = simulated(model, bodies, frames, rate, str(path))
-    track_of = dict(zip(bodies, tracks, strict=True))
-    posed = [Body(piece.name, piece.scene, track_of[piece.body_id]) for piece in pieces]
-    return BodyScene(posed, rate, notes=(*notes, *more, *told))
-
-
-def _seconds(mujoco: Any, model: Any, path: Path, options: SourceOptions) -> float:
-    if options.seconds is not None:
-        return options.seconds
-    numeric = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, _SECONDS_NAME)
-    if numeric < 0:
-        return _SECONDS
-    seconds = float(model.numeric_data[model.numeric_adr[numeric]])
-    if not (seconds > 0 and math.isfinite(seconds)):
-        raise SourceError(f"{path}: {_SECONDS_NAME}", f"{seconds:g}", "a positive number of seconds")
-    return seconds
+    pieces, more = _pieces_of(mujoco, model, str(path), options.shell)
+    seconds, rate = options.seconds, options.rate_hz or FRAME_RATE_HZ
+    if seconds is None:
+        numeric = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, _SECONDS_NAME)
+        seconds = _SECONDS if numeric < 0 else float(model.numeric_data[model.numeric_adr[numeric]])
+        if not (seconds > 0 and math.isfinite(seconds)):
+            raise SourceError(f"{path}: {_SECONDS_NAME}", f"{seconds:g}", "a positive number of seconds")
+    ids = sorted({body_id for _, body_id, _ in pieces})
+    frames = frames_of(str(path), seconds, rate, len(ids))
+    tracks, told = simulated(model, ids, frames, rate, str(path))
+    track_of = dict(zip(ids, tracks, strict=True))
+    names: dict[str, None] = {}
+    for name, _, _ in pieces:
+        tries = chain([name], (f"{name} ({number})" for number in count(2)))
+        names[next(each for each in tries if each not in names)] = None
+    bodies = [Body(name, scene, track_of[body_id]) for name, (_, body_id, scene) in zip(names, pieces, strict=True)]
+    return BodyScene(bodies, rate, notes=(*notes, *more, *told))
 
 
 def _recognise(path: Path) -> bool:
@@ -149,7 +160,11 @@ def _read(model: Path, named: _Named) -> list[tuple[str, str]]:
                 more = [(f"{where} {key}", name) for name in _spelt(value)]
                 (models if tag in _MODELS else named.names).extend(more)
         for keys, most in _MOST.items():
-            _check_count(where, {key: attributes[key] for key in keys if key in attributes}, most)
+            counts = {key: attributes[key] for key in keys if key in attributes}
+            numbers = [float(n) for text in counts.values() for n in re.findall(_NUMBER, text)]
+            if math.prod(numbers) > most:
+                found = " ".join(f'{key}="{text[:40]}"' for key, text in counts.items())
+                raise SourceError(where, found, f"at most {most} together")
     return models
 
 
@@ -159,14 +174,7 @@ def _spelt(name: str) -> list[str]:
     return sorted({plain, plain.strip()})
 
 
-def _check_count(where: str, told: dict[str, str], most: int) -> None:
-    numbers = [float(n) for text in told.values() for n in re.findall(r"\d+(?:\.\d*)?(?:[eE]\+?\d+)?", text)]
-    if math.prod(numbers) > most:
-        found = " ".join(f'{key}="{text[:40]}"' for key, text in told.items())
-        raise SourceError(where, found, f"at most {most} together")
-
-
-def _elements(model: Path) -> Iterator[tuple[str, dict[str, str]]]:
+def _elements(model: Path) -> list[tuple[str, dict[str, str]]]:
     """Tag and attributes of each element of a file."""
     elements: list[tuple[str, dict[str, str]]] = []
 
@@ -183,7 +191,123 @@ def _elements(model: Path) -> Iterator[tuple[str, dict[str, str]]]:
         raise SourceError(str(model), f"no XML ({error})", "a whole MJCF model") from error
     if elements[0][0] not in ("mujoco", "mujocoinclude"):
         raise SourceError(str(model), f"the element {elements[0][0][:40]!r}", "mujoco")
-    yield from elements
+    return elements
+
+
+# -- what of the bodies can be touched -----------------------------------------------------------------------
+def _pieces_of(
+    mujoco: Any, model: Any, where: str, shell: str
+) -> tuple[list[tuple[str, int, Scene]], tuple[str, ...]]:
+    """Touchable bodies or parts of them (name, number of the body whose frame it is in, scene), in order; notes."""
+    collides = (np.array(model.geom_contype) != 0) | (np.array(model.geom_conaffinity) != 0)
+    collides[np.array(model.pair_geom1, int)] = True
+    collides[np.array(model.pair_geom2, int)] = True
+    notes: tuple[str, ...] = ()
+    if not collides.any():
+        collides = np.array(model.geom_group) < _SHOWN_GROUPS
+        if collides.any():
+            notes = ("No geom collides: those that the viewers show (groups 0 to 2) are touched.",)
+    elif not collides.all():
+        notes = (f"Left out, as they only look (contype and conaffinity 0): {int((~collides).sum())} geoms.",)
+    # of each body: its shapes, and the names, vertices and triangles of its meshes
+    parts: defaultdict[int, tuple[list[Shape], list[tuple[str, Float64s, Int32s]]]]
+    parts = defaultdict(lambda: ([], []))
+    left_out = int(model.nflex) + int(model.nskin)
+    for geom in np.flatnonzero(collides).tolist():
+        shapes, meshes = parts[int(model.geom_bodyid[geom])]
+        name = _name(model.geom(geom), "geom")
+        with blamed_on(f"{where}: {name}: "):
+            shape = _shape(mujoco, model, geom)
+        triangles = None if shape else _triangles(mujoco, model, geom)
+        if shape:
+            shapes.append(shape)
+        elif triangles:
+            meshes.append((name, *triangles))
+        else:
+            left_out += 1
+    if left_out:
+        notes += (f"Left out, as neither a rigid shape nor a mesh (SDF, flex, skin): {left_out}.",)
+    pieces: list[tuple[str, int, Scene]] = []
+    for body, (shapes, meshes) in sorted(parts.items()):
+        name = _name(model.body(body), "body")
+        if shapes:
+            pieces.append((name, body, AnalyticScene(shapes, "union", UP_Z_AXES)))
+        is_alone = not shapes and len(meshes) == 1
+        for geom_name, vertices, faces in meshes:
+            part = name if is_alone else f"{name}/{geom_name}"
+            pieces.append((part, body, MeshScene(vertices, faces, shell=shell, name=part)))
+    if not pieces:
+        expected = "a rigid geom: sphere, capsule, ellipsoid, cylinder, box, plane, mesh or hfield"
+        raise SourceError(where, "nothing that can be touched", expected)
+    return pieces, notes
+
+
+def _name(element: Any, word: str) -> str:
+    return str(element.name or f"{word} {element.id}")
+
+
+def _shape(mujoco: Any, model: Any, geom: int) -> Shape | None:
+    """The shape of a geom in its body's frame; None where it has no formula."""
+    name = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+    a, b, c = (float(s) for s in model.geom_size[geom])
+    sizes: dict[str, tuple[Any, ...]] = {
+        "sphere": (a,), "capsule": (a, b), "cylinder": (a, b), "plane": ((0.0, 0.0, 1.0),),
+        "ellipsoid": ((a, b, c),), "box": ((a, b, c),),
+    }  # fmt: skip
+    if name not in sizes:
+        return None
+    shape = SHAPES[name]((0.0, 0.0, 0.0), *sizes[name])  # type: ignore[call-arg]
+    rotation, shift = _frame(mujoco, model, geom)
+    is_placed = shift.any() or not np.array_equal(rotation, np.eye(3))
+    return moved(shape, rotation, shift) if is_placed else shape
+
+
+def _frame(mujoco: Any, model: Any, geom: int) -> tuple[Float64s, Float64s]:
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, np.array(model.geom_quat[geom], np.float64))
+    return matrix.reshape(3, 3), np.array(model.geom_pos[geom], np.float64)
+
+
+def _triangles(mujoco: Any, model: Any, geom: int) -> tuple[Float64s, Int32s] | None:
+    """The triangles of a mesh or height field in its body's frame; None where a geom is neither."""
+    kinds, kind = mujoco.mjtGeom, int(model.geom_type[geom])
+    which = int(model.geom_dataid[geom])
+    if kind == kinds.mjGEOM_MESH:
+        first, begin = int(model.mesh_vertadr[which]), int(model.mesh_faceadr[which])
+        corners = np.array(model.mesh_vert[first : first + int(model.mesh_vertnum[which])], np.float64)
+        faces = np.array(model.mesh_face[begin : begin + int(model.mesh_facenum[which])], np.int32)
+        vertices, triangles = joined(corners, faces)
+    elif kind == kinds.mjGEOM_HFIELD:
+        vertices, triangles = _height_field(model, which)
+    else:
+        return None
+    rotation, shift = _frame(mujoco, model, geom)
+    return vertices @ rotation.T + shift, triangles
+
+
+def _height_field(model: Any, which: int) -> tuple[Float64s, Int32s]:
+    """A height field as a closed mesh: its surface, four walls and a bottom.
+
+    Each cell is cut from its corner of least x and y to that of most, as MuJoCo's collision does.
+    """
+    rows, columns = int(model.hfield_nrow[which]), int(model.hfield_ncol[which])
+    half_x, half_y, top, base = (float(s) for s in model.hfield_size[which])
+    first = int(model.hfield_adr[which])
+    height = top * np.array(model.hfield_data[first : first + rows * columns], np.float64)
+    y, x = np.meshgrid(np.linspace(-half_y, half_y, rows), np.linspace(-half_x, half_x, columns), indexing="ij")
+    surface = np.stack([x.reshape(-1), y.reshape(-1), height], axis=-1)
+    number = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (part.reshape(-1) for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
+    # round the edge, anticlockwise seen from above
+    edge = np.concatenate([number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]])
+    below = rows * columns + np.arange(len(edge))
+    middle = np.full(len(edge), rows * columns + len(edge))
+    ahead, below_ahead = np.roll(edge, -1), np.roll(below, -1)
+    foot = surface[edge] * (1.0, 1.0, 0.0) - (0.0, 0.0, base)
+    triangles = [(a, b, c), (a, c, d), (edge, below, below_ahead), (edge, below_ahead, ahead)]
+    triangles.append((middle, below_ahead, below))
+    faces = np.concatenate([np.stack(three, axis=-1) for three in triangles])
+    return np.concatenate([surface, foot, [[0.0, 0.0, -base]]]), faces.astype(np.int32)
 
 
 KIND = SourceKind("mjcf", "a MuJoCo model (.xml), simulated; needs the extra physics", _recognise, _open)

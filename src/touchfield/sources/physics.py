@@ -39,32 +39,221 @@ Where nothing is simulated, no MuJoCo is needed, and the scene lasts as long as 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.files import require_beside
 from touchfield.medium.pose_track import PoseTrack
-from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.analytic_scene import AnalyticScene, known, number, read_toml, shape_of_table, tables, text
 from touchfield.sources.body_scene import BodyScene
+from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.physics_model import model_of
-from touchfield.sources.physics_table import PhysicsTable, RigidBody, read_physics
 from touchfield.sources.poses import quaternion_of_turns, read_pose_csv, track_at_rate
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Body
-from touchfield.sources.shapes import Plane
-from touchfield.sources.simulation import frames_of, load_mujoco, simulated
-from touchfield.sources.toml_values import read_toml
+from touchfield.sources.shapes import SHAPES, Plane, Triple
+from touchfield.sources.simulation import FRAME_RATE_HZ, frames_of, load_mujoco, model_of, simulated
 
 Poses = tuple[Float64s, Float64s, Float64s]
 
 _SECONDS: Final = 2.0
+_FEWEST_STEPS: Final = 7
+_KINDS: Final = (*(kind for kind in SHAPES if kind != "plane"), "mesh")
+_PLACE: Final = ("position_m", "rotation_deg")
+_MOTION: Final = ("velocity_m_s", "spin_deg_s", "density_kg_m3", "mass_kg")
+_MESH: Final = ("file", "unit_m", "vertices_m", "triangles")
+_OF_BODY: Final = ("name", "poses", "fixed", *_PLACE, *_MOTION)
+
+# -- the keys: what each holds, and what must not stand beside it
+_RANGES: Final = {
+    **dict.fromkeys(("seconds", "rate_hz", "step_s", "contact_s"), (1e-9, 1e9)),
+    **dict.fromkeys(("friction", "torsional_friction_m", "rolling_friction_m"), (0.0, 1e6)),
+    "restitution": (0.0, 1.0),
+    **dict.fromkeys(("density_kg_m3", "mass_kg", "unit_m"), (1e-12, 1e12)),
+    "height_m": (-1e9, 1e9),
+}
+_TRIPLES: Final = ("gravity_m_s2", *_PLACE, "velocity_m_s", "spin_deg_s")
+_ALONE: Final = {
+    "poses": (*_PLACE, *_MOTION, "fixed"),
+    "fixed": _MOTION,
+    "mass_kg": ("density_kg_m3",),
+    "file": ("vertices_m", "triangles"),
+    "vertices_m": ("unit_m",),
+}
 
 
+def _value(where: str, key: str, value: Any) -> Any:
+    """What a key holds, checked."""
+    if key in _RANGES:
+        least, most = _RANGES[key]
+        checked = number(where, value)
+        if not least <= checked <= most:
+            raise SourceError(where, f"{checked:g}", f"a number from {least:g} to {most:g}")
+        return checked
+    if key in _TRIPLES:
+        if not isinstance(value, list) or len(value) != 3:
+            raise SourceError(where, repr(value)[:60], "a list of three numbers")
+        return tuple(_value(where, "height_m", item) for item in value)
+    if key in ("vertices_m", "triangles"):
+        if not isinstance(value, list) or not value:
+            raise SourceError(where, repr(value)[:60], "a list of lists of three numbers")
+        return np.array([_value(where, "position_m", row) for row in value], np.float64)
+    if key in ("touchable", "fixed"):
+        if not isinstance(value, bool):
+            raise SourceError(where, repr(value)[:60], "true or false")
+        return value
+    return text(where, value)
+
+
+def _values(where: str, table: dict[str, Any], keys: Iterable[str]) -> dict[str, Any]:
+    """The values of those keys that are there."""
+    return {key: _value(f"{where}: {key}", key, table[key]) for key in keys if key in table}
+
+
+def _filled(kind: type[Any], where: str, table: Any) -> Any:
+    """The dataclass of that kind with the values of a table, which has no other keys."""
+    if not isinstance(table, dict):
+        raise SourceError(where, repr(table)[:60], "a table")
+    names = tuple(f.name for f in fields(kind))
+    known(where, table, names)
+    return kind(**_values(where, table, names))
+
+
+@dataclass(frozen=True)
+class World:
+    """The table ``[physics]``."""
+
+    seconds: float | None = None  # none: 2 s, or what the pose files hold where nothing is simulated
+    rate_hz: float = FRAME_RATE_HZ  # frames a second
+    step_s: float = 0.001  # time step of the simulation
+    gravity_m_s2: Triple = (0.0, 0.0, -9.81)
+    friction: float = 0.6  # coefficient of sliding friction of every contact
+    # torque for each newton of normal force, newton metres, against turning about the normal and rolling
+    torsional_friction_m: float = 0.0
+    rolling_friction_m: float = 0.0
+    restitution: float = 0.3  # speed after a bounce over speed before it, 0 to 1; below 0.02 it is 0.02
+    # how long a bounce lasts, at least 7 steps; None is 8. What arrives at v enters by about v contact_s / 3
+    contact_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The table ``[floor]``: everything below a height; `touchable` says whether it is a part of the scene."""
+
+    height_m: float = 0.0
+    touchable: bool = True
+
+
+@dataclass(frozen=True)
+class RigidBody:
+    """A table ``[[body]]``."""
+
+    where: str  # file and number, for messages
+    name: str
+    scene: AnalyticScene | MeshScene  # in the body's frame: one shape, or one mesh
+    # of the body's frame at the start; all turns are about the axes of the scene
+    position_m: Triple = (0.0, 0.0, 0.0)
+    rotation_deg: Triple = (0.0, 0.0, 0.0)
+    velocity_m_s: Triple = (0.0, 0.0, 0.0)
+    spin_deg_s: Triple = (0.0, 0.0, 0.0)
+    density_kg_m3: float = 1000.0
+    mass_kg: float | None = None  # in place of the density
+    poses: Path | None = None  # file of the poses it takes in place of being simulated
+    fixed: bool = False  # whether it stays where it is
+
+    @property
+    def is_simulated(self) -> bool:
+        """True if it falls and collides."""
+        return self.poses is None and not self.fixed
+
+
+class PhysicsTable(NamedTuple):
+    """A whole file."""
+
+    world: World
+    floor: Floor | None
+    bodies: tuple[RigidBody, ...]
+
+
+def read_physics(path: Path, *, anywhere: bool = False) -> PhysicsTable:
+    """Read a physics scene; mesh files are read too, pose files are not.
+
+    `anywhere` bool: whether it may name files outside its folder. Raises `SourceError` if a file cannot be read or
+    lies elsewhere, or a key is unknown, missing or holds the wrong thing; it names file and key.
+    """
+    table = read_toml(path, "a TOML file with [[body]] tables")
+    known(str(path), table, ("physics", "floor", "body"))
+    entries = tables(str(path), table.get("body"), "body")
+    bodies = tuple(_body(path, i, entry, anywhere) for i, entry in enumerate(entries, 1))
+    taken = {"floor": "the floor"}
+    for body in bodies:
+        if body.name in taken:
+            found = f"{body.name!r}, as {taken[body.name]} is called"
+            raise SourceError(f"{body.where}: name", found, "a name of its own")
+        taken[body.name] = "another body"
+    floor = _filled(Floor, f"{path}: floor", table["floor"]) if "floor" in table else None
+    world: World = _filled(World, f"{path}: physics", table.get("physics", {}))
+    if world.contact_s is None:
+        world = replace(world, contact_s=8 * world.step_s)
+    elif world.contact_s < _FEWEST_STEPS * world.step_s * (1 - 1e-9):
+        expected = f"at least {_FEWEST_STEPS} steps of {world.step_s:g} s"
+        raise SourceError(f"{path}: physics: contact_s", f"{world.contact_s:g}", expected)
+    return PhysicsTable(world, floor, bodies)
+
+
+def _body(path: Path, count: int, entry: dict[str, Any], anywhere: bool) -> RigidBody:
+    where = f"{path}: body {count}"
+    kind = entry.get("kind")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise SourceError(f"{where}: kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
+    own: tuple[str, ...] = _MESH
+    if kind != "mesh":  # the frame of a shape is the body's
+        own = tuple(f.name for f in fields(SHAPES[kind]) if f.name not in ("center_m", "rotation_deg"))  # type: ignore[arg-type]
+    known(where, entry, ("kind", *own, *_OF_BODY))
+    of_kind = {key: entry[key] for key in own if key in entry}
+    if kind == "mesh":
+        scene: AnalyticScene | MeshScene = _mesh(path, where, _values(where, of_kind, own), anywhere)
+    else:
+        shape = shape_of_table(where, {"kind": kind, "center_m": [0, 0, 0], **of_kind})
+        scene = AnalyticScene((shape,), "union", UP_Z_AXES)
+    values = {"name": f"body {count}", **_values(where, entry, _OF_BODY)}
+    for name in _ALONE:
+        for other in _ALONE[name] if {**entry, **values}.get(name) else ():
+            if other in entry:
+                raise SourceError(f"{where}: {other}", f"it beside {name}", "one of the two")
+    if "poses" in values:
+        values["poses"] = require_beside(path.parent, values["poses"], f"{where}: poses", anywhere=anywhere)
+    elif "position_m" not in values:
+        raise SourceError(f"{where}: position_m", "nothing", "where the body begins: position_m, or poses")
+    return RigidBody(where, scene=scene, **values)
+
+
+def _mesh(path: Path, where: str, values: dict[str, Any], anywhere: bool) -> MeshScene:
+    if "file" in values:
+        from touchfield.sources.mesh import read_triangles
+
+        file = require_beside(path.parent, values["file"], f"{where}: file", anywhere=anywhere)
+        if not file.exists():
+            raise SourceError(f"{where}: file", f"nothing at {file}", "a mesh file", "Check the path.")
+        vertices, triangles, notes = read_triangles(file)
+        return MeshScene(vertices * values.get("unit_m", 1.0), triangles, name=str(file), notes=notes)
+    for name in ("vertices_m", "triangles"):
+        if name not in values:
+            raise SourceError(f"{where}: {name}", "nothing", "a mesh: file, or vertices_m and triangles")
+    corners, numbers = values["vertices_m"], values["triangles"]
+    if not ((numbers % 1 == 0) & (numbers >= 0) & (numbers < len(corners))).all():
+        expected = f"whole numbers from 0 to {len(corners) - 1}"
+        raise SourceError(f"{where}: triangles", "a number of no vertex", expected)
+    return MeshScene(corners, numbers.astype(np.int32), name=where)
+
+
+# -- the scene -------------------------------------------------------------------------------------------------
 def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     """Read a scene, simulate it, and give its bodies in motion; ``options`` gives other seconds or another rate.
 
@@ -83,7 +272,11 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
         tracks, notes = simulated(model, ids, frames, rate, str(path), driven)
         notes = (*told, *notes)
     else:
-        tracks = [posed[body.name] if body.poses else _still(body, frames) for body in table.bodies]
+        for body in table.bodies:
+            if not body.poses:
+                turns = np.tile(quaternion_of_turns(body.rotation_deg), (frames, 1))
+                posed[body.name] = replace(PoseTrack.still(frames, body.position_m), quaternions=turns)
+        tracks = [posed[body.name] for body in table.bodies]
     bodies = [Body(one.name, one.scene, track) for one, track in zip(table.bodies, tracks, strict=True)]
     if table.floor and table.floor.touchable:
         plane = Plane((0.0, 0.0, table.floor.height_m), (0.0, 0.0, 1.0))
@@ -121,11 +314,6 @@ def _frame_count(
             found = f"poses that begin at {first_s:.6g} s"
             raise InvalidArgument(str(path), found, error.expected, "Let their times begin at 0.") from error
     return frames_of(str(path), _SECONDS if seconds is None else seconds, rate_hz, count)
-
-
-def _still(body: RigidBody, frames: int) -> PoseTrack:
-    still = PoseTrack.still(frames, body.position_m)
-    return replace(still, quaternions=np.tile(quaternion_of_turns(body.rotation_deg), (frames, 1)))
 
 
 def _recognise(path: Path) -> bool:

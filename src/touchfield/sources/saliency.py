@@ -42,10 +42,10 @@ from touchfield.medium.budget import zero_forces
 from touchfield.sources import moving_pictures as moving
 from touchfield.sources.camera import MAX_FRAMES, require_frame
 from touchfield.sources.depth_layouts import is_known, source_rate
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.moving_pictures import Pictures
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder, list_files, with_suffix
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene
 

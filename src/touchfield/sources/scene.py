@@ -20,7 +20,7 @@ from touchfield.medium import BRICK, ForceField, Grid, PoseTrack
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, frozen
 from touchfield.parallel import for_chunks
-from touchfield.sources.profile import ForceProfile
+from touchfield.sources.laws import ForceProfile
 
 CAMERA_AXES: Final = "x right, y down, z forward"
 UP_Y_AXES: Final = "x right, y up, z towards the viewer"

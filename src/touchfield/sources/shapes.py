@@ -40,11 +40,11 @@ class Shape(ABC):
         for name, value in ((f.name, getattr(self, f.name)) for f in fields(self)):  # type: ignore[arg-type]
             if name in ("point_m", "normal", "center_m", "rotation_deg"):
                 _check_triple(name, value)
-            elif name in ("radius_m", "half_length_m"):
-                _check_positive(name, value)
-            elif name == "half_extents_m":
-                for half in _check_triple(name, value):
-                    _check_positive(name, float(half))
+            elif name in ("radius_m", "half_length_m", "half_extents_m"):
+                for length in _check_triple(name, value).tolist() if name == "half_extents_m" else (value,):
+                    if not _LEAST_M <= length <= _MOST_M:
+                        expected = f"a positive length, {_LEAST_M:g} to {_MOST_M:g} m"
+                        raise InvalidArgument(name, repr(length), expected)
 
     @abstractmethod
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
@@ -87,8 +87,7 @@ class Plane(Shape):
     def _unit(self) -> Float64s:
         normal = np.asarray(self.normal, np.float64)
         normal = normal / np.abs(normal).max()  # so that no square overflows
-        unit: Float64s = normal / np.linalg.norm(normal)
-        return unit
+        return np.asarray(normal / np.linalg.norm(normal))
 
 
 @dataclass(frozen=True)
@@ -125,8 +124,7 @@ class _Turned(Shape):
         return _around(self.center_m, self._reach(rotation_matrix(self.rotation_deg)))
 
     def _local(self, points: Float64s) -> Float64s:
-        local: Float64s = (points - np.asarray(self.center_m)) @ rotation_matrix(self.rotation_deg)
-        return local
+        return np.asarray((points - np.asarray(self.center_m)) @ rotation_matrix(self.rotation_deg))
 
     @abstractmethod
     def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
@@ -134,8 +132,7 @@ class _Turned(Shape):
 
     def _reach(self, rotation: Float64s) -> Float64s:
         """Half the sides of its box, turned so, float64 [3]; by default that of a cuboid."""
-        reach: Float64s = np.abs(rotation) @ np.asarray(self.half_extents_m)
-        return reach
+        return np.asarray(np.abs(rotation) @ np.asarray(self.half_extents_m))
 
 
 @dataclass(frozen=True)
@@ -205,10 +202,7 @@ class Superquadric(_Turned):
         unit, size = self._scaled(self._local(centres))
         gauge = self._gauge(unit)[0] * size
         low, high = gauge - radius_m / nearest - 1, gauge + radius_m / nearest - 1
-        return (
-            np.where(low > 0, low * nearest, low * farthest),
-            np.where(high > 0, high * farthest, high * nearest),
-        )
+        return (np.where(low > 0, low * nearest, low * farthest), np.where(high > 0, high * farthest, high * nearest))
 
 
 @dataclass(frozen=True)
@@ -257,8 +251,7 @@ class Cylinder(_Turned):
     def _reach(self, rotation: Float64s) -> Float64s:
         along = np.abs(rotation[:, 2])
         across = np.sqrt(np.maximum(1.0 - along * along, 0.0))
-        reach: Float64s = along * self.half_length_m + across * self.radius_m
-        return reach
+        return np.asarray(along * self.half_length_m + across * self.radius_m)
 
 
 @dataclass(frozen=True)
@@ -288,8 +281,7 @@ class Ellipsoid(_Turned):
         return (root - 1.0) * half[least] ** 2 * steepness, gradient / steepness[:, None]
 
     def _reach(self, rotation: Float64s) -> Float64s:
-        reach: Float64s = np.sqrt(((rotation * np.asarray(self.half_extents_m)) ** 2).sum(axis=1))
-        return reach
+        return np.asarray(np.sqrt(((rotation * np.asarray(self.half_extents_m)) ** 2).sum(axis=1)))
 
 
 @dataclass(frozen=True)
@@ -322,8 +314,7 @@ class Moved(Shape):
         return _around(rotation @ box.mean(axis=0) + self.shift_m, np.abs(rotation) @ (np.ptp(box, axis=0) / 2))
 
     def _back(self, points: Float64s) -> Float64s:
-        local: Float64s = (points - np.asarray(self.shift_m)) @ np.asarray(self.rotation)
-        return local
+        return np.asarray((points - np.asarray(self.shift_m)) @ np.asarray(self.rotation))
 
 
 SHAPES: Final[dict[str, type[Shape]]] = {
@@ -356,8 +347,7 @@ def rotation_matrix(rotation_deg: Triple) -> Float64s:
     """The matrix whose columns are the body's axes, float64 [3, 3]: turns about the fixed x, then y, then z axis."""
     from scipy.spatial.transform import Rotation
 
-    matrix: Float64s = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix()
-    return matrix
+    return np.asarray(Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix())
 
 
 def _of_faces(beyond: Float64s) -> tuple[Float64s, Float64s]:
@@ -377,13 +367,8 @@ def _check_triple(name: str, values: ArrayLike) -> Float64s:
     return triple
 
 
-def _check_positive(name: str, value: float) -> None:
-    if not _LEAST_M <= value <= _MOST_M:
-        raise InvalidArgument(name, repr(value), f"a positive length, {_LEAST_M:g} to {_MOST_M:g} m")
-
-
 def _as_triple(values: Float64s) -> Triple:
-    x, y, z = (float(v) for v in values)
+    x, y, z = values.tolist()
     return x, y, z
 
 

@@ -2,6 +2,12 @@
 
 Frame i is the state at the time i / rate, so that frame 0 is the state it begins from and 2 s at 1 kHz are 2000
 frames. The same model gives the same poses, bit for bit, on one machine.
+
+Of a physics scene, a contact is a spring and a damper on the relative acceleration (MuJoCo's direct ``solref``)
+that push and never pull: it ends where their force is zero. With the damping ratio z, theta = acos z and w the
+frequency of the spring alone, that is after T = 2 theta / (w sin theta), and the speed has fallen by
+exp(-2 z theta / sin theta), the restitution (Schwager and Poschel, "Coefficient of restitution and linear-dashpot
+model revisited", 2007); z and w are solved for. A mesh collides as its convex hull.
 """
 
 from __future__ import annotations
@@ -11,18 +17,37 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.medium.pose_track import PoseTrack
+from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.poses import quaternion_of_turns
+from touchfield.sources.shapes import Superquadric, rotation_matrix
+
+if TYPE_CHECKING:
+    from touchfield.sources.physics import PhysicsTable, RigidBody
 
 FRAME_RATE_HZ: Final = 1000.0  # frames a second where none are asked for: the rate of haptic rendering
 START: Final = "touchfield"  # name of the keyframe from which a simulation begins, where the model has it
 _MAX_POSES: Final = 1 << 22  # bodies times frames; 28 doubles of 8 bytes and their copies are kept for each
 _MAX_STEPS: Final = 20_000_000  # steps times bodies: up to half a minute of one core
 _STEPS_S: Final = (1e-9, 1e9)
+
+_HARD: Final = (0.99, 0.99, 0.001, 0.5, 2.0)
+"""Impedance: nearly all of the acceleration at a contact is the spring's and damper's."""
+
+_LEAST_RESTITUTION: Final = 0.02
+_MOST_DAMPED: Final = 10.0  # a damping ratio beyond that of the least restitution
+_POSED_KG_M3: Final = 1e8  # density of a body that a file poses: nothing that it meets within a frame moves it
+_HULL_ROWS: Final = 16
+_THINNEST: Final = 1e-5
+"""Thickness of a mesh, as a share of its length, below which no hull is made of it that could be trusted."""
+
+_OVERLAP_M: Final = 1e-4
 
 _one_at_a_time = threading.Lock()
 
@@ -32,15 +57,10 @@ def load_mujoco() -> Any:
     return import_extra("mujoco", "a simulation of rigid bodies", "mujoco", "physics")
 
 
-def mujoco_faults(mujoco: Any) -> tuple[type[Exception], ...]:
-    """Errors of MuJoCo for a model at fault."""
-    return (ValueError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError)
-
-
 @contextmanager
-def warnings_heard(mujoco: Any) -> Iterator[list[str]]:
-    """The warnings of MuJoCo, which otherwise go to the screen and into a file in the working folder."""
-    heard: list[str] = []
+def _warnings_heard(where: str, found: str, expected: str) -> Iterator[list[str]]:
+    """Warnings of MuJoCo, which otherwise go to the screen and into a file; `SourceError` for a model at fault."""
+    mujoco, heard = load_mujoco(), list[str]()
     with _one_at_a_time:  # the handler is one for the whole process
         before = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(lambda said: heard.append(str(said)))
@@ -48,6 +68,8 @@ def warnings_heard(mujoco: Any) -> Iterator[list[str]]:
             with warnings.catch_warnings(record=True) as told:  # the compiler of models warns as Python does
                 warnings.simplefilter("always")
                 yield heard
+        except (ValueError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError) as error:
+            raise SourceError(where, f"{found} ({error})", expected) from error
         finally:
             mujoco.set_mju_user_warning(before)
             heard += [str(one.message) for one in told]
@@ -55,12 +77,8 @@ def warnings_heard(mujoco: Any) -> Iterator[list[str]]:
 
 def compiled(make: Callable[[], Any], where: str, found: str, expected: str) -> tuple[Any, tuple[str, ...]]:
     """Result of `make`, and what MuJoCo warned of; `SourceError` in these words where it refuses."""
-    mujoco = load_mujoco()
-    try:
-        with warnings_heard(mujoco) as heard:
-            made = make()
-    except mujoco_faults(mujoco) as error:
-        raise SourceError(where, f"{found} ({error})", expected) from error
+    with _warnings_heard(where, found, expected) as heard:
+        made = make()
     return made, tuple(f"MuJoCo warns: {' '.join(said.split())[:200]}" for said in heard)
 
 
@@ -102,47 +120,35 @@ def simulated(
         raise InvalidArgument(where, found, f"at most {_MAX_STEPS} steps of a body", f"Ask for less. {mend}")
     ids = np.asarray(body_ids, np.intp)
     positions, quaternions = np.empty((frame_count, len(ids), 3)), np.empty((frame_count, len(ids), 4))
-    driven = [_Driven(model, body, track, rate_hz) for body, track in (posed or {}).items()]
-    try:
-        with warnings_heard(mujoco) as heard:
-            data = _begun(mujoco, model)
-            for frame in range(frame_count):
-                for body in driven:
-                    body.place(data, frame)
-                mujoco.mj_kinematics(model, data)
-                positions[frame], quaternions[frame] = data.xpos[ids], data.xquat[ids]
-                if frame + 1 < frame_count:
-                    mujoco.mj_step(model, data, steps)
-                if heard:
-                    notes += _judged(mujoco, data, heard, f"{where}, {(frame + 1) / rate_hz:g} s")
-    except mujoco_faults(mujoco) as error:
-        raise SourceError(where, f"a simulation that stops: {error}", "a model that MuJoCo can step") from error
+    driven = [_driven(model, body, track, rate_hz) for body, track in (posed or {}).items()]
+    with _warnings_heard(where, "a simulation that stops", "a model that MuJoCo can step") as heard:
+        data = mujoco.MjData(model)
+        key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START)
+        if key >= 0:
+            mujoco.mj_resetDataKeyframe(model, data, key)
+        for frame in range(frame_count):
+            for place, motion, poses, velocities in driven:
+                data.qpos[place], data.qvel[motion] = poses[frame], velocities[frame]
+            mujoco.mj_kinematics(model, data)
+            positions[frame], quaternions[frame] = data.xpos[ids], data.xquat[ids]
+            if frame + 1 < frame_count:
+                mujoco.mj_step(model, data, steps)
+            if heard:
+                notes += _judged(mujoco, data, heard, f"{where}, {(frame + 1) / rate_hz:g} s")
     return [PoseTrack(quaternions[:, k], positions[:, k]) for k in range(len(ids))], notes
 
 
-class _Driven:
-    """A body whose free joint is set, frame by frame, to the poses and velocities of a track."""
-
-    def __init__(self, model: Any, body: int, track: PoseTrack, rate_hz: float) -> None:
-        joint = int(model.body_jntadr[body])
-        self._place, self._motion = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-        self._poses = np.concatenate([track.positions_m, track.quaternions], axis=1)
-        ahead = np.diff(track.positions_m, axis=0, append=track.positions_m[-1:]) * rate_hz
-        _, spin = track.velocities(rate_hz)
-        own_spin = np.einsum("fji,fj->fi", track.rotations(), spin)  # MuJoCo has it in the body's frame
-        self._velocities = np.concatenate([ahead, own_spin], axis=1)
-
-    def place(self, data: Any, frame: int) -> None:
-        data.qpos[self._place : self._place + 7] = self._poses[frame]
-        data.qvel[self._motion : self._motion + 6] = self._velocities[frame]
-
-
-def _begun(mujoco: Any, model: Any) -> Any:
-    data = mujoco.MjData(model)
-    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START)
-    if key >= 0:
-        mujoco.mj_resetDataKeyframe(model, data, key)
-    return data
+def _driven(model: Any, body: int, track: PoseTrack, rate_hz: float) -> tuple[slice, slice, Float64s, Float64s]:
+    """Where a body with a free joint has its pose and velocity in the state, and both of them frame by frame."""
+    joint = int(model.body_jntadr[body])
+    place, motion = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    ahead = np.diff(track.positions_m, axis=0, append=track.positions_m[-1:]) * rate_hz
+    own_spin = np.einsum("fji,fj->fi", track.rotations(), track.velocities(rate_hz)[1])  # in the body's frame
+    poses, velocities = [track.positions_m, track.quaternions], [ahead, own_spin]
+    return (
+        slice(place, place + 7), slice(motion, motion + 6),
+        np.concatenate(poses, axis=1), np.concatenate(velocities, axis=1),
+    )  # fmt: skip
 
 
 def _steps_a_frame(model: Any, rate_hz: float) -> tuple[int, tuple[str, ...]]:
@@ -167,3 +173,162 @@ def _judged(mujoco: Any, data: Any, heard: list[str], where: str) -> tuple[str, 
             expected = "a stable simulation"
             raise SourceError(where, f"that it diverges ({said})", expected, "Make the time step shorter.")
     return (f"MuJoCo warns: {said}",)
+
+
+# -- a physics scene as a model --------------------------------------------------------------------------------
+def model_of(
+    mujoco: Any, table: PhysicsTable, posed: Mapping[str, PoseTrack], where: str
+) -> tuple[Any, list[int], tuple[str, ...]]:
+    """The model, the ids of its bodies in the order of the table, and notes.
+
+    `posed` mapping of str to PoseTrack: of the bodies that files pose, by name; `where` str: what to call the scene
+    in messages.
+
+    Raises `SourceError` if MuJoCo refuses it, as it does a mesh without volume.
+    """
+    spec = mujoco.MjSpec()
+    world = table.world
+    spec.option.timestep, spec.option.gravity = world.step_s, world.gravity_m_s2
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    ratio = _damping_ratio(max(world.restitution, _LEAST_RESTITUTION))
+    frequency = 2 * _angle_over_sine(ratio) / (world.contact_s or 8 * world.step_s)
+    condim = 1 if world.friction == 0 else 6 if world.rolling_friction_m else 4 if world.torsional_friction_m else 3
+    touch: dict[str, Any] = {
+        "friction": [world.friction, world.torsional_friction_m, world.rolling_friction_m],
+        "condim": condim,
+        "solref": [-(frequency**2), -2 * ratio * frequency],
+        "solimp": list(_HARD),
+    }
+    if table.floor:
+        plane = mujoco.mjtGeom.mjGEOM_PLANE
+        spec.worldbody.add_geom(type=plane, size=[0, 0, 1], pos=[0, 0, table.floor.height_m], contype=0, **touch)
+    start: dict[str, list[float]] = {"qpos": [], "qvel": []}
+    notes: tuple[str, ...] = ()
+    for number, body in enumerate(table.bodies):
+        position, turn = list(body.position_m), quaternion_of_turns(body.rotation_deg)
+        if body.name in posed:
+            position, turn = list(posed[body.name].positions_m[0]), posed[body.name].quaternions[0]
+        is_posed = body.name in posed
+        in_model = spec.worldbody.add_body(name=f"b{number}", pos=position, quat=turn, gravcomp=float(is_posed))
+        if not body.fixed:
+            in_model.add_freejoint()
+            start["qpos"] += [*position, *turn]
+            spin = np.radians(body.spin_deg_s) @ rotation_matrix(body.rotation_deg)  # in the body's own frame
+            start["qvel"] += [*body.velocity_m_s, *spin]
+        matter = {"density": body.density_kg_m3} if body.mass_kg is None else {"mass": body.mass_kg}
+        if is_posed:
+            matter = {"density": _POSED_KG_M3}
+        own = {**touch, **matter, "contype": int(body.is_simulated)}  # what is not simulated meets only what is
+        notes += _add_geom(mujoco, spec, in_model, f"m{number}", body, own)
+    spec.add_key(name=START, **start)
+
+    def make() -> tuple[Any, dict[tuple[int, int], float]]:
+        model = spec.compile()
+        return model, _overlaps(mujoco, model)
+
+    (model, deepest), told = compiled(make, where, "bodies that MuJoCo refuses", "bodies with a volume")
+    notes += told
+    kind = mujoco.mjtObj.mjOBJ_BODY
+    ids = [mujoco.mj_name2id(model, kind, f"b{number}") for number in range(len(table.bodies))]
+    name_of = {0: "the floor", **{body_id: body.name for body_id, body in zip(ids, table.bodies, strict=True)}}
+    notes += tuple(
+        f"{name_of[second]} begins {-1e3 * dist:.2g} mm within {name_of[first]}: it is thrown out."
+        for (first, second), dist in deepest.items()
+        if dist < -_OVERLAP_M
+    )
+    return model, ids, notes
+
+
+def _overlaps(mujoco: Any, model: Any) -> dict[tuple[int, int], float]:
+    """The least distance, metres, of each two bodies that meet at the start; deep ones are thrown apart."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    deepest: dict[tuple[int, int], float] = {}
+    for contact in data.contact:
+        first, second = (int(model.geom_bodyid[geom]) for geom in (contact.geom1, contact.geom2))
+        deepest[first, second] = min(deepest.get((first, second), 0.0), float(contact.dist))
+    return deepest
+
+
+def _damping_ratio(restitution: float) -> float:
+    """z with exp(-2 z theta / sin theta) = restitution, by bisection."""
+    low, high = 0.0, _MOST_DAMPED
+    for _ in range(60):
+        ratio = (low + high) / 2
+        if 2 * ratio * _angle_over_sine(ratio) < -math.log(restitution):
+            low = ratio
+        else:
+            high = ratio
+    return low
+
+
+def _angle_over_sine(ratio: float) -> float:
+    """theta / sin theta for theta = acos(ratio), which is imaginary beyond 1."""
+    if abs(ratio - 1) < 1e-9:
+        return 1.0
+    if ratio < 1:
+        return math.acos(ratio) / math.sqrt(1 - ratio * ratio)
+    return math.acosh(ratio) / math.sqrt(ratio * ratio - 1)
+
+
+def _add_geom(
+    mujoco: Any, spec: Any, made: Any, mesh_name: str, body: RigidBody, properties: dict[str, Any]
+) -> tuple[str, ...]:
+    """Add what collides for the scene of a body."""
+    kinds, scene = mujoco.mjtGeom, body.scene
+    mesh: dict[str, Any] = {}
+    notes: tuple[str, ...] = ()
+    if isinstance(scene, MeshScene):
+        points, triangles = np.array(scene.surface.vertices_m), np.array(scene.surface.triangles)
+        volume = scene.surface.volume_m3() if scene.is_closed else 0.0
+        if volume < 0:
+            triangles = np.ascontiguousarray(triangles[:, ::-1])
+        inertia = mujoco.mjtMeshInertia
+        mesh = {"userface": triangles.reshape(-1), "inertia": inertia.mjMESH_INERTIA_CONVEX}
+        if volume:
+            mesh["inertia"] = inertia.mjMESH_INERTIA_EXACT
+        if not _is_convex(scene):
+            notes = (f"{body.name} is not convex: it collides as its convex hull.",)
+    else:
+        (shape,) = scene.shapes
+        if not isinstance(shape, Superquadric):
+            size = getattr(shape, "half_extents_m", None)
+            size = size or (shape.radius_m, getattr(shape, "half_length_m", 0.0), 0.0)  # type: ignore[attr-defined]
+            kind = getattr(kinds, f"mjGEOM_{type(shape).__name__.upper()}")
+            made.add_geom(type=kind, size=list(size), **properties)
+            return ()
+        points = _hull_points(shape)
+    sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not sizes[-1] > _THINNEST * sizes[0]:
+        found = f"a body {sizes[-1] / max(sizes[0], 1e-300):.1g} as thick as it is long"
+        raise SourceError(f"{body.where}: size", found, f"{_THINNEST:g} or more")
+    spec.add_mesh(name=mesh_name, uservert=points.reshape(-1), **mesh)
+    made.add_geom(type=kinds.mjGEOM_MESH, meshname=mesh_name, **properties)
+    return notes
+
+
+def _is_convex(scene: MeshScene) -> bool:
+    from scipy.spatial import ConvexHull, QhullError
+
+    if not scene.is_closed:
+        return False
+    try:
+        hull = float(ConvexHull(scene.surface.vertices_m).volume)
+    except QhullError:
+        return False
+    return abs(hull - abs(scene.surface.volume_m3())) <= 1e-6 * hull
+
+
+def _hull_points(shape: Superquadric) -> Float64s:
+    """Points of a superquadric's surface by its angles, float64 [n, 3]; closest where it is most curved."""
+    turns = np.arange(2 * _HULL_ROWS) * (math.pi / _HULL_ROWS)
+    along, around = np.meshgrid(np.linspace(-math.pi / 2, math.pi / 2, _HULL_ROWS + 1), turns)
+    e1, e2 = shape.exponents
+
+    def power(value: Float64s, exponent: float) -> Float64s:
+        return np.asarray(np.sign(value) * np.abs(np.where(np.abs(value) < 1e-12, 0.0, value)) ** exponent)
+
+    ring = power(np.cos(along), e1)
+    unit = ring * power(np.cos(around), e2), ring * power(np.sin(around), e2), power(np.sin(along), e1)
+    return np.asarray(np.unique(np.stack(unit, axis=-1).reshape(-1, 3), axis=0) * np.asarray(shape.half_extents_m))

@@ -15,8 +15,8 @@ from touchfield.errors import SourceError
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 from touchfield.medium.npz import NpzArchive, read_npz
 from touchfield.medium.zarr_store import read_zarr
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.profile import ForceProfile
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Scene, field_of_points
 

@@ -18,7 +18,7 @@ from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from touchfield.sources.height_scene import HeightLattice
-    from touchfield.sources.profile import ForceProfile
+    from touchfield.sources.laws import ForceProfile
 
 
 _WEIGHTS = np.array([1.0, 4.0, 6.0, 4.0, 1.0])

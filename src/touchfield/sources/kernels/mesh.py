@@ -5,13 +5,17 @@ of a cell, its half-sized child with centre c and radius r keeps those with d(c)
 the band, d(c) <= band + r; no other one can be nearest to any of the child's samples. Nothing is allocated for the
 rest of the grid. The search is in float32, in units of the largest spacing and relative to the brick; distance and
 direction are then evaluated in float64 for the triangle found.
+
+The damping of a moving surface is b times the velocity of the nearest point (paper 3.2); the velocity within a
+triangle is linear between its corners, as their positions are. A wall ends where its surface ends: a force is
+multiplied by min(1, s / w), s the distance to the rim of the nearest point of the surface. Where that point lies on
+the rim itself, the surface is beside the sample: no force.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,7 +26,6 @@ from touchfield.medium import Grid
 from touchfield.medium.kernels.placed import close_up
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels import mesh_triangle as tri
-from touchfield.sources.kernels.mesh_samples import Motion, Rim, add_motion, fade
 from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
 
 CLOSED, ONE_SIDED, TWO_SIDED, LIDDED = 0, 1, 2, 3
@@ -33,8 +36,7 @@ _SLACK = np.float32(1e-3)  # of the largest spacing: far above the rounding of t
 _0 = np.float32(0)
 
 
-@dataclass(frozen=True)
-class Band:
+class Band(NamedTuple):
     """Distances that matter, and their sign."""
 
     sidedness: int  # `CLOSED`, `ONE_SIDED`, `TWO_SIDED` or `LIDDED`
@@ -43,6 +45,30 @@ class Band:
     outer_m: float
     half_wall_m: float  # what a two-sided sheet takes off its distances
     pieces: Float64s  # float64 [n, 4]; `ForceProfile.table`
+
+
+class Motion(NamedTuple):
+    """Motion of a surface."""
+
+    triangles: Int32s  # int32 [m, 3]; in the order of the table, each beginning with its longest edge
+    velocities_m_s: Float64s  # float64 [n, 3]; of the vertices
+    damping_n_s_per_m: float  # b
+
+
+class Rim(NamedTuple):
+    """Rim of a surface."""
+
+    table: Float64s  # float64 [r, 33]; `triangle_table` of its edges, each a triangle that goes to and fro
+    width_m: float  # w
+
+
+@njit(nogil=True, forceinline=True)
+def _place(bricks, b, i, j, k, lattice):
+    """Where a sample of a brick is, metres."""
+    x = lattice[0] + (bricks[b, 0] * 8 + i) * lattice[3]
+    y = lattice[1] + (bricks[b, 1] * 8 + j) * lattice[4]
+    z = lattice[2] + (bricks[b, 2] * 8 + k) * lattice[5]
+    return x, y, z
 
 
 # -- from the grid down to its bricks ------------------------------------------------------------------------------
@@ -202,9 +228,7 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
                 if block[tri.ID + q] < _0:
                     continue
                 i, j, k = local[0] + (q >> 4), local[1] + ((q >> 2) & 3), local[2] + (q & 3)
-                x = lattice[0] + (corner[0] + i) * lattice[3]
-                y = lattice[1] + (corner[1] + j) * lattice[4]
-                z = lattice[2] + (corner[2] + k) * lattice[5]
+                x, y, z = _place(bricks, b, i, j, k, lattice)
                 t = ids[first + int(block[tri.ID + q])]
                 is_inside = winding[(i << 6) | (j << 3) | k] != 0
                 x, y, z = _force(table, normals, t, x, y, z, is_inside, rule, pieces)
@@ -242,6 +266,87 @@ def _each_force(begin, end, near, surface, frame, events, rule, pieces, owners, 
         if x != 0.0 or y != 0.0 or z != 0.0:
             forces[3 * q], forces[3 * q + 1], forces[3 * q + 2] = x, y, z
             owners[q] = t
+
+
+# -- what a motion adds, and where a shell ends -------------------------------------------------------------------
+# `owners` int32 [n, 8, 8, 8]: the nearest triangle of each sample with a force, -1 for the others
+@njit(nogil=True, forceinline=True)
+def _height(table, t, edge, x, y, z):
+    """The height over an edge, in the plane of its triangle."""
+    m, a = 3 + 3 * edge, 21 + 3 * edge
+    dx, dy, dz = x - table[t, a], y - table[t, a + 1], z - table[t, a + 2]
+    return table[t, m] * dx + table[t, m + 1] * dy + table[t, m + 2] * dz
+
+
+@njit(nogil=True, forceinline=True)
+def _share(table, t, edge, x, y, z):
+    """The height over an edge, of that of the corner opposite: the share of that corner."""
+    a = 21 + 3 * ((edge + 2) % 3)
+    whole = _height(table, t, edge, table[t, a], table[t, a + 1], table[t, a + 2])
+    return min(max(_height(table, t, edge, x, y, z) / whole, 0.0), 1.0) if whole != 0.0 else 0.0
+
+
+@njit(nogil=True, forceinline=True)
+def _shares(table, t, x, y, z):
+    """Shares of the last two corners of a triangle in its point nearest to (x, y, z)."""
+    dx, dy, dz, edge, along = tri.nearest(table, t, x, y, z)
+    if edge < 0:
+        px, py, pz = x - dx, y - dy, z - dz
+        third = _share(table, t, 0, px, py, pz)
+        return min(_share(table, t, 2, px, py, pz), 1.0 - third), third
+    length = table[t, 30 + edge]
+    share = along / length if length > 0.0 else 0.0
+    if edge == 0:
+        return share, 0.0
+    return (1.0 - share, share) if edge == 1 else (0.0, 1.0 - share)
+
+
+@njit(cache=True, nogil=True)
+def add_motion(begin, end, bricks, owners, table, lattice, triangles, velocities, damping, forces):
+    """Add the damping of a surface that moves, where there are forces."""
+    for b in range(begin, end):
+        for i, j, k in np.ndindex(8, 8, 8):
+            t = owners[b, i, j, k]
+            if t < 0:
+                continue
+            x, y, z = _place(bricks, b, i, j, k, lattice)
+            second, third = _shares(table, t, x, y, z)
+            for c in range(3):
+                v = velocities[triangles[t, 0], c]
+                at = v + second * (velocities[triangles[t, 1], c] - v)
+                at += third * (velocities[triangles[t, 2], c] - v)
+                forces[b, i, j, k, c] += damping * at
+
+
+@njit(cache=True, nogil=True)
+def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, held):
+    """Fade forces towards a rim; bricks that have none left are no longer `held`.
+
+    `near` (first, last, ids): the edges of the rim near brick b are ids[first[b]] to before ids[last[b]].
+    """
+    first, last, ids = near
+    for b in range(begin, end):
+        if first[b] == last[b] or not held[b]:
+            continue
+        held[b] = False
+        for i, j, k in np.ndindex(8, 8, 8):
+            t = owners[b, i, j, k]
+            if t < 0:
+                continue
+            x, y, z = _place(bricks, b, i, j, k, lattice)
+            dx, dy, dz, _, _ = tri.nearest(table, t, x, y, z)
+            x, y, z = x - dx, y - dy, z - dz
+            least = width * width
+            for e in range(first[b], last[b]):
+                dx, dy, dz, _, _ = tri.nearest(rim, ids[e], x, y, z)
+                least = min(least, dx * dx + dy * dy + dz * dz)
+            # what lies on the rim to rounding has no force at all
+            share = max(0.0, math.sqrt(least) / width - 1e-6)
+            if share < 1.0 - 2e-6:
+                for c in range(3):
+                    forces[b, i, j, k, c] *= share
+            if share > 0.0:
+                held[b] = True
 
 
 # -- all of it -----------------------------------------------------------------------------------------------------
@@ -286,17 +391,6 @@ def _rim_near(
     return first, last, ids
 
 
-def _by_gpu(
-    near: tuple[Int32s, Int64s, Int32s], surface: tuple[Float64s, Float64s], *about: Any
-) -> tuple[Float32s, Int32s]:
-    """Forces of bricks, and the nearest triangle of each sample with a force, -1 for the others."""
-    shape = (len(near[0]), 8, 8, 8)
-    count = 512 * len(near[0])
-    owners = empty(count, np.int32)
-    forces = filled(_each_force, count, (near, surface, *about, owners), 3 * count, np.float32)
-    return on_host(forces).reshape(*shape, 3), on_host(owners).reshape(shape)
-
-
 def forces_near(
     surface: tuple[Float64s, Float64s],
     events: Int64s,
@@ -328,14 +422,18 @@ def forces_near(
     columns = np.stack([np.searchsorted(events, columns + e) for e in (0, 1 << COLUMN_SHIFT)], axis=1)
     rule = (band.sidedness, band.half_wall_m, tiny_m)
     if uses_gpu():
-        forces, owners = _by_gpu((bricks, spans, ids), surface, (lattice, shape), events, rule, band.pieces)
+        owners, near = empty(512 * len(bricks), np.int32), ((bricks, spans, ids), surface, (lattice, shape))
+        work = (*near, events, rule, band.pieces, owners)
+        forces = on_host(filled(_each_force, 512 * len(bricks), work, 3 * 512 * len(bricks), np.float32))
+        forces, owners = forces.reshape(-1, 8, 8, 8, 3), on_host(owners).reshape(-1, 8, 8, 8)
         held = forces.any(axis=(1, 2, 3, 4))
     else:
         forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
         held = np.zeros(len(bricks), np.bool_)
         owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
-        near, frame = (bricks, spans, ids, columns), (lattice, shape, limits)
-        for_chunks(_fill_bricks, len(bricks), near, surface, frame, events, rule, band.pieces, forces, held, owners)
+        near_all, frame = (bricks, spans, ids, columns), (lattice, shape, limits)
+        about = (near_all, surface, frame, events, rule, band.pieces)
+        for_chunks(_fill_bricks, len(bricks), *about, forces, held, owners)
     if motion is not None:
         velocities = np.ascontiguousarray(motion.velocities_m_s, np.float64)
         moves = motion.triangles, velocities, motion.damping_n_s_per_m

@@ -14,7 +14,7 @@ import math
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 from urllib.parse import unquote
 
 import numpy as np
@@ -68,7 +68,7 @@ class Element:
 
     def indices(self, key: str, of: str | int) -> list[int]:
         """Numbers of such things; none where there is no list."""
-        return [self._within(f"{key}[{i}]", value, of) for i, value in enumerate(self._list(key))]
+        return [self._within(f"{key}[{i}]", value, of) for i, value in enumerate(self.list_of(key))]
 
     def _within(self, place: str, value: Any, of: str | int) -> int:
         number, count = _whole(value), len(self.document.all(of)) if isinstance(of, str) else of
@@ -81,7 +81,7 @@ class Element:
         """`count` finite numbers; None where there is no list."""
         if key not in self.members:
             return None
-        values = self._list(key)
+        values = self.list_of(key)
         if len(values) != count or not all(_is_finite(value) for value in values):
             raise self.fault(f"{key} {_shown(values)}", f"{count} finite numbers")
         return [float(value) for value in values]
@@ -93,36 +93,30 @@ class Element:
             raise self.fault(f"{key} {_shown(value)}", "a string")
         return value
 
-    def texts(self, key: str) -> list[str]:
-        """A list of strings; none where there is no list."""
-        values = self._list(key)
-        if not all(isinstance(value, str) for value in values):
-            raise self.fault(f"{key} {_shown(values)}", "a list of strings")
-        return values
-
     def child(self, key: str) -> Element | None:
         """An object within this one; None where there is none."""
         return None if key not in self.members else self._object(key, self.members[key])
 
     def children(self, key: str) -> list[Element]:
         """A list of objects within this one; none where there is no list."""
-        return [self._object(f"{key}[{i}]", value) for i, value in enumerate(self._list(key))]
+        return [self._object(f"{key}[{i}]", value) for i, value in enumerate(self.list_of(key))]
 
     def floats(self, key: str, kind: str) -> Float64s | None:
-        """The numbers of the accessor that `key` names, float64 [count, width], read-only; None where there is none.
+        """Numbers of the accessor that `key` names, float64 [count, width], read-only; None where there is none.
 
         Normalised integers become numbers. Raises `SourceError` if the accessor is of another type than `kind`, its
         data are not there, or one of them is not finite.
         """
         number = self.index(key, "accessors")
-        return None if number is None else self.document.floats(number, kind)
+        return None if number is None else self.document.array(number, kind)
 
     def whole(self, key: str, kind: str, below: int) -> Int64s | None:
         """The unsigned numbers, each below `below`, of the accessor that `key` names, int64 [count, width]."""
         number = self.index(key, "accessors")
-        return None if number is None else self.document.whole(number, kind, below)
+        return None if number is None else self.document.array(number, kind, below)
 
-    def _list(self, key: str) -> list[Any]:
+    def list_of(self, key: str) -> list[Any]:
+        """A list of anything; empty where there is none."""
         values = self.members.get(key, [])
         if not isinstance(values, list):
             raise self.fault(f"{key} {_shown(values)}", "a list")
@@ -136,9 +130,7 @@ class Element:
 
 def _whole(value: Any) -> int | None:
     """The whole number that a JSON number is; JSON does not tell 1 from 1.0."""
-    if not _is_finite(value) or value != int(value) or abs(value) > _LARGEST:
-        return None
-    return int(value)
+    return int(value) if _is_finite(value) and value == int(value) and abs(value) <= _LARGEST else None
 
 
 def _is_finite(value: Any) -> bool:
@@ -167,15 +159,14 @@ class Document:
         self._elements = {key: self.root.children(key) for key in _LISTS}
         self._buffers: dict[int, memoryview] = {}
         self._files: dict[Path, bytes] = {}
-        self._floats: dict[int, Float64s] = {}
-        self._whole: dict[int, Int64s] = {}
+        self._arrays: dict[tuple[int, bool], Any] = {}
         self._bytes = path.stat().st_size
         self._asked = 0
         asset = self.root.child("asset")
         version = asset.text("version") if asset else None
         if version is not None and not version.startswith("2."):
             raise self.root.fault(f"glTF version {version[:20]!r}", "version 2", "Convert it to glTF 2.0.")
-        for name in self.root.texts("extensionsRequired"):
+        for name in map(str, self.root.list_of("extensionsRequired")):
             if not name.startswith(_HARMLESS):
                 found = f"the required extension {name[:60]!r}"
                 raise self.root.fault(found, "a mesh without it", "Export it without extensions.")
@@ -190,41 +181,29 @@ class Document:
         if self._asked > _PER_BYTE * self._bytes + _SPARE:
             raise asker.fault(f"{self._asked} elements asked of {self._bytes} bytes", "elements with their data")
 
-    # -- accessors ---------------------------------------------------------------------------------------------------
-    def floats(self, index: int, kind: str) -> Float64s:
-        element = self._checked(index, kind)
-        if index not in self._floats:
+    def array(self, index: int, kind: str, below: int | None = None) -> Any:
+        """Elements of an accessor, float64 or, below a bound, int64 [count, width], read-only, read once."""
+        element = self.all("accessors")[index]
+        own_type = element.text("type")
+        if own_type != kind:
+            raise element.fault(f"type {(own_type or 'none')[:20]}", kind)
+        key = index, below is None
+        if key not in self._arrays:
             stored = self._data(element, _WIDTHS[kind])
-            values = stored.astype(np.float64)
-            if element.members.get("normalized") is True and stored.dtype.kind in "iu":
+            if below is not None and stored.dtype.kind != "u":
+                raise element.fault("numbers with a sign or a fraction", "unsigned integers")
+            values = stored.astype(np.float64 if below is None else np.int64)
+            if below is None and element.members.get("normalized") is True and stored.dtype.kind in "iu":
                 values = np.maximum(values / np.iinfo(stored.dtype).max, -1.0)
             bad = values.size - int(np.count_nonzero(np.isfinite(values)))
             if bad:
                 raise element.fault(f"{bad} numbers that are NaN or infinite", "finite numbers")
             values.flags.writeable = False
-            self._floats[index] = values
-        return self._floats[index]
-
-    def whole(self, index: int, kind: str, below: int) -> Int64s:
-        element = self._checked(index, kind)
-        if index not in self._whole:
-            stored = self._data(element, _WIDTHS[kind])
-            if stored.dtype.kind != "u":
-                raise element.fault("numbers with a sign or a fraction", "unsigned integers")
-            values = stored.astype(np.int64)
-            values.flags.writeable = False
-            self._whole[index] = values
-        most = int(self._whole[index].max())
-        if most >= below:
-            raise element.fault(f"the number {most}", f"0 to {below - 1}")
-        return self._whole[index]
-
-    def _checked(self, index: int, kind: str) -> Element:
-        element = self.all("accessors")[index]
-        own_type = element.text("type")
-        if own_type != kind:
-            raise element.fault(f"type {(own_type or 'none')[:20]}", kind)
-        return element
+            self._arrays[key] = values
+        values = self._arrays[key]
+        if below is not None and int(values.max()) >= below:
+            raise element.fault(f"the number {int(values.max())}", f"0 to {below - 1}")
+        return values
 
     def _data(self, element: Element, width: int) -> NDArray[Any]:
         count, component = element.integer("count", least=1), _component(element)
@@ -253,7 +232,14 @@ class Document:
         if index is None:
             raise element.fault("no bufferView", "the number of one")
         view, size = self.all("bufferViews")[index], width * component.itemsize
-        data, stride = self._view(view), view.integer("byteStride", size, least=1)
+        buffer = view.index("buffer", "buffers")
+        if buffer is None:
+            raise view.fault("no buffer", "the number of one")
+        data = self._buffer(buffer)
+        begin, length = view.integer("byteOffset", 0), view.integer("byteLength", least=1)
+        if begin + length > len(data):
+            raise view.fault(f"bytes {begin} to {begin + length}", f"at most the {len(data)} of buffers[{buffer}]")
+        data, stride = data[begin : begin + length], view.integer("byteStride", size, least=1)
         begin = element.integer("byteOffset", 0)
         if stride < size:
             raise element.fault(f"elements of {size} bytes every {stride}", "a byteStride that holds them")
@@ -264,17 +250,6 @@ class Document:
         strides = (stride, component.itemsize)
         return np.ndarray((count, width), component, data, begin, strides).copy()
 
-    # -- buffers -----------------------------------------------------------------------------------------------------
-    def _view(self, element: Element) -> memoryview:
-        buffer = element.index("buffer", "buffers")
-        if buffer is None:
-            raise element.fault("no buffer", "the number of one")
-        data = self._buffer(buffer)
-        begin, length = element.integer("byteOffset", 0), element.integer("byteLength", least=1)
-        if begin + length > len(data):
-            raise element.fault(f"bytes {begin} to {begin + length}", f"at most the {len(data)} of buffers[{buffer}]")
-        return data[begin : begin + length]
-
     def _buffer(self, index: int) -> memoryview:
         if index not in self._buffers:
             element = self.all("buffers")[index]
@@ -282,7 +257,13 @@ class Document:
             if uri is None:
                 data = self._chunk if index == 0 else b""
             elif uri.startswith("data:"):
-                data = _embedded(element, uri)
+                head, _, text = uri.partition(",")
+                if not head.endswith(";base64"):
+                    raise element.fault(f"uri {head[:40]!r}", "data in base64")
+                try:
+                    data = base64.b64decode(text, validate=True)
+                except (binascii.Error, ValueError) as error:
+                    raise element.fault("data that is not base64", "data in base64", "Export it again.") from error
             else:
                 data = self._beside(element, uri)
             if len(data) < length:
@@ -329,51 +310,36 @@ def _contents(path: Path, *, needs_bytes: bool) -> tuple[dict[str, Any], bytes]:
     with readable(path):
         if path.exists() and not path.is_file():
             raise SourceError(str(path), "a folder or a device", "one glTF file", "Name the file in it.")
-        size = path.stat().st_size
+        size, chunks = path.stat().st_size, {_BIN: b""}
         with path.open("rb") as stream:
-            chunk = b""
-            if stream.read(4) == b"glTF":
-                text = _chunk_of(path, stream, size, _JSON)
-                chunk = _chunk_of(path, stream, size, _BIN) if needs_bytes else b""
+            head = stream.read(12)
+            if not head.startswith(b"glTF"):
+                text = head + stream.read(size)
             else:
-                stream.seek(0)
-                text = stream.read(size)
+                version, length = struct.unpack("<II", head[4:]) if len(head) == 12 else (2, size + 1)
+                if version != 2:
+                    raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
+                if length > size:
+                    found, expected = f"{size} bytes", f"the {length} its header declares"
+                    raise SourceError(str(path), found, expected, "Copy it again.")
+                wanted = {_JSON, _BIN} if needs_bytes else {_JSON}
+                while wanted and len(head := stream.read(8)) == 8:
+                    length, kind = struct.unpack("<II", head)
+                    if length > size - stream.tell():
+                        found = f"a chunk of {length} bytes that is cut short"
+                        raise SourceError(str(path), found, "whole chunks", "Copy it again.")
+                    if kind in wanted:
+                        chunks[kind] = stream.read(length)
+                        wanted.remove(kind)
+                    else:
+                        stream.seek(length, 1)
+                if _JSON not in chunks:
+                    raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
+                text = chunks[_JSON]
     try:
         members = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), "text that is not JSON", "a glTF document", "Export it again.") from error
     if not isinstance(members, dict):
         raise SourceError(str(path), "JSON that is not an object", "a glTF document")
-    return members, chunk
-
-
-def _chunk_of(path: Path, stream: BinaryIO, size: int, kind: int) -> bytes:
-    """The next chunk of a GLB whose type is `kind`; for the binary one, empty where there is none."""
-    if stream.tell() == 4:
-        head = stream.read(8)
-        version, length = struct.unpack("<II", head) if len(head) == 8 else (2, size + 1)
-        if version != 2:
-            raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
-        if length > size:
-            raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
-    while len(head := stream.read(8)) == 8:
-        length, found = struct.unpack("<II", head)
-        if length > size - stream.tell():
-            text = f"a chunk of {length} bytes that is cut short"
-            raise SourceError(str(path), text, "whole chunks", "Copy it again.")
-        if found == kind:
-            return stream.read(length)
-        stream.seek(length, 1)
-    if kind == _JSON:
-        raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
-    return b""
-
-
-def _embedded(element: Element, uri: str) -> bytes:
-    head, comma, data = uri.partition(",")
-    if not comma or not head.endswith(";base64"):
-        raise element.fault(f"uri {head[:40]!r}", "data in base64")
-    try:
-        return base64.b64decode(data, validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise element.fault("data that is not base64", "data in base64", "Export it again.") from error
+    return members, chunks[_BIN]
