@@ -33,7 +33,7 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import axis_weights, low_pass, resample
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 
 if TYPE_CHECKING:
     from touchfield.devices import Device

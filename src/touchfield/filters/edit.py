@@ -19,9 +19,9 @@ import numpy as np
 from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
-from touchfield.filters.region import Region, weights
+from touchfield.filters.region import Region, RigidMotion, weights
 from touchfield.filters.registry import noted
-from touchfield.filters.resample import BRICKS_AT_ONCE, LOCAL, RigidMotion, interpolated
+from touchfield.filters.resample import BRICKS_AT_ONCE, LOCAL, interpolated
 from touchfield.medium import BRICK, ForceField, HapticMedium
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, bricks_of

@@ -4,6 +4,9 @@ Lengths are metres of the hand. ``a | b`` is the union of two regions, ``a & b``
 is not in `a`. A region knows its samples exactly. Its distance, by which a feather fades, is the true one of a shape
 and of a set of voxels; of a union it is the smaller of the two and of an intersection the larger, which at a corner
 is less than the true one.
+
+Forces turn with a motion x -> R x + t: the moved field is F'(x) = R F(R^T (x - t)). A mirror image is allowed, with
+det R = -1.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -310,6 +313,101 @@ class _Complement(Region):
 
     def distance_m(self, points_m: Float64s) -> Float64s:
         return -self.region.distance_m(points_m)
+
+
+_ORTHOGONAL: Final = 1e-9
+_WHOLE: Final = 1e-12  # the sine of half a turn is 1e-16
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """x -> R x + t.
+
+    matrix : three rows of three; R, orthogonal.
+    offset_m : (float, float, float); t, metres.
+    Raises `InvalidArgument` if R is not orthogonal or a number is not finite.
+    """
+
+    matrix: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    offset_m: Triple = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        r, t = np.asarray(self.matrix, np.float64), np.asarray(self.offset_m, np.float64)
+        if r.shape != (3, 3) or not np.isfinite(r).all() or np.abs(r @ r.T - np.eye(3)).max() > _ORTHOGONAL:
+            raise InvalidArgument("rigid motion matrix", repr(self.matrix), "an orthogonal 3 x 3 matrix")
+        if t.shape != (3,) or not np.isfinite(t).all():
+            raise InvalidArgument("rigid motion offset_m", repr(self.offset_m), "three finite coordinates in metres")
+        r = np.where(np.abs(r - np.rint(r)) < _WHOLE, np.rint(r), r) + 0.0
+        object.__setattr__(self, "matrix", tuple(tuple(row) for row in r.tolist()))
+        object.__setattr__(self, "offset_m", tuple(t.tolist()))
+
+    @classmethod
+    def move(cls, offset_m: ArrayLike) -> RigidMotion:
+        """A move by `offset_m`, metres [3]."""
+        return cls._of(np.eye(3), np.asarray(_point("motion offset_m", offset_m)))
+
+    @classmethod
+    def turn(cls, axis: ArrayLike, angle_deg: float, about_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
+        """A turn by the right-hand rule about an axis of that direction through `about_m`."""
+        x, y, z = _unit("turn axis", axis)
+        angle = math.radians(angle_deg)
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        r = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
+        return cls._about(r, about_m)
+
+    @classmethod
+    def mirror(cls, normal: ArrayLike, through_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
+        """The mirror image in the plane through `through_m` that is normal to `normal`."""
+        n = _unit("mirror normal", normal)
+        return cls._about(np.eye(3) - 2 * np.outer(n, n), through_m)
+
+    @classmethod
+    def _of(cls, r: Float64s, t: Float64s) -> RigidMotion:
+        rows: Any = r.tolist()
+        offset: Any = t.tolist()
+        return cls(rows, offset)
+
+    @classmethod
+    def _about(cls, r: Float64s, fixed_m: ArrayLike) -> RigidMotion:
+        fixed, whole = (
+            np.asarray(_point("point of a rigid motion", fixed_m)),
+            np.asarray(cls._of(r, np.zeros(3)).matrix),
+        )
+        return cls._of(whole, fixed - whole @ fixed)
+
+    @property
+    def words(self) -> str:
+        """The motion, for the provenance of an edit."""
+        return f"R {[list(row) for row in self.matrix]}, t {list(self.offset_m)} m"
+
+    def then(self, second: RigidMotion) -> RigidMotion:
+        """This motion, and then another."""
+        r = np.asarray(second.matrix)
+        return self._of(r @ np.asarray(self.matrix), r @ np.asarray(self.offset_m) + np.asarray(second.offset_m))
+
+    @property
+    def inverse(self) -> RigidMotion:
+        """The way back."""
+        r = np.asarray(self.matrix).T
+        return self._of(r, -(r @ np.asarray(self.offset_m)))
+
+    def points_m(self, points_m: ArrayLike) -> Float64s:
+        """Points [..., 3] moved, metres."""
+        return np.asarray(self.vectors(points_m) + np.asarray(self.offset_m))
+
+    def vectors(self, vectors: ArrayLike) -> Float64s:
+        """Vectors [..., 3], such as forces, turned."""
+        return np.asarray(np.asarray(vectors, np.float64) @ np.asarray(self.matrix).T)
+
+
+def _unit(where: str, given: ArrayLike) -> Float64s:
+    v = np.asarray(given, np.float64)
+    length = float(np.sqrt((v * v).sum())) if v.shape == (3,) else math.nan
+    if not (0 < length < math.inf):
+        raise InvalidArgument(where, repr(given), "three finite numbers, not all 0")
+    return np.asarray(v / length)
 
 
 def _point(where: str, given: Any, may_be_infinite: bool = False) -> tuple[float, float, float]:

@@ -29,7 +29,7 @@ from touchfield.sources.stored import StoredScene
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
-    from touchfield.medium.placement import Placement
+    from touchfield.medium.grid import Placement
     from touchfield.stream.opened import OpenStream
 
 

@@ -27,7 +27,7 @@ from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, descriptor, part_s
 from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.measure.similarity import Similarity, similarity
 from touchfield.medium import HapticMedium
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 from touchfield.parallel import Report, silent
 from touchfield.render.axes import BOX_AXES, axes_matrix
 from touchfield.sources.options import SourceOptions

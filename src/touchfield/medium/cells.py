@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from touchfield.medium.grid import Grid
-    from touchfield.medium.haptic_scene import HapticScene
+    from touchfield.medium.medium import HapticScene
 
 _FLOOR_SHARE: Final = 1e-9
 """An object's own force below this share of F_max is the rounding of a place on the edge of its support."""
