@@ -16,7 +16,7 @@ from typing import ClassVar, Final, Protocol
 
 import numpy as np
 
-from touchfield.arrays import Float32s, Float64s, Int64s
+from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.region import Region, RigidMotion, weights
@@ -24,7 +24,7 @@ from touchfield.filters.registry import noted
 from touchfield.filters.resample import BRICKS_AT_ONCE, LOCAL, interpolated
 from touchfield.medium import BRICK, ForceField, HapticMedium
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import brick_keys, bricks_of
+from touchfield.medium.field import bricks_of, keys_of_both
 
 COMPOSITIONS: Final = ("replace", "over", "add", "max")
 
@@ -149,7 +149,7 @@ class Composed:
             return other
         if self.how == "add":
             return field + other
-        keys = _keys_of_both(field, other)
+        keys = keys_of_both(field, other)
         below, above = field.forces_at(keys), other.forces_at(keys)
         if self.how == "over":
             is_shown = (above != 0).any(axis=-1)
@@ -158,11 +158,6 @@ class Composed:
             is_shown = np.greater(*squares)
         forces_n = np.where(is_shown[..., None], above, below)
         return ForceField.from_bricks(field.grid, bricks_of(field.grid, keys), forces_n)
-
-
-def _keys_of_both(first: ForceField, second: ForceField) -> Int64s:
-    """The bricks of either field, ascending."""
-    return np.union1d(*(brick_keys(one.grid, one.bricks) for one in (first, second)))
 
 
 def edited(field: ForceField, region: Region, operator: EditOperator, feather_m: float = 0.0) -> ForceField:
@@ -177,7 +172,7 @@ def edited(field: ForceField, region: Region, operator: EditOperator, feather_m:
     after = operator(field)
     if after.grid != field.grid:
         raise InvalidArgument(f"operator {operator.name}", f"a field on {after.grid}", f"one on {field.grid}")
-    grid, place, keys = field.grid, region.on(field), _keys_of_both(field, after)
+    grid, place, keys = field.grid, region.on(field), keys_of_both(field, after)
     bricks, forces = bricks_of(grid, keys), zero_forces(len(keys))
     for begin in range(0, len(keys), BRICKS_AT_ONCE):
         some = slice(begin, begin + BRICKS_AT_ONCE)

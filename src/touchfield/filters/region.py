@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
+from touchfield.medium.field import slots_of
 
 if TYPE_CHECKING:
     from touchfield.medium import ForceField, Grid
@@ -213,11 +214,7 @@ class Voxels(Region):
         return np.unique(np.ravel_multi_index(tuple(np.asarray(self.positions).T), self.grid.shape))
 
     def _among(self, positions: Int64s) -> Bools:
-        if not len(self._places):
-            return np.zeros(len(positions), np.bool_)
-        places = np.ravel_multi_index(tuple(positions.T), self.grid.shape)
-        slot = np.minimum(np.searchsorted(self._places, places), len(self._places) - 1)
-        return np.asarray(self._places[slot] == places)
+        return slots_of(self._places, np.ravel_multi_index(tuple(positions.T), self.grid.shape)) >= 0
 
     @cached_property
     def _trees(self) -> tuple[Any, Any]:

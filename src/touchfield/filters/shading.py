@@ -34,10 +34,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
@@ -45,7 +45,7 @@ from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import AxisTaps, keys_of_passes, places_of, sums_of_bricks, within_grid
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
-from touchfield.medium.field import brick_keys, bricks_of, dilated, neighbour_slots
+from touchfield.medium.field import brick_keys, bricks_of, dilated, neighbour_slots, tiled
 from touchfield.parallel import worker_count
 
 if TYPE_CHECKING:
@@ -326,9 +326,9 @@ def perona_malik(
     nx, ny, nz = lattice = (*space, *(1,) * (3 - len(space)))
     grid = Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
     slots = neighbour_slots(grid, bricks_of(grid, np.arange(math.prod(grid.brick_shape))))
-    support, forces = _tiled(mask.reshape(lattice)), zero_forces(len(slots))
+    support, forces = tiled(mask.reshape(lattice)).reshape(-1, *[BRICK] * 3), zero_forces(len(slots))
     values_of = given.reshape(*lattice, -1)
-    forces[..., : values_of.shape[3]] = _tiled(values_of)
+    forces[..., : values_of.shape[3]] = tiled(values_of).reshape(len(slots), *[BRICK] * 3, -1)
     out = np.empty_like(forces)
     law = (factor, factor, factor), float(kappa_n), conductance == "rational"
     for _ in range(steps):
@@ -337,15 +337,6 @@ def perona_malik(
     rows = np.moveaxis(forces.reshape(*grid.brick_shape, BRICK, BRICK, BRICK, 3), (1, 2), (2, 4))
     dense = rows.reshape(*(n * BRICK for n in grid.brick_shape), 3)[:nx, :ny, :nz, : values_of.shape[3]]
     return np.ascontiguousarray(dense).reshape(given.shape)
-
-
-def _tiled(dense: NDArray[Any]) -> NDArray[Any]:
-    """Every brick of an array [nx, ny, nz, ...], with zeros beyond its end, [n, 8, 8, 8, ...]."""
-    beside = dense.shape[3:]
-    padded = np.pad(dense, [*((0, -n % BRICK) for n in dense.shape[:3]), *((0, 0) for _ in beside)])
-    x, y, z = (n // BRICK for n in padded.shape[:3])
-    rows = np.moveaxis(padded.reshape(x, BRICK, y, BRICK, z, BRICK, *beside), (2, 4), (1, 2))
-    return np.ascontiguousarray(rows).reshape(-1, BRICK, BRICK, BRICK, *beside)
 
 
 def _check(steps: int, kappa_n: float, conductance: str) -> None:
