@@ -75,7 +75,7 @@ def fir_filter(
         raise InvalidArgument("method", repr(method), f"one of {', '.join(METHODS)}")
     if h.ndim > x.ndim:
         raise InvalidArgument("taps", f"{h.ndim} axes for a signal {x.shape}", f"at most {x.ndim}")
-    origins = [_origin(n, anchor) for n in h.shape]
+    origins = [n // 2 if anchor == "centred" else 0 for n in h.shape]
     for axis, (n, count) in enumerate(zip(h.shape, x.shape, strict=False)):
         AxisTaps(np.ones(n), 0).check_fits(count, f"taps of axis {axis}")
     if not all_finite(x):
@@ -122,10 +122,6 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
         mend = 'An even kernel has no middle tap: add a zero, or take anchor="causal".'
         raise InvalidArgument("taps", f"{h.shape} taps to be centred", "an odd number along each axis", mend)
     return h
-
-
-def _origin(count: int, anchor: str) -> int:
-    return count // 2 if anchor == "centred" else 0
 
 
 def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
@@ -224,7 +220,7 @@ class FirFilter(FieldFilter):
         for axis, (row, count) in enumerate(zip(rows, grid.shape, strict=True)):
             if count == 1 and self.kernel.ndim == 1:
                 row = np.ones(1)
-            axes.append(AxisTaps(row, _origin(len(row), self.anchor)))
+            axes.append(AxisTaps(row, len(row) // 2 if self.anchor == "centred" else 0))
             axes[-1].check_fits(count, f"--fir taps along {'xyz'[axis]}")
         return axes[0], axes[1], axes[2]
 
@@ -275,8 +271,7 @@ def _read_taps(text: str) -> Float64s:
     if text.endswith(".npy"):
         require_plain(text, "a .npy file")
         try:
-            read = np.load(Path(text), allow_pickle=False)
-            return np.asarray(read, np.float64)
+            return np.asarray(np.load(Path(text), allow_pickle=False), np.float64)
         except (OSError, ValueError, TypeError) as error:
             raise InvalidArgument("--fir taps", f"{text}, which cannot be read: {error}", "a .npy file") from None
     shape, colon, numbers = text.rpartition(":")

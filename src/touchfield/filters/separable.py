@@ -38,11 +38,10 @@ SCIPY_MODES: Final = {"zero": "constant", "nearest": "nearest", "reflect": "refl
 BOUNDARIES: Final = tuple(SCIPY_MODES)
 
 
-def checked_boundary(boundary: str, where: str = "boundary") -> str:
-    """The boundary itself; `InvalidArgument` if it is not one of `BOUNDARIES`."""
+def checked_boundary(boundary: str, where: str = "boundary") -> None:
+    """`InvalidArgument` if the boundary is not one of `BOUNDARIES`."""
     if boundary not in BOUNDARIES:
         raise InvalidArgument(where, repr(boundary), f"one of {', '.join(BOUNDARIES)}")
-    return boundary
 
 
 def continued_index(count: int, before: int, after: int, boundary: str) -> Int64s:
@@ -193,14 +192,7 @@ def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s
     """
     from touchfield.filters.kernels import separable as kernels
 
-    before, deep = [tuple(n) for n in zip(*((a.before, len(a.taps) - 1) for a in axes), strict=True)]
-    return kernels.bricks_filtered_and_tops(
-        frozen(forces_n), tuple(keys), grid.brick_shape, before, deep, _packed(axes)
-    )
-
-
-def _packed(axes: Axes) -> tuple[Int64s, Float32s, Int64s]:
-    """Places int64 [3, n] from the first sample of a sum, weights [3, n] and counts [3] of taps that are not zero."""
+    # places from the first sample of a sum, weights, and how many, of taps that are not zero
     shape, counts = (3, max(len(a.taps) for a in axes)), np.zeros(3, np.int64)
     places, weights = np.zeros(shape, np.int64), np.zeros(shape, np.float32)
     for axis, one in enumerate(axes):
@@ -208,7 +200,9 @@ def _packed(axes: Axes) -> tuple[Int64s, Float32s, Int64s]:
         place = np.flatnonzero(row)
         counts[axis] = len(place)
         places[axis, : len(place)], weights[axis, : len(place)] = place, row[place]
-    return places, weights, counts
+    before, deep = [tuple(n) for n in zip(*((a.before, len(a.taps) - 1) for a in axes), strict=True)]
+    packed = places, weights, counts
+    return kernels.bricks_filtered_and_tops(frozen(forces_n), tuple(keys), grid.brick_shape, before, deep, packed)
 
 
 def brick_field(grid: Grid, bricks: Int32s, forces_n: Float32s, is_held: Bools) -> ForceField:

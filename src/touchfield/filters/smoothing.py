@@ -1,13 +1,12 @@
 """Linear low-passes of a field: the Gaussian, and what an array of actuators can show (paper section 3.2).
 
-The Gaussian acts on each component alone; the paper's force shading, where direction and amplitude are smoothed
-apart, is another filter. Its kernel is that of `scipy.ndimage.gaussian_filter`.
+The Gaussian, with the kernel of `scipy.ndimage.gaussian_filter`, acts on each component alone; the paper's force
+shading smooths direction and amplitude apart (`touchfield.filters.shading`).
 
-Actuators a pitch d apart can show waves up to 1/(2d), the Nyquist rate of their lattice; what is finer must be taken
-away before the field is sampled there, or it comes back as a false coarse wave. The paper prints the cut-off 2/d for
-its T-shirt, four times too high: a wave of 0.8/d passes it and appears as one of 0.2/d. Both are here, "nyquist" by
-default and "literal". For samples a distance delta apart the cut-off is pi delta/d radians a sample, or four times
-that.
+Actuators a pitch d apart can show waves up to 1/(2d); what is finer must be taken away before the field is sampled
+there, or it comes back as a false coarse wave. The paper prints the cut-off 2/d for its T-shirt, four times too high:
+a wave of 0.8/d passes it and appears as one of 0.2/d. Both are here, "nyquist" by default and "literal". For samples
+a distance delta apart the cut-off is pi delta/d radians a sample, or four times that.
 """
 
 from __future__ import annotations
@@ -35,13 +34,9 @@ if TYPE_CHECKING:
 MAX_RADIUS_SAMPLES: Final = 1 << 15
 _PADDING: Final[dict[str, Any]] = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}
 
-CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}
-"""Cut-off times pitch."""
-
+CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}  # cut-off times pitch
 KERNELS: Final = ("firwin", *LOW_PASSES)
-AUTO: Final = "auto"
-"""Not a kernel, but the choice of one by the grid: see `ActuatorLowPass`."""
-
+AUTO: Final = "auto"  # not a kernel, but the choice of one by the grid: see `ActuatorLowPass`
 _FIRWIN_HALF_WIDTH: Final = 3.75  # over the cut-off in Nyquist rates: 31 taps at a quarter
 _MAX_TAPS: Final = 1 << 16
 
@@ -64,8 +59,7 @@ def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> Float64s:
     if not radius:
         return np.ones(1)
     taps: Float64s = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma_samples) ** 2)
-    taps /= taps.sum()
-    return taps
+    return taps / taps.sum()
 
 
 def gaussian(
@@ -214,24 +208,17 @@ def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", ker
         return np.ones(1)  # the samples are as far apart as the actuators: there is nothing finer
     if _FIRWIN_HALF_WIDTH / ratio > _MAX_TAPS:
         raise InvalidArgument("pitch_m", f"{pitch_m / spacing_m:g} samples", f"up to {_MAX_TAPS // 8} samples")
-    taps = _firwin(ratio) if kernel == "firwin" else _sampled(kernel, ratio)
-    taps /= taps.sum()
-    return taps
+    if kernel == "firwin":
+        from scipy import signal
 
-
-def _firwin(ratio: float) -> Float64s:
-    from scipy import signal
-
-    half = math.ceil(_FIRWIN_HALF_WIDTH / ratio - 1e-9)
-    return np.asarray(signal.firwin(2 * half + 1, ratio), np.float64)
-
-
-def _sampled(kernel: str, ratio: float) -> Float64s:
-    """A kernel of `LOW_PASSES` at the samples, which lie ratio/2 apart in units of 1 over the cut-off."""
-    chosen, step = LOW_PASSES[kernel], ratio / 2
-    radius = math.floor(chosen.half_width / step + (0.5 if kernel == "box" else 0.0))
-    taps = chosen.shape(np.arange(-radius, radius + 1, dtype=np.float64) * step, step)
-    return np.asarray(taps[1:-1] if radius and not taps[0] else taps, np.float64)
+        half = math.ceil(_FIRWIN_HALF_WIDTH / ratio - 1e-9)
+        taps = np.asarray(signal.firwin(2 * half + 1, ratio), np.float64)
+    else:  # at the samples, which lie ratio/2 apart in units of 1 over the cut-off
+        chosen, step = LOW_PASSES[kernel], ratio / 2
+        radius = math.floor(chosen.half_width / step + (0.5 if kernel == "box" else 0.0))
+        taps = chosen.shape(np.arange(-radius, radius + 1, dtype=np.float64) * step, step)
+        taps = taps[1:-1] if radius and not taps[0] else taps
+    return np.asarray(taps / taps.sum())
 
 
 @dataclass(frozen=True)
@@ -276,9 +263,11 @@ class ActuatorLowPass(_LowPass):
         if self.kernel == AUTO and any(len(row.taps) > count for row, count in zip((x, y, z), grid.shape)):
             x, y, z = self._rows(grid, "spline")
         for axis, (row, count) in enumerate(zip((x, y, z), grid.shape)):
-            row.check_fits(
-                count, f"--lowpass pitch {self.pitch_m:g} m along {'xyz'[axis]}", self._mend(grid, axis, row)
-            )
+            needed = len(self._rows(grid, "spline")[axis].taps) if len(row.taps) > count else 0
+            mend = "Take a smaller pitch or a larger field, or name the other axes only (axes=xy)."
+            if needed <= count and needed < len(row.taps):
+                mend = f"kernel=spline needs only {needed} taps."
+            row.check_fits(count, f"--lowpass pitch {self.pitch_m:g} m along {'xyz'[axis]}", mend)
         return x, y, z
 
     def _rows(self, grid: Grid, kernel: str) -> list[AxisTaps]:
@@ -290,10 +279,3 @@ class ActuatorLowPass(_LowPass):
             )
             for name, count, spacing_m in zip("xyz", grid.shape, grid.spacing_m, strict=True)
         ]  # fmt: skip
-
-    def _mend(self, grid: Grid, axis: int, row: AxisTaps) -> str:
-        """The way out where an axis has fewer samples than a row."""
-        spline = len(self._rows(grid, "spline")[axis].taps)
-        if spline <= grid.shape[axis] and spline < len(row.taps):
-            return f"kernel=spline needs only {spline} taps."
-        return "Take a smaller pitch or a larger field, or name the other axes only (axes=xy)."

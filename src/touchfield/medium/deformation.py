@@ -51,25 +51,14 @@ _ARRAYS: Final = {"corner_m": 3, "spacing_m": 3, "rate_hz": 1, "compliance_m_per
 class Deformation:
     """Displacements of control points, and how they yield.
 
-    Parameters
-    ----------
-    displacement_m : float [T, nx, ny, nz, 3]
-        u at the control points of each frame, metres: from where the hand is to where the medium was. 4 to 32 along
-        each axis.
-    corner_m, spacing_m : float [3]
-        Where the cells of the lattice begin (control point 1 of each axis), and their sides, metres.
-    rate_hz : float
-        Frames a second.
-    compliance_m_per_n : float
-        Metres that the medium gives way for a newton; 0: it does not yield.
-    relax_s : float
-        Time constant with which it does, and comes back, seconds.
-
-    Raises
-    ------
-    InvalidArgument
-        If a shape does not fit, a number is out of range or not finite, or the map folds: the determinant of
-        I + grad u is not positive somewhere.
+    displacement_m : float [T, nx, ny, nz, 3]; u at the control points of each frame, metres: from where the hand is
+        to where the medium was. 4 to 32 along each axis.
+    corner_m, spacing_m : float [3]; where the cells of the lattice begin (control point 1 of each axis), and their
+        sides, metres.
+    compliance_m_per_n : float; metres that the medium gives way for a newton; 0: it does not yield.
+    relax_s : float; time constant with which it does, and comes back, seconds.
+    Raises `InvalidArgument` if a shape does not fit, a number is out of range or not finite, or the map folds: the
+    determinant of I + grad u is not positive somewhere.
     """
 
     displacement_m: Float64s
@@ -104,9 +93,8 @@ class Deformation:
             expected = "a positive determinant of I + grad u everywhere"
             raise InvalidArgument(f"displacement_m, frame {frame}", f"a fold: {least:.3g}", expected, "Bend it less.")
         if self.compliance_m_per_n and self.most_yield_m <= 0:
-            raise InvalidArgument(
-                "compliance_m_per_n", "tracks that bend by their utmost", "none, or tracks that bend less"
-            )
+            found = "tracks that bend by their utmost"
+            raise InvalidArgument("compliance_m_per_n", found, "none, or tracks that bend less")
 
     @classmethod
     def at_rest(cls, low_m: ArrayLike, high_m: ArrayLike, controls: int = 8, **yields: float) -> Deformation:
@@ -264,7 +252,13 @@ def _frame(
     rows = np.repeat(np.arange(len(now)), 64)
     design = sparse.csr_matrix((weights.ravel(), (rows, flat.ravel())), shape=(len(now), int(np.prod(shape))))
     normal, right = design.T @ design, design.T @ wanted
-    bends = _bends(shape)
+    bends, eyes = 1e-9 * sparse.identity(int(np.prod(shape))), [sparse.identity(n) for n in shape]
+    for axis, n in enumerate(shape):  # squares of second differences along each axis, and a little of the first
+        second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n))
+        first = sparse.diags([1.0, -1.0], [0, 1], shape=(n - 1, n))
+        own = second.T @ second + 1e-3 * (first.T @ first)
+        x, y, z = (own if a == axis else eye for a, eye in enumerate(eyes))
+        bends = bends + sparse.kron(sparse.kron(x, y), z)
     for smooth in _SMOOTH:
         solved = spsolve((normal + smooth * len(now) / int(np.prod(shape)) * bends).tocsc(), right)
         u = np.asarray(solved).reshape(*shape, 3)
@@ -276,18 +270,3 @@ def _frame(
     expected = "a motion in which no two places come together"
     mend = "Take fewer frames about the one at rest, and begin anew behind them."
     raise InvalidArgument(f"frame {number} of the tracks", "a fit that folds", expected, mend)
-
-
-def _bends(shape: tuple[int, ...]):  # type: ignore[no-untyped-def]
-    """Squares of second differences along each axis, and a little of the first, as a matrix."""
-    from scipy import sparse
-
-    eyes = [sparse.identity(n) for n in shape]
-    total = 0
-    for axis, n in enumerate(shape):
-        second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n))
-        first = sparse.diags([1.0, -1.0], [0, 1], shape=(n - 1, n))
-        parts = list(eyes)
-        parts[axis] = second.T @ second + 1e-3 * (first.T @ first)
-        total = total + sparse.kron(sparse.kron(parts[0], parts[1]), parts[2])
-    return total + 1e-9 * sparse.identity(int(np.prod(shape)))

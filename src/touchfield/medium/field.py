@@ -80,7 +80,8 @@ def slots_around(
     keys, known = bricks @ pitch, others @ pitch
     out = np.empty((len(bricks), neighbours), np.int64)
     for s in range(neighbours):
-        out[:, s] = slots_of(known, keys + np.array([s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1]) @ pitch)
+        step: Any = np.array([s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1]) @ pitch
+        out[:, s] = slots_of(known, keys + step)
     return out
 
 

@@ -1,4 +1,4 @@
-"""A regular lattice: index and metres, nothing else.
+"""A regular lattice: index and metres; and the place of a scene in a workspace, from scene metres to hand metres.
 
 The paper's workspace sampled "with 2^n_w samples per dimension" (section 5.2). Sample (i, j, k) lies at
 ``origin_m + (i, j, k) * spacing_m``; it stands for the cell of that size around it, so that the box of a
@@ -151,7 +151,10 @@ class Placement:
         margin_m : float; room to leave on every side for forces outside the surface, metres of the hand.
         """
         centre, extent = _centre_and_extent(scene_box_m)
-        room = _workspace(workspace_m) - 2 * float(margin_m)
+        workspace = np.asarray(workspace_m, np.float64)
+        if workspace.shape != (3,) or not (workspace > 0).all():
+            raise InvalidArgument("workspace_m", f"{workspace.tolist()}", "three positive extents in metres")
+        room = workspace - 2 * float(margin_m)
         if not (margin_m >= 0 and (room > 0).all()):
             raise InvalidArgument("margin_m", repr(margin_m), "from 0 to less than half the workspace")
         bounded = (extent > 0) & np.isfinite(room)
@@ -210,10 +213,3 @@ def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[Float64s, Float64s]:
         expected = "finite low and high corners [2, 3] in metres, not all alike"
         raise InvalidArgument("scene_box_m", f"{box.tolist()}", expected)
     return box[0] + extent / 2, extent
-
-
-def _workspace(workspace_m: ArrayLike) -> Float64s:
-    workspace = np.asarray(workspace_m, np.float64)
-    if workspace.shape != (3,) or not (workspace > 0).all():
-        raise InvalidArgument("workspace_m", f"{workspace.tolist()}", "three positive extents in metres")
-    return workspace

@@ -70,8 +70,7 @@ class HapticMedium:
     make_frame : callable; ``make_frame(i) -> ForceField`` on `grid`, for 0 <= i < frame_count; the same i gives the
         same field.
     axes : str; what x, y, z mean, for example "x right, y down, z forward".
-    friction : float; friction coefficient mu, rendered by the receiver (paper section 3.2).
-    damping_n_s_per_m : float; damping coefficient b, rendered by the receiver (paper section 3.2).
+    friction, damping_n_s_per_m : float; coefficients mu and b, rendered by the receiver (paper section 3.2).
     tags : tuple of str; media tags of figure 1: "direct" or "symbolic".
     provenance : mapping of str to str; where the medium comes from and what was done to it.
     vibration : VibrationBand or None; what vibrates beside the force, frame by frame on the same grid (paper section
@@ -127,6 +126,11 @@ class HapticMedium:
             expected = f"{('frames', *grid.shape, 3)} or {(*grid.shape, 3)}, as the grid says"
             raise InvalidArgument("forces_n", f"shape {dense.shape}", expected)
         return cls.from_frames([ForceField.from_dense(grid, one) for one in frames], rate_hz, axes)
+
+    @property
+    def beside(self) -> dict[str, Any]:
+        """The values that travel beside the frames, by their names in files: rate, axes, tags, friction, damping."""
+        return {name: getattr(self, name) for name in ("rate_hz", "axes", "tags", "friction", "damping_n_s_per_m")}
 
     def __repr__(self) -> str:
         frames = f"{self.frame_count} frame{'s' * (self.frame_count != 1)} at {self.rate_hz:g} Hz"
@@ -208,10 +212,8 @@ class HapticMedium:
         Raises `InvalidArgument` if a filter is unknown or its words make no sense.
         """
         registry = import_module("touchfield.filters.registry")
-        parts = (words.partition(":") for words in filters)
-        medium: HapticMedium = registry.filtered_medium(
-            self, [registry.filter_of(name, text) for name, _, text in parts]
-        )
+        chain = [registry.filter_of(name, text) for name, _, text in (words.partition(":") for words in filters)]
+        medium: HapticMedium = registry.filtered_medium(self, chain)
         return medium
 
     def to_xarray(self) -> Any:
@@ -231,11 +233,10 @@ class HapticMedium:
         forces = np.stack([self[i].to_dense() for i in range(self.frame_count)])
         places = {name: (name, self.grid.axis_m(axis), {"units": "m"}) for axis, name in enumerate("xyz")}
         times = ("t", np.arange(self.frame_count) / self.rate_hz, {"units": "s"})
-        values = {"rate_hz": self.rate_hz, "axes": self.axes, "friction": self.friction}
         return xarray.Dataset(
             {"forces_n": (("t", "x", "y", "z", "component"), forces, {"units": "N"})},
             {"t": times, **places, "component": list("xyz")},
-            {**values, "damping_n_s_per_m": self.damping_n_s_per_m, "tags": list(self.tags)},
+            {**self.beside, "tags": list(self.tags)},
         )
 
     def _repr_html_(self) -> str:
@@ -297,12 +298,11 @@ class HapticScene:
     def __post_init__(self) -> None:
         if not self.objects:
             raise InvalidArgument("objects", "none", "at least one HapticObject")
-        if not (self.force_max_n > 0 and np.isfinite(self.force_max_n)):
-            raise InvalidArgument("force_max_n", repr(self.force_max_n), "a positive number of newtons")
-        if not (self.rate_hz > 0 and np.isfinite(self.rate_hz)):
-            raise InvalidArgument("rate_hz", repr(self.rate_hz), "a positive number of frames a second")
+        for name, unit in (("force_max_n", "newtons"), ("rate_hz", "frames a second")):
+            if not 0 < getattr(self, name) < math.inf:
+                raise InvalidArgument(name, repr(getattr(self, name)), f"a positive number of {unit}")
         damping = self.surface_damping_n_s_per_m
-        if not (damping >= 0 and np.isfinite(damping)):
+        if not 0 <= damping < math.inf:
             raise InvalidArgument("surface_damping_n_s_per_m", repr(damping), "0 or a positive number")
         count = len(self.objects[0].track)
         for one in self.objects:

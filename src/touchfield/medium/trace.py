@@ -187,7 +187,16 @@ def _table(where: Path, forces: tuple[str, ...]) -> tuple[Float64s, Int64s, _Col
     ):
         lines = _lines(file, str(where))
         columns = _columns(next(lines, None), str(where), forces)
-        return (*_rows(lines, columns, str(where)), columns)
+        parts, numbers = [], []
+        while chunk := list(itertools.islice(lines, _LINES_AT_ONCE)):
+            parts.append(_numbers(chunk, columns, str(where)))
+            numbers += [number for number, _ in chunk]
+            if len(numbers) > MAX_SAMPLES:
+                found, expected = f"more than {MAX_SAMPLES} samples", f"at most {MAX_SAMPLES}"
+                raise SourceError(str(where), found, expected, "Cut it in parts.")
+    if not parts:
+        raise SourceError(str(where), "a header and no sample", "at least one line of numbers")
+    return np.concatenate(parts), np.array(numbers), columns
 
 
 def _checked_rate(rate_hz: float) -> float:
@@ -251,31 +260,13 @@ def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...]
     return _Columns(delimiter, places, factors, names)
 
 
-def _rows(lines: Lines, columns: _Columns, where: str) -> tuple[Float64s, Int64s]:
-    """The wanted columns, float64 [n, 3 or 4], and the line of each row."""
-    parts, numbers, count = [], [], 0
-    while chunk := list(itertools.islice(lines, _LINES_AT_ONCE)):
-        count += len(chunk)
-        if count > MAX_SAMPLES:
-            raise SourceError(where, f"more than {MAX_SAMPLES} samples", f"at most {MAX_SAMPLES}", "Cut it in parts.")
-        parts.append(_numbers(chunk, columns, where))
-        numbers.append(np.array([number for number, _ in chunk]))
-    if not parts:
-        raise SourceError(where, "a header and no sample", "at least one line of numbers")
-    return np.concatenate(parts), np.concatenate(numbers)
-
-
 def _numbers(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> Float64s:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
+            texts, places = [text for _, text in chunk], columns.places
             rows = np.loadtxt(
-                [text for _, text in chunk],
-                delimiter=columns.delimiter,
-                usecols=columns.places,
-                comments=None,
-                quotechar='"',
-                ndmin=2,
+                texts, delimiter=columns.delimiter, usecols=places, comments=None, quotechar='"', ndmin=2
             )
     except ValueError:
         rows = None

@@ -78,11 +78,8 @@ def create(store: str | Path, medium: HapticMedium, told: Mapping[str, Any], cod
     about = {
         "spacing_m": list(grid.spacing_m),
         "origin_m": list(grid.origin_m),
-        "rate_hz": medium.rate_hz,
-        "axes": medium.axes,
+        **medium.beside,
         "tags": list(medium.tags),
-        "friction": medium.friction,
-        "damping_n_s_per_m": medium.damping_n_s_per_m,
         **told,
     }
     scales = [{"name": ARRAY, "type": "level of detail", "axes": list(_AXES), "datasets": [_level(medium, 0)]}]
