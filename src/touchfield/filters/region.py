@@ -50,13 +50,13 @@ class Region(ABC):
         return self
 
     def __or__(self, other: Region) -> Region:
-        return _Pair(self, other, True)
+        return _Made("or", (self, other))
 
     def __and__(self, other: Region) -> Region:
-        return _Pair(self, other, False)
+        return _Made("and", (self, other))
 
     def __invert__(self) -> Region:
-        return _Complement(self)
+        return _Made("not", (self,))
 
 
 def weights(region: Region, points_m: Float64s, feather_m: float) -> Float64s:
@@ -227,14 +227,12 @@ class Voxels(Region):
         positions = np.stack(np.unravel_index(self._places, self.grid.shape), axis=1)
         edge = np.zeros(len(positions), np.bool_)
         outside = [positions[:0]]
-        for axis in range(3):
-            for step in (-1, 1):
-                beside = positions.copy()
-                beside[:, axis] += step
-                free = (beside[:, axis] >= 0) & (beside[:, axis] < self.grid.shape[axis])
-                free[free] = ~self._among(beside[free])
-                edge |= free
-                outside.append(beside[free])
+        for step in np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)]):
+            beside = positions + step
+            free = ((beside >= 0) & (beside < self.grid.shape)).all(axis=1)
+            free[free] = ~self._among(beside[free])
+            edge |= free
+            outside.append(beside[free])
         shells = (positions[edge], np.unique(np.concatenate(outside), axis=0))
         first, second = (cKDTree(self.grid.to_m(s)) if len(s) else None for s in shells)
         return first, second
@@ -270,46 +268,30 @@ class ForceRange(Region):
         raise InvalidArgument(self.words, "no field to look at", "a field", "Ask the region that on(field) gives.")
 
 
-@dataclass(frozen=True)
-class _Pair(Region):
-    """The union of two regions, or what they share."""
-
-    first: Region
-    second: Region
-    is_union: bool
-
-    @property
-    def words(self) -> str:
-        return f"({self.first.words}) {'or' if self.is_union else 'and'} ({self.second.words})"
-
-    def on(self, field: ForceField) -> Region:
-        return _Pair(self.first.on(field), self.second.on(field), self.is_union)
-
-    def holds(self, points_m: Float64s) -> Bools:
-        first, second = self.first.holds(points_m), self.second.holds(points_m)
-        return first | second if self.is_union else first & second
-
-    def distance_m(self, points_m: Float64s) -> Float64s:
-        nearer: Any = np.minimum if self.is_union else np.maximum
-        return np.asarray(nearer(self.first.distance_m(points_m), self.second.distance_m(points_m)))
+_HELD: Final[dict[str, Any]] = {"or": np.logical_or, "and": np.logical_and, "not": np.logical_not}
+_AWAY: Final[dict[str, Any]] = {"or": np.minimum, "and": np.maximum, "not": np.negative}
 
 
 @dataclass(frozen=True)
-class _Complement(Region):
-    region: Region
+class _Made(Region):
+    """The union of two regions, what they share, or all that is not in one."""
+
+    how: str
+    regions: tuple[Region, ...]
 
     @property
     def words(self) -> str:
-        return f"not ({self.region.words})"
+        words = [f"({region.words})" for region in self.regions]
+        return f"not {words[0]}" if self.how == "not" else f" {self.how} ".join(words)
 
     def on(self, field: ForceField) -> Region:
-        return _Complement(self.region.on(field))
+        return _Made(self.how, tuple(region.on(field) for region in self.regions))
 
     def holds(self, points_m: Float64s) -> Bools:
-        return ~self.region.holds(points_m)
+        return np.asarray(_HELD[self.how](*(region.holds(points_m) for region in self.regions)))
 
     def distance_m(self, points_m: Float64s) -> Float64s:
-        return -self.region.distance_m(points_m)
+        return np.asarray(_AWAY[self.how](*(region.distance_m(points_m) for region in self.regions)))
 
 
 _ORTHOGONAL: Final = 1e-9
@@ -343,7 +325,7 @@ class RigidMotion:
     @classmethod
     def move(cls, offset_m: ArrayLike) -> RigidMotion:
         """A move by `offset_m`, metres [3]."""
-        return cls._of(np.eye(3), np.asarray(_point("motion offset_m", offset_m)))
+        return cls(offset_m=_point("motion offset_m", np.asarray(offset_m)))
 
     @classmethod
     def turn(cls, axis: ArrayLike, angle_deg: float, about_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
@@ -351,8 +333,7 @@ class RigidMotion:
         x, y, z = _unit("turn axis", axis)
         angle = math.radians(angle_deg)
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        r = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
-        return cls._about(r, about_m)
+        return cls._about(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross), about_m)
 
     @classmethod
     def mirror(cls, normal: ArrayLike, through_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
@@ -361,18 +342,10 @@ class RigidMotion:
         return cls._about(np.eye(3) - 2 * np.outer(n, n), through_m)
 
     @classmethod
-    def _of(cls, r: Float64s, t: Float64s) -> RigidMotion:
-        rows: Any = r.tolist()
-        offset: Any = t.tolist()
-        return cls(rows, offset)
-
-    @classmethod
-    def _about(cls, r: Float64s, fixed_m: ArrayLike) -> RigidMotion:
-        fixed, whole = (
-            np.asarray(_point("point of a rigid motion", fixed_m)),
-            np.asarray(cls._of(r, np.zeros(3)).matrix),
-        )
-        return cls._of(whole, fixed - whole @ fixed)
+    def _about(cls, matrix: Any, fixed_m: ArrayLike) -> RigidMotion:
+        fixed, whole = _point("point of a rigid motion", np.asarray(fixed_m)), np.asarray(cls(matrix).matrix)
+        offset: Any = fixed - whole @ fixed
+        return cls(matrix, offset)
 
     @property
     def words(self) -> str:
@@ -381,14 +354,14 @@ class RigidMotion:
 
     def then(self, second: RigidMotion) -> RigidMotion:
         """This motion, and then another."""
-        r = np.asarray(second.matrix)
-        return self._of(r @ np.asarray(self.matrix), r @ np.asarray(self.offset_m) + np.asarray(second.offset_m))
+        r: Any = np.asarray(second.matrix)
+        return RigidMotion(r @ np.asarray(self.matrix), r @ np.asarray(self.offset_m) + np.asarray(second.offset_m))
 
     @property
     def inverse(self) -> RigidMotion:
         """The way back."""
-        r = np.asarray(self.matrix).T
-        return self._of(r, -(r @ np.asarray(self.offset_m)))
+        r: Any = np.asarray(self.matrix).T
+        return RigidMotion(r, -(r @ np.asarray(self.offset_m)))
 
     def points_m(self, points_m: ArrayLike) -> Float64s:
         """Points [..., 3] moved, metres."""

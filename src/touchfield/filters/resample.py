@@ -42,7 +42,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from touchfield.arrays import Bools, Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.region import RigidMotion
 from touchfield.medium import BRICK, ForceField, Grid
@@ -186,11 +186,21 @@ def resample(
     Raises `InvalidArgument` if the kernel or a cut-off is not possible, or the target is too fine for a field of that
     size.
     """
+    from touchfield.filters.kernels import forces as kernels
+
     chosen = low_pass(kernel) if isinstance(kernel, str) else kernel
     weights = grid_weights(field.grid, grid, chosen, cutoffs_per_m or nyquist_per_m(grid))
     reach = [_reach(one, bricks) for one, bricks in zip(weights, field.grid.brick_shape)]
     keys = _reached(np.stack([row[field.bricks[:, a]] for a, row in enumerate(reach)], axis=1), grid)
-    return _resampled(field, grid, weights, keys) if len(keys) else ForceField.empty(grid)
+    bricks, own = bricks_of(grid, keys), brick_keys(field.grid, field.bricks)
+    kept = [(bricks[:0], zero_forces(0))]
+    for begin in range(0, len(bricks), _BATCH):  # so that what proves empty is never in memory all at once
+        batch = bricks[begin : begin + _BATCH]
+        forces, is_held = kernels.resampled(batch, field.grid.shape, own, field.forces_n, weights)
+        kept.append((batch, forces) if is_held.all() else (batch[is_held], forces[is_held]))
+    if len(kept) == 2:
+        return ForceField(grid, *kept[1])
+    return ForceField(grid, *(np.concatenate(parts) for parts in zip(*kept)))
 
 
 def _reached(spans: Int64s, grid: Grid) -> Int64s:
@@ -217,27 +227,9 @@ def _reach(weights: AxisWeights, source_bricks: int) -> Int64s:
     return np.stack([begin, end], axis=1).astype(np.int64)
 
 
-def _resampled(field: ForceField, grid: Grid, weights: list[AxisWeights], keys: Int64s) -> ForceField:
-    """The bricks of these keys, in batches, so that what proves empty is never in memory all at once."""
-    from touchfield.filters.kernels import forces as kernels
-
-    bricks, own = bricks_of(grid, keys), brick_keys(field.grid, field.bricks)
-    kept_bricks, kept_forces = [], []
-    for begin in range(0, len(bricks), _BATCH):
-        batch = bricks[begin : begin + _BATCH]
-        forces, is_held = kernels.resampled(batch, field.grid.shape, own, field.forces_n, weights)
-        kept_bricks.append(batch if is_held.all() else batch[is_held])
-        kept_forces.append(forces if is_held.all() else forces[is_held])
-    if len(kept_bricks) == 1:
-        return ForceField(grid, kept_bricks[0], kept_forces[0])
-    return ForceField(grid, np.concatenate(kept_bricks), np.concatenate(kept_forces))
-
-
 BORDERS: Final = ("zero", "cell")
 BRICKS_AT_ONCE: Final = 512
-_ON_A_SAMPLE: Final = 1e-6
-"""A point as near to a sample as this share of the spacing is taken to lie on it, so that whole steps are exact."""
-
+_ON_A_SAMPLE: Final = 1e-6  # of the spacing: as near to a sample a point lies on it, so that whole steps are exact
 _CORNERS: Final = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
 LOCAL: Final = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
 
@@ -255,32 +247,24 @@ def interpolated(
     """
     if border not in BORDERS:
         raise InvalidArgument("border", repr(border), " or ".join(BORDERS))
-    motion = None if motion == RigidMotion() else motion
-    bricks = bricks_of(grid, _reached(_spans(field, grid, motion), grid))
-    forces = zero_forces(len(bricks))
-    for begin in range(0, len(bricks), BRICKS_AT_ONCE):
-        some = slice(begin, begin + BRICKS_AT_ONCE)
-        forces[some] = _values(field, grid, motion, border, bricks[some])
-    return ForceField.from_bricks(grid, bricks, forces)
-
-
-def _values(field: ForceField, grid: Grid, motion: RigidMotion | None, border: str, bricks: Int32s) -> NDArray[Any]:
-    """The forces of some bricks, newtons [m, 8, 8, 8, 3]."""
     from touchfield.medium import kernels
 
-    points = grid.to_m(bricks[:, None, None, None] * BRICK + LOCAL)
-    index = field.grid.to_index(points if motion is None else motion.inverse.points_m(points))
-    whole = np.rint(index)
-    index = np.where(np.abs(index - whole) < _ON_A_SAMPLE, whole, index)
-    if border == "cell":
-        last = np.array(field.grid.shape) - 1.0
-        beyond = ((index < -0.5 - _ON_A_SAMPLE) | (index > last + 0.5 + _ON_A_SAMPLE)).any(axis=-1)
-        index = np.clip(index, 0.0, last)
-        index[beyond] = -2.0
-    flat = np.ascontiguousarray(index.reshape(-1, 3))
-    forces = kernels.sample(flat, field.grid, brick_keys(field.grid, field.bricks), field.forces_n)
-    turned: NDArray[Any] = forces if motion is None else motion.vectors(forces)
-    return turned.reshape(*bricks.shape[:1], BRICK, BRICK, BRICK, 3)
+    motion = None if motion == RigidMotion() else motion
+    bricks = bricks_of(grid, _reached(_spans(field, grid, motion), grid))
+    out, keys, last = zero_forces(len(bricks)), brick_keys(field.grid, field.bricks), np.array(field.grid.shape) - 1.0
+    for begin in range(0, len(bricks), BRICKS_AT_ONCE):
+        some = slice(begin, begin + BRICKS_AT_ONCE)
+        points = grid.to_m(bricks[some, None, None, None] * BRICK + LOCAL)
+        index = field.grid.to_index(points if motion is None else motion.inverse.points_m(points))
+        whole = np.rint(index)
+        index = np.where(np.abs(index - whole) < _ON_A_SAMPLE, whole, index)
+        if border == "cell":
+            beyond = ((index < -0.5 - _ON_A_SAMPLE) | (index > last + 0.5 + _ON_A_SAMPLE)).any(axis=-1)
+            index = np.clip(index, 0.0, last)
+            index[beyond] = -2.0
+        forces = kernels.sample(np.ascontiguousarray(index.reshape(-1, 3)), field.grid, keys, field.forces_n)
+        out[some] = (forces if motion is None else motion.vectors(forces)).reshape(points.shape)
+    return ForceField.from_bricks(grid, bricks, out)
 
 
 def _spans(field: ForceField, grid: Grid, motion: RigidMotion | None) -> Int64s:

@@ -59,7 +59,7 @@ def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> Float64s:
     if not radius:
         return np.ones(1)
     taps: Float64s = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma_samples) ** 2)
-    return taps / taps.sum()
+    return np.asarray(taps / taps.sum())
 
 
 def gaussian(
@@ -80,7 +80,15 @@ def gaussian(
     x = np.asarray(signal)
     x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
     checked_boundary(boundary)
-    axes = _axes(x.shape, sigma_samples, truncate)
+    if isinstance(sigma_samples, int | float | np.integer | np.floating):
+        sigmas = [float(sigma_samples)] * (3 if x.ndim == 4 and x.shape[3] == 3 else x.ndim)
+    else:
+        sigmas = [float(s) for s in sigma_samples]
+    if not 1 <= len(sigmas) <= x.ndim:
+        raise InvalidArgument("sigma_samples", f"{len(sigmas)} for an array {x.shape}", "one for each leading axis")
+    axes = [AxisTaps.centred(gaussian_taps(s, truncate)) for s in sigmas]
+    for axis, row in enumerate(axes):
+        row.check_fits(x.shape[axis], f"sigma_samples of axis {axis}")
     if not all_finite(x):
         raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     if x.dtype == np.float32 and len(axes) == 3 and x.shape[3:] == (3,) and x.size:
@@ -93,20 +101,6 @@ def gaussian(
         own = smooth[tuple(slice(r, r + n) for r, n in zip(reach, x.shape))]
         return without_overflow(np.ascontiguousarray(own), "signal")
     return without_overflow(direct_sums(x, [a.taps for a in axes], [a.origin for a in axes], boundary), "signal")
-
-
-def _axes(shape: tuple[int, ...], sigma_samples: float | Sequence[float], truncate: float) -> list[AxisTaps]:
-    if isinstance(sigma_samples, int | float | np.integer | np.floating):
-        count = 3 if len(shape) == 4 and shape[3] == 3 else len(shape)
-        sigmas = [float(sigma_samples)] * count
-    else:
-        sigmas = [float(s) for s in sigma_samples]
-    if not 1 <= len(sigmas) <= len(shape):
-        raise InvalidArgument("sigma_samples", f"{len(sigmas)} for an array {shape}", "one for each leading axis")
-    axes = [AxisTaps.centred(gaussian_taps(s, truncate)) for s in sigmas]
-    for axis, row in enumerate(axes):
-        row.check_fits(shape[axis], f"sigma_samples of axis {axis}")
-    return axes
 
 
 class _LowPass(FieldFilter):
