@@ -29,6 +29,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import axis_weights, low_pass, resample
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 from touchfield.medium.grid import Placement
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
@@ -225,7 +226,9 @@ def limited(field: ForceField, force_max_n: float, floor_n: float = 0.0) -> Forc
     """
     from touchfield.filters.kernels import forces as kernels
 
-    forces, is_held = kernels.limited(field.forces_n, force_max_n, floor_n)
+    forces, is_held = np.empty_like(field.forces_n), np.zeros(len(field.bricks), np.bool_)
+    flat, out = (each.reshape(-1, BRICK**3, 3) for each in (field.forces_n, forces))
+    for_chunks(kernels.limited, len(flat), flat, force_max_n, floor_n, out, is_held, chunk=64)
     return ForceField(field.grid, field.bricks[is_held], forces[is_held])
 
 

@@ -35,6 +35,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys, dilated, frozen, neighbour_slots
+from touchfield.parallel import for_chunks
 
 Site = tuple[int, ...]
 
@@ -272,5 +273,7 @@ def _step(place: Any, forces: Float32s, split: Split, kind: str, hold: float, si
     starts = np.full((2, 2), -1, np.int64)
     for x, y, z in split.details if kind == "predict" else split.kept:
         starts[x, y] = z
-    divisor = len(offsets) * (1 if kind == "predict" else 2)
-    kernels.lifted_bricks(place, forces, split.scale, (starts, np.array(offsets, np.int64)), (hold, sign / divisor))
+    bricks, slots, shape = place
+    weight = sign / (len(offsets) * (1 if kind == "predict" else 2))
+    law = split.scale, starts, np.array(offsets, np.int64), np.float32(hold), np.float32(weight)
+    for_chunks(kernels.lifted_bricks, len(bricks), bricks, slots, forces.reshape(-1), shape, *law, chunk=64)

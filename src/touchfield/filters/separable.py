@@ -28,7 +28,9 @@ from numpy.typing import ArrayLike
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium.budget import BYTES_PER_BRICK, require_memory
 from touchfield.medium.field import brick_keys, bricks_of, frozen, spread_keys
+from touchfield.parallel import for_chunks, worker_count
 
 Axes = tuple["AxisTaps", "AxisTaps", "AxisTaps"]
 
@@ -186,8 +188,9 @@ def keys_of_passes(field: ForceField, axes: Axes) -> list[Int64s]:
 
 
 def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s]) -> Any:
-    """The sums in the bricks ``keys[3]``, float32 [n, 8, 8, 8, 3], and the greatest size of each, float32 [n].
+    """The sums in the bricks ``keys[3]``, float32 [n, 8, 8, 8, 3], and the greatest size of a number of each.
 
+    That size is 0 where a brick holds no force, and infinite or not a number where a sum went beyond float32.
     `forces_n` float32 [m, 8, 8, 8, 3] lie in ``keys[0]``; ``keys[1]`` and ``keys[2]`` are made on the way.
     """
     from touchfield.filters.kernels import separable as kernels
@@ -201,8 +204,20 @@ def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s
         counts[axis] = len(place)
         places[axis, : len(place)], weights[axis, : len(place)] = place, row[place]
     before, deep = [tuple(n) for n in zip(*((a.before, len(a.taps) - 1) for a in axes), strict=True)]
-    packed = places, weights, counts
-    return kernels.bricks_filtered_and_tops(frozen(forces_n), tuple(keys), grid.brick_shape, before, deep, packed)
+    count, (_, columns, depth) = len(keys[3]), grid.brick_shape
+    require_memory("force field", count, count * BYTES_PER_BRICK)
+    out = np.empty((count, BRICK, BRICK, BRICK, 3), np.float32)  # the kernel sets every row
+    tops, flat, masks = np.zeros(count, np.uint32), frozen(forces_n).reshape(-1), np.empty(len(forces_n), np.uint64)
+    for_chunks(kernels.row_masks, len(masks), flat.view(np.uint64), masks, chunk=64)
+    tile = min(depth, kernels.TILE)
+    tiles, sizes = -(-depth // tile), (tile, -(-max(before[2], deep[2] - before[2]) // BRICK))
+    every = np.unique(keys[3] // (columns * depth) * tiles + keys[3] % depth // tile)
+    hands = 4 * worker_count()  # the pieces of `for_chunks`: slabs are dealt out in turn, so that all cost the same
+    items = np.stack(np.divmod(np.concatenate([every[hand::hands] for hand in range(hands)]), tiles), axis=1)
+    target, law = out.reshape(-1), (grid.brick_shape, before, deep, sizes, (places, weights, counts))
+    given = items, (flat, masks), tuple(keys), *law, target, target.view(np.uint32), tops
+    for_chunks(kernels.filtered_bricks, len(items), *given)
+    return out, tops.view(np.float32)
 
 
 def brick_field(grid: Grid, bricks: Int32s, forces_n: Float32s, is_held: Bools) -> ForceField:

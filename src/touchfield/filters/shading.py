@@ -43,7 +43,7 @@ from touchfield.filters.separable import AxisTaps, keys_of_passes, places_of, su
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
 from touchfield.medium.field import brick_keys, bricks_of, dilated, neighbour_slots, tiled
-from touchfield.parallel import worker_count
+from touchfield.parallel import for_chunks, worker_count
 
 if TYPE_CHECKING:
     from touchfield.filters.separable import Axes
@@ -87,7 +87,8 @@ class ShadingFilter(FieldFilter):
 
     def claims(self, grid: Grid) -> Claims:
         """The reach is truncate * sigma, rounded to samples; means of amplitudes never exceed the greatest."""
-        x, y, z = (min(self._radius(h), n - 1) for h, n in zip(grid.spacing_m, grid.shape))
+        radii = [int(min(self.truncate * self.sigma_m / h + 0.5, 1 << 30)) for h in grid.spacing_m]
+        x, y, z = (min(radius, n - 1) for radius, n in zip(radii, grid.shape))
         return Claims(
             reach=(x, y, z),
             dc_gain=1.0,
@@ -96,9 +97,6 @@ class ShadingFilter(FieldFilter):
             keeps_direction=self.smooth == "amplitude",
             keeps_amplitude=self.smooth == "direction",
         )
-
-    def _radius(self, spacing_m: float) -> int:
-        return int(min(self.truncate * self.sigma_m / spacing_m + 0.5, 1 << 30))
 
     def __call__(self, field: ForceField) -> ForceField:
         """The shaded field, newtons, on the same grid."""
@@ -318,11 +316,13 @@ def _diffused(
     """All steps of the samples of bricks that take part, with lambda along each axis; `forces` are used up."""
     from touchfield.filters.kernels import steps as kernels
 
-    slots, out, (x, y, z) = neighbour_slots(grid, bricks), zero_forces(len(bricks)), lam
+    slots, count, out = neighbour_slots(grid, bricks), len(bricks), zero_forces(len(bricks))
+    x, y, z = (np.float32(part) for part in lam)
+    numbers = (x, y, z), np.float32(1 / law.kappa_n), law.conductance == "rational"
+    takes_part = support.reshape(count, BRICK**3)
     for _ in range(law.steps):
-        kernels.diffused_bricks(
-            slots, support, forces, ((x, y, z), float(law.kappa_n), law.conductance == "rational"), out
-        )
+        flat, into = (each.reshape(count, BRICK**3, 3) for each in (forces, out))
+        for_chunks(kernels.diffused_bricks, count, slots, takes_part, flat, *numbers, into, chunk=32)
         forces, out = out, forces
     return forces
 

@@ -29,7 +29,8 @@ _INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped forc
 
 
 @entry
-def _limited(begin, end, forces, force_max, floor, out, held):
+def limited(begin, end, forces, force_max, floor, out, held):
+    """Forces [n, 512, 3] clipped to a length and dropped below another, and which bricks hold any."""
     ceiling, bottom = force_max * force_max, floor * floor
     for n in range(begin, end):
         some = False
@@ -45,17 +46,6 @@ def _limited(begin, end, forces, force_max, floor, out, held):
             if x != 0 or y != 0 or z != 0:
                 some = True
         held[n] = some
-
-
-def limited(forces_n: Float32s, force_max_n: float, floor_n: float) -> tuple[Float32s, Bools]:
-    """Forces [n, 8, 8, 8, 3] clipped to a length and dropped below another, and which bricks hold any."""
-    out = np.empty_like(forces_n)
-    held = np.zeros(len(forces_n), np.bool_)
-    flat = (len(forces_n), 512, 3)
-    for_chunks(
-        _limited, len(forces_n), forces_n.reshape(flat), force_max_n, floor_n, out.reshape(flat), held, chunk=64
-    )
-    return out, held
 
 
 _COLUMNS_AT_ONCE = 256

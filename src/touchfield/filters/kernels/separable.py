@@ -16,12 +16,7 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from touchfield.arrays import Float32s, Int64s
-from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
 from touchfield.medium.kernels import first_at_least
-from touchfield.parallel import for_chunks, worker_count
-
-Taps = tuple[Int64s, Float32s, Int64s]
 
 ROW = 24
 """Numbers of a brick's row: eight samples of three components."""
@@ -92,7 +87,7 @@ four_rows: Any = intrinsic(_four_rows)
 
 _NO_SIGNS = np.uint64(0x7FFFFFFF7FFFFFFF)  # all bits of two numbers but their signs
 _NO_SIGN = np.uint32(0x7FFFFFFF)
-_TILE = 32  # bricks along z that are filtered at once
+TILE = 32  # bricks along z that are filtered at once
 _PLANE, _BRICK = 8 * ROW, 64 * ROW  # numbers
 _FOUR = np.uint64(0xF)  # the bits of four rows of one i
 _HALF = np.uint64(0xFFFFFFFF)  # those of four i
@@ -100,7 +95,7 @@ _COLUMN = np.uint64(0x0101010101010101)  # the bits of a mask whose rows have j 
 
 
 @njit(cache=True, nogil=True)
-def _row_masks(begin, end, words, masks):
+def row_masks(begin, end, words, masks):
     """The rows, of the 64 of each brick, that hold a force, one bit a row; minus zero is none."""
     for n in range(begin, end):
         mask = np.uint64(0)
@@ -228,10 +223,11 @@ def _line_cleared(line, width, at):
 
 
 @njit(cache=True, nogil=True)
-def _bricks(begin, end, items, source, keys_of_passes, lattice, before, deep, sizes, taps, out, bits, tops):
+def filtered_bricks(begin, end, items, source, keys_of_passes, lattice, before, deep, sizes, taps, out, bits, tops):
     """Slabs of output bricks of one x and a range of z: a ring of columns filtered along x, then column by column.
 
-    `sizes` is how many bricks along z make an item, and how many beyond them its sums reach.
+    `before` and `deep` are for each axis how far back the first sample of a sum lies, and how many samples after it
+    the last one; `sizes` is how many bricks along z make an item, and how many beyond them its sums reach.
     """
     keys, keys_x, keys_y, keys_z = keys_of_passes
     flat, masks = source
@@ -290,44 +286,3 @@ def _bricks(begin, end, items, source, keys_of_passes, lattice, before, deep, si
                 if made_y[keys_y[s] - base]:
                     _line_cleared(line, width, keys_y[s] - base)
                     made_y[keys_y[s] - base] = 0
-
-
-def bricks_filtered_and_tops(
-    forces_n: Float32s,
-    keys: tuple[Int64s, ...],
-    lattice: tuple[int, int, int],
-    before: tuple[int, int, int],
-    deep: tuple[int, int, int],
-    taps: Taps,
-) -> tuple[Float32s, Float32s]:
-    """The forces of output bricks, float32 [n, 8, 8, 8, 3], and the greatest size of a number of each, float32 [n].
-
-    That size is 0 where a brick holds no force, and infinite or not a number where a sum went beyond float32.
-
-    forces_n : float32 [m, 8, 8, 8, 3]
-    keys : int64; ascending keys of the input's bricks, and of those that hold something after x, after y and after z.
-    lattice : (int, int, int); bricks of the grid along each axis.
-    before, deep : (int, int, int); for each axis, how far back the first sample of a sum lies, and how many samples
-        after it the last one.
-    taps : (int64 [3, k], float32 [3, k], int64 [3]); places from the first sample of a sum, weights, how many.
-    """
-    count = len(keys[3])
-    if count * BYTES_PER_BRICK > memory_budget_bytes():
-        zero_forces(count)  # says that it is too much
-    out = np.empty((count, 8, 8, 8, 3), np.float32)  # the kernel sets every row
-    tops = np.zeros(count, np.uint32)
-    flat, masks = forces_n.reshape(-1), np.empty(len(forces_n), np.uint64)
-    for_chunks(_row_masks, len(masks), flat.view(np.uint64), masks, chunk=64)
-    tile = min(lattice[2], _TILE)
-    sizes = (tile, -(-max(before[2], deep[2] - before[2]) // 8))
-    z, x = keys[3] % lattice[2] // tile, keys[3] // (lattice[1] * lattice[2])
-    tiles = -(-lattice[2] // tile)
-    items = np.stack(np.divmod(np.unique(x * tiles + z), tiles), axis=1)
-    hands = 4 * worker_count()  # the pieces of `for_chunks`: slabs are dealt out in turn, so that all cost the same
-    items = np.concatenate([items[hand::hands] for hand in range(hands)])
-    target = out.reshape(-1)
-    for_chunks(
-        _bricks, len(items), items, (flat, masks), keys, lattice, before, deep, sizes, taps, target,
-        target.view(np.uint32), tops,
-    )  # fmt: skip
-    return out, tops.view(np.float32)
