@@ -36,13 +36,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float64s, Int32s, Int64s
+from touchfield.arrays import Float64s, Int32s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import blocks_around, dilated
-from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
+from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
 
 if TYPE_CHECKING:
     from touchfield.medium import Grid, HapticMedium
@@ -276,8 +276,13 @@ class TextureFilter(FieldFilter):
         first = bricks.astype(np.int64) * BRICK // grain
         samples = bricks[:, :, None] * BRICK + np.arange(BRICK)
         x, y, z = (samples[:, a] // grain[a] - first[:, a, None] + half[a] for a in range(3))  # grains, from `first`
-        impulses = _impulses([first[:, a, None] + np.arange(BRICK + 2) - half[a] for a in range(3)], self)
-        total = impulses
+        # -1, 0 or 1 at grains -1 to 2^20: the splitmix64 stream of the seed, jumped into
+        i, j, k = ((first[:, a, None] + np.arange(1, BRICK + 3) - half[a]).astype(np.uint64) for a in range(3))
+        number = i[:, :, None, None] | j[:, None, :, None] << np.uint64(21) | k[:, None, None] << np.uint64(42)
+        with np.errstate(over="ignore"):
+            bits = mixed(mixed(np.uint64(self.seed) + _GOLDEN) + (number + np.uint64(1)) * _GOLDEN)
+        is_there = (bits >> np.uint64(11)) * 2.0**-53 < self.density
+        total = impulses = np.where(is_there, np.where(bits & np.uint64(1), 1, -1), 0)
         for axis in np.flatnonzero(half):
             total = total + np.roll(total, 1, axis + 1) + np.roll(total, -1, axis + 1)
         taps = 3 ** sum(half)
@@ -317,19 +322,6 @@ def mixed(z: Any) -> Any:
         z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
-
-
-def _impulses(places: list[Int64s], law: TextureFilter) -> Int64s:
-    """-1, 0 or 1 at grains, int64 [n, p, q, r]: the splitmix64 stream of the seed, jumped into.
-
-    places : int64 [n, p], [n, q], [n, r]; coordinates of the grains, -1 to 2^20.
-    """
-    x, y, z = ((place + 1).astype(np.uint64) for place in places)
-    number = x[:, :, None, None] | y[:, None, :, None] << np.uint64(21) | z[:, None, None] << np.uint64(42)
-    with np.errstate(over="ignore"):
-        bits = mixed(mixed(np.uint64(law.seed) + _GOLDEN) + (number + np.uint64(1)) * _GOLDEN)
-    is_there = (bits >> np.uint64(11)) * 2.0**-53 < law.density
-    return np.where(is_there, np.where(bits & np.uint64(1), 1, -1), 0)
 
 
 def _shortened(forces_n: Float64s, ceiling_n: float) -> Float64s:

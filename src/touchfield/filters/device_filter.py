@@ -44,8 +44,7 @@ NW_RANGE: Final = (3, 10)
 def device_grid(device: Device, nw: int | None = None, depth_m: float | None = None) -> Grid:
     """The lattice of a device over its workspace, centred on the origin, hand metres.
 
-    nw : int or None; 2^nw samples along each axis; None for the nominal lattice. An array has its own lattice: no
-        effect.
+    nw : int or None; 2^nw samples along each axis; None for the nominal lattice, and of no effect for an array.
     depth_m : float or None; of an array: how much of the hand's depth is pooled; None for the profile's.
     Raises `InvalidArgument` if `nw` is not within `NW_RANGE`.
     """
@@ -67,10 +66,9 @@ def device_grid(device: Device, nw: int | None = None, depth_m: float | None = N
 def exact_forces(
     scene: AnalyticScene, placement: Placement, profile_hand: ForceProfile, force_max_n: float
 ) -> Callable[[Float64s], Float64s]:
-    """The force of shapes with a formula at points of the hand, clipped to F_max.
+    """The force of shapes with a formula, clipped to F_max: ``forces(points_m float64 [n, 3]) -> newtons [n, 3]``.
 
-    profile_hand : ForceProfile; the force law in hand metres.
-    Returns callable: ``forces(points_m float64 [n, 3]) -> newtons float64 [n, 3]``.
+    Points and the force law are in metres of the hand.
     """
     law = profile_hand.rescaled(placement.scale)
     offset_m = np.asarray(placement.offset_m)
@@ -123,12 +121,11 @@ class DeviceFilter:
         if self.device.is_array and self.grid.shape[2] != 1:
             raise InvalidArgument("grid of an array", f"{self.grid.shape[2]} samples deep", "one")
 
-    def __call__(self, scene: Scene, frame: int, profile_hand: ForceProfile) -> ForceField:
-        """M(W) of one frame, newtons on the device's lattice; `profile_hand` is the law in hand metres."""
-        return self.frames(scene, profile_hand)(frame)
-
     def frames(self, scene: Scene, profile_hand: ForceProfile) -> Callable[[int], ForceField]:
-        """M(W) by frame; where a scene gives the very field that it gave before, the result is given again."""
+        """M(W) by frame, newtons on the device's lattice; `profile_hand` is the law in hand metres.
+
+        Where a scene gives the very field that it gave before, the result is given again.
+        """
         if self.device.is_array:
             return lambda i: self._limited(self._at_actuators(*self._pooled(scene, i, profile_hand)))
         # finer than the device's lattice, and reaching beyond the workspace
@@ -240,13 +237,9 @@ def device_medium(
     profile_hand: ForceProfile,
     spec: DeviceFilterSpec | None = None,
 ) -> HapticMedium:
-    """The scene as the device can show it, a lazy medium on `grid` in hand metres.
+    """The scene as the device can show it, a lazy medium on the device's lattice; grid and law in hand metres.
 
-    A stored medium whose lattice is already this one (to within a millionth of a sample) passes untouched:
-    neither a second low-pass nor a clip.
-
-    grid : Grid; the device's lattice, hand metres, along the axes of the scene.
-    profile_hand : ForceProfile; the force law in hand metres.
+    A stored medium whose lattice is already this one (to within a millionth of a sample) passes untouched.
     """
     stored = getattr(scene, "medium", None)
     if isinstance(stored, HapticMedium) and same_lattice(placement.to_scene(grid), stored.grid):

@@ -114,8 +114,7 @@ class Composed:
     other : ForceField or HapticMedium; on the grid of the field; a frame of a medium for each that is edited.
     how : str; "replace": the other alone. "over": the other where it has a force, and the field elsewhere. "add": the
         sum. "max": the longer of the two forces, the field's where they are equal.
-    Raises `InvalidArgument` if `how` is unknown; when called, if the grids differ or the other is a medium of several
-    frames.
+    Raises `InvalidArgument` if `how` is unknown; on a call, if the grids differ or the other has several frames.
     """
 
     name: ClassVar[str] = "compose"
@@ -197,8 +196,7 @@ def edited_medium(
 
     region, operator, feather_m; as of `edited`; frame 0 of the medium of a `Composed` goes to the first edited frame.
     frames : (int, int or None), optional; start and stop of the range; all frames by default.
-    Raises `InvalidArgument` if there is no such range, or the medium of a `Composed` is shorter than it or on another
-    grid.
+    Raises `InvalidArgument` if there is no such range, or the medium of a `Composed` does not fit it.
     """
     start, stop = frames or (0, None)
     stop = len(medium) if stop is None else stop

@@ -58,15 +58,13 @@ def fir_filter(
 ) -> NDArray[Any]:
     """Equation 4 on a dense array.
 
-    signal : float32 or float64, M-D; its leading axes are filtered, as many as `taps` has; the others are components.
-        Whole numbers are taken as float64.
+    signal : float32, or taken as float64, M-D; its leading axes are filtered, as many as `taps` has.
     taps : float, N-D, N <= M; h, the kernel.
     anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as printed.
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
     method : {"auto", "direct", "fft"}; "auto" takes the one that is likely to be quicker.
-    Returns float32 or float64: Of the signal's shape and type.
-    Raises `InvalidArgument` if the kernel is empty, not finite or larger than the signal; even and asked to be
-    centred; if the signal is not finite; if a sum is beyond the signal's type; if a word is unknown.
+    Returns float32 or float64 of the signal's shape and type. Raises `InvalidArgument` if the kernel is empty, not
+    finite, larger than the signal, or even and to be centred; if the signal or a sum is not finite; for other words.
     """
     x, h = np.asarray(signal), _checked_taps(taps, anchor)
     x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)

@@ -217,9 +217,7 @@ class MultiresolutionFilter(FieldFilter):
     """The field at a coarser level of detail, on the same lattice.
 
     stages : int; 1 to 12; each halves the number of independent samples, three halve the resolution along each axis.
-    keep : str; "coarse", the level of detail; or "details", the field less that, which is zero where the field is
-        constant.
-    Raises `InvalidArgument` if `stages` or `keep` is out of range.
+    keep : str; "coarse", the level of detail; or "details", the field less that.
     """
 
     name: ClassVar[str] = "multiresolution"

@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -158,25 +158,19 @@ class ShadingFilter(FieldFilter):
                 raise InvalidArgument("shading sigma_m", found, f"a reach of up to {MAX_REACH} samples")
             taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) * spacing / self.sigma_m) ** 2)
             rows.append(AxisTaps.centred(taps))
-        axes = (rows[0], rows[1], rows[2])
-        _check_scratch(self.sigma_m, grid, axes)
-        return axes
+        # the rows that the passes of each thread keep at hand
+        wide, high, deep = (2 * -(-a.reach // BRICK) + 2 for a in rows)
+        row_bytes = (min(grid.brick_shape[2], 32) + deep) * BRICK * 12
+        taken, allowed = worker_count() * (wide + high) * BRICK**2 * row_bytes, memory_budget_bytes()
+        if taken > allowed:
+            found = f"{self.sigma_m:g} m, for whose reach the threads take {taken / 2**30:.1f} GiB"
+            mend = "Take a smaller sigma or truncate, or a coarser grid."
+            raise InvalidArgument("shading sigma_m", found, f"at most {allowed / 2**30:.1f} GiB", mend)
+        return rows[0], rows[1], rows[2]
 
 
-def _check_scratch(sigma_m: float, grid: Grid, axes: Axes) -> None:
-    """Raise if the rows that the passes of each thread keep at hand are beyond the memory of a field."""
-    wide, high, deep = (2 * -(-a.reach // BRICK) + 2 for a in axes)
-    row_bytes = (min(grid.brick_shape[2], 32) + deep) * BRICK * 12
-    needed, allowed = worker_count() * (wide + high) * BRICK**2 * row_bytes, memory_budget_bytes()
-    if needed > allowed:
-        found = f"{sigma_m:g} m, for whose reach the threads take {needed / 2**30:.1f} GiB"
-        mend = "Take a smaller sigma or truncate, or a coarser grid."
-        raise InvalidArgument("shading sigma_m", found, f"at most {allowed / 2**30:.1f} GiB", mend)
-
-
-def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[Int64s]) -> Float32s:
+def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[Int64s]) -> Any:
     """Weighted sums of vectors that lie in the bricks of the field, in the last bricks, float32 [n, 8, 8, 8, 3]."""
-    sums: Float32s
     sums, tops = sums_of_bricks(grid, vectors, axes, keys)
     sums[tops == 0] = 0
     return sums

@@ -67,15 +67,13 @@ def gaussian(
 ) -> NDArray[Any]:
     """A dense array smoothed by a Gaussian: a field of float32 as `GaussianFilter` does, else by `scipy.ndimage`.
 
-    signal : float32 or float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes; whole numbers are
-        taken as float64.
+    signal : float32, or taken as float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes.
     sigma_samples : float or one for each leading axis; standard deviation in samples. One number holds for every axis
         but the components of a field: those are the last axis, of length 3, of an array of four.
     truncate : float; where the kernel is cut off, in standard deviations.
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
     Returns float32 or float64: Of the signal's shape; the same bits for any number of threads.
-    Raises `InvalidArgument` if a number is out of range, the kernel is larger than the signal, the signal is not
-    finite, or a sum is beyond its type.
+    Raises `InvalidArgument` if a number is out of range or not finite, or the kernel is larger than the signal.
     """
     x = np.asarray(signal)
     x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
@@ -133,8 +131,7 @@ class GaussianFilter(_LowPass):
     sigma_m : float; standard deviation, metres, positive; an axis of a single sample is left as it is.
     truncate : float; where the kernel is cut off, in standard deviations.
     boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
-    Raises `InvalidArgument` if a number is out of range; on use, if the kernel is larger than the field, or a sum is
-    beyond float32.
+    Raises `InvalidArgument` if a number is out of range; on use, if the kernel or a sum does not fit the field.
     """
 
     name: ClassVar[str] = "gaussian"
@@ -163,10 +160,8 @@ class GaussianFilter(_LowPass):
 
 
 def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
-    """The cut-off for a pitch, cycles per metre.
+    """The cut-off for a pitch d, cycles per metre: "nyquist", 1/(2d), or "literal", the paper's 2/d.
 
-    pitch_m : float; distance between neighbouring actuators, metres.
-    cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d.
     Raises `InvalidArgument` if the pitch is not positive, or the word is unknown.
     """
     if not (math.isfinite(pitch_m) and pitch_m > 0):
@@ -179,14 +174,12 @@ def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
 def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", kernel: str = "firwin") -> Float64s:
     """The centred taps of one axis, unit sum, float64 [odd].
 
-    spacing_m : float; distance between the field's samples, metres.
-    pitch_m : float; distance between neighbouring actuators, metres.
+    spacing_m, pitch_m : float; distance between the field's samples, and between neighbouring actuators, metres.
     cutoff : {"nyquist", "literal"}; see `cutoff_per_m`.
     kernel : str; "firwin" (a Hamming window, -6 dB at the cut-off, -54 dB at 1.5 times it, 31 taps where the cut-off
         is a quarter of the field's Nyquist rate), or one of `touchfield.filters.LOW_PASSES`. It and "sinc" have
         negative lobes: beside a contact they leave up to some per cent of its force turned round.
-    Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a number or word is out of
-    range.
+    Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a value is out of range.
     """
     if not (math.isfinite(spacing_m) and spacing_m > 0):
         raise InvalidArgument("spacing_m", f"{spacing_m!r} m", "a positive length")
@@ -227,8 +220,7 @@ class ActuatorLowPass(_LowPass):
     axes : str; the axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of
         a single sample is left as it is.
     boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
-    Raises `InvalidArgument` if a number or word is out of range; on use, if the cut-off lies above the field's
-    Nyquist rate or the kernel is larger than the field.
+    Raises `InvalidArgument` if a value is out of range; on use, for a cut-off or a kernel beyond the field's own.
     """
 
     name: ClassVar[str] = "lowpass"

@@ -38,7 +38,7 @@ from touchfield.stream.live import ENDLESS, LiveSegment, LiveSender
 if TYPE_CHECKING:
     from touchfield.job.prepare import Prepared
     from touchfield.job.stream_scene import Source
-    from touchfield.medium.vibration import VibrationFrame
+    from touchfield.medium.medium import VibrationFrame
 
 
 Send = Callable[[LiveSegment], bytes | None]

@@ -18,10 +18,7 @@ from touchfield.errors import InvalidArgument, SourceError
 def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary name in the folder of `path`, which becomes `path` when the block ends without an error.
 
-    The temporary file exists and is empty when the block begins; whatever ends the block early, an interrupt
-    included, removes it.
-
-    path : Path; the file to write. An older file of that name is replaced at the end.
+    It exists and is empty when the block begins; whatever ends the block early, an interrupt included, removes it.
     Raises `InvalidArgument` if the folder is not there, or `path` is something else than a plain file; `SourceError`
     if the system refuses to write: no right to, disk full, name too long.
     """

@@ -203,14 +203,11 @@ class PlacedFields:
         """The fields of one frame; those of rigid objects are made once."""
         if self._pool is not None:
             return self._pool
-        pools, rigid = [], self._rigid  # the same for threads that come meanwhile: what they make is made twice
-        for n, one in enumerate(self._scene.objects):
-            pool = rigid.get(n) or CellPool.of(one.field(frame))
-            if one.is_rigid:
-                rigid[n] = pool
-            pools.append(pool)
+        known, objects = self._rigid, self._scene.objects
+        pools = [known.get(n) or CellPool.of(one.field(frame)) for n, one in enumerate(objects)]
+        self._rigid = {n: pool for n, pool in enumerate(pools) if objects[n].is_rigid}
         joined = CellPool.joined(pools)
-        if len(rigid) == len(pools):
+        if len(self._rigid) == len(pools):
             self._pool, self._rigid = joined, {}
         return joined
 

@@ -33,15 +33,11 @@ from touchfield.medium.npz import NpzArchive
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-MOST_CONTROLS: Final = 32
-"""Along an axis."""
-
+MOST_CONTROLS: Final = 32  # along an axis
 MOST_CELLS: Final = 1 << 18
 """Over all frames: a second or two, to see that none of them folds; 8 x 8 x 8 control points for 35 s at 60 Hz."""
 
-STEP_M: Final = 2e-5
-"""Of displacements in a file: what no hand tells from nothing, and no slope of a map feels."""
-
+STEP_M: Final = 2e-5  # of displacements in a file: what no hand tells from nothing, and no slope of a map feels
 _MOST_BYTES: Final = 64 << 20
 _FINE: Final = 3  # places along each side of a cell at which the determinant is looked at
 _ARRAYS: Final = {"corner_m": 3, "spacing_m": 3, "rate_hz": 1, "compliance_m_per_n": 1, "relax_s": 1}

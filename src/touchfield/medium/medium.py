@@ -14,24 +14,106 @@ from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float32s
+from touchfield.arrays import Float32s, Int32s
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.medium.budget import memory_budget_bytes
-from touchfield.medium.field import ForceField
+from touchfield.medium.field import ForceField, frozen
 from touchfield.medium.grid import Grid
 from touchfield.medium.pose_track import PoseTrack
-from touchfield.medium.vibration import VibrationBand
 
 if TYPE_CHECKING:
     from touchfield.medium.cells import PlacedFields
 
-_AT_A_FRAME = 1e-6
-"""As near to a frame as this share of the time between two, a time is that of the frame."""
+_AT_A_FRAME = 1e-6  # as near to a frame as this share of the time between two, a time is that of the frame
+MAX_FREQUENCY_HZ: Final = 10000.0  # as in ISO/IEC 23090-31
+
+
+@dataclass(frozen=True)
+class VibrationFrame:
+    """One instant of the band: the samples that vibrate, in raster order (x slowest, z fastest).
+
+    positions : int32 [L, 3]; indices into the grid, each once, in raster order.
+    amplitudes_n : float32 [L]; amplitude of the sine, newtons, positive.
+    frequencies_hz : float32 [L]; above 0, up to `MAX_FREQUENCY_HZ`.
+    Raises `InvalidArgument` if shapes or types are wrong, or a number is out of range.
+    """
+
+    grid: Grid
+    positions: Int32s
+    amplitudes_n: Float32s
+    frequencies_hz: Float32s
+
+    def __post_init__(self) -> None:
+        p, a, f = self.positions, self.amplitudes_n, self.frequencies_hz
+        if p.dtype != np.int32 or p.ndim != 2 or p.shape[1] != 3:
+            raise InvalidArgument("positions", f"{p.dtype} {p.shape}", "int32 [L, 3]")
+        for name, values in (("amplitudes_n", a), ("frequencies_hz", f)):
+            if values.dtype != np.float32 or values.shape != (len(p),):
+                raise InvalidArgument(name, f"{values.dtype} {values.shape}", f"float32 [{len(p)}]")
+            if not (np.isfinite(values).all() and (values > 0).all()):
+                raise InvalidArgument(name, "a number that is not positive and finite", "positive numbers")
+        if len(p):
+            if p.min() < 0 or (p.max(0) >= self.grid.shape).any():
+                raise InvalidArgument("positions", "an index outside the grid", f"below {self.grid.shape}")
+            _, ny, nz = self.grid.shape
+            places = (p[:, 0].astype(np.int64) * ny + p[:, 1]) * nz + p[:, 2]
+            if (np.diff(places) <= 0).any():
+                raise InvalidArgument("positions", "samples out of order or twice", "raster order")
+            if f.max() > MAX_FREQUENCY_HZ:
+                raise InvalidArgument("frequencies_hz", f"{f.max():g} Hz", f"up to {MAX_FREQUENCY_HZ:g} Hz")
+        for name in ("positions", "amplitudes_n", "frequencies_hz"):
+            object.__setattr__(self, name, frozen(np.ascontiguousarray(getattr(self, name))))
+
+    @classmethod
+    def empty(cls, grid: Grid) -> VibrationFrame:
+        """The frame in which nothing vibrates."""
+        none = np.zeros(0, np.float32)
+        return cls(grid, np.zeros((0, 3), np.int32), none, none)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def as_field(self) -> ForceField:
+        """The same as a sparse field whose three numbers are amplitude, frequency and zero: for looking it up."""
+        both = np.stack([self.amplitudes_n, self.frequencies_hz, np.zeros_like(self.amplitudes_n)], axis=1)
+        return ForceField.from_support(self.grid, self.positions, both)
+
+
+@dataclass(frozen=True)
+class VibrationBand:
+    """The band over time: as many frames as the medium that it belongs to, on the same grid.
+
+    make_frame : callable; ``make_frame(i) -> VibrationFrame``.
+    """
+
+    grid: Grid
+    frame_count: int
+    make_frame: Callable[[int], VibrationFrame] = field(repr=False)
+
+    def __len__(self) -> int:
+        return self.frame_count
+
+    def __getitem__(self, index: int) -> VibrationFrame:
+        if not -self.frame_count <= index < self.frame_count:
+            raise IndexError(index)
+        return self.make_frame(index % self.frame_count)
+
+    def between(self, start: int, stop: int) -> VibrationBand:
+        """Frames start to stop - 1 as a band of their own."""
+        make = self.make_frame
+        return VibrationBand(self.grid, stop - start, lambda i: make(start + i))
+
+    def on_grid(self, grid: Grid) -> VibrationBand:
+        """The same samples on another grid of the same shape (its metres changed, its samples not)."""
+        if grid.shape != self.grid.shape:
+            raise InvalidArgument("grid", f"shape {grid.shape}", f"shape {self.grid.shape}")
+        make = self.make_frame
+        return VibrationBand(grid, self.frame_count, lambda i: replace(make(i), grid=grid))
 
 
 @dataclass(frozen=True)
@@ -67,16 +149,13 @@ class HapticMedium:
 
     grid : Grid; the lattice of every frame.
     rate_hz : float; frames a second.
-    make_frame : callable; ``make_frame(i) -> ForceField`` on `grid`, for 0 <= i < frame_count; the same i gives the
-        same field.
+    make_frame : callable; ``make_frame(i) -> ForceField`` on `grid`, 0 <= i < frame_count; the same for the same i.
     axes : str; what x, y, z mean, for example "x right, y down, z forward".
     friction, damping_n_s_per_m : float; coefficients mu and b, rendered by the receiver (paper section 3.2).
     tags : tuple of str; media tags of figure 1: "direct" or "symbolic".
     provenance : mapping of str to str; where the medium comes from and what was done to it.
-    vibration : VibrationBand or None; what vibrates beside the force, frame by frame on the same grid (paper section
-        6.4).
-    segments : Segments or None; of a decoded medium whose coder keeps a mask; a receiver that plays it makes no step
-        where one starts.
+    vibration : VibrationBand or None; what vibrates beside the force, on the same grid (paper section 6.4).
+    segments : Segments or None; of a medium whose coder keeps a mask; a receiver makes no step where one starts.
     """
 
     grid: Grid
@@ -219,8 +298,7 @@ class HapticMedium:
     def to_xarray(self) -> Any:
         """The medium as an `xarray.Dataset`: ``forces_n`` float32 [t, x, y, z, component] with axes in s and m.
 
-        Raises `MissingExtra` if xarray is not installed; `InvalidArgument` if all frames, dense, would take more than
-        `memory_budget_bytes`.
+        Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames are beyond `memory_budget_bytes`.
         """
         try:
             xarray = import_module("xarray")
@@ -330,8 +408,7 @@ class HapticScene:
     def between(self, start: int, stop: int) -> HapticScene:
         """Frames start to stop - 1 as a scene of their own.
 
-        Velocities are those of its own poses: with surface damping its first and last frame, whose neighbours are
-        not in it, have one-sided differences, and a single frame has none.
+        Velocities are those of its own poses: one-sided at its first and last frame, and none of a single frame.
         """
 
         def cut(one: HapticObject) -> HapticObject:

@@ -37,9 +37,7 @@ from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
 
-DEFLATE_LEVEL: Final = 1
-"""Of a field that is 3 % force, level 1 writes a twentieth of the bytes; level 6 takes longer for little."""
-
+DEFLATE_LEVEL: Final = 1  # of a field that is 3 % force a twentieth of the bytes; level 6 takes longer for little
 SINGLE_FRAME_RATE_HZ: Final = 30.0
 _DEFAULTS: Final[dict[str, float | str]] = {
     "axes": "x, y, z",
@@ -49,8 +47,7 @@ _DEFAULTS: Final[dict[str, float | str]] = {
 }
 _SMALL_BYTES: Final = 1 << 16
 
-DEFLATE_LIMIT: Final = 1100
-"""Deflate cannot expand by more than 1032; what claims more is not deflate."""
+DEFLATE_LIMIT: Final = 1100  # deflate cannot expand by more than 1032; what claims more is not deflate
 
 _FAULTS = (
     OSError, ValueError, EOFError, KeyError, IndexError, RuntimeError, OverflowError, MemoryError, TypeError,
@@ -106,11 +103,9 @@ def _header(stream: IO[bytes], descr: str, shape: tuple[int, ...]) -> None:
 def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     """Open a medium; its frames are read when they are asked for, quickest in ascending order.
 
-    ``forces_n`` may also be of another number type, or one frame [nx, ny, nz, 3]; `rate_hz` may be absent from
-    a single frame, and the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0, which is no
-    force, is kept as well.
-    Raises `SourceError` if the file is not such an archive, is cut short or damaged, or (when a frame is read) a
-    force is not finite.
+    ``forces_n`` may also be of another number type, or one frame [nx, ny, nz, 3]; `rate_hz` may be absent from a
+    single frame, the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0 is kept as well.
+    Raises `SourceError` if the file is none, cut short or damaged, or (when a frame is read) a force is not finite.
     """
     archive = NpzArchive(Path(path))
     header = archive.header("forces_n")

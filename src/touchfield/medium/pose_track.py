@@ -16,8 +16,7 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
 
-_UNIT = 1e-3
-"""Tolerance of a quaternion's length: what three digits in a text file give."""
+_UNIT = 1e-3  # tolerance of a quaternion's length: what three digits in a text file give
 
 
 @dataclass(frozen=True)
@@ -27,8 +26,7 @@ class PoseTrack:
     quaternions : float64 [n, 4]; unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two
         that mean the same rotation the one nearer to the frame before (the first has w >= 0).
     positions_m : float64 [n, 3]; t, where the body's origin lies, metres.
-    Raises `InvalidArgument` if the shapes differ, a number is not finite, or a quaternion is not of length 1 to
-    within 0.001.
+    Raises `InvalidArgument` if shapes differ, a number is not finite, or a quaternion is not of length 1 +- 0.001.
     """
 
     quaternions: Float64s
@@ -120,8 +118,7 @@ class PoseTrack:
         return PoseTrack(self.quaternions[start:stop], self.positions_m[start:stop])
 
 
-_ORTHONORMAL: Final = 1e-6
-"""Tolerance of R^T R against the unit matrix."""
+_ORTHONORMAL: Final = 1e-6  # tolerance of R^T R against the unit matrix
 
 
 def _rotation(quaternions: Float64s) -> Any:

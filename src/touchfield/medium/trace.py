@@ -34,12 +34,8 @@ from touchfield.medium.field import frozen
 
 Lines = Iterator[tuple[int, str]]
 
-HAPTIC_RATE_HZ: Final = 1000.0
-"""The usual rate of a haptic loop (paper section 4); that of a trace without times."""
-
-MAX_SAMPLES: Final = 1 << 24
-"""Of one file: 4.6 hours at 1 kHz, 512 MiB in memory."""
-
+HAPTIC_RATE_HZ: Final = 1000.0  # the usual rate of a haptic loop (paper section 4); that of a trace without times
+MAX_SAMPLES: Final = 1 << 24  # of one file: 4.6 hours at 1 kHz, 512 MiB in memory
 _MAX_LINE: Final = 1 << 16
 _LINES_AT_ONCE: Final = 1 << 16
 _FORCES: Final = ("fx", "fy", "fz")
@@ -61,8 +57,7 @@ class Trace:
     times_s : float64 [n]; seconds, never falling; 0 is the beginning of the medium.
     positions_m : float64 [n, 3]
     quaternions : float64 [n, 4] or None; how the probe was turned, w, x, y, z of length 1; None: not at all.
-    Raises `InvalidArgument` if there is no sample, the shapes differ, a number is not finite, a quaternion is not of
-    length 1, or time falls.
+    Raises `InvalidArgument` if there is no sample, shapes differ, a number is out of range, or time falls.
     """
 
     times_s: Float64s

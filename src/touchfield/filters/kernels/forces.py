@@ -282,8 +282,7 @@ _IN_CONE = 1 - 2.0**-49  # so that rounding never lifts the friction out of its 
 _LEAST_N = 1e-290
 """Friction below this is none: near the least number of float64 its direction would be lost to rounding."""
 
-_LEAST_SLIP = 2.0**-47
-"""Of the greatest component of v: 32 units of rounding."""
+_LEAST_SLIP = 2.0**-47  # of the greatest component of v: 32 units of rounding
 
 
 @njit(cache=True, nogil=True)

@@ -18,9 +18,7 @@ from numba.extending import intrinsic
 
 from touchfield.medium.kernels import first_at_least
 
-ROW = 24
-"""Numbers of a brick's row: eight samples of three components."""
-
+ROW = 24  # numbers of a brick's row: eight samples of three components
 _LANES = 8  # twelve sums of them leave registers for a weight
 _FLOATS = ir.VectorType(ir.FloatType(), _LANES)
 _SAME_PLACE = ir.Constant(ir.VectorType(ir.IntType(32), _LANES), [0] * _LANES)

@@ -30,8 +30,7 @@ _FACES = (
 the tile, and how far it is to the next sample along both edges of the face, in that brick and in the tile."""
 
 _FAR = np.float32(16)
-_SERIES = tuple(np.float32((-1) ** n / math.factorial(n)) for n in range(10))
-"""Taylor's for exp(-r), 0 <= r <= 1."""
+_SERIES = tuple(np.float32((-1) ** n / math.factorial(n)) for n in range(10))  # Taylor's for exp(-r), 0 <= r <= 1
 
 
 @njit(cache=True, nogil=True)

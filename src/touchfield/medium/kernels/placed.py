@@ -18,9 +18,7 @@ _NO_ARRAYS: Final[dict[str, Any]] = {"cache": True, "nogil": True, "_nrt": False
 _1, _2 = np.uint64(1), np.uint64(2)
 INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
 
-CELLS = 9 * 9 * 9 * 3
-"""Numbers of a brick of cells."""
-
+CELLS = 9 * 9 * 9 * 3  # numbers of a brick of cells
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, volume 3, section 6.4)
 
 Z, Y, X = np.uint64(3), np.uint64(27), np.uint64(243)
