@@ -307,25 +307,19 @@ def pyramid(field: ForceField, levels: int) -> tuple[ForceField, ...]:
         raise InvalidArgument("levels", repr(levels), f"0 to {most} for {field.grid.shape} samples")
     fields = [field]
     for _ in range(levels):
-        fields.append(_next(fields[-1]))
+        last, grid = fields[-1], halved(fields[-1].grid)
+        # a kept sample looks one sample back, into the brick before
+        around = np.concatenate([last.bricks + np.array(o, np.int32) for o in product((0, 1), repeat=3)])
+        around = around[(around < last.grid.brick_shape).all(axis=1)]
+        bricks = bricks_of(last.grid, np.unique(brick_keys(last.grid, around)))
+        home, quarter = np.divmod(bricks, 2)
+        coarse, slot = np.unique(brick_keys(grid, home), return_inverse=True)
+        forces = np.zeros((len(coarse), 2, 4, 2, 4, 2, 4, 3), np.float32)
+        for span, wide in blocks_around(last, last.forces_n, bricks, (2, 2, 2), (1, 1, 1)):
+            (x, y, z), at = quarter[span].T, slot.reshape(-1)[span]
+            forces[at, x, :, y, :, z] = _kept(wide, np.asarray(last.grid.spacing_m, np.float32))
+        fields.append(ForceField.from_bricks(grid, bricks_of(grid, coarse), forces.reshape(-1, *[BRICK] * 3, 3)))
     return tuple(fields)
-
-
-def _next(field: ForceField) -> ForceField:
-    """The next level of a field."""
-    grid, spacing = halved(field.grid), np.asarray(field.grid.spacing_m, np.float32)
-    # a kept sample looks one sample back, into the brick before
-    around = np.concatenate([field.bricks + np.array(o, np.int32) for o in product((0, 1), repeat=3)])
-    around = around[(around < field.grid.brick_shape).all(axis=1)]
-    bricks = bricks_of(field.grid, np.unique(brick_keys(field.grid, around)))
-    home, quarter = np.divmod(bricks, 2)
-    coarse, slot = np.unique(brick_keys(grid, home), return_inverse=True)
-    forces = np.zeros((len(coarse), 2, 4, 2, 4, 2, 4, 3), np.float32)
-    for span, wide in blocks_around(field, field.forces_n, bricks, (2, 2, 2), (1, 1, 1)):
-        (x, y, z), at = quarter[span].T, slot.reshape(-1)[span]
-        forces[at, x, :, y, :, z] = _kept(wide, spacing)
-    made = forces.reshape(-1, BRICK, BRICK, BRICK, 3)
-    return ForceField.from_bricks(grid, bricks_of(grid, coarse), made)
 
 
 def _kept(wide: NDArray[Any], spacing: Float32s) -> Float32s:
