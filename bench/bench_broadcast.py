@@ -29,7 +29,7 @@ from machine import Bar, Figures, at_least, at_most, bench
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import Head, TouchReader, TouchWriter
-from touchfield.filters.detail import rebuilt
+from touchfield.filters.resample import rebuilt
 from touchfield.job import EncodeSpec
 from touchfield.job.live import LiveSpec, broadcast, opened_sender
 from touchfield.measure.fidelity import FidelityMeter

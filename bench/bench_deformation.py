@@ -34,8 +34,7 @@ from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.job.deformation import Motion, tracks_of
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.deformation import Deformation, read_deformation
-from touchfield.medium.deformation_fit import fitted
+from touchfield.medium.deformation import Deformation, fitted, read_deformation
 from touchfield.render.sampler import FieldSampler
 
 Float64s = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.medium.vibration import VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 
 __all__ = ["LARGE", "apart", "block", "bodies", "hum", "nothing", "quarters", "solid", "wave"]
 

@@ -25,7 +25,7 @@ from touchfield.filters.device_filter import device_grid
 from touchfield.job.placing import law_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 from touchfield.sources.laws import profile_of
 from touchfield.sources.scene import Body, Scene
 

@@ -11,12 +11,9 @@ from touchfield.filters.lifting import (
     FCC,
     QUINCUNX,
     Chain,
-    coarse_samples,
     fcc_coarse,
     fcc_forward,
     fcc_inverse,
-    forward,
-    inverse,
     quincunx_coarse,
     quincunx_forward,
     quincunx_inverse,
@@ -30,15 +27,15 @@ COARSE = {2: quincunx_coarse, 3: fcc_coarse}
 def coarse_mask(shape: tuple[int, ...], stages: int) -> NDArray[np.bool_]:
     """The sites that hold the coarse signal after some stages."""
     mask = np.zeros(shape, np.bool_)
-    mask[tuple(coarse_samples(mask, {2: QUINCUNX, 3: FCC}[len(shape)], stages).positions.T)] = True
+    mask[tuple({2: QUINCUNX, 3: FCC}[len(shape)].coarse(mask, stages).positions.T)] = True
     return mask
 
 
 def coarse_only(array: NDArray[Any], chain: Chain, stages: int) -> NDArray[Any]:
     """The array rebuilt from its coarse signal, every detail being zero."""
-    coefficients = forward(array, chain, stages)
+    coefficients = chain.forward(array, stages)
     coefficients[~coarse_mask(coefficients.shape[: chain.dimensions], stages)] = 0
-    return inverse(coefficients, chain, stages)
+    return chain.inverse(coefficients, stages)
 
 
 def mean_squares(coefficients: NDArray[Any], chain: Chain, stages: int) -> NDArray[np.float64]:

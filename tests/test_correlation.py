@@ -23,7 +23,7 @@ from touchfield.measure.similarity import (
     picture_correlation,
 )
 from touchfield.medium import ForceField, Grid
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 
 Float64s = NDArray[np.float64]
 

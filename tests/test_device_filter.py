@@ -383,7 +383,7 @@ def mapped(
     scene: Scene, spec: DeviceFilterSpec, placement: Placement, profile: ForceProfile = WALL, nw: int = 4
 ) -> ForceField:
     grid = device_grid(OMNI, nw)
-    return DeviceFilter(OMNI, grid, placement, spec)(scene, 0, profile)
+    return DeviceFilter(OMNI, grid, placement, spec).frames(scene, profile)(0)
 
 
 def test_the_wall_of_a_ball_is_felt_where_it_is_and_nowhere_else() -> None:
@@ -474,7 +474,7 @@ def stripes(frequency_per_m: float) -> Formula:
 
 
 def on_array(scene: Scene, spec: DeviceFilterSpec, shirt: Device = SHIRT) -> ForceField:
-    return DeviceFilter(shirt, device_grid(shirt), Placement(), spec)(scene, 0, WALL)
+    return DeviceFilter(shirt, device_grid(shirt), Placement(), spec).frames(scene, WALL)(0)
 
 
 @pytest.mark.parametrize(("low_pass_name", "left"), [("spline", 0.16), ("sinc", 0.005)])

@@ -131,19 +131,15 @@ def test_the_same_at_the_limit_of_pictures_and_lines(values: NDArray[np.float32]
 
 
 def test_beyond_the_limit_the_linear_step_diverges() -> None:
-    from touchfield.filters.kernels.steps import diffused_bricks
-    from touchfield.medium.field import neighbour_slots
+    from touchfield.filters.shading import _diffused
 
     start = noisy((1, 24, 24, 1))
     grid = Grid((1, 24, 24), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
     field = ForceField.from_dense(grid, np.repeat(start, 3, axis=-1))
-    slots = neighbour_slots(grid, field.bricks)
     greatest = {}
     for lam in (0.25, 0.6):
-        values, out = field.forces_n.copy(), np.empty_like(field.forces_n)
-        for _ in range(60):
-            diffused_bricks(slots, field.mask, values, ((lam, lam, lam), math.inf, False), out)
-            values, out = out, values
+        law = DiffusionFilter(math.inf, steps=60)
+        values = _diffused(grid, field.bricks, field.mask, field.forces_n.copy(), [lam] * 3, law)
         greatest[lam] = float(np.abs(values).max())
     assert greatest[0.25] <= np.abs(start).max()
     assert greatest[0.6] > 1e20

@@ -14,7 +14,7 @@ from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, draw_preview, encode, open_stream, prepare, write_field
 from touchfield.medium import Grid, PoseTrack
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.camera import DepthSequence, Intrinsics

@@ -12,7 +12,7 @@ from scipy import ndimage, stats
 from touchfield.errors import InvalidArgument
 from touchfield.filters import contact
 from touchfield.filters.contact import TextureFilter
-from touchfield.filters.response import frequency_response
+from touchfield.filters.fir import frequency_response
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationBand, VibrationFrame
 
 GRID = Grid((3, 4, 5), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
 

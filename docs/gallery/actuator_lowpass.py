@@ -19,8 +19,7 @@ import numpy as np
 
 import touchfield as tf
 from touchfield.filters import actuator_taps, cutoff_per_m
-from touchfield.filters.fir import fir_filter
-from touchfield.filters.response import FrequencyResponse
+from touchfield.filters.fir import FrequencyResponse, fir_filter
 
 pitch_m, spacing_m = 0.035, 0.035 / 32
 x_m = np.arange(0, 32 * 65) * spacing_m  # 52 ridges: a whole number, for the wrapped border

@@ -17,8 +17,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import touchfield as tf
-from touchfield.medium.deformation import Deformation
-from touchfield.medium.deformation_fit import fitted
+from touchfield.medium.deformation import Deformation, fitted
 
 half_m, radius_m, stiffness = 0.03, 0.01, 400.0
 grid = tf.Grid((161, 65, 121), (0.0005,) * 3, (-0.04, -0.016, -0.016))

@@ -23,7 +23,7 @@ from touchfield.codec.vibration import (
 )
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 from touchfield.medium import Grid
-from touchfield.medium.vibration import VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 
 GRID = Grid((11, 9, 10), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
 WIDE = Grid((1 << 20, 1 << 20, 1 << 20), (0.001, 0.001, 0.001), (0.0, 0.0, 0.0))

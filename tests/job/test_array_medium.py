@@ -18,7 +18,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec
 from touchfield.job.array_medium import array_medium, is_top_first
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES
 from touchfield.sources.stored import StoredScene
 from touchfield.sources.tiny_scenes import tiny_scenes

@@ -25,7 +25,7 @@ from touchfield.job.encode import encode_prepared
 from touchfield.job.exchange import export, import_effect
 from touchfield.job.prepare import Prepared
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 from touchfield.parallel import silent
 
 K = 0.02

@@ -22,7 +22,7 @@ from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.job import EncodeSpec, Target
 from touchfield.job.stream_scene import StreamScene
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.sources.stored import StoredScene
 from touchfield.stream.objects import record_of
 

@@ -17,8 +17,7 @@ from touchfield import job
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.deformation import STEP_M, Deformation, read_deformation
-from touchfield.medium.deformation_fit import fitted
+from touchfield.medium.deformation import STEP_M, Deformation, fitted, read_deformation
 from touchfield.render.offline import run_offline
 from touchfield.render.sampler import FieldSampler
 from touchfield.render.spec import RenderSpec

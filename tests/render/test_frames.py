@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
-from touchfield.medium.vibration import VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 from touchfield.render.block.frames import FramePart, field_words, write_field
 from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.frames import force_at, vibration_at

@@ -12,7 +12,7 @@ from touchfield.adapters.sim import SimHand
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import ForceField, HapticMedium
-from touchfield.medium.haptic_scene import HapticObject, HapticScene
+from touchfield.medium.medium import HapticObject, HapticScene
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace
 from touchfield.render.block import words as W

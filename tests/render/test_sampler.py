@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.sampler import FieldSampler
 

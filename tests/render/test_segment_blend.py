@@ -12,7 +12,7 @@ from player_makers import laid_out, telling, told
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack, Segments
-from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.render.block import words as W
 from touchfield.render.kernels.frames import force_at, vibration_between
 from touchfield.render.sampler import FieldSampler

@@ -12,7 +12,7 @@ from touchfield.devices import Device, device
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
 from touchfield.medium.deformation import Deformation
-from touchfield.medium.vibration import VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 from touchfield.render.block import words as W
 from touchfield.render.block.frames import (
     FramePart,

@@ -18,8 +18,7 @@ from tests.stream.test_live import GRID, HEAD, Hand, field, medium, segment
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.filters.detail import halved, pyramid, rebuilt
-from touchfield.filters.resample import interpolated
+from touchfield.filters.resample import halved, interpolated, pyramid, rebuilt
 from touchfield.job import EncodeSpec
 from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
 from touchfield.medium import ForceField, Grid, HapticMedium

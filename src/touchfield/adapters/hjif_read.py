@@ -24,7 +24,7 @@ import numpy as np
 
 from touchfield.adapters.json_values import JsonValue, read_json
 from touchfield.arrays import Float64s, Int64s
-from touchfield.medium.vibration import MAX_FREQUENCY_HZ
+from touchfield.medium.medium import MAX_FREQUENCY_HZ
 
 DEFAULT_TIMESCALE: Final = 1000
 """Ticks a second."""

@@ -34,7 +34,7 @@ from touchfield.adapters.symbolic import filled_hz
 from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.atomic import atomic_path
-from touchfield.medium.vibration import MAX_FREQUENCY_HZ
+from touchfield.medium.medium import MAX_FREQUENCY_HZ
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

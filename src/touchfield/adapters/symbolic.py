@@ -21,7 +21,7 @@ from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.field import frozen
-from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
+from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
 from touchfield.sources.scene import UP_Y_AXES
 
 if TYPE_CHECKING:

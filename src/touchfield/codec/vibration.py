@@ -25,7 +25,7 @@ from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.kernels import raster_slots
-from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationFrame
+from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationFrame
 
 Bricks = tuple[Int32s, Bools]
 

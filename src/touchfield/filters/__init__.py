@@ -14,7 +14,6 @@ at the receiver     `Contact`, `friction_n`, `damping_n`, `rendered_n`
 """
 
 from touchfield.filters.contact import Contact, damping_n, friction_n, rendered_n
-from touchfield.filters.detail import halved, most_levels, pyramid, rebuilt
 from touchfield.filters.device_filter import (
     NW_RANGE,
     DeviceFilter,
@@ -37,7 +36,7 @@ from touchfield.filters.edit import (
     edited_medium,
     without,
 )
-from touchfield.filters.fir import fir_filter
+from touchfield.filters.fir import FrequencyResponse, fir_filter, frequency_response
 from touchfield.filters.lifting import (
     fcc_coarse,
     fcc_forward,
@@ -46,13 +45,22 @@ from touchfield.filters.lifting import (
     quincunx_forward,
     quincunx_inverse,
 )
-from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, Voxels
+from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, RigidMotion, Voxels
 from touchfield.filters.registry import Claims, FieldFilter, field_filters, filter_of, filtered, filtered_medium
-from touchfield.filters.resample import LOW_PASSES, LowPass, RigidMotion, interpolated, nyquist_per_m, resample
-from touchfield.filters.response import FrequencyResponse, frequency_response
+from touchfield.filters.resample import (
+    LOW_PASSES,
+    LowPass,
+    halved,
+    interpolated,
+    most_levels,
+    nyquist_per_m,
+    pyramid,
+    rebuilt,
+    resample,
+)
 from touchfield.filters.shading import perona_malik
 from touchfield.filters.smoothing import actuator_taps, cutoff_per_m, gaussian
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 
 __all__ = [
     "COMPOSITIONS", "LOW_PASSES", "NW_RANGE", "Ball", "Box", "Claims", "Composed", "Contact", "DeviceFilter",

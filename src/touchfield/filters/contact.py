@@ -6,29 +6,23 @@ where the point is, and its velocity v::
     n = F / |F|,  v_t = v - (v . n) n,  F_t = -mu |F| v_t / max(|v_t|, v_s),      F_d = -b v
 
 Our addition: below the slip speed v_s friction falls in proportion to v_t; without it the force would jump from one
-side to the other as the hand rests. A loop of step dt that moves a mass m is steady if v_s >= mu |F| dt / m: 1 mm/s
-is enough for 1 N, mu = 0.5 and 1 kHz from 0.5 kg on. Both take energy out, whatever F and v are: F_t . v <= 0,
-F_d . v <= 0, and |F_t| <= mu |F|. Damping acts everywhere; friction needs a force.
-
-F / |F| is the normal to 0.8 degrees between samples of a sphere of 40 mm radius, 2 mm apart, to 2.2 degrees in the
-first sample below the surface, and to 3.7 in the rim outside that interpolation adds.
+side to the other as the hand rests. A loop of step dt that moves a mass m is steady if v_s >= mu |F| dt / m. Both
+take energy out, whatever F and v are: F_t . v <= 0, F_d . v <= 0, and |F_t| <= mu |F|. Damping acts everywhere;
+friction needs a force. F / |F| is the normal of a sphere to 0.8 degrees between samples, and to 3.7 at its rim.
 
 Vibration: a sine whose amplitude is a share of |F|, its frequency the same everywhere, or rising with |F| up to
 F_max. It stands behind the haptic filters, and is no filter itself: a filter makes a field of a field.
 
 Texture: section 3.2, "convolving the force field with a high-pass kernel". ``literal`` is that sentence: y = h * x on
-each component, h the impulse minus the mean of the box around it. Its gain at DC is 0, so that no surface is left of
-a surface: it amplifies the edges that are there.
-
+each component, h the impulse minus the mean of the box around it. Its gain at DC is 0: it amplifies edges.
 ``salt-pepper``, the default, is our reading of what was meant. Departure: the kernel takes impulses, not the field,
 and what comes out is added to the amplitude along the force's own direction, where there is a force::
 
     y = x (1 + t),    t = clip(g (h * s), -limit, limit),    g = rms / sqrt(density (1 - 1/taps))
 
-s is +1 or -1 at a share `density` of all grains and 0 at the others, each drawn by a hash of the seed and the grain's
-place in the lattice. h * s has the variance density (1 - 1/taps): 27 taps in space, 9 in a plane, 3 on a line. So the
-texture neither flickers from frame to frame nor moves when a brick comes or goes: t belongs to the place, like the
-grain of wood. The clip acts from about rms > limit sqrt(density) on; what is added then has less than the RMS asked
+s is +1 or -1 at a share `density` of all grains and 0 at the others, drawn by a hash of the seed and the grain's
+place in the lattice, like the grain of wood: the texture neither flickers from frame to frame nor moves when a brick
+comes or goes. The clip acts from about rms > limit sqrt(density) on; what is added then has less than the RMS asked
 for. limit <= 1 keeps a force from being turned round.
 """
 
@@ -42,13 +36,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float64s, Int32s, Int64s
+from touchfield.arrays import Float64s, Int32s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import blocks_around, dilated
-from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
+from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
 
 if TYPE_CHECKING:
     from touchfield.medium import Grid, HapticMedium
@@ -117,8 +111,8 @@ def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
     velocity = _vectors("velocity_m_s", velocity_m_s)
     fastest = float(np.abs(velocity).max(initial=0.0))
     if not math.isfinite(fastest * float(damping_n_s_per_m)):
-        expected = "a force that float64 can hold"
-        raise InvalidArgument("b |v|", f"{damping_n_s_per_m!r} times {fastest:g} m/s", expected)
+        found = f"{damping_n_s_per_m!r} times {fastest:g} m/s"
+        raise InvalidArgument("b |v|", found, "a force that float64 can hold")
     return np.asarray(-float(damping_n_s_per_m) * velocity)
 
 
@@ -189,8 +183,8 @@ class VibrationRule:
     def of(self, field: ForceField, force_max_n: float) -> VibrationFrame:
         """The vibration beside one field: all of its support, but for amplitudes too small for a number."""
         support = field.support()
-        amplitudes = (self.gain * support.amplitudes_n.astype(np.float64)).astype(np.float32)
-        share = np.minimum(support.amplitudes_n.astype(np.float64) / force_max_n, 1)
+        own = support.amplitudes_n.astype(np.float64)
+        amplitudes, share = (self.gain * own).astype(np.float32), np.minimum(own / force_max_n, 1)
         hertz = (self.low_hz + (self.high_hz - self.low_hz) * share).astype(np.float32)
         kept = (amplitudes > 0) & np.isfinite(amplitudes)
         return VibrationFrame(field.grid, support.positions[kept], amplitudes[kept], hertz[kept])
@@ -204,10 +198,7 @@ def vibrating(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> 
 
 
 KINDS: Final = ("salt-pepper", "literal")
-
-_MOST_SAMPLES: Final = 8
-"""Of the literal kind: half a box is at most a brick."""
-
+_MOST_SAMPLES: Final = 8  # of the literal kind: half a box is at most a brick
 _BRICKS_AT_ONCE: Final = 256
 _GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)
 _INSIDE: Final = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
@@ -285,19 +276,20 @@ class TextureFilter(FieldFilter):
         first = bricks.astype(np.int64) * BRICK // grain
         samples = bricks[:, :, None] * BRICK + np.arange(BRICK)
         x, y, z = (samples[:, a] // grain[a] - first[:, a, None] + half[a] for a in range(3))  # grains, from `first`
-        impulses = _impulses([first[:, a, None] + np.arange(BRICK + 2) - half[a] for a in range(3)], self)
-        total = impulses
+        # -1, 0 or 1 at grains -1 to 2^20: the splitmix64 stream of the seed, jumped into
+        i, j, k = ((first[:, a, None] + np.arange(1, BRICK + 3) - half[a]).astype(np.uint64) for a in range(3))
+        number = i[:, :, None, None] | j[:, None, :, None] << np.uint64(21) | k[:, None, None] << np.uint64(42)
+        with np.errstate(over="ignore"):
+            bits = mixed(mixed(np.uint64(self.seed) + _GOLDEN) + (number + np.uint64(1)) * _GOLDEN)
+        is_there = (bits >> np.uint64(11)) * 2.0**-53 < self.density
+        total = impulses = np.where(is_there, np.where(bits & np.uint64(1), 1, -1), 0)
         for axis in np.flatnonzero(half):
             total = total + np.roll(total, 1, axis + 1) + np.roll(total, -1, axis + 1)
         taps = 3 ** sum(half)
         gain = self.rms / math.sqrt(self.density * (1 - 1 / taps)) / taps
-        place = (
-            np.arange(len(bricks))[:, None, None, None],
-            x[:, :, None, None],
-            y[:, None, :, None],
-            z[:, None, None],
-        )
-        return np.asarray(gain * (impulses * taps - total)[place])
+        n = np.arange(len(bricks))[:, None, None, None]
+        values = impulses * taps - total
+        return np.asarray(gain * values[n, x[:, :, None, None], y[:, None, :, None], z[:, None, None]])
 
     def _grain_and_half(self, grid: Grid) -> tuple[Triple, Triple]:
         """Samples to a grain, and 1 for each axis that the kernel runs along.
@@ -316,11 +308,11 @@ class TextureFilter(FieldFilter):
                 continue
             widest = min((n - 1) // 2, _MOST_SAMPLES) if self.kind == "literal" else n
             if not 1 <= g <= widest:
-                raise InvalidArgument(
-                    "texture grain_m",
-                    f"{self.grain_m!r}, {g} samples along axis {axis}, which has {n}",
-                    f"1 to {widest} samples of {grid.spacing_m[axis]:g} m" if widest else "an axis of 3 samples",
+                found = f"{self.grain_m!r}, {g} samples along axis {axis}, which has {n}"
+                expected = (
+                    f"1 to {widest} samples of {grid.spacing_m[axis]:g} m" if widest else "an axis of 3 samples"
                 )
+                raise InvalidArgument("texture grain_m", found, expected)
         return (grain[0], grain[1], grain[2]), (half[0], half[1], half[2])
 
 
@@ -330,19 +322,6 @@ def mixed(z: Any) -> Any:
         z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
-
-
-def _impulses(places: list[Int64s], law: TextureFilter) -> Int64s:
-    """-1, 0 or 1 at grains, int64 [n, p, q, r]: the splitmix64 stream of the seed, jumped into.
-
-    places : int64 [n, p], [n, q], [n, r]; coordinates of the grains, -1 to 2^20.
-    """
-    x, y, z = ((place + 1).astype(np.uint64) for place in places)
-    number = x[:, :, None, None] | y[:, None, :, None] << np.uint64(21) | z[:, None, None] << np.uint64(42)
-    with np.errstate(over="ignore"):
-        bits = mixed(mixed(np.uint64(law.seed) + _GOLDEN) + (number + np.uint64(1)) * _GOLDEN)
-    is_there = (bits >> np.uint64(11)) * 2.0**-53 < law.density
-    return np.where(is_there, np.where(bits & np.uint64(1), 1, -1), 0)
 
 
 def _shortened(forces_n: Float64s, ceiling_n: float) -> Float64s:

@@ -2,27 +2,22 @@
 
 Type 1 (a point that the hand moves): the scene is asked for its field on a lattice `oversample` times finer than the
 device's, a little beyond the workspace too; a low-pass takes it to the device's own, and every force is clipped to
-F_max with its direction kept.
+F_max with its direction kept. Type 2 (an array): the greatest or mean |F| along the third axis of the scene makes an
+image, a 2-D low-pass filters it (`touchfield.filters.smoothing`), and the actuators sample it (section 5.1).
 
-Type 2 (an array): the greatest or mean |F| along the third axis of the scene makes an image, a 2-D low-pass filters
-it, and the actuators sample it (section 5.1). The cut-offs are those of `touchfield.filters.smoothing`.
-
-Our addition: forces below a share of F_max (1 % by default) are dropped at the end. The tail of a low-pass would
+Our addition: forces below a share of F_max (1 % by default) are dropped at the end: the tail of a low-pass would
 otherwise spread the support by samples that no hand can feel and every coder must send.
 
 x_hand = scale * (x_scene - offset), with one scale for all axes: honest, where the paper's mapping may stretch. The
-workspace is centred on the origin of the hand's space. A device's box is given along x right, y up, z towards the
-user; the scene's x, y, z lie along them.
-
-The lattice is "2^n_w samples per dimension" over the nominal workspace, or the nominal lattice of its position
-resolution, or the N x M actuators of an array on their pitch. An array is laid on the scene's x and y whatever the
-axes mean, and the third axis is pooled.
+workspace is centred on the origin of the hand's space: along x right, y up, z towards the user; the scene's x, y, z
+lie along them. The lattice is "2^n_w samples per dimension" over the nominal workspace, or the nominal lattice of its
+position resolution, or the N x M actuators of an array on their pitch, laid on the scene's x and y.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
@@ -33,7 +28,8 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import axis_weights, low_pass, resample
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
@@ -48,8 +44,7 @@ NW_RANGE: Final = (3, 10)
 def device_grid(device: Device, nw: int | None = None, depth_m: float | None = None) -> Grid:
     """The lattice of a device over its workspace, centred on the origin, hand metres.
 
-    nw : int or None; 2^nw samples along each axis; None for the nominal lattice. An array has its own lattice: no
-        effect.
+    nw : int or None; 2^nw samples along each axis; None for the nominal lattice, and of no effect for an array.
     depth_m : float or None; of an array: how much of the hand's depth is pooled; None for the profile's.
     Raises `InvalidArgument` if `nw` is not within `NW_RANGE`.
     """
@@ -71,10 +66,9 @@ def device_grid(device: Device, nw: int | None = None, depth_m: float | None = N
 def exact_forces(
     scene: AnalyticScene, placement: Placement, profile_hand: ForceProfile, force_max_n: float
 ) -> Callable[[Float64s], Float64s]:
-    """The force of shapes with a formula at points of the hand, clipped to F_max.
+    """The force of shapes with a formula, clipped to F_max: ``forces(points_m float64 [n, 3]) -> newtons [n, 3]``.
 
-    profile_hand : ForceProfile; the force law in hand metres.
-    Returns callable: ``forces(points_m float64 [n, 3]) -> newtons float64 [n, 3]``.
+    Points and the force law are in metres of the hand.
     """
     law = profile_hand.rescaled(placement.scale)
     offset_m = np.asarray(placement.offset_m)
@@ -87,12 +81,8 @@ def exact_forces(
     return forces
 
 
-ARRAY_OVERSAMPLE: Final = 8
-"""Least samples to a pitch: the literal cut-off 2/d asks for more than 4."""
-
-DEPTHS_PER_PIECE: Final = 8
-"""Depth samples across the narrowest piece of the force law: what "max" may miss is an eighth of its rise."""
-
+ARRAY_OVERSAMPLE: Final = 8  # least samples to a pitch: the literal cut-off 2/d asks for more than 4
+DEPTHS_PER_PIECE: Final = 8  # across the narrowest piece of the law: what "max" may miss is an eighth of its rise
 MAX_DEPTHS: Final = 4096
 MAX_SLAB_SAMPLES: Final = 1 << 25
 
@@ -101,9 +91,7 @@ MAX_SLAB_SAMPLES: Final = 1 << 25
 class DeviceFilterSpec:
     """The options of the device filter."""
 
-    oversample: int = (
-        2  # samples of the scene to one of the device along each axis, 1 to 8; an array takes at least 8
-    )
+    oversample: int = 2  # samples of the scene to one of the device along an axis, 1 to 8; an array's at least 8
     force_floor_share: float = 0.01  # forces below this share of F_max are dropped; 0 keeps all
     low_pass: str = "spline"  # a name of `touchfield.filters.LOW_PASSES`
     pool: str = "max"  # of an array: or "mean", of the forces that are there along the depth
@@ -133,15 +121,17 @@ class DeviceFilter:
         if self.device.is_array and self.grid.shape[2] != 1:
             raise InvalidArgument("grid of an array", f"{self.grid.shape[2]} samples deep", "one")
 
-    def __call__(self, scene: Scene, frame: int, profile_hand: ForceProfile) -> ForceField:
-        """M(W) of one frame, newtons on the device's lattice; `profile_hand` is the law in hand metres."""
-        return self.frames(scene, profile_hand)(frame)
-
     def frames(self, scene: Scene, profile_hand: ForceProfile) -> Callable[[int], ForceField]:
-        """M(W) by frame; where a scene gives the very field that it gave before, the result is given again."""
+        """M(W) by frame, newtons on the device's lattice; `profile_hand` is the law in hand metres.
+
+        Where a scene gives the very field that it gave before, the result is given again.
+        """
         if self.device.is_array:
             return lambda i: self._limited(self._at_actuators(*self._pooled(scene, i, profile_hand)))
-        fine, law = self._oversampled(), profile_hand.rescaled(self.placement.scale)
+        # finer than the device's lattice, and reaching beyond the workspace
+        factor, law = self.spec.oversample, profile_hand.rescaled(self.placement.scale)
+        margin = math.ceil(2 * low_pass(self.spec.low_pass).half_width * factor) + 1
+        fine = _padded(self.grid.refined(factor), (margin, margin, margin))
         asked = self.placement.to_scene(fine)
         latest: tuple[ForceField, ForceField] | None = None
 
@@ -154,17 +144,6 @@ class DeviceFilter:
 
         return frame
 
-    def _oversampled(self) -> Grid:
-        """The lattice on which the scene is asked, hand metres, reaching beyond the workspace."""
-        factor, fine = self.spec.oversample, self.grid.refined(self.spec.oversample)
-        margin = math.ceil(2 * low_pass(self.spec.low_pass).half_width * factor) + 1
-        return _padded(fine, (margin, margin, margin))
-
-    def _scaled(self, scene: Scene, frame: int, profile_hand: ForceProfile, grid: Grid) -> ForceField:
-        """The scene's own field at the samples of `grid` (hand metres), relabelled to hand metres."""
-        law = profile_hand.rescaled(self.placement.scale)
-        return scene.field(frame, self.placement.to_scene(grid), law).on_grid(grid)
-
     def _pooled(self, scene: Scene, frame: int, profile_hand: ForceProfile) -> tuple[Float64s, Grid]:
         """|F| pooled along the depth, float64 [x, y], and the lattice that it was taken on."""
         from touchfield.filters.kernels import forces as kernels
@@ -174,20 +153,22 @@ class DeviceFilter:
         if isinstance(stored, HapticMedium):
             greatest, mean = kernels.pooled(stored[frame], self.placement.to_scene(fine))
             return (greatest if self.spec.pool == "max" else mean), fine
-        nx, ny, _ = fine.brick_shape
-        greatest, total, count = np.zeros((3, nx, ny, BRICK, BRICK))
-        for slab in _slabs(fine):
-            field = self._scaled(scene, frame, profile_hand, slab)
-            lengths, columns = (
-                np.linalg.norm(field.forces_n.astype(np.float64), axis=-1),
-                tuple(field.bricks[:, :2].T),
-            )
+        bricks_x, bricks_y, _ = fine.brick_shape
+        greatest, total, count = np.zeros((3, bricks_x, bricks_y, BRICK, BRICK))
+        law, (nx, ny, nz) = profile_hand.rescaled(self.placement.scale), fine.shape
+        depth = max(1, MAX_SLAB_SAMPLES // (nx * ny))  # so that even a solid scene needs bounded memory
+        for begin in range(0, nz, depth):
+            origin_m = tuple(fine.to_m((0, 0, begin)).tolist())
+            slab = Grid((nx, ny, min(depth, nz - begin)), fine.spacing_m, origin_m)
+            field = scene.field(frame, self.placement.to_scene(slab), law)
+            lengths = np.linalg.norm(field.forces_n.astype(np.float64), axis=-1)
+            columns = tuple(field.bricks[:, :2].T)
             np.maximum.at(greatest, columns, lengths.max(axis=-1))
             np.add.at(total, columns, lengths.sum(axis=-1))
             np.add.at(count, columns, np.count_nonzero(field.mask, axis=-1))
         image = greatest if self.spec.pool == "max" else total / np.maximum(count, 1)
-        dense = image.transpose(0, 2, 1, 3).reshape(nx * BRICK, ny * BRICK)
-        return dense[: fine.shape[0], : fine.shape[1]], fine
+        dense = image.transpose(0, 2, 1, 3).reshape(bricks_x * BRICK, bricks_y * BRICK)
+        return dense[:nx, :ny], fine
 
     def _array_lattice(self, scene: Scene, profile_hand: ForceProfile) -> Grid:
         """Fine in the plane of the array, and deep enough for the thinnest wall of the law.
@@ -214,8 +195,7 @@ class DeviceFilter:
         for axis in (0, 1):
             ends = [(g.shape[axis], g.spacing_m[axis], g.origin_m[axis]) for g in (fine, self.grid)]
             weights = _axis_matrix(ends[0], ends[1], self.spec.low_pass, self.spec.cutoff)
-            amplitude = np.tensordot(weights, amplitude, (1, axis))
-            amplitude = np.moveaxis(amplitude, 0, axis)
+            amplitude = np.moveaxis(np.tensordot(weights, amplitude, (1, axis)), 0, axis)
         forces = np.zeros((*self.grid.shape, 3))
         forces[:, :, 0, 2] = np.maximum(amplitude, 0)  # a kernel that rings must not turn an actuator round
         return ForceField.from_dense(self.grid, forces)
@@ -243,7 +223,9 @@ def limited(field: ForceField, force_max_n: float, floor_n: float = 0.0) -> Forc
     """
     from touchfield.filters.kernels import forces as kernels
 
-    forces, is_held = kernels.limited(field.forces_n, force_max_n, floor_n)
+    forces, is_held = np.empty_like(field.forces_n), np.zeros(len(field.bricks), np.bool_)
+    flat, out = (each.reshape(-1, BRICK**3, 3) for each in (field.forces_n, forces))
+    for_chunks(kernels.limited, len(flat), flat, force_max_n, floor_n, out, is_held, chunk=64)
     return ForceField(field.grid, field.bricks[is_held], forces[is_held])
 
 
@@ -255,13 +237,9 @@ def device_medium(
     profile_hand: ForceProfile,
     spec: DeviceFilterSpec | None = None,
 ) -> HapticMedium:
-    """The scene as the device can show it, a lazy medium on `grid` in hand metres.
+    """The scene as the device can show it, a lazy medium on the device's lattice; grid and law in hand metres.
 
-    A stored medium whose lattice is already this one (to within a millionth of a sample) passes untouched:
-    neither a second low-pass nor a clip.
-
-    grid : Grid; the device's lattice, hand metres, along the axes of the scene.
-    profile_hand : ForceProfile; the force law in hand metres.
+    A stored medium whose lattice is already this one (to within a millionth of a sample) passes untouched.
     """
     stored = getattr(scene, "medium", None)
     if isinstance(stored, HapticMedium) and same_lattice(placement.to_scene(grid), stored.grid):
@@ -276,13 +254,8 @@ def device_medium(
     )
     if beside is None:
         return replace(medium, tags=scene.tags, provenance=_provenance(mapping))
-    return replace(
-        medium,
-        friction=beside.friction,
-        damping_n_s_per_m=beside.damping_n_s_per_m,
-        tags=beside.tags,
-        provenance={**beside.provenance, **_provenance(mapping)},
-    )
+    own = {**beside.beside, "rate_hz": medium.rate_hz, "axes": medium.axes}
+    return replace(medium, **own, provenance={**beside.provenance, **_provenance(mapping)})
 
 
 def _provenance(mapping: DeviceFilter) -> dict[str, str]:
@@ -310,12 +283,3 @@ def _padded(grid: Grid, margins: tuple[int, int, int]) -> Grid:
     """The same lattice with more samples on both sides of each axis."""
     x, y, z = (n + 2 * m for n, m in zip(grid.shape, margins, strict=True))
     return Grid((x, y, z), grid.spacing_m, tuple(grid.to_m(np.negative(margins)).tolist()))
-
-
-def _slabs(grid: Grid) -> Iterator[Grid]:
-    """The grid in pieces along its depth, so that even a solid scene needs bounded memory."""
-    nx, ny, nz = grid.shape
-    size = max(1, MAX_SLAB_SAMPLES // (nx * ny))
-    for begin in range(0, nz, size):
-        origin = grid.to_m((0, 0, begin)).tolist()
-        yield Grid((nx, ny, min(size, nz - begin)), grid.spacing_m, tuple(origin))

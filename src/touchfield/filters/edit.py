@@ -16,15 +16,14 @@ from typing import ClassVar, Final, Protocol
 
 import numpy as np
 
-from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
-from touchfield.filters.region import Region, weights
+from touchfield.filters.region import Region, RigidMotion, weights
 from touchfield.filters.registry import noted
-from touchfield.filters.resample import BRICKS_AT_ONCE, LOCAL, RigidMotion, interpolated
+from touchfield.filters.resample import BRICKS_AT_ONCE, LOCAL, interpolated
 from touchfield.medium import BRICK, ForceField, HapticMedium
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import brick_keys, bricks_of
+from touchfield.medium.field import bricks_of, keys_of_both
 
 COMPOSITIONS: Final = ("replace", "over", "add", "max")
 
@@ -115,8 +114,7 @@ class Composed:
     other : ForceField or HapticMedium; on the grid of the field; a frame of a medium for each that is edited.
     how : str; "replace": the other alone. "over": the other where it has a force, and the field elsewhere. "add": the
         sum. "max": the longer of the two forces, the field's where they are equal.
-    Raises `InvalidArgument` if `how` is unknown; when called, if the grids differ or the other is a medium of several
-    frames.
+    Raises `InvalidArgument` if `how` is unknown; on a call, if the grids differ or the other has several frames.
     """
 
     name: ClassVar[str] = "compose"
@@ -149,7 +147,7 @@ class Composed:
             return other
         if self.how == "add":
             return field + other
-        keys = _keys_of_both(field, other)
+        keys = keys_of_both(field, other)
         below, above = field.forces_at(keys), other.forces_at(keys)
         if self.how == "over":
             is_shown = (above != 0).any(axis=-1)
@@ -158,11 +156,6 @@ class Composed:
             is_shown = np.greater(*squares)
         forces_n = np.where(is_shown[..., None], above, below)
         return ForceField.from_bricks(field.grid, bricks_of(field.grid, keys), forces_n)
-
-
-def _keys_of_both(first: ForceField, second: ForceField) -> Int64s:
-    """The bricks of either field, ascending."""
-    return np.union1d(*(brick_keys(one.grid, one.bricks) for one in (first, second)))
 
 
 def edited(field: ForceField, region: Region, operator: EditOperator, feather_m: float = 0.0) -> ForceField:
@@ -177,13 +170,18 @@ def edited(field: ForceField, region: Region, operator: EditOperator, feather_m:
     after = operator(field)
     if after.grid != field.grid:
         raise InvalidArgument(f"operator {operator.name}", f"a field on {after.grid}", f"one on {field.grid}")
-    grid, place, keys = field.grid, region.on(field), _keys_of_both(field, after)
+    grid, place, keys = field.grid, region.on(field), keys_of_both(field, after)
     bricks, forces = bricks_of(grid, keys), zero_forces(len(keys))
     for begin in range(0, len(keys), BRICKS_AT_ONCE):
         some = slice(begin, begin + BRICKS_AT_ONCE)
         points = grid.to_m(bricks[some, None, None, None] * BRICK + LOCAL)
-        share = weights(place, points, feather_m)
-        forces[some] = _blended(field.forces_at(keys[some]), after.forces_at(keys[some]), share)
+        share, before_n = weights(place, points, feather_m), field.forces_at(keys[some])
+        after_n = after.forces_at(keys[some])
+        blend = np.where((share == 1)[..., None], after_n, before_n)
+        between = (share > 0) & (share < 1)
+        x, y = before_n[between].astype(np.float64), after_n[between].astype(np.float64)
+        blend[between] = x + share[between][:, None] * (y - x)
+        forces[some] = blend
     return ForceField.from_bricks(grid, bricks, forces)
 
 
@@ -198,15 +196,19 @@ def edited_medium(
 
     region, operator, feather_m; as of `edited`; frame 0 of the medium of a `Composed` goes to the first edited frame.
     frames : (int, int or None), optional; start and stop of the range; all frames by default.
-    Raises `InvalidArgument` if there is no such range, or the medium of a `Composed` is shorter than it or on another
-    grid.
+    Raises `InvalidArgument` if there is no such range, or the medium of a `Composed` does not fit it.
     """
     start, stop = frames or (0, None)
     stop = len(medium) if stop is None else stop
     if not 0 <= start < stop <= len(medium):
         raise InvalidArgument("frames to edit", f"{start}:{stop}", f"a range within 0:{len(medium)}")
     if isinstance(operator, Composed) and isinstance(operator.other, HapticMedium):
-        _check_other(operator.other, medium, stop - start)
+        other, needed = operator.other, stop - start
+        if other.grid != medium.grid:
+            raise InvalidArgument("compose", f"a medium on {other.grid}", f"one on {medium.grid}")
+        if len(other) < needed:
+            found = f"a medium of {len(other)} frames"
+            raise InvalidArgument("compose", found, f"at least the {needed} to be edited")
 
     def make(i: int) -> ForceField:
         if not start <= i < stop:
@@ -222,27 +224,6 @@ def edited_medium(
     return replace(medium, make_frame=make, provenance=noted(medium.provenance, "edits", words))
 
 
-def _check_other(other: HapticMedium, medium: HapticMedium, needed: int) -> None:
-    if other.grid != medium.grid:
-        raise InvalidArgument("compose", f"a medium on {other.grid}", f"one on {medium.grid}")
-    if len(other) < needed:
-        raise InvalidArgument("compose", f"a medium of {len(other)} frames", f"at least the {needed} to be edited")
-
-
-def _blended(before_n: Float32s, after_n: Float32s, share: Float64s) -> Float32s:
-    """`before_n` where the share is 0, `after_n` where it is 1, both to the bit; between them a mixture."""
-    result = np.where((share == 1)[..., None], after_n, before_n)
-    between = (share > 0) & (share < 1)
-    if between.any():
-        x, y = before_n[between].astype(np.float64), after_n[between].astype(np.float64)
-        result[between] = x + share[between][:, None] * (y - x)
-    return result
-
-
-_SHARED = ("grid", "rate_hz", "axes", "friction", "damping_n_s_per_m", "tags")
-"""Values that a medium has one of, so that pieces of it cannot differ in them."""
-
-
 def concatenated(*media: HapticMedium) -> HapticMedium:
     """One medium after the other.
 
@@ -250,7 +231,6 @@ def concatenated(*media: HapticMedium) -> HapticMedium:
     """
     if not media:
         raise InvalidArgument("media to concatenate", "none", "at least one")
-    _check_alike(media)
     ends = list(accumulate(len(m) for m in media))
 
     def make(i: int) -> ForceField:
@@ -283,7 +263,6 @@ def cross_faded(first: HapticMedium, second: HapticMedium, frames: int) -> Hapti
     shortest = min(len(first), len(second))
     if isinstance(frames, bool) or not isinstance(frames, int) or not 0 <= frames <= shortest:
         raise InvalidArgument("frames of a cross-fade", repr(frames), f"0 to {shortest}, the shorter medium")
-    _check_alike((first, second))
     begin = len(first) - frames
 
     def make(i: int) -> ForceField:
@@ -298,17 +277,14 @@ def cross_faded(first: HapticMedium, second: HapticMedium, frames: int) -> Hapti
     return _spliced((first, second), begin + len(second), make, words)
 
 
-def _check_alike(media: tuple[HapticMedium, ...]) -> None:
-    for n, one in enumerate(media[1:], start=1):
-        for name in _SHARED:
-            mine, theirs = getattr(one, name), getattr(media[0], name)
-            if mine != theirs:
-                raise InvalidArgument(f"medium {n} to splice, {name}", str(mine), f"{theirs}, as of medium 0")
-
-
 def _spliced(
     media: tuple[HapticMedium, ...], count: int, make: Callable[[int], ForceField], words: str
 ) -> HapticMedium:
+    for n, one in enumerate(media[1:], start=1):
+        for name in ("grid", *media[0].beside):
+            mine, theirs = getattr(one, name), getattr(media[0], name)
+            if mine != theirs:
+                raise InvalidArgument(f"medium {n} to splice, {name}", str(mine), f"{theirs}, as of medium 0")
     before = "; ".join(m.provenance["splices"] for m in media if "splices" in m.provenance)
     provenance = noted({**media[0].provenance, "splices": before}, "splices", words)
     return replace(media[0], frame_count=count, make_frame=make, provenance=provenance, vibration=None, segments=None)

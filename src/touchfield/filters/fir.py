@@ -1,14 +1,17 @@
-"""Equation 4: the finite impulse response filter of a haptic medium (paper section 3.2).
+"""Equation 4, the finite impulse response filter of a haptic medium, and 5, what it does to each frequency.
 
 y[n] = sum over k of h[k] x[n - k], componentwise, along any number of axes of space and time. Printed like this,
 with k = 0 .. N - 1, it is causal and moves the field by (N - 1)/2 samples; that is ``anchor="causal"``. The default,
 ``anchor="centred"``, puts the middle tap over the sample, and needs an odd number of taps along each axis. What lies
 beyond the border is said by name (`touchfield.filters.separable`), which the paper leaves open.
+
+H(w1, ..) = sum over n of h[n] exp(-i (w1 n1 + ..)), frequencies in radians per sample (paper section 3.2).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -36,7 +39,7 @@ from touchfield.filters.separable import (
 )
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import blocks_around, bricks_of
+from touchfield.medium.field import blocks_around, bricks_of, frozen
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -45,6 +48,7 @@ if TYPE_CHECKING:
 
 ANCHORS: Final = ("centred", "causal")
 METHODS: Final = ("auto", "direct", "fft")
+_NO_GAIN: Final = 1e-15  # -300 dB: a gain of zero has no decibels
 _FFT_TAPS: Final = 4  # a sample's share of an FFT, for each doubling of the samples, costs as much as four taps
 _ROW_TAPS: Final = 0.75  # and a tap along one axis as much as this of one of a box
 
@@ -54,15 +58,13 @@ def fir_filter(
 ) -> NDArray[Any]:
     """Equation 4 on a dense array.
 
-    signal : float32 or float64, M-D; its leading axes are filtered, as many as `taps` has; the others are components.
-        Whole numbers are taken as float64.
+    signal : float32, or taken as float64, M-D; its leading axes are filtered, as many as `taps` has.
     taps : float, N-D, N <= M; h, the kernel.
     anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as printed.
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
     method : {"auto", "direct", "fft"}; "auto" takes the one that is likely to be quicker.
-    Returns float32 or float64: Of the signal's shape and type.
-    Raises `InvalidArgument` if the kernel is empty, not finite or larger than the signal; even and asked to be
-    centred; if the signal is not finite; if a sum is beyond the signal's type; if a word is unknown.
+    Returns float32 or float64 of the signal's shape and type. Raises `InvalidArgument` if the kernel is empty, not
+    finite, larger than the signal, or even and to be centred; if the signal or a sum is not finite; for other words.
     """
     x, h = np.asarray(signal), _checked_taps(taps, anchor)
     x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
@@ -71,7 +73,7 @@ def fir_filter(
         raise InvalidArgument("method", repr(method), f"one of {', '.join(METHODS)}")
     if h.ndim > x.ndim:
         raise InvalidArgument("taps", f"{h.ndim} axes for a signal {x.shape}", f"at most {x.ndim}")
-    origins = [_origin(n, anchor) for n in h.shape]
+    origins = [n // 2 if anchor == "centred" else 0 for n in h.shape]
     for axis, (n, count) in enumerate(zip(h.shape, x.shape, strict=False)):
         AxisTaps(np.ones(n), 0).check_fits(count, f"taps of axis {axis}")
     if not all_finite(x):
@@ -118,10 +120,6 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
         mend = 'An even kernel has no middle tap: add a zero, or take anchor="causal".'
         raise InvalidArgument("taps", f"{h.shape} taps to be centred", "an odd number along each axis", mend)
     return h
-
-
-def _origin(count: int, anchor: str) -> int:
-    return count // 2 if anchor == "centred" else 0
 
 
 def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
@@ -220,7 +218,7 @@ class FirFilter(FieldFilter):
         for axis, (row, count) in enumerate(zip(rows, grid.shape, strict=True)):
             if count == 1 and self.kernel.ndim == 1:
                 row = np.ones(1)
-            axes.append(AxisTaps(row, _origin(len(row), self.anchor)))
+            axes.append(AxisTaps(row, len(row) // 2 if self.anchor == "centred" else 0))
             axes[-1].check_fits(count, f"--fir taps along {'xyz'[axis]}")
         return axes[0], axes[1], axes[2]
 
@@ -271,8 +269,7 @@ def _read_taps(text: str) -> Float64s:
     if text.endswith(".npy"):
         require_plain(text, "a .npy file")
         try:
-            read = np.load(Path(text), allow_pickle=False)
-            return np.asarray(read, np.float64)
+            return np.asarray(np.load(Path(text), allow_pickle=False), np.float64)
         except (OSError, ValueError, TypeError) as error:
             raise InvalidArgument("--fir taps", f"{text}, which cannot be read: {error}", "a .npy file") from None
     shape, colon, numbers = text.rpartition(":")
@@ -282,3 +279,65 @@ def _read_taps(text: str) -> Float64s:
     except ValueError:
         expected = "numbers with / between, 1/2/1, perhaps after a shape, 3x3x3:"
         raise InvalidArgument("--fir taps", repr(text), expected) from None
+
+
+def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.complex128]:
+    """Equation 5: H(w1, ..) of a kernel [n1, ...] at frequencies in radians per sample, complex128 of their shape."""
+    kernel = np.asarray(taps, np.float64)
+    if kernel.ndim != len(omegas) or not omegas:
+        raise InvalidArgument("frequency_response", f"{len(omegas)} frequencies", f"{kernel.ndim}, one for each axis")
+    frequencies = np.broadcast_arrays(*(np.asarray(w, np.float64) for w in omegas))
+    response: Any = np.broadcast_to(kernel, (*frequencies[0].shape, *kernel.shape))
+    for omega, count in zip(reversed(frequencies), reversed(kernel.shape), strict=True):
+        wave = np.exp(-1j * omega[..., None] * np.arange(count))
+        wave = wave.reshape(*omega.shape, *([1] * (response.ndim - omega.ndim - 1)), count)
+        response = (response * wave).sum(axis=-1)
+    return np.asarray(response, np.complex128)
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """The response of one kernel float64, N-D; `InvalidArgument` if it is empty, not finite or all zero.
+
+    A direction is "x", "y", "z", "t" for an axis, "diagonal" for omega along all axes at once, or how much of omega
+    lies along each axis; the first axis by default.
+    """
+
+    taps: Float64s
+
+    def __post_init__(self) -> None:
+        h = np.array(self.taps, np.float64)
+        if not h.size or not h.ndim or not np.isfinite(h).all() or not h.any():
+            raise InvalidArgument("taps", f"an array {h.shape}", "finite taps, not all of them zero")
+        object.__setattr__(self, "taps", frozen(h))
+
+    def gain_db(self, omega: ArrayLike, direction: Sequence[float] | str = "x") -> Float64s:
+        """20 log10 |H| at radians per sample along a direction; -300 dB where there is nothing."""
+        axes = self.taps.ndim
+        parts: Sequence[float] = [1.0] * axes
+        if isinstance(direction, str):
+            if direction != "diagonal":
+                parts = [float(name == direction) for name in "xyzt"[:axes]]
+        else:
+            parts = direction
+        if len(parts) != axes or not any(parts):
+            expected = ", ".join((*"xyzt"[:axes], "diagonal"))
+            raise InvalidArgument("direction", repr(direction), f"one of {expected}, or {axes} numbers")
+        gain = np.abs(frequency_response(self.taps, *(part * np.asarray(omega, np.float64) for part in parts)))
+        return np.asarray(20 * np.log10(np.maximum(gain, _NO_GAIN)))
+
+    def crossing_rad(self, drop_db: float, direction: Sequence[float] | str = "x") -> float:
+        """The lowest frequency, radians per sample up to pi, where |H| is `drop_db` below |H(0)|; NaN if none."""
+        if not drop_db > 0:
+            raise InvalidArgument("drop_db", repr(drop_db), "a positive number of decibels")
+        if not abs(self.taps.sum()) > _NO_GAIN:
+            return math.nan  # a high-pass has nothing to fall from
+        level = 20 * math.log10(abs(self.taps.sum())) - drop_db
+        omega = np.linspace(0, np.pi, 4097)
+        below = np.flatnonzero(self.gain_db(omega, direction) <= level)
+        if not len(below):
+            return math.nan
+        from scipy import optimize
+
+        a, b = omega[below[0] - 1], omega[below[0]]
+        return float(optimize.brentq(lambda w: float(self.gain_db(w, direction)) - level, a, b, xtol=1e-12))

@@ -3,21 +3,20 @@
 Paper section 3.2 asks for "optimal quincunx sampling and filtering" and gives no filter; this is the shortest lifting
 (after Sweldens). A stage keeps every second site of the lattice before it. It first predicts each site that is
 dropped from the mean of its k nearest kept ones and leaves the difference there, the detail; then it adds to each
-kept site 1/(2k) of the sum of the details around it, which keeps the mean of the field. Every number stays at its
-site. Each of the two steps is undone by the same step with the other sign: perfect reconstruction needs nothing else.
-With whole numbers the mean and the share are rounded (floor of the value plus 1/2), and the same bits come back. At
-the border a neighbour that is missing is replaced by its mirror image about the site; along an axis with one site
-there are no neighbours, and the mean is over the others.
+kept site 1/(2k) of the sum of the details around it, which keeps the mean of the field. Each of the two steps is
+undone by the same step with the other sign: perfect reconstruction needs nothing else. With whole numbers the mean
+and the share are rounded (floor of the value plus 1/2), and the same bits come back. A neighbour beyond the border is
+its mirror image about the site; along an axis with one site there are none, and the mean is over the others.
 
 In two dimensions the quincunx of D = [[1, 1], [1, -1]] keeps n1 + n2 even (four neighbours), and the next stage,
 along the diagonals, both even: two stages an octave. In three (x-y-z, or x-y-t with t on the third axis) the
 face-centred cubic lattice (FCC) keeps n1 + n2 + n3 even (six neighbours); the second stage n1 + n2 even and n3 even
-(eight), the third all even (four): an octave. There is no body-centred lattice within the FCC to keep; of those that
-lie between it and 2Z^3 we take the one which for x-y-t is a quincunx picture in every second frame.
+(eight), the third all even (four). There is no body-centred lattice within the FCC to keep; of those that lie between
+it and 2Z^3 we take the one which for x-y-t is a quincunx picture in every second frame.
 
 What lies in the diamond |w1| + |w2| <= pi, or the octahedron |w1| + |w2| + |w3| <= 3 pi / 2, can be told from its
-image: a pattern along an axis passes up to the full Nyquist rate, where decimation by 2 along each axis ends at pi/2.
-With P the mean of the cosines of w the coarse signal is seen through 1 + P/2 - P^2/2, which is far from steep.
+image: a pattern along an axis passes up to the full Nyquist rate. With P the mean of the cosines of w the coarse
+signal is seen through 1 + P/2 - P^2/2, which is far from steep.
 
 The multiresolution filter takes a field down the FCC chain, puts its details to zero and rebuilds it, all in place.
 """
@@ -36,18 +35,13 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys, dilated, frozen, neighbour_slots
+from touchfield.parallel import for_chunks
 
 Site = tuple[int, ...]
 
-
-MAX_STAGES: Final = 60
-"""Far beyond the point where one site is left of any array; a stage without sites to drop does nothing."""
-
-_MAX_FILTER_STAGES: Final = 12
-"""Four octaves, a sixteenth of the resolution along each axis; one more would reach beyond the next brick."""
-
-_HEADROOM: Final = 2.0**-16
-"""Of the range of a float: sums of neighbours, stage after stage, stay finite."""
+MAX_STAGES: Final = 60  # one site is left of any array long before; a stage without sites to drop does nothing
+_MAX_FILTER_STAGES: Final = 12  # four octaves; one more would reach beyond the next brick
+_HEADROOM: Final = 2.0**-16  # of the range of a float: sums of neighbours, stage after stage, stay finite
 
 
 @dataclass(frozen=True)
@@ -73,10 +67,19 @@ def _signed(*places: Site) -> tuple[Site, ...]:
 
 
 @dataclass(frozen=True)
+class LatticeSamples:
+    """Values at the sites of a sublattice, in raster order."""
+
+    positions: Int64s  # [m, dimensions]; indices into the array
+    values: NDArray[Any]  # [m, ...]; with the components of the array
+
+
+@dataclass(frozen=True)
 class Chain:
     """Lattices within lattices: the splits of one octave, from scale 1, repeated at twice the scale for the next."""
 
     name: str
+    what: str  # an array of as many axes
     octave: tuple[Split, ...]
 
     @property
@@ -89,28 +92,43 @@ class Chain:
         places = [divmod(n, len(self.octave)) for n in range(stages)]
         return [replace(self.octave[stage], scale=2**octave) for octave, stage in places]
 
+    def forward(self, array: ArrayLike, stages: int) -> NDArray[Any]:
+        """The coefficients of an array: the coarse signal and the details, each at its own site.
 
-QUINCUNX: Final = Chain(
-    "quincunx",
-    (
-        Split(1, ((0, 0), (1, 1)), ((0, 1), (1, 0)), _signed((1, 0), (0, 1))),
-        Split(1, ((0, 0),), ((1, 1),), _signed((1, 1))),
-    ),
-)
+        array : [n1, ..., nd] or [n1, ..., nd, ...]; any real type, any shape without an empty axis; axes beyond those
+            of the chain are components.
+        stages : int; 0 to 60.
+        Returns float32, float64, int32 or int64 of the same shape: Whole numbers of up to 16 bits become int32, wider
+        ones int64, because details take a bit more. int64 sums beyond 2^63 wrap round, which the inverse undoes.
+        Raises `InvalidArgument` if `array` has too few axes, an empty one, or a number that is not real, finite and
+        below 2^-16 of the range of its type; or if `stages` is out of range.
+        """
+        values = _checked(array, self, self.what)
+        for split in self.splits(whole_stages(stages)):
+            _lift(values, split, self, "predict", -1)
+            _lift(values, split, self, "update", 1)
+        return values
 
-FCC: Final = Chain(
-    "fcc",
-    (
-        Split(
-            1,
-            ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 0)),
-            ((0, 0, 1), (0, 1, 0), (1, 0, 0), (1, 1, 1)),
-            _signed((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-        ),
-        Split(1, ((0, 0, 0), (1, 1, 0)), ((0, 1, 1), (1, 0, 1)), _signed((1, 0, 1), (0, 1, 1))),
-        Split(1, ((0, 0, 0),), ((1, 1, 0),), _signed((1, 1, 0))),
-    ),
-)
+    def inverse(self, coefficients: ArrayLike, stages: int, dtype: Any = None) -> NDArray[Any]:
+        """The array whose coefficients `forward` gave for as many stages: bit-exact for whole numbers.
+
+        dtype : optional; the type to return, such as the one that `forward` was given; the working type by default.
+        Raises `InvalidArgument` as `forward`.
+        """
+        values = _checked(coefficients, self, "coefficients")
+        for split in reversed(self.splits(whole_stages(stages))):
+            _lift(values, split, self, "update", -1)
+            _lift(values, split, self, "predict", 1)
+        return values if dtype is None else values.astype(dtype, copy=False)
+
+    def coarse(self, coefficients: ArrayLike, stages: int) -> LatticeSamples:
+        """The sites and values of the coarse signal of coefficients that `forward` gave for as many stages."""
+        values = _checked(coefficients, self, "coefficients")
+        splits = self.splits(whole_stages(stages))
+        is_kept = np.full(values.shape[: self.dimensions], not splits)
+        for residue in splits[-1].kept if splits else ():
+            is_kept[tuple(slice(r * splits[-1].scale, None, 2 * splits[-1].scale) for r in residue)] = True
+        return LatticeSamples(frozen(np.argwhere(is_kept)), frozen(values[is_kept]))
 
 
 def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
@@ -118,59 +136,6 @@ def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
     if isinstance(stages, bool) or not isinstance(stages, (int, np.integer)) or not least <= stages <= most:
         raise InvalidArgument("stages", repr(stages), f"a whole number from {least} to {most}")
     return int(stages)
-
-
-@dataclass(frozen=True)
-class LatticeSamples:
-    """Values at the sites of a sublattice, in raster order."""
-
-    positions: Int64s  # [m, dimensions]; indices into the array
-    values: NDArray[Any]  # [m, ...]; with the components of the array
-
-
-def forward(array: ArrayLike, chain: Chain, stages: int, name: str = "array") -> NDArray[Any]:
-    """The coefficients of an array: the coarse signal and the details, each at its own site.
-
-    array : [n1, ..., nd] or [n1, ..., nd, ...]; any real type, any shape without an empty axis; axes beyond those of
-        the chain are components.
-    stages : int; 0 to 60.
-    Returns float32, float64, int32 or int64 of the same shape: Whole numbers of up to 16 bits become int32, wider
-    ones int64, because details take a bit more. int64 sums beyond 2^63 wrap round, which the inverse undoes.
-    Raises `InvalidArgument` if `array` has too few axes, an empty one, or a number that is not real, finite and below
-    2^-16 of the range of its type; or if `stages` is out of range.
-    """
-    values = _checked(array, chain, name)
-    for split in chain.splits(whole_stages(stages)):
-        _lift(values, split, chain, "predict", -1)
-        _lift(values, split, chain, "update", 1)
-    return values
-
-
-def inverse(coefficients: ArrayLike, chain: Chain, stages: int, dtype: Any = None) -> NDArray[Any]:
-    """The array of which these are the coefficients: the same bits for whole numbers, else to rounding.
-
-    coefficients : [n1, ..., nd, ...]; as `forward` gave them for as many stages.
-    dtype : optional; the type to return, such as the one that `forward` was given; the working type by default.
-    Raises `InvalidArgument` as `forward`.
-    """
-    values = _checked(coefficients, chain, "coefficients")
-    for split in reversed(chain.splits(whole_stages(stages))):
-        _lift(values, split, chain, "update", -1)
-        _lift(values, split, chain, "predict", 1)
-    return values if dtype is None else values.astype(dtype, copy=False)
-
-
-def coarse_samples(coefficients: ArrayLike, chain: Chain, stages: int) -> LatticeSamples:
-    """The coarse signal of coefficients that `forward` gave for as many stages: its sites and values.
-
-    Raises `InvalidArgument` as `forward`.
-    """
-    values = _checked(coefficients, chain, "coefficients")
-    splits = chain.splits(whole_stages(stages))
-    is_kept = np.full(values.shape[: chain.dimensions], not splits)
-    for residue in splits[-1].kept if splits else ():
-        is_kept[tuple(slice(r * splits[-1].scale, None, 2 * splits[-1].scale) for r in residue)] = True
-    return LatticeSamples(frozen(np.argwhere(is_kept)), frozen(values[is_kept]))
 
 
 def _checked(array: ArrayLike, chain: Chain, name: str) -> NDArray[Any]:
@@ -219,34 +184,32 @@ def _lift(values: NDArray[Any], split: Split, chain: Chain, kind: str, sign: int
             here += sign * ((total + divisor // 2) // divisor)
 
 
-def quincunx_forward(image: ArrayLike, stages: int) -> NDArray[Any]:
-    """The quincunx coefficients of an image [n1, n2, ...], each at its site; see `forward`."""
-    return forward(image, QUINCUNX, stages, "image")
+QUINCUNX: Final = Chain(
+    "quincunx",
+    "image",
+    (
+        Split(1, ((0, 0), (1, 1)), ((0, 1), (1, 0)), _signed((1, 0), (0, 1))),
+        Split(1, ((0, 0),), ((1, 1),), _signed((1, 1))),
+    ),
+)
 
+FCC: Final = Chain(
+    "fcc",
+    "volume",
+    (
+        Split(
+            1,
+            ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 0)),
+            ((0, 0, 1), (0, 1, 0), (1, 0, 0), (1, 1, 1)),
+            _signed((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+        ),
+        Split(1, ((0, 0, 0), (1, 1, 0)), ((0, 1, 1), (1, 0, 1)), _signed((1, 0, 1), (0, 1, 1))),
+        Split(1, ((0, 0, 0),), ((1, 1, 0),), _signed((1, 1, 0))),
+    ),
+)
 
-def quincunx_inverse(coefficients: ArrayLike, stages: int, dtype: Any = None) -> NDArray[Any]:
-    """The image of quincunx coefficients; bit-exact for whole numbers. See `inverse`."""
-    return inverse(coefficients, QUINCUNX, stages, dtype)
-
-
-def quincunx_coarse(coefficients: ArrayLike, stages: int) -> LatticeSamples:
-    """The coarse signal of quincunx coefficients with its positions [m, 2]; see `coarse_samples`."""
-    return coarse_samples(coefficients, QUINCUNX, stages)
-
-
-def fcc_forward(volume: ArrayLike, stages: int) -> NDArray[Any]:
-    """The FCC coefficients of a volume [n1, n2, n3, ...], each at its site; see `forward`."""
-    return forward(volume, FCC, stages, "volume")
-
-
-def fcc_inverse(coefficients: ArrayLike, stages: int, dtype: Any = None) -> NDArray[Any]:
-    """The volume of FCC coefficients; bit-exact for whole numbers. See `inverse`."""
-    return inverse(coefficients, FCC, stages, dtype)
-
-
-def fcc_coarse(coefficients: ArrayLike, stages: int) -> LatticeSamples:
-    """The coarse signal of FCC coefficients with its positions [m, 3]; see `coarse_samples`."""
-    return coarse_samples(coefficients, FCC, stages)
+quincunx_forward, quincunx_inverse, quincunx_coarse = QUINCUNX.forward, QUINCUNX.inverse, QUINCUNX.coarse
+fcc_forward, fcc_inverse, fcc_coarse = FCC.forward, FCC.inverse, FCC.coarse
 
 
 @dataclass(frozen=True)
@@ -254,9 +217,7 @@ class MultiresolutionFilter(FieldFilter):
     """The field at a coarser level of detail, on the same lattice.
 
     stages : int; 1 to 12; each halves the number of independent samples, three halve the resolution along each axis.
-    keep : str; "coarse", the level of detail; or "details", the field less that, which is zero where the field is
-        constant.
-    Raises `InvalidArgument` if `stages` or `keep` is out of range.
+    keep : str; "coarse", the level of detail; or "details", the field less that.
     """
 
     name: ClassVar[str] = "multiresolution"
@@ -278,7 +239,16 @@ class MultiresolutionFilter(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`; the time goes with the number of bricks that a force may reach."""
-        coarse = _coarse(field, self.stages)
+        grid, splits = field.grid, FCC.splits(self.stages)
+        bricks = dilated(grid, field.bricks, _reach(self.stages, grid))
+        forces = field.forces_at(brick_keys(grid, bricks))
+        place = (bricks, neighbour_slots(grid, bricks), grid.shape)
+        for split in splits:
+            _step(place, forces, split, "predict", 1.0, -1)
+            _step(place, forces, split, "update", 1.0, 1)
+        for split in reversed(splits):
+            _step(place, forces, split, "predict", 0.0, 1)  # the prediction in place of the detail
+        coarse = ForceField.from_bricks(grid, bricks, forces)
         return coarse if self.keep == "coarse" else field + coarse.scaled(-1.0)
 
 
@@ -292,21 +262,6 @@ def _reach(stages: int, grid: Grid) -> tuple[int, int, int]:
     return (far[0], far[1], far[2])
 
 
-def _coarse(field: ForceField, stages: int) -> ForceField:
-    """The field without the details of its first `stages` stages."""
-    grid = field.grid
-    bricks = dilated(grid, field.bricks, _reach(stages, grid))
-    forces = field.forces_at(brick_keys(grid, bricks))
-    place = (bricks, neighbour_slots(grid, bricks), grid.shape)
-    splits = FCC.splits(stages)
-    for split in splits:
-        _step(place, forces, split, "predict", 1.0, -1)
-        _step(place, forces, split, "update", 1.0, 1)
-    for split in reversed(splits):
-        _step(place, forces, split, "predict", 0.0, 1)  # the prediction in place of the detail
-    return ForceField.from_bricks(grid, bricks, forces)
-
-
 def _step(place: Any, forces: Float32s, split: Split, kind: str, hold: float, sign: int) -> None:
     from touchfield.filters.kernels import steps as kernels
 
@@ -316,5 +271,7 @@ def _step(place: Any, forces: Float32s, split: Split, kind: str, hold: float, si
     starts = np.full((2, 2), -1, np.int64)
     for x, y, z in split.details if kind == "predict" else split.kept:
         starts[x, y] = z
-    divisor = len(offsets) * (1 if kind == "predict" else 2)
-    kernels.lifted_bricks(place, forces, split.scale, (starts, np.array(offsets, np.int64)), (hold, sign / divisor))
+    bricks, slots, shape = place
+    weight = sign / (len(offsets) * (1 if kind == "predict" else 2))
+    law = split.scale, starts, np.array(offsets, np.int64), np.float32(hold), np.float32(weight)
+    for_chunks(kernels.lifted_bricks, len(bricks), bricks, slots, forces.reshape(-1), shape, *law, chunk=64)

@@ -4,6 +4,9 @@ Lengths are metres of the hand. ``a | b`` is the union of two regions, ``a & b``
 is not in `a`. A region knows its samples exactly. Its distance, by which a feather fades, is the true one of a shape
 and of a set of voxels; of a union it is the smaller of the two and of an intersection the larger, which at a corner
 is less than the true one.
+
+Forces turn with a motion x -> R x + t: the moved field is F'(x) = R F(R^T (x - t)). A mirror image is allowed, with
+det R = -1.
 """
 
 from __future__ import annotations
@@ -13,13 +16,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
+from touchfield.medium.field import slots_of
 
 if TYPE_CHECKING:
     from touchfield.medium import ForceField, Grid
@@ -46,13 +50,13 @@ class Region(ABC):
         return self
 
     def __or__(self, other: Region) -> Region:
-        return _Pair(self, other, True)
+        return _Made("or", (self, other))
 
     def __and__(self, other: Region) -> Region:
-        return _Pair(self, other, False)
+        return _Made("and", (self, other))
 
     def __invert__(self) -> Region:
-        return _Complement(self)
+        return _Made("not", (self,))
 
 
 def weights(region: Region, points_m: Float64s, feather_m: float) -> Float64s:
@@ -210,11 +214,7 @@ class Voxels(Region):
         return np.unique(np.ravel_multi_index(tuple(np.asarray(self.positions).T), self.grid.shape))
 
     def _among(self, positions: Int64s) -> Bools:
-        if not len(self._places):
-            return np.zeros(len(positions), np.bool_)
-        places = np.ravel_multi_index(tuple(positions.T), self.grid.shape)
-        slot = np.minimum(np.searchsorted(self._places, places), len(self._places) - 1)
-        return np.asarray(self._places[slot] == places)
+        return slots_of(self._places, np.ravel_multi_index(tuple(positions.T), self.grid.shape)) >= 0
 
     @cached_property
     def _trees(self) -> tuple[Any, Any]:
@@ -227,14 +227,12 @@ class Voxels(Region):
         positions = np.stack(np.unravel_index(self._places, self.grid.shape), axis=1)
         edge = np.zeros(len(positions), np.bool_)
         outside = [positions[:0]]
-        for axis in range(3):
-            for step in (-1, 1):
-                beside = positions.copy()
-                beside[:, axis] += step
-                free = (beside[:, axis] >= 0) & (beside[:, axis] < self.grid.shape[axis])
-                free[free] = ~self._among(beside[free])
-                edge |= free
-                outside.append(beside[free])
+        for step in np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)]):
+            beside = positions + step
+            free = ((beside >= 0) & (beside < self.grid.shape)).all(axis=1)
+            free[free] = ~self._among(beside[free])
+            edge |= free
+            outside.append(beside[free])
         shells = (positions[edge], np.unique(np.concatenate(outside), axis=0))
         first, second = (cKDTree(self.grid.to_m(s)) if len(s) else None for s in shells)
         return first, second
@@ -270,46 +268,116 @@ class ForceRange(Region):
         raise InvalidArgument(self.words, "no field to look at", "a field", "Ask the region that on(field) gives.")
 
 
-@dataclass(frozen=True)
-class _Pair(Region):
-    """The union of two regions, or what they share."""
-
-    first: Region
-    second: Region
-    is_union: bool
-
-    @property
-    def words(self) -> str:
-        return f"({self.first.words}) {'or' if self.is_union else 'and'} ({self.second.words})"
-
-    def on(self, field: ForceField) -> Region:
-        return _Pair(self.first.on(field), self.second.on(field), self.is_union)
-
-    def holds(self, points_m: Float64s) -> Bools:
-        first, second = self.first.holds(points_m), self.second.holds(points_m)
-        return first | second if self.is_union else first & second
-
-    def distance_m(self, points_m: Float64s) -> Float64s:
-        nearer: Any = np.minimum if self.is_union else np.maximum
-        return np.asarray(nearer(self.first.distance_m(points_m), self.second.distance_m(points_m)))
+_HELD: Final[dict[str, Any]] = {"or": np.logical_or, "and": np.logical_and, "not": np.logical_not}
+_AWAY: Final[dict[str, Any]] = {"or": np.minimum, "and": np.maximum, "not": np.negative}
 
 
 @dataclass(frozen=True)
-class _Complement(Region):
-    region: Region
+class _Made(Region):
+    """The union of two regions, what they share, or all that is not in one."""
+
+    how: str
+    regions: tuple[Region, ...]
 
     @property
     def words(self) -> str:
-        return f"not ({self.region.words})"
+        words = [f"({region.words})" for region in self.regions]
+        return f"not {words[0]}" if self.how == "not" else f" {self.how} ".join(words)
 
     def on(self, field: ForceField) -> Region:
-        return _Complement(self.region.on(field))
+        return _Made(self.how, tuple(region.on(field) for region in self.regions))
 
     def holds(self, points_m: Float64s) -> Bools:
-        return ~self.region.holds(points_m)
+        return np.asarray(_HELD[self.how](*(region.holds(points_m) for region in self.regions)))
 
     def distance_m(self, points_m: Float64s) -> Float64s:
-        return -self.region.distance_m(points_m)
+        return np.asarray(_AWAY[self.how](*(region.distance_m(points_m) for region in self.regions)))
+
+
+_ORTHOGONAL: Final = 1e-9
+_WHOLE: Final = 1e-12  # the sine of half a turn is 1e-16
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """x -> R x + t.
+
+    matrix : three rows of three; R, orthogonal.
+    offset_m : (float, float, float); t, metres.
+    Raises `InvalidArgument` if R is not orthogonal or a number is not finite.
+    """
+
+    matrix: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    offset_m: Triple = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        r, t = np.asarray(self.matrix, np.float64), np.asarray(self.offset_m, np.float64)
+        if r.shape != (3, 3) or not np.isfinite(r).all() or np.abs(r @ r.T - np.eye(3)).max() > _ORTHOGONAL:
+            raise InvalidArgument("rigid motion matrix", repr(self.matrix), "an orthogonal 3 x 3 matrix")
+        if t.shape != (3,) or not np.isfinite(t).all():
+            raise InvalidArgument("rigid motion offset_m", repr(self.offset_m), "three finite coordinates in metres")
+        r = np.where(np.abs(r - np.rint(r)) < _WHOLE, np.rint(r), r) + 0.0
+        object.__setattr__(self, "matrix", tuple(tuple(row) for row in r.tolist()))
+        object.__setattr__(self, "offset_m", tuple(t.tolist()))
+
+    @classmethod
+    def move(cls, offset_m: ArrayLike) -> RigidMotion:
+        """A move by `offset_m`, metres [3]."""
+        return cls(offset_m=_point("motion offset_m", np.asarray(offset_m)))
+
+    @classmethod
+    def turn(cls, axis: ArrayLike, angle_deg: float, about_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
+        """A turn by the right-hand rule about an axis of that direction through `about_m`."""
+        x, y, z = _unit("turn axis", axis)
+        angle = math.radians(angle_deg)
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        return cls._about(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross), about_m)
+
+    @classmethod
+    def mirror(cls, normal: ArrayLike, through_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
+        """The mirror image in the plane through `through_m` that is normal to `normal`."""
+        n = _unit("mirror normal", normal)
+        return cls._about(np.eye(3) - 2 * np.outer(n, n), through_m)
+
+    @classmethod
+    def _about(cls, matrix: Any, fixed_m: ArrayLike) -> RigidMotion:
+        fixed, whole = _point("point of a rigid motion", np.asarray(fixed_m)), np.asarray(cls(matrix).matrix)
+        offset: Any = fixed - whole @ fixed
+        return cls(matrix, offset)
+
+    @property
+    def words(self) -> str:
+        """The motion, for the provenance of an edit."""
+        return f"R {[list(row) for row in self.matrix]}, t {list(self.offset_m)} m"
+
+    def then(self, second: RigidMotion) -> RigidMotion:
+        """This motion, and then another."""
+        r: Any = np.asarray(second.matrix)
+        return RigidMotion(r @ np.asarray(self.matrix), r @ np.asarray(self.offset_m) + np.asarray(second.offset_m))
+
+    @property
+    def inverse(self) -> RigidMotion:
+        """The way back."""
+        r: Any = np.asarray(self.matrix).T
+        return RigidMotion(r, -(r @ np.asarray(self.offset_m)))
+
+    def points_m(self, points_m: ArrayLike) -> Float64s:
+        """Points [..., 3] moved, metres."""
+        return np.asarray(self.vectors(points_m) + np.asarray(self.offset_m))
+
+    def vectors(self, vectors: ArrayLike) -> Float64s:
+        """Vectors [..., 3], such as forces, turned."""
+        return np.asarray(np.asarray(vectors, np.float64) @ np.asarray(self.matrix).T)
+
+
+def _unit(where: str, given: ArrayLike) -> Float64s:
+    v = np.asarray(given, np.float64)
+    length = float(np.sqrt((v * v).sum())) if v.shape == (3,) else math.nan
+    if not (0 < length < math.inf):
+        raise InvalidArgument(where, repr(given), "three finite numbers, not all 0")
+    return np.asarray(v / length)
 
 
 def _point(where: str, given: Any, may_be_infinite: bool = False) -> tuple[float, float, float]:

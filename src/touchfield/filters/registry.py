@@ -88,7 +88,8 @@ class FieldFilter(ABC):
             if key not in rows or key in given:
                 names = ", ".join(_short(name) for name in rows)
                 raise InvalidArgument(f"--{cls.name}", repr(part.strip()), f"each of {names} at most once")
-            given[key] = _value(f"--{cls.name} {_short(key)}", key, hints[key], value)
+            kind = next((k for k in get_args(hints[key]) if k is not type(None)), hints[key])
+            given[key] = _value(f"--{cls.name} {_short(key)}", key, kind, value)
         missing = [n for n, f in rows.items() if n not in given and f.default is MISSING]
         if missing:
             raise InvalidArgument(f"--{cls.name}", f"no {_short(missing[0])}", cls.summary)
@@ -123,17 +124,13 @@ def _short(name: str) -> str:
     return name.removesuffix("_m").removesuffix("_n")
 
 
-def _value(where: str, name: str, hint: Any, text: str) -> Any:
-    kinds = [k for k in get_args(hint) if k is not type(None)] or [hint]
-    kind = kinds[0]
+def _value(where: str, name: str, kind: Any, text: str) -> Any:
+    if name.endswith("_m") and kind is float:
+        return length_m(text, where)
     try:
-        if name.endswith("_m") and kind is float:
-            return length_m(text, where)
         if kind is bool:
             return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
         return kind(text)
-    except InvalidArgument:  # a length without its unit, which says so itself
-        raise
     except (ValueError, KeyError):
         expected = {int: "a whole number", float: "a number", bool: "true or false"}.get(kind, "another value")
         raise InvalidArgument(where, repr(text), expected) from None

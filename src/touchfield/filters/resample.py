@@ -22,8 +22,13 @@ The default is the cubic B-spline. A field of forces jumps at a contact, and a k
 one that is never negative gives a mean of the forces around: no force turns round, none exceeds what was there, and
 the price is a blunter edge in frequency. Of the two such kernels with -6 dB at the cut-off the spline is the steeper.
 
-Trilinear interpolation is what a receiver renders between samples; it has no low-pass. Forces turn with a motion
-x -> R x + t: the moved field is F'(x) = R F(R^T (x - t)). A mirror image is allowed, with det R = -1.
+Trilinear interpolation is what a receiver renders between samples; it has no low-pass.
+
+Levels of detail (paper section 4): level 0 is the field; each next level keeps every second sample of the one before
+along each axis, as it is: a force ends at a surface and bends there, and a low-pass takes the bend to all that is
+around (`bench/bench_detail.py`). What a lattice twice as coarse misses is a wall that passes between its samples. So
+a sample without a force, right behind such a wall, takes the mean of the forces on it: the wall stays closed, thicker
+behind and never in front.
 """
 
 from __future__ import annotations
@@ -31,16 +36,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
+from touchfield.arrays import Bools, Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
+from touchfield.filters.region import RigidMotion
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import brick_keys, bricks_of
+from touchfield.medium.field import blocks_around, brick_keys, bricks_of, dilated
 
 MAX_WEIGHTS: Final = 1 << 24
 MAX_PAIRS: Final = 1 << 26
@@ -179,16 +186,26 @@ def resample(
     Raises `InvalidArgument` if the kernel or a cut-off is not possible, or the target is too fine for a field of that
     size.
     """
+    from touchfield.filters.kernels import forces as kernels
+
     chosen = low_pass(kernel) if isinstance(kernel, str) else kernel
     weights = grid_weights(field.grid, grid, chosen, cutoffs_per_m or nyquist_per_m(grid))
     reach = [_reach(one, bricks) for one, bricks in zip(weights, field.grid.brick_shape)]
     keys = _reached(np.stack([row[field.bricks[:, a]] for a, row in enumerate(reach)], axis=1), grid)
-    return _resampled(field, grid, weights, keys) if len(keys) else ForceField.empty(grid)
+    bricks, own = bricks_of(grid, keys), brick_keys(field.grid, field.bricks)
+    kept = [(bricks[:0], zero_forces(0))]
+    for begin in range(0, len(bricks), _BATCH):  # so that what proves empty is never in memory all at once
+        batch = bricks[begin : begin + _BATCH]
+        forces, is_held = kernels.resampled(batch, field.grid.shape, own, field.forces_n, weights)
+        kept.append((batch, forces) if is_held.all() else (batch[is_held], forces[is_held]))
+    if len(kept) == 2:
+        return ForceField(grid, *kept[1])
+    return ForceField(grid, *(np.concatenate(parts) for parts in zip(*kept)))
 
 
 def _reached(spans: Int64s, grid: Grid) -> Int64s:
     """Keys of the bricks within some boxes, ascending, each once; `spans` [n, 3, 2] are their begins and ends."""
-    from touchfield.filters.kernels import resample as kernels
+    from touchfield.filters.kernels import forces as kernels
 
     pairs = float(np.maximum(0, spans[..., 1] - spans[..., 0]).prod(axis=1, dtype=np.float64).sum())
     if pairs > MAX_PAIRS:
@@ -210,126 +227,9 @@ def _reach(weights: AxisWeights, source_bricks: int) -> Int64s:
     return np.stack([begin, end], axis=1).astype(np.int64)
 
 
-def _resampled(field: ForceField, grid: Grid, weights: list[AxisWeights], keys: Int64s) -> ForceField:
-    """The bricks of these keys, in batches, so that what proves empty is never in memory all at once."""
-    from touchfield.filters.kernels import resample as kernels
-
-    bricks, own = bricks_of(grid, keys), brick_keys(field.grid, field.bricks)
-    kept_bricks, kept_forces = [], []
-    for begin in range(0, len(bricks), _BATCH):
-        batch = bricks[begin : begin + _BATCH]
-        forces, is_held = kernels.resampled(batch, field.grid.shape, own, field.forces_n, weights)
-        kept_bricks.append(batch if is_held.all() else batch[is_held])
-        kept_forces.append(forces if is_held.all() else forces[is_held])
-    if len(kept_bricks) == 1:
-        return ForceField(grid, kept_bricks[0], kept_forces[0])
-    return ForceField(grid, np.concatenate(kept_bricks), np.concatenate(kept_forces))
-
-
-_ORTHOGONAL: Final = 1e-9
-_WHOLE: Final = 1e-12  # the sine of half a turn is 1e-16
-
-Triple = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class RigidMotion:
-    """x -> R x + t.
-
-    matrix : three rows of three; R, orthogonal.
-    offset_m : (float, float, float); t, metres.
-    Raises `InvalidArgument` if R is not orthogonal or a number is not finite.
-    """
-
-    matrix: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    offset_m: Triple = (0.0, 0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        r, t = np.asarray(self.matrix, np.float64), np.asarray(self.offset_m, np.float64)
-        if r.shape != (3, 3) or not np.isfinite(r).all() or np.abs(r @ r.T - np.eye(3)).max() > _ORTHOGONAL:
-            raise InvalidArgument("rigid motion matrix", repr(self.matrix), "an orthogonal 3 x 3 matrix")
-        if t.shape != (3,) or not np.isfinite(t).all():
-            raise InvalidArgument("rigid motion offset_m", repr(self.offset_m), "three finite coordinates in metres")
-        r = np.where(np.abs(r - np.rint(r)) < _WHOLE, np.rint(r), r) + 0.0
-        object.__setattr__(self, "matrix", tuple(tuple(row) for row in r.tolist()))
-        object.__setattr__(self, "offset_m", tuple(t.tolist()))
-
-    @classmethod
-    def move(cls, offset_m: ArrayLike) -> RigidMotion:
-        """A move by `offset_m`, metres [3]."""
-        return cls._of(np.eye(3), _point(offset_m))
-
-    @classmethod
-    def turn(cls, axis: ArrayLike, angle_deg: float, about_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
-        """A turn by the right-hand rule about an axis of that direction through `about_m`."""
-        x, y, z = _unit("turn axis", axis)
-        angle = math.radians(angle_deg)
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        r = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
-        return cls._about(r, about_m)
-
-    @classmethod
-    def mirror(cls, normal: ArrayLike, through_m: ArrayLike = (0.0, 0.0, 0.0)) -> RigidMotion:
-        """The mirror image in the plane through `through_m` that is normal to `normal`."""
-        n = _unit("mirror normal", normal)
-        return cls._about(np.eye(3) - 2 * np.outer(n, n), through_m)
-
-    @classmethod
-    def _of(cls, r: Float64s, t: Float64s) -> RigidMotion:
-        rows: Any = r.tolist()
-        offset: Any = t.tolist()
-        return cls(rows, offset)
-
-    @classmethod
-    def _about(cls, r: Float64s, fixed_m: ArrayLike) -> RigidMotion:
-        fixed, whole = _point(fixed_m), np.asarray(cls._of(r, np.zeros(3)).matrix)
-        return cls._of(whole, fixed - whole @ fixed)
-
-    @property
-    def words(self) -> str:
-        """The motion, for the provenance of an edit."""
-        return f"R {[list(row) for row in self.matrix]}, t {list(self.offset_m)} m"
-
-    def then(self, second: RigidMotion) -> RigidMotion:
-        """This motion, and then another."""
-        r = np.asarray(second.matrix)
-        return self._of(r @ np.asarray(self.matrix), r @ np.asarray(self.offset_m) + np.asarray(second.offset_m))
-
-    @property
-    def inverse(self) -> RigidMotion:
-        """The way back."""
-        r = np.asarray(self.matrix).T
-        return self._of(r, -(r @ np.asarray(self.offset_m)))
-
-    def points_m(self, points_m: ArrayLike) -> Float64s:
-        """Points [..., 3] moved, metres."""
-        return np.asarray(self.vectors(points_m) + np.asarray(self.offset_m))
-
-    def vectors(self, vectors: ArrayLike) -> Float64s:
-        """Vectors [..., 3], such as forces, turned."""
-        return np.asarray(np.asarray(vectors, np.float64) @ np.asarray(self.matrix).T)
-
-
-def _unit(where: str, given: ArrayLike) -> Float64s:
-    v = np.asarray(given, np.float64)
-    length = float(np.sqrt((v * v).sum())) if v.shape == (3,) else math.nan
-    if not (0 < length < math.inf):
-        raise InvalidArgument(where, repr(given), "three finite numbers, not all 0")
-    return np.asarray(v / length)
-
-
-def _point(given: ArrayLike) -> Float64s:
-    v = np.asarray(given, np.float64)
-    if v.shape != (3,):
-        raise InvalidArgument("point of a rigid motion", repr(given), "three coordinates in metres")
-    return v
-
-
 BORDERS: Final = ("zero", "cell")
 BRICKS_AT_ONCE: Final = 512
-_ON_A_SAMPLE: Final = 1e-6
-"""A point as near to a sample as this share of the spacing is taken to lie on it, so that whole steps are exact."""
-
+_ON_A_SAMPLE: Final = 1e-6  # of the spacing: as near to a sample a point lies on it, so that whole steps are exact
 _CORNERS: Final = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
 LOCAL: Final = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
 
@@ -347,32 +247,24 @@ def interpolated(
     """
     if border not in BORDERS:
         raise InvalidArgument("border", repr(border), " or ".join(BORDERS))
-    motion = None if motion == RigidMotion() else motion
-    bricks = bricks_of(grid, _reached(_spans(field, grid, motion), grid))
-    forces = zero_forces(len(bricks))
-    for begin in range(0, len(bricks), BRICKS_AT_ONCE):
-        some = slice(begin, begin + BRICKS_AT_ONCE)
-        forces[some] = _values(field, grid, motion, border, bricks[some])
-    return ForceField.from_bricks(grid, bricks, forces)
-
-
-def _values(field: ForceField, grid: Grid, motion: RigidMotion | None, border: str, bricks: Int32s) -> NDArray[Any]:
-    """The forces of some bricks, newtons [m, 8, 8, 8, 3]."""
     from touchfield.medium import kernels
 
-    points = grid.to_m(bricks[:, None, None, None] * BRICK + LOCAL)
-    index = field.grid.to_index(points if motion is None else motion.inverse.points_m(points))
-    whole = np.rint(index)
-    index = np.where(np.abs(index - whole) < _ON_A_SAMPLE, whole, index)
-    if border == "cell":
-        last = np.array(field.grid.shape) - 1.0
-        beyond = ((index < -0.5 - _ON_A_SAMPLE) | (index > last + 0.5 + _ON_A_SAMPLE)).any(axis=-1)
-        index = np.clip(index, 0.0, last)
-        index[beyond] = -2.0
-    flat = np.ascontiguousarray(index.reshape(-1, 3))
-    forces = kernels.sample(flat, field.grid, brick_keys(field.grid, field.bricks), field.forces_n)
-    turned: NDArray[Any] = forces if motion is None else motion.vectors(forces)
-    return turned.reshape(*bricks.shape[:1], BRICK, BRICK, BRICK, 3)
+    motion = None if motion == RigidMotion() else motion
+    bricks = bricks_of(grid, _reached(_spans(field, grid, motion), grid))
+    out, keys, last = zero_forces(len(bricks)), brick_keys(field.grid, field.bricks), np.array(field.grid.shape) - 1.0
+    for begin in range(0, len(bricks), BRICKS_AT_ONCE):
+        some = slice(begin, begin + BRICKS_AT_ONCE)
+        points = grid.to_m(bricks[some, None, None, None] * BRICK + LOCAL)
+        index = field.grid.to_index(points if motion is None else motion.inverse.points_m(points))
+        whole = np.rint(index)
+        index = np.where(np.abs(index - whole) < _ON_A_SAMPLE, whole, index)
+        if border == "cell":
+            beyond = ((index < -0.5 - _ON_A_SAMPLE) | (index > last + 0.5 + _ON_A_SAMPLE)).any(axis=-1)
+            index = np.clip(index, 0.0, last)
+            index[beyond] = -2.0
+        forces = kernels.sample(np.ascontiguousarray(index.reshape(-1, 3)), field.grid, keys, field.forces_n)
+        out[some] = (forces if motion is None else motion.vectors(forces)).reshape(points.shape)
+    return ForceField.from_bricks(grid, bricks, out)
 
 
 def _spans(field: ForceField, grid: Grid, motion: RigidMotion | None) -> Int64s:
@@ -386,3 +278,98 @@ def _spans(field: ForceField, grid: Grid, motion: RigidMotion | None) -> Int64s:
     first = (np.clip(np.floor(low[is_met]), 0, last) // BRICK).astype(np.int64)
     end = (np.clip(np.ceil(high[is_met]), 0, last) // BRICK).astype(np.int64) + 1
     return np.stack([first, end], axis=2)
+
+
+_OFFSETS: Final = tuple(o for o in product((-1, 0, 1), repeat=3) if any(o))
+_A_WALL: Final = 3  # neighbours with a force, from which on they are a wall
+
+
+def halved(grid: Grid) -> Grid:
+    """The grid of every second sample of `grid` along each axis, the first among them."""
+    nx, ny, nz = (-(-n // 2) for n in grid.shape)
+    x, y, z = (h * (1 + (n > 1)) for h, n in zip(grid.spacing_m, grid.shape, strict=True))
+    return Grid((nx, ny, nz), (x, y, z), grid.origin_m)
+
+
+def most_levels(grid: Grid) -> int:
+    """The number of halvings of a grid until one sample is left."""
+    return (max(grid.shape) - 1).bit_length()
+
+
+def pyramid(field: ForceField, levels: int) -> tuple[ForceField, ...]:
+    """The levels of detail of a field, the finest first.
+
+    levels : int; how often it is halved, 0 to `most_levels`; each level has 1/8 of the samples of the one before.
+    Raises `InvalidArgument` if the grid cannot be halved so often.
+    """
+    most = most_levels(field.grid)
+    if isinstance(levels, bool) or not isinstance(levels, int) or not 0 <= levels <= most:
+        raise InvalidArgument("levels", repr(levels), f"0 to {most} for {field.grid.shape} samples")
+    fields = [field]
+    for _ in range(levels):
+        last, grid = fields[-1], halved(fields[-1].grid)
+        # a kept sample looks one sample back, into the brick before
+        around = np.concatenate([last.bricks + np.array(o, np.int32) for o in product((0, 1), repeat=3)])
+        around = around[(around < last.grid.brick_shape).all(axis=1)]
+        bricks = bricks_of(last.grid, np.unique(brick_keys(last.grid, around)))
+        home, quarter = np.divmod(bricks, 2)
+        coarse, slot = np.unique(brick_keys(grid, home), return_inverse=True)
+        forces = np.zeros((len(coarse), 2, 4, 2, 4, 2, 4, 3), np.float32)
+        for span, wide in blocks_around(last, last.forces_n, bricks, (2, 2, 2), (1, 1, 1)):
+            (x, y, z), at = quarter[span].T, slot.reshape(-1)[span]
+            forces[at, x, :, y, :, z] = _kept(wide, np.asarray(last.grid.spacing_m, np.float32))
+        fields.append(ForceField.from_bricks(grid, bricks_of(grid, coarse), forces.reshape(-1, *[BRICK] * 3, 3)))
+    return tuple(fields)
+
+
+def _kept(wide: NDArray[Any], spacing: Float32s) -> Float32s:
+    """Next samples [n, 4, 4, 4, 3] in bricks [n, 11, 11, 11, 3] that have two samples before and one after."""
+    held: Bools = np.asarray(wide.any(axis=-1))
+
+    def at(values: NDArray[Any], offset: tuple[int, ...]) -> NDArray[Any]:
+        x, y, z = (slice(2 + o, 9 + o, 2) for o in offset)
+        return values[:, x, y, z]
+
+    samples, there = at(wide, (0, 0, 0)).copy(), at(held, (0, 0, 0))
+    total, count = np.zeros(samples.shape), np.zeros(there.shape, np.int32)
+    for offset in _OFFSETS:
+        force, beyond = at(wide, offset), at(held, (2 * offset[0], 2 * offset[1], 2 * offset[2]))
+        # on a wall before this sample: the force points away from here, and the kept sample behind the wall has none
+        is_wall = ~beyond & ((force * (spacing * np.array(offset, np.float32))).sum(axis=-1) > 0)
+        total += np.where(is_wall[..., None], force, 0.0)
+        count += is_wall
+    closes = ~there & (count >= _A_WALL)
+    samples[closes] = total[closes] / count[closes][:, None]
+    return samples
+
+
+def rebuilt(level: ForceField, grid: Grid) -> ForceField:
+    """A level of detail as a receiver renders it: trilinear between its samples, at those of a finer grid."""
+    if level.grid == halved(grid) and all(n > 1 for n in grid.shape):
+        return _doubled(level, grid)
+    return interpolated(level, grid, border="cell")
+
+
+def _doubled(level: ForceField, grid: Grid) -> ForceField:
+    """The same at the samples of the next finer grid: axis by axis a sample, or the mean of two.
+
+    Beyond the outermost sample that one stands.
+    """
+    bricks = dilated(level.grid, level.bricks, (1, 1, 1))
+    made = [np.empty((0, 8, BRICK, BRICK, BRICK, 3), np.float32)]
+    for span, wide in blocks_around(level, level.forces_n, bricks, (0, 0, 0), (1, 1, 1)):
+        for axis in range(3):
+            lane = np.moveaxis(wide, axis + 1, 1)  # a view, to be filled beyond the border
+            last = level.grid.shape[axis] - 1 - BRICK * bricks[span, axis]
+            ends = np.flatnonzero(last < BRICK)
+            lane[ends, last[ends] + 1] = lane[ends, last[ends]]
+            fine = np.empty((len(lane), 2 * BRICK, *lane.shape[2:]), np.float32)
+            fine[:, 0::2] = lane[:, :-1]
+            fine[:, 1::2] = np.float32(0.5) * (lane[:, :-1] + lane[:, 1:])
+            wide = np.moveaxis(fine, 1, axis + 1)
+        cut = wide.reshape(-1, 2, BRICK, 2, BRICK, 2, BRICK, 3).transpose(0, 1, 3, 5, 2, 4, 6, 7)
+        made.append(cut.reshape(-1, 8, BRICK, BRICK, BRICK, 3))
+    places = (2 * bricks[:, None] + np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)).reshape(-1, 3)
+    inside = (places < np.array(grid.brick_shape)).all(axis=1)
+    forces = np.concatenate(made).reshape(-1, BRICK, BRICK, BRICK, 3)[inside]
+    return ForceField.from_bricks(grid, places[inside], forces)

@@ -28,7 +28,9 @@ from numpy.typing import ArrayLike
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium.budget import BYTES_PER_BRICK, require_memory
 from touchfield.medium.field import brick_keys, bricks_of, frozen, spread_keys
+from touchfield.parallel import for_chunks, worker_count
 
 Axes = tuple["AxisTaps", "AxisTaps", "AxisTaps"]
 
@@ -38,11 +40,10 @@ SCIPY_MODES: Final = {"zero": "constant", "nearest": "nearest", "reflect": "refl
 BOUNDARIES: Final = tuple(SCIPY_MODES)
 
 
-def checked_boundary(boundary: str, where: str = "boundary") -> str:
-    """The boundary itself; `InvalidArgument` if it is not one of `BOUNDARIES`."""
+def checked_boundary(boundary: str, where: str = "boundary") -> None:
+    """`InvalidArgument` if the boundary is not one of `BOUNDARIES`."""
     if boundary not in BOUNDARIES:
         raise InvalidArgument(where, repr(boundary), f"one of {', '.join(BOUNDARIES)}")
-    return boundary
 
 
 def continued_index(count: int, before: int, after: int, boundary: str) -> Int64s:
@@ -187,20 +188,14 @@ def keys_of_passes(field: ForceField, axes: Axes) -> list[Int64s]:
 
 
 def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s]) -> Any:
-    """The sums in the bricks ``keys[3]``, float32 [n, 8, 8, 8, 3], and the greatest size of each, float32 [n].
+    """The sums in the bricks ``keys[3]``, float32 [n, 8, 8, 8, 3], and the greatest size of a number of each.
 
+    That size is 0 where a brick holds no force, and infinite or not a number where a sum went beyond float32.
     `forces_n` float32 [m, 8, 8, 8, 3] lie in ``keys[0]``; ``keys[1]`` and ``keys[2]`` are made on the way.
     """
     from touchfield.filters.kernels import separable as kernels
 
-    before, deep = [tuple(n) for n in zip(*((a.before, len(a.taps) - 1) for a in axes), strict=True)]
-    return kernels.bricks_filtered_and_tops(
-        frozen(forces_n), tuple(keys), grid.brick_shape, before, deep, _packed(axes)
-    )
-
-
-def _packed(axes: Axes) -> tuple[Int64s, Float32s, Int64s]:
-    """Places int64 [3, n] from the first sample of a sum, weights [3, n] and counts [3] of taps that are not zero."""
+    # places from the first sample of a sum, weights, and how many, of taps that are not zero
     shape, counts = (3, max(len(a.taps) for a in axes)), np.zeros(3, np.int64)
     places, weights = np.zeros(shape, np.int64), np.zeros(shape, np.float32)
     for axis, one in enumerate(axes):
@@ -208,7 +203,21 @@ def _packed(axes: Axes) -> tuple[Int64s, Float32s, Int64s]:
         place = np.flatnonzero(row)
         counts[axis] = len(place)
         places[axis, : len(place)], weights[axis, : len(place)] = place, row[place]
-    return places, weights, counts
+    before, deep = [tuple(n) for n in zip(*((a.before, len(a.taps) - 1) for a in axes), strict=True)]
+    count, (_, columns, depth) = len(keys[3]), grid.brick_shape
+    require_memory("force field", count, count * BYTES_PER_BRICK)
+    out = np.empty((count, BRICK, BRICK, BRICK, 3), np.float32)  # the kernel sets every row
+    tops, flat, masks = np.zeros(count, np.uint32), frozen(forces_n).reshape(-1), np.empty(len(forces_n), np.uint64)
+    for_chunks(kernels.row_masks, len(masks), flat.view(np.uint64), masks, chunk=64)
+    tile = min(depth, kernels.TILE)
+    tiles, sizes = -(-depth // tile), (tile, -(-max(before[2], deep[2] - before[2]) // BRICK))
+    every = np.unique(keys[3] // (columns * depth) * tiles + keys[3] % depth // tile)
+    hands = 4 * worker_count()  # the pieces of `for_chunks`: slabs are dealt out in turn, so that all cost the same
+    items = np.stack(np.divmod(np.concatenate([every[hand::hands] for hand in range(hands)]), tiles), axis=1)
+    target, law = out.reshape(-1), (grid.brick_shape, before, deep, sizes, (places, weights, counts))
+    given = items, (flat, masks), tuple(keys), *law, target, target.view(np.uint32), tops
+    for_chunks(kernels.filtered_bricks, len(items), *given)
+    return out, tops.view(np.float32)
 
 
 def brick_field(grid: Grid, bricks: Int32s, forces_n: Float32s, is_held: Bools) -> ForceField:

@@ -8,10 +8,10 @@ taken from the field itself, with the Gaussian weights w and the support S::
     u_i = sum_S w_ij F_j/|F_j|                      direction u_i / |u_i|
     a_i = sum_S w_ij |F_j| / sum_S w_ij             amplitude
 
-Directions are unit vectors, so that the amplitudes have no say in them; a mean of forces would follow the deep
-samples. The sums run over the support (a normalised convolution, Knutsson and Westin 1993): empty space neither pulls
-forces down nor blunts a contact. Where the directions around cancel a sample keeps its own. ``spread`` lets the
-support grow by the reach of the kernel; the amplitude is then the plain mean with empty space as 0 N.
+Directions are unit vectors, so that the amplitudes have no say in them. The sums run over the support (a normalised
+convolution, Knutsson and Westin 1993): empty space neither pulls forces down nor blunts a contact. Where the
+directions around cancel a sample keeps its own. ``spread`` lets the support grow by the reach of the kernel; the
+amplitude is then the plain mean with empty space as 0 N.
 
 Diffusion: Perona and Malik, "Scale-space and edge detection using anisotropic diffusion", IEEE PAMI 12(7), 1990,
 equations 7 to 9, for vectors. In each step a sample takes from each neighbour j along the axes ::
@@ -19,15 +19,12 @@ equations 7 to 9, for vectors. In each step a sample takes from each neighbour j
     F_i  <-  F_i + sum_j lambda_ij g(|F_j - F_i|) (F_j - F_i)
     g(d) = exp(-(d/kappa)^2)   "exponential", keeps high edges       g(d) = 1/(1 + (d/kappa)^2)   "rational"
 
-with one conductance g for the three components: a change of direction is an edge as much as a change of amplitude.
-The flux of an edge leaves one side and enters the other, so that the sum of the forces stays; no |F| exceeds what was
-there as long as lambda <= 1/(2 axes). At that limit a checkerboard never fades; the default is 1/(2 axes + 1). With
-g = 1 (kappa = inf) n steps blur as a Gaussian of sigma = spacing sqrt(2 lambda n).
-
-Where spacings differ the flux is that of a diffusion in metres: lambda along an axis is (finest spacing / spacing)^2
-of the lambda asked for. kappa is not divided by the spacing: a contact is a jump of so many newtons however far apart
-the samples are. Nothing crosses the border of the grid, nor, with the region "support", the edge of the support; with
-"all" empty space is force 0 like another, and walls bleed into it where they are weaker than kappa.
+with one conductance g for the three components: a change of direction is an edge as much as one of amplitude. The sum
+of the forces stays, and no |F| exceeds what was there as long as lambda <= 1/(2 axes); at that limit a checkerboard
+never fades, and the default is 1/(2 axes + 1). With g = 1 (kappa = inf) n steps blur as a Gaussian of sigma = spacing
+sqrt(2 lambda n). Where spacings differ lambda along an axis is (finest spacing / spacing)^2 of the lambda asked for,
+a diffusion in metres; kappa is not divided by the spacing. Nothing crosses the border of the grid, nor, with the
+region "support", the edge of the support; with "all" empty space is force 0 like another.
 """
 
 from __future__ import annotations
@@ -37,26 +34,24 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import AxisTaps, keys_of_passes, places_of, sums_of_bricks, within_grid
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
-from touchfield.medium.field import brick_keys, bricks_of, dilated, neighbour_slots
-from touchfield.parallel import worker_count
+from touchfield.medium.field import brick_keys, bricks_of, dilated, neighbour_slots, tiled
+from touchfield.parallel import for_chunks, worker_count
 
 if TYPE_CHECKING:
     from touchfield.filters.separable import Axes
 
 SMOOTHED: Final = ("both", "direction", "amplitude")
-
 MAX_TRUNCATE: Final = 16.0
 MAX_REACH: Final = 1 << 15
-_CANCELLED: Final = 1e-4
-"""A mean of unit vectors shorter than this has no direction but that of rounding."""
+_CANCELLED: Final = 1e-4  # a mean of unit vectors shorter than this has no direction but that of rounding
 
 
 @dataclass(frozen=True)
@@ -92,7 +87,8 @@ class ShadingFilter(FieldFilter):
 
     def claims(self, grid: Grid) -> Claims:
         """The reach is truncate * sigma, rounded to samples; means of amplitudes never exceed the greatest."""
-        x, y, z = (min(self._radius(h), n - 1) for h, n in zip(grid.spacing_m, grid.shape))
+        radii = [int(min(self.truncate * self.sigma_m / h + 0.5, 1 << 30)) for h in grid.spacing_m]
+        x, y, z = (min(radius, n - 1) for radius, n in zip(radii, grid.shape))
         return Claims(
             reach=(x, y, z),
             dc_gain=1.0,
@@ -102,17 +98,18 @@ class ShadingFilter(FieldFilter):
             keeps_amplitude=self.smooth == "direction",
         )
 
-    def _radius(self, spacing_m: float) -> int:
-        return int(min(self.truncate * self.sigma_m / spacing_m + 0.5, 1 << 30))
-
     def __call__(self, field: ForceField) -> ForceField:
         """The shaded field, newtons, on the same grid."""
         if not field.support_count:
             return field
         axes = self._axes(field)
-        lengths_n = _lengths(field)
+        own = field.forces_n[field.mask].astype(np.float64)
+        lengths_n = np.sqrt((own * own).sum(axis=1))
         scale_n = math.ldexp(1.0, math.frexp(float(lengths_n.max()))[1])
-        directions, masses = _apart(field, lengths_n, scale_n)
+        # unit vectors, and (1, |F| / scale, 0), both zero outside the support
+        directions, masses = zero_forces(len(field.bricks)), zero_forces(len(field.bricks))
+        directions[field.mask] = field.forces_n[field.mask] / lengths_n[:, None]
+        masses[field.mask, 0], masses[field.mask, 1] = 1, lengths_n / scale_n
         keys = keys_of_passes(field, axes)
         if not self.spread:  # the bricks around the support need not be made
             keys[3] = keys[0]
@@ -161,40 +158,19 @@ class ShadingFilter(FieldFilter):
                 raise InvalidArgument("shading sigma_m", found, f"a reach of up to {MAX_REACH} samples")
             taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) * spacing / self.sigma_m) ** 2)
             rows.append(AxisTaps.centred(taps))
-        axes = (rows[0], rows[1], rows[2])
-        _check_scratch(self.sigma_m, grid, axes)
-        return axes
+        # the rows that the passes of each thread keep at hand
+        wide, high, deep = (2 * -(-a.reach // BRICK) + 2 for a in rows)
+        row_bytes = (min(grid.brick_shape[2], 32) + deep) * BRICK * 12
+        taken, allowed = worker_count() * (wide + high) * BRICK**2 * row_bytes, memory_budget_bytes()
+        if taken > allowed:
+            found = f"{self.sigma_m:g} m, for whose reach the threads take {taken / 2**30:.1f} GiB"
+            mend = "Take a smaller sigma or truncate, or a coarser grid."
+            raise InvalidArgument("shading sigma_m", found, f"at most {allowed / 2**30:.1f} GiB", mend)
+        return rows[0], rows[1], rows[2]
 
 
-def _lengths(field: ForceField) -> Float64s:
-    """|F| of the support, newtons, float64 [L], brick after brick."""
-    forces = field.forces_n[field.mask].astype(np.float64)
-    return np.asarray(np.sqrt((forces * forces).sum(axis=1)))
-
-
-def _apart(field: ForceField, lengths_n: Float64s, scale_n: float) -> tuple[Float32s, Float32s]:
-    """Unit vectors, and (1, |F| / scale, 0), float32 [n, 8, 8, 8, 3], zero outside the support; a scale of 2^n."""
-    directions, masses = zero_forces(len(field.bricks)), zero_forces(len(field.bricks))
-    directions[field.mask] = field.forces_n[field.mask] / lengths_n[:, None]
-    masses[field.mask, 0] = 1
-    masses[field.mask, 1] = lengths_n / scale_n
-    return directions, masses
-
-
-def _check_scratch(sigma_m: float, grid: Grid, axes: Axes) -> None:
-    """Raise if the rows that the passes of each thread keep at hand are beyond the memory of a field."""
-    wide, high, deep = (2 * -(-a.reach // BRICK) + 2 for a in axes)
-    row_bytes = (min(grid.brick_shape[2], 32) + deep) * BRICK * 12
-    needed, allowed = worker_count() * (wide + high) * BRICK**2 * row_bytes, memory_budget_bytes()
-    if needed > allowed:
-        found = f"{sigma_m:g} m, for whose reach the threads take {needed / 2**30:.1f} GiB"
-        mend = "Take a smaller sigma or truncate, or a coarser grid."
-        raise InvalidArgument("shading sigma_m", found, f"at most {allowed / 2**30:.1f} GiB", mend)
-
-
-def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[Int64s]) -> Float32s:
+def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[Int64s]) -> Any:
     """Weighted sums of vectors that lie in the bricks of the field, in the last bricks, float32 [n, 8, 8, 8, 3]."""
-    sums: Float32s
     sums, tops = sums_of_bricks(grid, vectors, axes, keys)
     sums[tops == 0] = 0
     return sums
@@ -215,11 +191,9 @@ def _whole_weights(grid: Grid, axes: Axes, bricks: Int32s) -> Float64s:
 
 CONDUCTANCES: Final = ("exponential", "rational")
 REGIONS: Final = ("support", "all")
-
 MAX_STEPS: Final = 10_000
 _LEAST_KAPPA: Final = 1e-30
-_MOST: Final = 1e37
-"""Beyond, the difference of two float32 values may not be one."""
+_MOST: Final = 1e37  # beyond, the difference of two float32 values may not be one
 
 
 @dataclass(frozen=True)
@@ -246,7 +220,14 @@ class DiffusionFilter(FieldFilter):
     example: ClassVar[str] = "steps=2,kappa=0.3"
 
     def __post_init__(self) -> None:
-        _check(self.steps, self.kappa_n, self.conductance)
+        steps = self.steps
+        if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or not 1 <= steps <= MAX_STEPS:
+            raise InvalidArgument("perona-malik steps", repr(steps), f"a whole number from 1 to {MAX_STEPS}")
+        if not self.kappa_n >= _LEAST_KAPPA:
+            expected = f"newtons, {_LEAST_KAPPA:g} or more, or inf"
+            raise InvalidArgument("perona-malik kappa_n", repr(self.kappa_n), expected)
+        if self.conductance not in CONDUCTANCES:
+            raise InvalidArgument("perona-malik conductance", repr(self.conductance), " or ".join(CONDUCTANCES))
         _lambda(self.lam, 3)
         if self.region not in REGIONS:
             raise InvalidArgument("perona-malik region", repr(self.region), " or ".join(REGIONS))
@@ -265,29 +246,19 @@ class DiffusionFilter(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """The diffused field, newtons, on the same grid."""
-        from touchfield.filters.kernels import steps as kernels
-
         _check_size("forces_n", field.forces_n)
         bricks, support = field.bricks, field.mask.copy()
         if self.region == "all":
             bricks = dilated(field.grid, field.bricks, self.claims(field.grid).reach)
             support = within_grid(field.grid, bricks)
-        forces, out = zero_forces(len(bricks)), zero_forces(len(bricks))
+        forces = zero_forces(len(bricks))
         keys = brick_keys(field.grid, bricks)
         forces[np.searchsorted(keys, brick_keys(field.grid, field.bricks))] = field.forces_n
-        slots = neighbour_slots(field.grid, bricks)
-        law = self._weights(field.grid), float(self.kappa_n), self.conductance == "rational"
-        for _ in range(self.steps):
-            kernels.diffused_bricks(slots, support, forces, law, out)
-            forces, out = out, forces
+        # an axis of one sample has no edges, and its spacing does not count
+        finest = min((h for h, n in zip(field.grid.spacing_m, field.grid.shape) if n > 1), default=1.0)
+        lam = [_lambda(self.lam, 3) * min(1.0, finest / h) ** 2 for h in field.grid.spacing_m]
+        forces = _diffused(field.grid, bricks, support, forces, lam, self)
         return ForceField.from_bricks(field.grid, bricks, forces)
-
-    def _weights(self, grid: Grid) -> tuple[float, float, float]:
-        """lambda along each axis; an axis of one sample has no edges, and its spacing does not count."""
-        finest = min((h for h, n in zip(grid.spacing_m, grid.shape) if n > 1), default=1.0)
-        lam = _lambda(self.lam, 3)
-        x, y, z = (lam * min(1.0, finest / h) ** 2 for h in grid.spacing_m)
-        return (x, y, z)
 
 
 def perona_malik(
@@ -311,9 +282,7 @@ def perona_malik(
     Returns float32: Of the shape of `values`; the same bits for any number of threads.
     Raises `InvalidArgument` if a value is out of range or not finite, or shapes do not fit.
     """
-    from touchfield.filters.kernels import steps as kernels
-
-    _check(steps, kappa_n, conductance)
+    law = DiffusionFilter(kappa_n, steps, conductance=conductance)
     given = np.array(values, np.float32)
     if given.size == 0 or given.ndim not in (1, 2, 3, 4) or (given.ndim == 4 and given.shape[3] != 3):
         raise InvalidArgument("values", f"shape {given.shape}", "[nx, ny, nz, 3], or scalars with one to three axes")
@@ -325,36 +294,31 @@ def perona_malik(
         raise InvalidArgument("where", f"{mask.dtype} {mask.shape}", f"bool {space}")
     nx, ny, nz = lattice = (*space, *(1,) * (3 - len(space)))
     grid = Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
-    slots = neighbour_slots(grid, bricks_of(grid, np.arange(math.prod(grid.brick_shape))))
-    support, forces = _tiled(mask.reshape(lattice)), zero_forces(len(slots))
+    bricks = bricks_of(grid, np.arange(math.prod(grid.brick_shape)))
+    support, forces = tiled(mask.reshape(lattice)).reshape(-1, *[BRICK] * 3), zero_forces(len(bricks))
     values_of = given.reshape(*lattice, -1)
-    forces[..., : values_of.shape[3]] = _tiled(values_of)
-    out = np.empty_like(forces)
-    law = (factor, factor, factor), float(kappa_n), conductance == "rational"
-    for _ in range(steps):
-        kernels.diffused_bricks(slots, support, forces, law, out)
-        forces, out = out, forces
+    forces[..., : values_of.shape[3]] = tiled(values_of).reshape(len(bricks), *[BRICK] * 3, -1)
+    forces = _diffused(grid, bricks, support, forces, [factor] * 3, law)
     rows = np.moveaxis(forces.reshape(*grid.brick_shape, BRICK, BRICK, BRICK, 3), (1, 2), (2, 4))
     dense = rows.reshape(*(n * BRICK for n in grid.brick_shape), 3)[:nx, :ny, :nz, : values_of.shape[3]]
     return np.ascontiguousarray(dense).reshape(given.shape)
 
 
-def _tiled(dense: NDArray[Any]) -> NDArray[Any]:
-    """Every brick of an array [nx, ny, nz, ...], with zeros beyond its end, [n, 8, 8, 8, ...]."""
-    beside = dense.shape[3:]
-    padded = np.pad(dense, [*((0, -n % BRICK) for n in dense.shape[:3]), *((0, 0) for _ in beside)])
-    x, y, z = (n // BRICK for n in padded.shape[:3])
-    rows = np.moveaxis(padded.reshape(x, BRICK, y, BRICK, z, BRICK, *beside), (2, 4), (1, 2))
-    return np.ascontiguousarray(rows).reshape(-1, BRICK, BRICK, BRICK, *beside)
+def _diffused(
+    grid: Grid, bricks: Int32s, support: Bools, forces: Float32s, lam: list[float], law: DiffusionFilter
+) -> Float32s:
+    """All steps of the samples of bricks that take part, with lambda along each axis; `forces` are used up."""
+    from touchfield.filters.kernels import steps as kernels
 
-
-def _check(steps: int, kappa_n: float, conductance: str) -> None:
-    if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or not 1 <= steps <= MAX_STEPS:
-        raise InvalidArgument("perona-malik steps", repr(steps), f"a whole number from 1 to {MAX_STEPS}")
-    if not kappa_n >= _LEAST_KAPPA:
-        raise InvalidArgument("perona-malik kappa_n", repr(kappa_n), f"newtons, {_LEAST_KAPPA:g} or more, or inf")
-    if conductance not in CONDUCTANCES:
-        raise InvalidArgument("perona-malik conductance", repr(conductance), " or ".join(CONDUCTANCES))
+    slots, count, out = neighbour_slots(grid, bricks), len(bricks), zero_forces(len(bricks))
+    x, y, z = (np.float32(part) for part in lam)
+    numbers = (x, y, z), np.float32(1 / law.kappa_n), law.conductance == "rational"
+    takes_part = support.reshape(count, BRICK**3)
+    for _ in range(law.steps):
+        flat, into = (each.reshape(count, BRICK**3, 3) for each in (forces, out))
+        for_chunks(kernels.diffused_bricks, count, slots, takes_part, flat, *numbers, into, chunk=32)
+        forces, out = out, forces
+    return forces
 
 
 def _lambda(lam: float | None, axes: int) -> float:

@@ -1,13 +1,12 @@
 """Linear low-passes of a field: the Gaussian, and what an array of actuators can show (paper section 3.2).
 
-The Gaussian acts on each component alone; the paper's force shading, where direction and amplitude are smoothed
-apart, is another filter. Its kernel is that of `scipy.ndimage.gaussian_filter`.
+The Gaussian, with the kernel of `scipy.ndimage.gaussian_filter`, acts on each component alone; the paper's force
+shading smooths direction and amplitude apart (`touchfield.filters.shading`).
 
-Actuators a pitch d apart can show waves up to 1/(2d), the Nyquist rate of their lattice; what is finer must be taken
-away before the field is sampled there, or it comes back as a false coarse wave. The paper prints the cut-off 2/d for
-its T-shirt, four times too high: a wave of 0.8/d passes it and appears as one of 0.2/d. Both are here, "nyquist" by
-default and "literal". For samples a distance delta apart the cut-off is pi delta/d radians a sample, or four times
-that.
+Actuators a pitch d apart can show waves up to 1/(2d); what is finer must be taken away before the field is sampled
+there, or it comes back as a false coarse wave. The paper prints the cut-off 2/d for its T-shirt, four times too high:
+a wave of 0.8/d passes it and appears as one of 0.2/d. Both are here, "nyquist" by default and "literal". For samples
+a distance delta apart the cut-off is pi delta/d radians a sample, or four times that.
 """
 
 from __future__ import annotations
@@ -35,13 +34,9 @@ if TYPE_CHECKING:
 MAX_RADIUS_SAMPLES: Final = 1 << 15
 _PADDING: Final[dict[str, Any]] = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}
 
-CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}
-"""Cut-off times pitch."""
-
+CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}  # cut-off times pitch
 KERNELS: Final = ("firwin", *LOW_PASSES)
-AUTO: Final = "auto"
-"""Not a kernel, but the choice of one by the grid: see `ActuatorLowPass`."""
-
+AUTO: Final = "auto"  # not a kernel, but the choice of one by the grid: see `ActuatorLowPass`
 _FIRWIN_HALF_WIDTH: Final = 3.75  # over the cut-off in Nyquist rates: 31 taps at a quarter
 _MAX_TAPS: Final = 1 << 16
 
@@ -64,8 +59,7 @@ def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> Float64s:
     if not radius:
         return np.ones(1)
     taps: Float64s = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma_samples) ** 2)
-    taps /= taps.sum()
-    return taps
+    return np.asarray(taps / taps.sum())
 
 
 def gaussian(
@@ -73,20 +67,26 @@ def gaussian(
 ) -> NDArray[Any]:
     """A dense array smoothed by a Gaussian: a field of float32 as `GaussianFilter` does, else by `scipy.ndimage`.
 
-    signal : float32 or float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes; whole numbers are
-        taken as float64.
+    signal : float32, or taken as float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes.
     sigma_samples : float or one for each leading axis; standard deviation in samples. One number holds for every axis
         but the components of a field: those are the last axis, of length 3, of an array of four.
     truncate : float; where the kernel is cut off, in standard deviations.
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
     Returns float32 or float64: Of the signal's shape; the same bits for any number of threads.
-    Raises `InvalidArgument` if a number is out of range, the kernel is larger than the signal, the signal is not
-    finite, or a sum is beyond its type.
+    Raises `InvalidArgument` if a number is out of range or not finite, or the kernel is larger than the signal.
     """
     x = np.asarray(signal)
     x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
     checked_boundary(boundary)
-    axes = _axes(x.shape, sigma_samples, truncate)
+    if isinstance(sigma_samples, int | float | np.integer | np.floating):
+        sigmas = [float(sigma_samples)] * (3 if x.ndim == 4 and x.shape[3] == 3 else x.ndim)
+    else:
+        sigmas = [float(s) for s in sigma_samples]
+    if not 1 <= len(sigmas) <= x.ndim:
+        raise InvalidArgument("sigma_samples", f"{len(sigmas)} for an array {x.shape}", "one for each leading axis")
+    axes = [AxisTaps.centred(gaussian_taps(s, truncate)) for s in sigmas]
+    for axis, row in enumerate(axes):
+        row.check_fits(x.shape[axis], f"sigma_samples of axis {axis}")
     if not all_finite(x):
         raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     if x.dtype == np.float32 and len(axes) == 3 and x.shape[3:] == (3,) and x.size:
@@ -99,20 +99,6 @@ def gaussian(
         own = smooth[tuple(slice(r, r + n) for r, n in zip(reach, x.shape))]
         return without_overflow(np.ascontiguousarray(own), "signal")
     return without_overflow(direct_sums(x, [a.taps for a in axes], [a.origin for a in axes], boundary), "signal")
-
-
-def _axes(shape: tuple[int, ...], sigma_samples: float | Sequence[float], truncate: float) -> list[AxisTaps]:
-    if isinstance(sigma_samples, int | float | np.integer | np.floating):
-        count = 3 if len(shape) == 4 and shape[3] == 3 else len(shape)
-        sigmas = [float(sigma_samples)] * count
-    else:
-        sigmas = [float(s) for s in sigma_samples]
-    if not 1 <= len(sigmas) <= len(shape):
-        raise InvalidArgument("sigma_samples", f"{len(sigmas)} for an array {shape}", "one for each leading axis")
-    axes = [AxisTaps.centred(gaussian_taps(s, truncate)) for s in sigmas]
-    for axis, row in enumerate(axes):
-        row.check_fits(shape[axis], f"sigma_samples of axis {axis}")
-    return axes
 
 
 class _LowPass(FieldFilter):
@@ -145,8 +131,7 @@ class GaussianFilter(_LowPass):
     sigma_m : float; standard deviation, metres, positive; an axis of a single sample is left as it is.
     truncate : float; where the kernel is cut off, in standard deviations.
     boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
-    Raises `InvalidArgument` if a number is out of range; on use, if the kernel is larger than the field, or a sum is
-    beyond float32.
+    Raises `InvalidArgument` if a number is out of range; on use, if the kernel or a sum does not fit the field.
     """
 
     name: ClassVar[str] = "gaussian"
@@ -175,10 +160,8 @@ class GaussianFilter(_LowPass):
 
 
 def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
-    """The cut-off for a pitch, cycles per metre.
+    """The cut-off for a pitch d, cycles per metre: "nyquist", 1/(2d), or "literal", the paper's 2/d.
 
-    pitch_m : float; distance between neighbouring actuators, metres.
-    cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d.
     Raises `InvalidArgument` if the pitch is not positive, or the word is unknown.
     """
     if not (math.isfinite(pitch_m) and pitch_m > 0):
@@ -191,14 +174,12 @@ def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
 def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", kernel: str = "firwin") -> Float64s:
     """The centred taps of one axis, unit sum, float64 [odd].
 
-    spacing_m : float; distance between the field's samples, metres.
-    pitch_m : float; distance between neighbouring actuators, metres.
+    spacing_m, pitch_m : float; distance between the field's samples, and between neighbouring actuators, metres.
     cutoff : {"nyquist", "literal"}; see `cutoff_per_m`.
     kernel : str; "firwin" (a Hamming window, -6 dB at the cut-off, -54 dB at 1.5 times it, 31 taps where the cut-off
         is a quarter of the field's Nyquist rate), or one of `touchfield.filters.LOW_PASSES`. It and "sinc" have
         negative lobes: beside a contact they leave up to some per cent of its force turned round.
-    Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a number or word is out of
-    range.
+    Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a value is out of range.
     """
     if not (math.isfinite(spacing_m) and spacing_m > 0):
         raise InvalidArgument("spacing_m", f"{spacing_m!r} m", "a positive length")
@@ -214,24 +195,17 @@ def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", ker
         return np.ones(1)  # the samples are as far apart as the actuators: there is nothing finer
     if _FIRWIN_HALF_WIDTH / ratio > _MAX_TAPS:
         raise InvalidArgument("pitch_m", f"{pitch_m / spacing_m:g} samples", f"up to {_MAX_TAPS // 8} samples")
-    taps = _firwin(ratio) if kernel == "firwin" else _sampled(kernel, ratio)
-    taps /= taps.sum()
-    return taps
+    if kernel == "firwin":
+        from scipy import signal
 
-
-def _firwin(ratio: float) -> Float64s:
-    from scipy import signal
-
-    half = math.ceil(_FIRWIN_HALF_WIDTH / ratio - 1e-9)
-    return np.asarray(signal.firwin(2 * half + 1, ratio), np.float64)
-
-
-def _sampled(kernel: str, ratio: float) -> Float64s:
-    """A kernel of `LOW_PASSES` at the samples, which lie ratio/2 apart in units of 1 over the cut-off."""
-    chosen, step = LOW_PASSES[kernel], ratio / 2
-    radius = math.floor(chosen.half_width / step + (0.5 if kernel == "box" else 0.0))
-    taps = chosen.shape(np.arange(-radius, radius + 1, dtype=np.float64) * step, step)
-    return np.asarray(taps[1:-1] if radius and not taps[0] else taps, np.float64)
+        half = math.ceil(_FIRWIN_HALF_WIDTH / ratio - 1e-9)
+        taps = np.asarray(signal.firwin(2 * half + 1, ratio), np.float64)
+    else:  # at the samples, which lie ratio/2 apart in units of 1 over the cut-off
+        chosen, step = LOW_PASSES[kernel], ratio / 2
+        radius = math.floor(chosen.half_width / step + (0.5 if kernel == "box" else 0.0))
+        taps = chosen.shape(np.arange(-radius, radius + 1, dtype=np.float64) * step, step)
+        taps = taps[1:-1] if radius and not taps[0] else taps
+    return np.asarray(taps / taps.sum())
 
 
 @dataclass(frozen=True)
@@ -246,8 +220,7 @@ class ActuatorLowPass(_LowPass):
     axes : str; the axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of
         a single sample is left as it is.
     boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
-    Raises `InvalidArgument` if a number or word is out of range; on use, if the cut-off lies above the field's
-    Nyquist rate or the kernel is larger than the field.
+    Raises `InvalidArgument` if a value is out of range; on use, for a cut-off or a kernel beyond the field's own.
     """
 
     name: ClassVar[str] = "lowpass"
@@ -276,9 +249,11 @@ class ActuatorLowPass(_LowPass):
         if self.kernel == AUTO and any(len(row.taps) > count for row, count in zip((x, y, z), grid.shape)):
             x, y, z = self._rows(grid, "spline")
         for axis, (row, count) in enumerate(zip((x, y, z), grid.shape)):
-            row.check_fits(
-                count, f"--lowpass pitch {self.pitch_m:g} m along {'xyz'[axis]}", self._mend(grid, axis, row)
-            )
+            needed = len(self._rows(grid, "spline")[axis].taps) if len(row.taps) > count else 0
+            mend = "Take a smaller pitch or a larger field, or name the other axes only (axes=xy)."
+            if needed <= count and needed < len(row.taps):
+                mend = f"kernel=spline needs only {needed} taps."
+            row.check_fits(count, f"--lowpass pitch {self.pitch_m:g} m along {'xyz'[axis]}", mend)
         return x, y, z
 
     def _rows(self, grid: Grid, kernel: str) -> list[AxisTaps]:
@@ -290,10 +265,3 @@ class ActuatorLowPass(_LowPass):
             )
             for name, count, spacing_m in zip("xyz", grid.shape, grid.spacing_m, strict=True)
         ]  # fmt: skip
-
-    def _mend(self, grid: Grid, axis: int, row: AxisTaps) -> str:
-        """The way out where an axis has fewer samples than a row."""
-        spline = len(self._rows(grid, "spline")[axis].taps)
-        if spline <= grid.shape[axis] and spline < len(row.taps):
-            return f"kernel=spline needs only {spline} taps."
-        return "Take a smaller pitch or a larger field, or name the other axes only (axes=xy)."

@@ -23,13 +23,13 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.placing import law_of, mapping_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid, HapticMedium
-from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.sources.laws import profile_of
 from touchfield.sources.stored import StoredScene
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
-    from touchfield.medium.placement import Placement
+    from touchfield.medium.grid import Placement
     from touchfield.stream.opened import OpenStream
 
 

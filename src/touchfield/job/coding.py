@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from touchfield.codec.objects.encoder import ObjectsEncoder
     from touchfield.job.spec import EncodeSpec
     from touchfield.medium import ForceField, HapticMedium
-    from touchfield.medium.vibration import VibrationFrame
+    from touchfield.medium.medium import VibrationFrame
 
     """The frames of one segment; what vibrates in each, none where the medium does not vibrate; and an anchor."""
     Group = tuple[list[ForceField], list[VibrationFrame], ForceField | None]

@@ -10,8 +10,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
-from touchfield.medium.deformation import Deformation
-from touchfield.medium.deformation_fit import fitted
+from touchfield.medium.deformation import Deformation, fitted
 from touchfield.stream.opened import open_stream
 
 if TYPE_CHECKING:

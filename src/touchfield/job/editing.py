@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.detail import halved, most_levels, pyramid, rebuilt
 from touchfield.filters.device_filter import limited
 from touchfield.filters.edit import (
     COMPOSITIONS,
@@ -28,9 +27,9 @@ from touchfield.filters.edit import (
     cross_faded,
     edited_medium,
 )
-from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region
+from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, RigidMotion
 from touchfield.filters.registry import field_filters, filter_of, length_m
-from touchfield.filters.resample import RigidMotion
+from touchfield.filters.resample import halved, most_levels, pyramid, rebuilt
 from touchfield.job.encode import encode_prepared, provenance_of
 from touchfield.job.joining import joined, lattice_of, read_medium, resampled, retimed, spread, with_history
 from touchfield.job.prepare import Prepared

@@ -45,7 +45,7 @@ from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.view import view
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 from touchfield.medium.trace import HAPTIC_RATE_HZ, read_trace
 from touchfield.parallel import Report, silent
 from touchfield.stream.opened import OpenStream, open_stream

@@ -17,7 +17,8 @@ import numpy as np
 
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import NW_RANGE
-from touchfield.filters.resample import LOW_PASSES, RigidMotion, interpolated, resample
+from touchfield.filters.region import RigidMotion
+from touchfield.filters.resample import LOW_PASSES, interpolated, resample
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import is_stream

@@ -33,7 +33,7 @@ from touchfield.measure.similarity import (
     similarity,
 )
 from touchfield.medium import HapticMedium
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 from touchfield.parallel import Report, silent
 from touchfield.render.axes import BOX_AXES, axes_matrix
 from touchfield.sources.options import SourceOptions

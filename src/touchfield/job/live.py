@@ -24,7 +24,7 @@ from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.errors import InvalidArgument
-from touchfield.filters.detail import halved, pyramid, rebuilt
+from touchfield.filters.resample import halved, pyramid, rebuilt
 from touchfield.job.coding import head_of
 from touchfield.job.encode import provenance_of
 from touchfield.job.prepare import prepare
@@ -38,7 +38,7 @@ from touchfield.stream.live import ENDLESS, LiveSegment, LiveSender
 if TYPE_CHECKING:
     from touchfield.job.prepare import Prepared
     from touchfield.job.stream_scene import Source
-    from touchfield.medium.vibration import VibrationFrame
+    from touchfield.medium.medium import VibrationFrame
 
 
 Send = Callable[[LiveSegment], bytes | None]

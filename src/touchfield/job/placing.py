@@ -12,7 +12,7 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import device_grid, device_medium
 from touchfield.medium import Grid, HapticMedium
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.registry import unit_notes
 

@@ -19,7 +19,7 @@ from touchfield.job.placing import Mapping, mapping_of, stored_medium
 from touchfield.job.spec import OWN_FORCES, EncodeSpec
 from touchfield.job.stream_scene import Source, StreamScene, as_source, is_stream
 from touchfield.medium import HapticMedium, HapticScene
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source

@@ -14,7 +14,7 @@ from touchfield.container.remote import is_remote
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.placement import Placement
+from touchfield.medium.grid import Placement
 from touchfield.sources.scene import Scene
 from touchfield.sources.stored import StoredScene
 from touchfield.stream.opened import opened

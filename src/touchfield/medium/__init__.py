@@ -2,8 +2,7 @@
 
 from touchfield.medium.field import ForceField, Support
 from touchfield.medium.grid import BRICK, Grid
-from touchfield.medium.haptic_scene import HapticObject, HapticScene
-from touchfield.medium.medium import HapticMedium, Segments
+from touchfield.medium.medium import HapticMedium, HapticObject, HapticScene, Segments
 from touchfield.medium.pose_track import PoseTrack
 
 __all__ = [

@@ -18,10 +18,7 @@ from touchfield.errors import InvalidArgument, SourceError
 def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary name in the folder of `path`, which becomes `path` when the block ends without an error.
 
-    The temporary file exists and is empty when the block begins; whatever ends the block early, an interrupt
-    included, removes it.
-
-    path : Path; the file to write. An older file of that name is replaced at the end.
+    It exists and is empty when the block begins; whatever ends the block early, an interrupt included, removes it.
     Raises `InvalidArgument` if the folder is not there, or `path` is something else than a plain file; `SourceError`
     if the system refuses to write: no right to, disk full, name too long.
     """
@@ -37,26 +34,18 @@ def atomic_path(path: Path) -> Iterator[Path]:
         # exclusive, and with the rights that any new file of this user gets
         os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         yield temporary
-        _to_disk(temporary)
+        handle = os.open(temporary, os.O_RDWR)
+        try:
+            os.fsync(handle)  # so that the new name cannot outlive the bytes in a power cut
+        finally:
+            os.close(handle)
         os.replace(temporary, target)
     except OSError as error:
-        raise _refusal(path, temporary, error) from error
+        reason = error.strerror or type(error).__name__
+        elsewhere = error.filename is not None and Path(os.fsdecode(error.filename)) != temporary
+        about = f" ({error.filename!s})" if elsewhere and isinstance(error.filename, str | os.PathLike) else ""
+        found, mend = f"that it cannot be written: {reason}{about}", "The older file is untouched."
+        raise SourceError(str(path), found, mend=mend) from error
     finally:
         with suppress(OSError):
             os.unlink(temporary)
-
-
-def _to_disk(path: Path) -> None:
-    """Wait until the bytes are on the disk, so that the new name cannot outlive them in a power cut."""
-    handle = os.open(path, os.O_RDWR)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _refusal(path: Path, temporary: Path, error: OSError) -> SourceError:
-    reason = error.strerror or type(error).__name__
-    elsewhere = error.filename is not None and Path(os.fsdecode(error.filename)) != temporary
-    about = f" ({error.filename!s})" if elsewhere and isinstance(error.filename, str | os.PathLike) else ""
-    return SourceError(str(path), f"that it cannot be written: {reason}{about}", mend="The older file is untouched.")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium.budget import memory_budget_bytes, require_memory, zero_forces
-from touchfield.medium.field import ForceField, bricks_of
+from touchfield.medium.field import ForceField, bricks_of, slots_of
 from touchfield.medium.grid import BRICK
 from touchfield.parallel import for_chunks
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from touchfield.medium.grid import Grid
-    from touchfield.medium.haptic_scene import HapticScene
+    from touchfield.medium.medium import HapticScene
 
 _FLOOR_SHARE: Final = 1e-9
 """An object's own force below this share of F_max is the rounding of a place on the edge of its support."""
@@ -77,13 +78,11 @@ class CellPool:
         box = every.max(axis=0) - low + 1
         keys = np.unique(_keys(every - low, box))
         bricks = np.stack(np.unravel_index(keys, tuple(box)), axis=1)
-        own = np.append(_keys(field.bricks - low, box), -1)  # never empty: the last is no brick
-        sources = np.full((len(bricks), 8), -1, np.int64)
+        own = _keys(field.bricks - low, box)
+        sources = np.empty((len(bricks), 8), np.int64)
         for c, corner in enumerate(_CORNERS):
             behind = bricks + corner
-            wanted = _keys(behind, box)
-            slot = np.searchsorted(own[:-1], wanted)
-            sources[:, c] = np.where((own[slot] == wanted) & (behind < box).all(axis=1), slot, -1)
+            sources[:, c] = np.where((behind < box).all(axis=1), slots_of(own, _keys(behind, box)), -1)
         require_memory("haptic objects", len(bricks), len(bricks) * _BYTES_PER_CELLS)
         cells = np.zeros((len(bricks), *[BRICK + 1] * 3, 3), np.float32)
         held = np.zeros((len(bricks), BRICK), np.uint64)
@@ -123,12 +122,9 @@ class PlacedFields:
     """The fields of a haptic scene where they lie."""
 
     def __init__(self, scene: HapticScene) -> None:
-        self._objects = scene.objects
-        self._frame_count, self._rate_hz = scene.frame_count, scene.rate_hz
-        self._limit_n, self._damping = float(scene.force_max_n), float(scene.surface_damping_n_s_per_m)
+        self._scene, self._limit_n = scene, float(scene.force_max_n)
         self._rigid: dict[int, CellPool] = {}
         self._pool: CellPool | None = None
-        self._velocities: list[tuple[Float64s, Float64s]] = []
         self._latest: tuple[int, CellPool, Float64s] | None = None
 
     def sample_n(self, frame: int, positions_m: ArrayLike) -> Float32s:
@@ -153,7 +149,10 @@ class PlacedFields:
 
         pool, placed = self._at(frame)
         lattice, shape = np.array([*grid.origin_m, *grid.spacing_m]), np.array(grid.shape)
-        stamps = _stamps(grid)
+        brick_count, allowed = math.prod(grid.brick_shape), memory_budget_bytes() // 4
+        if brick_count > allowed:
+            raise InvalidArgument("grid shape", f"{grid.shape}, {brick_count} bricks", f"at most {allowed} bricks")
+        stamps = np.zeros(brick_count, np.int32)
         most = _MEETINGS_FREE + _MEETINGS_PER_BYTE * file_bytes if file_bytes is not None else _ANY
         beside = pool.boxes, placed, pool.starts, pool.bricks, stamps, most
         count, pairs = kernels.meetings(lattice, shape, *beside)
@@ -178,50 +177,39 @@ class PlacedFields:
         """Tables of one frame for the kernels; the latest is kept."""
         from touchfield.medium.kernels import placed as kernels
 
-        latest = self._latest
+        latest, scene = self._latest, self._scene
         if latest is not None and latest[0] == frame:
             return latest[1:]
-        if not 0 <= frame < self._frame_count:
-            raise InvalidArgument("frame", str(frame), f"0 to {self._frame_count - 1}")
+        if not 0 <= frame < len(scene):
+            raise InvalidArgument("frame", str(frame), f"0 to {len(scene) - 1}")
         pool = self._pool_of(frame)
-        count = len(self._objects)
-        poses, motions = np.empty((count, 7)), np.zeros((count, 6))
-        for n, one in enumerate(self._objects):
-            poses[n, :4], poses[n, 4:] = one.track.quaternions[frame], one.track.positions_m[frame]
-        if self._damping:
-            if not self._velocities:
-                self._velocities = [one.track.velocities(self._rate_hz) for one in self._objects]
-            for n, (velocity, spin) in enumerate(self._velocities):
-                motions[n, :3], motions[n, 3:] = velocity[frame], spin[frame]
+        tracks = [one.track for one in scene.objects]
+        poses = np.array([[*track.quaternions[frame], *track.positions_m[frame]] for track in tracks])
+        motions, placed = np.zeros((len(tracks), 6)), np.empty((len(tracks), _COLUMNS))
+        if scene.surface_damping_n_s_per_m:
             with np.errstate(over="ignore"):  # the kernels cut what is beyond all bounds
-                motions *= self._damping
-        placed = np.empty((count, _COLUMNS))
+                motions[:] = scene.surface_damping_n_s_per_m * self._motions[frame]
         kernels.place(poses, pool.lattices, motions, placed)
         self._latest = frame, pool, placed
         return pool, placed
+
+    @cached_property
+    def _motions(self) -> Float64s:
+        """Velocity and spin of each object, float64 [frame, object, 6]."""
+        motions = [np.hstack(one.track.velocities(self._scene.rate_hz)) for one in self._scene.objects]
+        return np.stack(motions, axis=1)
 
     def _pool_of(self, frame: int) -> CellPool:
         """The fields of one frame; those of rigid objects are made once."""
         if self._pool is not None:
             return self._pool
-        pools, rigid = [], self._rigid  # the same for threads that come meanwhile: what they make is made twice
-        for n, one in enumerate(self._objects):
-            pool = rigid.get(n) or CellPool.of(one.field(frame))
-            if one.is_rigid:
-                rigid[n] = pool
-            pools.append(pool)
+        known, objects = self._rigid, self._scene.objects
+        pools = [known.get(n) or CellPool.of(one.field(frame)) for n, one in enumerate(objects)]
+        self._rigid = {n: pool for n, pool in enumerate(pools) if objects[n].is_rigid}
         joined = CellPool.joined(pools)
-        if len(rigid) == len(self._objects):
+        if len(self._rigid) == len(pools):
             self._pool, self._rigid = joined, {}
         return joined
-
-
-def _stamps(grid: Grid) -> Int32s:
-    """Zero for each brick of the lattice."""
-    count, allowed = math.prod(grid.brick_shape), memory_budget_bytes() // 4
-    if count > allowed:
-        raise InvalidArgument("grid shape", f"{grid.shape}, {count} bricks", f"at most {allowed} bricks")
-    return np.zeros(count, np.int32)
 
 
 def _keys(bricks: NDArray[np.integer[Any]], box: Int64s) -> Int64s:

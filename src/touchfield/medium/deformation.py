@@ -31,17 +31,13 @@ from touchfield.medium.field import frozen
 from touchfield.medium.npz import NpzArchive
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
-MOST_CONTROLS: Final = 32
-"""Along an axis."""
-
+MOST_CONTROLS: Final = 32  # along an axis
 MOST_CELLS: Final = 1 << 18
 """Over all frames: a second or two, to see that none of them folds; 8 x 8 x 8 control points for 35 s at 60 Hz."""
 
-STEP_M: Final = 2e-5
-"""Of displacements in a file: what no hand tells from nothing, and no slope of a map feels."""
-
+STEP_M: Final = 2e-5  # of displacements in a file: what no hand tells from nothing, and no slope of a map feels
 _MOST_BYTES: Final = 64 << 20
 _FINE: Final = 3  # places along each side of a cell at which the determinant is looked at
 _ARRAYS: Final = {"corner_m": 3, "spacing_m": 3, "rate_hz": 1, "compliance_m_per_n": 1, "relax_s": 1}
@@ -51,25 +47,14 @@ _ARRAYS: Final = {"corner_m": 3, "spacing_m": 3, "rate_hz": 1, "compliance_m_per
 class Deformation:
     """Displacements of control points, and how they yield.
 
-    Parameters
-    ----------
-    displacement_m : float [T, nx, ny, nz, 3]
-        u at the control points of each frame, metres: from where the hand is to where the medium was. 4 to 32 along
-        each axis.
-    corner_m, spacing_m : float [3]
-        Where the cells of the lattice begin (control point 1 of each axis), and their sides, metres.
-    rate_hz : float
-        Frames a second.
-    compliance_m_per_n : float
-        Metres that the medium gives way for a newton; 0: it does not yield.
-    relax_s : float
-        Time constant with which it does, and comes back, seconds.
-
-    Raises
-    ------
-    InvalidArgument
-        If a shape does not fit, a number is out of range or not finite, or the map folds: the determinant of
-        I + grad u is not positive somewhere.
+    displacement_m : float [T, nx, ny, nz, 3]; u at the control points of each frame, metres: from where the hand is
+        to where the medium was. 4 to 32 along each axis.
+    corner_m, spacing_m : float [3]; where the cells of the lattice begin (control point 1 of each axis), and their
+        sides, metres.
+    compliance_m_per_n : float; metres that the medium gives way for a newton; 0: it does not yield.
+    relax_s : float; time constant with which it does, and comes back, seconds.
+    Raises `InvalidArgument` if a shape does not fit, a number is out of range or not finite, or the map folds: the
+    determinant of I + grad u is not positive somewhere.
     """
 
     displacement_m: Float64s
@@ -104,9 +89,8 @@ class Deformation:
             expected = "a positive determinant of I + grad u everywhere"
             raise InvalidArgument(f"displacement_m, frame {frame}", f"a fold: {least:.3g}", expected, "Bend it less.")
         if self.compliance_m_per_n and self.most_yield_m <= 0:
-            raise InvalidArgument(
-                "compliance_m_per_n", "tracks that bend by their utmost", "none, or tracks that bend less"
-            )
+            found = "tracks that bend by their utmost"
+            raise InvalidArgument("compliance_m_per_n", found, "none, or tracks that bend less")
 
     @classmethod
     def at_rest(cls, low_m: ArrayLike, high_m: ArrayLike, controls: int = 8, **yields: float) -> Deformation:
@@ -220,3 +204,65 @@ def _along(u: Float64s, rows: Float64s, axis: int) -> Float64s:
     windows = np.lib.stride_tricks.sliding_window_view(lanes, 4, axis=-1)
     made = np.einsum("...cw,pw->...cp", windows, rows)
     return np.moveaxis(made.reshape(*lanes.shape[:-1], -1), -1, axis)
+
+
+_SMOOTH: Final = (3e-3, 3e-2, 0.3)
+"""Weights of the second differences, over the mean weight of a vertex; the first that does not fold is taken."""
+
+
+def fitted(
+    rest_m: Float64s,
+    frames_m: Iterable[Float64s],
+    lattice: Deformation,
+    rate_hz: float,
+    report: Callable[[int], None] = lambda _: None,
+) -> tuple[Deformation, float]:
+    """Tracks on the lattice of another deformation, and the rms distance that they leave, metres.
+
+    rest_m : float64 [n, 3]; the vertices in the medium as it is stored, metres.
+    frames_m : of float64 [n, 3]; the vertices of each frame.
+    Raises `InvalidArgument` if the vertices are not the same in number, or no fit of a frame is without a fold.
+    """
+    tracks, square = [], 0.0
+    for number, now in enumerate(frames_m):
+        if now.shape != rest_m.shape:
+            raise InvalidArgument(f"frame {number}", f"{len(now)} vertices", f"{len(rest_m)} as at rest")
+        u, rms = _frame(rest_m - now, now, lattice, rate_hz, number)
+        tracks.append(u)
+        square += rms**2
+        report(number + 1)
+    made = Deformation(np.stack(tracks), lattice.corner_m, lattice.spacing_m, rate_hz)
+    return made, float(np.sqrt(square / len(tracks)))
+
+
+def _frame(
+    wanted: Float64s, now: Float64s, lattice: Deformation, rate_hz: float, number: int
+) -> tuple[Float64s, float]:
+    from scipy import sparse
+    from scipy.sparse.linalg import spsolve
+
+    shape = lattice.displacement_m.shape[1:4]
+    if not wanted.any():
+        return np.zeros((*shape, 3)), 0.0
+    flat, weights = lattice.design(now)
+    rows = np.repeat(np.arange(len(now)), 64)
+    design = sparse.csr_matrix((weights.ravel(), (rows, flat.ravel())), shape=(len(now), int(np.prod(shape))))
+    normal, right = design.T @ design, design.T @ wanted
+    bends, eyes = 1e-9 * sparse.identity(int(np.prod(shape))), [sparse.identity(n) for n in shape]
+    for axis, n in enumerate(shape):  # squares of second differences along each axis, and a little of the first
+        second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n))
+        first = sparse.diags([1.0, -1.0], [0, 1], shape=(n - 1, n))
+        own = second.T @ second + 1e-3 * (first.T @ first)
+        x, y, z = (own if a == axis else eye for a, eye in enumerate(eyes))
+        bends = bends + sparse.kron(sparse.kron(x, y), z)
+    for smooth in _SMOOTH:
+        solved = spsolve((normal + smooth * len(now) / int(np.prod(shape)) * bends).tocsc(), right)
+        u = np.asarray(solved).reshape(*shape, 3)
+        try:
+            Deformation(u[None], lattice.corner_m, lattice.spacing_m, rate_hz)
+        except InvalidArgument:
+            continue
+        return u, float(np.sqrt(((design @ solved - wanted) ** 2).sum(axis=1).mean()))
+    expected = "a motion in which no two places come together"
+    mend = "Take fewer frames about the one at rest, and begin anew behind them."
+    raise InvalidArgument(f"frame {number} of the tracks", "a fit that folds", expected, mend)

@@ -48,6 +48,22 @@ def bricks_of(grid: Grid, keys: Int64s) -> Int32s:
     return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
 
 
+def slots_of(known: Int64s, keys: Int64s) -> Int64s:
+    """Places of keys among ascending ones, int64 of their shape; -1 where there is none."""
+    if not len(known):
+        return np.full(keys.shape, -1)
+    slot = np.minimum(np.searchsorted(known, keys), len(known) - 1)
+    return np.where(known[slot] == keys, slot, -1)
+
+
+def tiled(dense: NDArray[Any]) -> NDArray[Any]:
+    """The bricks of an array [nx, ny, nz, ...], zero beyond its end, [bx, by, bz, 8, 8, 8, ...]."""
+    short = [*((0, -n % BRICK) for n in dense.shape[:3]), *((0, 0) for _ in dense.shape[3:])]
+    padded = np.pad(dense, short) if any(after for _, after in short) else dense
+    x, y, z = (n // BRICK for n in padded.shape[:3])
+    return np.moveaxis(padded.reshape(x, BRICK, y, BRICK, z, BRICK, *dense.shape[3:]), (2, 4), (1, 2))
+
+
 def slots_around(
     bricks: NDArray[np.integer[Any]],
     others: NDArray[np.integer[Any]],
@@ -62,13 +78,16 @@ def slots_around(
     """
     pitch = np.array([(count[1] + 2) * (count[2] + 2), count[2] + 2, 1], np.int64)  # with room between the rows
     keys, known = bricks @ pitch, others @ pitch
-    out = np.full((len(bricks), neighbours), -1, np.int64)
-    if len(known):
-        for s in range(neighbours):
-            wanted = keys + np.array([s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1]) @ pitch
-            slot = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
-            out[:, s] = np.where(known[slot] == wanted, slot, -1)
+    out = np.empty((len(bricks), neighbours), np.int64)
+    for s in range(neighbours):
+        step: Any = np.array([s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1]) @ pitch
+        out[:, s] = slots_of(known, keys + step)
     return out
+
+
+def keys_of_both(first: ForceField, second: ForceField) -> Int64s:
+    """The bricks of either field, ascending."""
+    return np.union1d(*(brick_keys(one.grid, one.bricks) for one in (first, second)))
 
 
 def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
@@ -125,9 +144,8 @@ def blocks_around(
         wide = np.zeros((span.stop - begin, *shape), values.dtype)
         for offset in product(*(range(-a, b + 1) for a, b in zip(low, high))):
             near = bricks[span] + np.array(offset)
-            wanted = brick_keys(grid, near)
-            slot = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
-            is_there = (own[slot] == wanted) & ((near >= 0) & (near < grid.brick_shape)).all(axis=1)
+            slot = slots_of(own, brick_keys(grid, near))
+            is_there = (slot >= 0) & ((near >= 0) & (near < grid.brick_shape)).all(axis=1)
             place = (slice(BRICK * (d + a), BRICK * (d + a + 1)) for d, a in zip(offset, low))
             wide[(is_there, *place)] = values[slot[is_there]]
         yield span, wide[cut]
@@ -222,15 +240,12 @@ class ForceField:
         bricks, forces = [np.zeros((0, 3), np.int32)], [np.zeros((0, BRICK, BRICK, BRICK, 3), np.float32)]
         first = 0
         for dense in slabs:
-            short = [(0, -n % BRICK) for n in dense.shape[:3]]
-            padded = np.pad(dense, [*short, (0, 0)]) if any(after for _, after in short) else dense
-            bx, by, bz = (n // BRICK for n in padded.shape[:3])
-            tiled = padded.reshape(bx, BRICK, by, BRICK, bz, BRICK, 3).transpose(0, 2, 4, 1, 3, 5, 6)
-            is_force = np.ascontiguousarray(tiled).view(np.uint32) != 0 if to_the_bit else tiled != 0
+            tiles = tiled(dense)
+            is_force = np.ascontiguousarray(tiles).view(np.uint32) != 0 if to_the_bit else tiles != 0
             places = np.argwhere(is_force.any(axis=(3, 4, 5, 6))).astype(np.int32)
-            forces.append(tiled[tuple(places.T)])
+            forces.append(tiles[tuple(places.T)])
             bricks.append(places + np.array([first, 0, 0], np.int32))
-            first += bx
+            first += len(tiles)
         if to_the_bit:
             return cls(grid, np.concatenate(bricks), np.concatenate(forces))
         return cls.from_bricks(grid, np.concatenate(bricks), np.concatenate(forces))
@@ -265,12 +280,12 @@ class ForceField:
         edges = np.searchsorted(self.bricks[order, axis], np.arange(shape[axis] + 1))
         for slab in range(shape[axis]):
             own = order[edges[slab] : edges[slab + 1]]
-            tiled = np.zeros((*np.delete(shape, axis), BRICK, BRICK, BRICK, 3), np.float32)
-            tiled[tuple(np.delete(self.bricks[own], axis, axis=1).T)] = self.forces_n[own]
-            tiled = np.expand_dims(tiled, axis).transpose(0, 3, 1, 4, 2, 5, 6)
+            tiles = np.zeros((*np.delete(shape, axis), BRICK, BRICK, BRICK, 3), np.float32)
+            tiles[tuple(np.delete(self.bricks[own], axis, axis=1).T)] = self.forces_n[own]
+            tiles = np.expand_dims(tiles, axis).transpose(0, 3, 1, 4, 2, 5, 6)
             size = [BRICK if a == axis else n * BRICK for a, n in enumerate(shape)]
             nx, ny, nz = (n - slab * BRICK if a == axis else n for a, n in enumerate(self.grid.shape))
-            yield np.ascontiguousarray(tiled.reshape(*size, 3)[:nx, :ny, :nz])
+            yield np.ascontiguousarray(tiles.reshape(*size, 3)[:nx, :ny, :nz])
 
     def raster_slots(self) -> Int64s:
         """Places of the supported samples in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
@@ -299,16 +314,9 @@ class ForceField:
         )
 
     def forces_at(self, keys: Int64s) -> Float32s:
-        """The forces of the bricks with these keys (`brick_keys`), float32 [n, 8, 8, 8, 3].
-
-        Zero where a brick is not stored.
-        """
-        own = brick_keys(self.grid, self.bricks)
-        forces = zero_forces(len(keys))
-        if len(own):
-            slot = np.minimum(np.searchsorted(own, keys), len(own) - 1)
-            is_stored = own[slot] == keys
-            forces[is_stored] = self.forces_n[slot[is_stored]]
+        """The forces of the bricks with these keys (`brick_keys`), zero if not stored, float32 [n, 8, 8, 8, 3]."""
+        slot, forces = slots_of(brick_keys(self.grid, self.bricks), keys), zero_forces(len(keys))
+        forces[slot >= 0] = self.forces_n[slot[slot >= 0]]
         return forces
 
     @cached_property
@@ -345,14 +353,11 @@ class ForceField:
     def __add__(self, other: ForceField) -> ForceField:
         if self.grid != other.grid:
             raise InvalidArgument("sum of two fields", "two different grids", "one grid")
-        bricks = np.concatenate([self.bricks, other.bricks])
-        keys, slot = np.unique(brick_keys(self.grid, bricks), return_inverse=True)
-        forces = np.zeros((len(keys), BRICK, BRICK, BRICK, 3), np.float32)
-        forces[slot[: len(self.bricks)]] += self.forces_n
-        forces[slot[len(self.bricks) :]] += other.forces_n
-        first = np.zeros((len(keys), 3), np.int32)
-        first[slot] = bricks
-        return ForceField.from_bricks(self.grid, first, forces)
+        keys = keys_of_both(self, other)
+        forces = zero_forces(len(keys))
+        for one in (self, other):
+            forces[np.searchsorted(keys, brick_keys(one.grid, one.bricks))] += one.forces_n
+        return ForceField.from_bricks(self.grid, bricks_of(self.grid, keys), forces)
 
     def on_grid(self, grid: Grid) -> ForceField:
         """The same forces on another grid of the same shape (its metres changed, its samples not)."""

@@ -10,23 +10,110 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float32s
+from touchfield.arrays import Float32s, Int32s
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.medium.budget import memory_budget_bytes
-from touchfield.medium.field import ForceField
+from touchfield.medium.field import ForceField, frozen
 from touchfield.medium.grid import Grid
-from touchfield.medium.vibration import VibrationBand
+from touchfield.medium.pose_track import PoseTrack
 
-_AT_A_FRAME = 1e-6
-"""As near to a frame as this share of the time between two, a time is that of the frame."""
+if TYPE_CHECKING:
+    from touchfield.medium.cells import PlacedFields
+
+_AT_A_FRAME = 1e-6  # as near to a frame as this share of the time between two, a time is that of the frame
+MAX_FREQUENCY_HZ: Final = 10000.0  # as in ISO/IEC 23090-31
+
+
+@dataclass(frozen=True)
+class VibrationFrame:
+    """One instant of the band: the samples that vibrate, in raster order (x slowest, z fastest).
+
+    positions : int32 [L, 3]; indices into the grid, each once, in raster order.
+    amplitudes_n : float32 [L]; amplitude of the sine, newtons, positive.
+    frequencies_hz : float32 [L]; above 0, up to `MAX_FREQUENCY_HZ`.
+    Raises `InvalidArgument` if shapes or types are wrong, or a number is out of range.
+    """
+
+    grid: Grid
+    positions: Int32s
+    amplitudes_n: Float32s
+    frequencies_hz: Float32s
+
+    def __post_init__(self) -> None:
+        p, a, f = self.positions, self.amplitudes_n, self.frequencies_hz
+        if p.dtype != np.int32 or p.ndim != 2 or p.shape[1] != 3:
+            raise InvalidArgument("positions", f"{p.dtype} {p.shape}", "int32 [L, 3]")
+        for name, values in (("amplitudes_n", a), ("frequencies_hz", f)):
+            if values.dtype != np.float32 or values.shape != (len(p),):
+                raise InvalidArgument(name, f"{values.dtype} {values.shape}", f"float32 [{len(p)}]")
+            if not (np.isfinite(values).all() and (values > 0).all()):
+                raise InvalidArgument(name, "a number that is not positive and finite", "positive numbers")
+        if len(p):
+            if p.min() < 0 or (p.max(0) >= self.grid.shape).any():
+                raise InvalidArgument("positions", "an index outside the grid", f"below {self.grid.shape}")
+            _, ny, nz = self.grid.shape
+            places = (p[:, 0].astype(np.int64) * ny + p[:, 1]) * nz + p[:, 2]
+            if (np.diff(places) <= 0).any():
+                raise InvalidArgument("positions", "samples out of order or twice", "raster order")
+            if f.max() > MAX_FREQUENCY_HZ:
+                raise InvalidArgument("frequencies_hz", f"{f.max():g} Hz", f"up to {MAX_FREQUENCY_HZ:g} Hz")
+        for name in ("positions", "amplitudes_n", "frequencies_hz"):
+            object.__setattr__(self, name, frozen(np.ascontiguousarray(getattr(self, name))))
+
+    @classmethod
+    def empty(cls, grid: Grid) -> VibrationFrame:
+        """The frame in which nothing vibrates."""
+        none = np.zeros(0, np.float32)
+        return cls(grid, np.zeros((0, 3), np.int32), none, none)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def as_field(self) -> ForceField:
+        """The same as a sparse field whose three numbers are amplitude, frequency and zero: for looking it up."""
+        both = np.stack([self.amplitudes_n, self.frequencies_hz, np.zeros_like(self.amplitudes_n)], axis=1)
+        return ForceField.from_support(self.grid, self.positions, both)
+
+
+@dataclass(frozen=True)
+class VibrationBand:
+    """The band over time: as many frames as the medium that it belongs to, on the same grid.
+
+    make_frame : callable; ``make_frame(i) -> VibrationFrame``.
+    """
+
+    grid: Grid
+    frame_count: int
+    make_frame: Callable[[int], VibrationFrame] = field(repr=False)
+
+    def __len__(self) -> int:
+        return self.frame_count
+
+    def __getitem__(self, index: int) -> VibrationFrame:
+        if not -self.frame_count <= index < self.frame_count:
+            raise IndexError(index)
+        return self.make_frame(index % self.frame_count)
+
+    def between(self, start: int, stop: int) -> VibrationBand:
+        """Frames start to stop - 1 as a band of their own."""
+        make = self.make_frame
+        return VibrationBand(self.grid, stop - start, lambda i: make(start + i))
+
+    def on_grid(self, grid: Grid) -> VibrationBand:
+        """The same samples on another grid of the same shape (its metres changed, its samples not)."""
+        if grid.shape != self.grid.shape:
+            raise InvalidArgument("grid", f"shape {grid.shape}", f"shape {self.grid.shape}")
+        make = self.make_frame
+        return VibrationBand(grid, self.frame_count, lambda i: replace(make(i), grid=grid))
 
 
 @dataclass(frozen=True)
@@ -62,17 +149,13 @@ class HapticMedium:
 
     grid : Grid; the lattice of every frame.
     rate_hz : float; frames a second.
-    make_frame : callable; ``make_frame(i) -> ForceField`` on `grid`, for 0 <= i < frame_count; the same i gives the
-        same field.
+    make_frame : callable; ``make_frame(i) -> ForceField`` on `grid`, 0 <= i < frame_count; the same for the same i.
     axes : str; what x, y, z mean, for example "x right, y down, z forward".
-    friction : float; friction coefficient mu, rendered by the receiver (paper section 3.2).
-    damping_n_s_per_m : float; damping coefficient b, rendered by the receiver (paper section 3.2).
+    friction, damping_n_s_per_m : float; coefficients mu and b, rendered by the receiver (paper section 3.2).
     tags : tuple of str; media tags of figure 1: "direct" or "symbolic".
     provenance : mapping of str to str; where the medium comes from and what was done to it.
-    vibration : VibrationBand or None; what vibrates beside the force, frame by frame on the same grid (paper section
-        6.4).
-    segments : Segments or None; of a decoded medium whose coder keeps a mask; a receiver that plays it makes no step
-        where one starts.
+    vibration : VibrationBand or None; what vibrates beside the force, on the same grid (paper section 6.4).
+    segments : Segments or None; of a medium whose coder keeps a mask; a receiver makes no step where one starts.
     """
 
     grid: Grid
@@ -122,6 +205,11 @@ class HapticMedium:
             expected = f"{('frames', *grid.shape, 3)} or {(*grid.shape, 3)}, as the grid says"
             raise InvalidArgument("forces_n", f"shape {dense.shape}", expected)
         return cls.from_frames([ForceField.from_dense(grid, one) for one in frames], rate_hz, axes)
+
+    @property
+    def beside(self) -> dict[str, Any]:
+        """The values that travel beside the frames, by their names in files: rate, axes, tags, friction, damping."""
+        return {name: getattr(self, name) for name in ("rate_hz", "axes", "tags", "friction", "damping_n_s_per_m")}
 
     def __repr__(self) -> str:
         frames = f"{self.frame_count} frame{'s' * (self.frame_count != 1)} at {self.rate_hz:g} Hz"
@@ -203,17 +291,14 @@ class HapticMedium:
         Raises `InvalidArgument` if a filter is unknown or its words make no sense.
         """
         registry = import_module("touchfield.filters.registry")
-        parts = (words.partition(":") for words in filters)
-        medium: HapticMedium = registry.filtered_medium(
-            self, [registry.filter_of(name, text) for name, _, text in parts]
-        )
+        chain = [registry.filter_of(name, text) for name, _, text in (words.partition(":") for words in filters)]
+        medium: HapticMedium = registry.filtered_medium(self, chain)
         return medium
 
     def to_xarray(self) -> Any:
         """The medium as an `xarray.Dataset`: ``forces_n`` float32 [t, x, y, z, component] with axes in s and m.
 
-        Raises `MissingExtra` if xarray is not installed; `InvalidArgument` if all frames, dense, would take more than
-        `memory_budget_bytes`.
+        Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames are beyond `memory_budget_bytes`.
         """
         try:
             xarray = import_module("xarray")
@@ -226,11 +311,10 @@ class HapticMedium:
         forces = np.stack([self[i].to_dense() for i in range(self.frame_count)])
         places = {name: (name, self.grid.axis_m(axis), {"units": "m"}) for axis, name in enumerate("xyz")}
         times = ("t", np.arange(self.frame_count) / self.rate_hz, {"units": "s"})
-        values = {"rate_hz": self.rate_hz, "axes": self.axes, "friction": self.friction}
         return xarray.Dataset(
             {"forces_n": (("t", "x", "y", "z", "component"), forces, {"units": "N"})},
             {"t": times, **places, "component": list("xyz")},
-            {**values, "damping_n_s_per_m": self.damping_n_s_per_m, "tags": list(self.tags)},
+            {**self.beside, "tags": list(self.tags)},
         )
 
     def _repr_html_(self) -> str:
@@ -244,3 +328,110 @@ class HapticMedium:
         Raises `MissingExtra` if matplotlib is not installed.
         """
         return import_module("touchfield.job.view").draw_medium(self, path)
+
+
+@dataclass(frozen=True)
+class HapticObject:
+    """A field in its own frame, and where that frame lies."""
+
+    name: str
+    medium: HapticMedium  # one frame for a rigid object; a frame for each of the scene for one that deforms
+    track: PoseTrack  # scene from body, one pose for each frame of the scene
+
+    @property
+    def is_rigid(self) -> bool:
+        """True if one field serves all frames."""
+        return len(self.medium) == 1
+
+    def field(self, frame: int) -> ForceField:
+        """The object's own field at a frame of the scene, in its own frame."""
+        return self.medium[0 if self.is_rigid else frame]
+
+
+@dataclass(frozen=True)
+class HapticScene:
+    """Haptic objects and empty space over time.
+
+    grid : Grid; the device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
+    force_max_n : float; F_max, to which the sum of overlapping objects is clipped.
+    surface_damping_n_s_per_m : float; b of a moving surface: where an object has a force, b times the velocity of
+        the body there is added to it (with the receiver's damping b this makes F_d = -b (v_hand - v_surface)).
+    axes, friction, damping_n_s_per_m, tags, provenance; As of `HapticMedium`.
+    file_bytes : int or None; the length of the file that it comes from, bytes: it bounds what `voxelise` does on the
+        scene's own grid.
+    """
+
+    grid: Grid
+    rate_hz: float
+    objects: tuple[HapticObject, ...]
+    force_max_n: float
+    surface_damping_n_s_per_m: float = 0.0
+    axes: str = "x, y, z"
+    friction: float = 0.0
+    damping_n_s_per_m: float = 0.0
+    tags: tuple[str, ...] = ("direct",)
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    file_bytes: int | None = None
+
+    def __post_init__(self) -> None:
+        if not self.objects:
+            raise InvalidArgument("objects", "none", "at least one HapticObject")
+        for name, unit in (("force_max_n", "newtons"), ("rate_hz", "frames a second")):
+            if not 0 < getattr(self, name) < math.inf:
+                raise InvalidArgument(name, repr(getattr(self, name)), f"a positive number of {unit}")
+        damping = self.surface_damping_n_s_per_m
+        if not 0 <= damping < math.inf:
+            raise InvalidArgument("surface_damping_n_s_per_m", repr(damping), "0 or a positive number")
+        count = len(self.objects[0].track)
+        for one in self.objects:
+            where = f"object {one.name}"
+            if len(one.track) != count:
+                raise InvalidArgument(where, f"{len(one.track)} poses", f"{count}, as the first object has")
+            if not one.is_rigid and len(one.medium) != count:
+                raise InvalidArgument(where, f"{len(one.medium)} fields", f"1 or {count}")
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+
+    @cached_property
+    def _placed(self) -> PlacedFields:
+        from touchfield.medium.cells import PlacedFields
+
+        return PlacedFields(self)
+
+    @property
+    def frame_count(self) -> int:
+        """Frames of the scene."""
+        return len(self.objects[0].track)
+
+    def __len__(self) -> int:
+        return self.frame_count
+
+    def between(self, start: int, stop: int) -> HapticScene:
+        """Frames start to stop - 1 as a scene of their own.
+
+        Velocities are those of its own poses: one-sided at its first and last frame, and none of a single frame.
+        """
+
+        def cut(one: HapticObject) -> HapticObject:
+            medium = one.medium if one.is_rigid else one.medium.between(start, stop)
+            return HapticObject(one.name, medium, one.track.between(start, stop))
+
+        return replace(self, objects=tuple(map(cut, self.objects)))
+
+    def sample_n(self, frame: int, positions_m: ArrayLike) -> Float32s:
+        """Force at points of the scene in metres [..., 3], newtons, float32 [..., 3]: the receiver's own query.
+
+        Each object's field is interpolated in its own frame as `ForceField.sample_n` does.
+        """
+        return self._placed.sample_n(frame, positions_m)
+
+    def voxelise(self, grid: Grid | None = None) -> HapticMedium:
+        """The voxel representation: a lazy medium on `grid` (by default the scene's own).
+
+        Each sample is `sample_n` at its point. On its own grid a frame of a scene from a file raises CorruptFile
+        where its objects reach more bricks than the bytes of the file justify (docs/format/objects.md).
+        """
+        on, placed = self.grid if grid is None else grid, self._placed
+        file_bytes = self.file_bytes if on == self.grid else None
+        beside = self.axes, self.friction, self.damping_n_s_per_m, self.tags, self.provenance
+        frame_count, make = self.frame_count, lambda i: placed.voxels(i, on, file_bytes)
+        return HapticMedium(on, self.rate_hz, frame_count, make, *beside)

@@ -37,14 +37,17 @@ from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
 
-DEFLATE_LEVEL: Final = 1
-"""Of a field that is 3 % force, level 1 writes a twentieth of the bytes; level 6 takes longer for little."""
-
+DEFLATE_LEVEL: Final = 1  # of a field that is 3 % force a twentieth of the bytes; level 6 takes longer for little
 SINGLE_FRAME_RATE_HZ: Final = 30.0
+_DEFAULTS: Final[dict[str, float | str]] = {
+    "axes": "x, y, z",
+    "friction": 0.0,
+    "damping_n_s_per_m": 0.0,
+    "tags": "direct",
+}
 _SMALL_BYTES: Final = 1 << 16
 
-DEFLATE_LIMIT: Final = 1100
-"""Deflate cannot expand by more than 1032; what claims more is not deflate."""
+DEFLATE_LIMIT: Final = 1100  # deflate cannot expand by more than 1032; what claims more is not deflate
 
 _FAULTS = (
     OSError, ValueError, EOFError, KeyError, IndexError, RuntimeError, OverflowError, MemoryError, TypeError,
@@ -65,16 +68,10 @@ def write_npz(
     told : mapping of str to numbers; what else is to be told, an array each: ``mapping_scale``, ``mapping_offset_m``.
     Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
-    small: dict[str, NDArray[Any]] = {
-        "origin_m": np.array(medium.grid.origin_m),
-        "spacing_m": np.array(medium.grid.spacing_m),
-        "rate_hz": np.array(float(medium.rate_hz)),
-        "axes": np.array(medium.axes),
-        "tags": np.array(",".join(medium.tags)),
-        "friction": np.array(float(medium.friction)),
-        "damping_n_s_per_m": np.array(float(medium.damping_n_s_per_m)),
-        **{name: np.array(values, np.float64) for name, values in told.items()},
-    }
+    small = {"origin_m": np.array(medium.grid.origin_m), "spacing_m": np.array(medium.grid.spacing_m)}
+    for name, value in {**medium.beside, "tags": ",".join(medium.tags)}.items():
+        small[name] = np.array(value if isinstance(value, str) else float(value))
+    small |= {name: np.array(values, np.float64) for name, values in told.items()}
     with atomic_path(Path(path)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, value in small.items():
             with archive.open(_entry(name), "w") as stream:
@@ -106,11 +103,9 @@ def _header(stream: IO[bytes], descr: str, shape: tuple[int, ...]) -> None:
 def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     """Open a medium; its frames are read when they are asked for, quickest in ascending order.
 
-    ``forces_n`` may also be of another number type, or one frame [nx, ny, nz, 3]; `rate_hz` may be absent from
-    a single frame, and the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0, which is no
-    force, is kept as well.
-    Raises `SourceError` if the file is not such an archive, is cut short or damaged, or (when a frame is read) a
-    force is not finite.
+    ``forces_n`` may also be of another number type, or one frame [nx, ny, nz, 3]; `rate_hz` may be absent from a
+    single frame, the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0 is kept as well.
+    Raises `SourceError` if the file is none, cut short or damaged, or (when a frame is read) a force is not finite.
     """
     archive = NpzArchive(Path(path))
     header = archive.header("forces_n")
@@ -121,35 +116,23 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     if header.is_fortran:
         raise SourceError(where, "Fortran order", "C order", "Save numpy.ascontiguousarray(forces_n).")
     try:
-        grid = Grid((shape[1], shape[2], shape[3]), _triple(archive, "spacing_m"), _triple(archive, "origin_m"))
-        return HapticMedium(
-            grid,
-            rate_hz=_scalar(archive, "rate_hz", SINGLE_FRAME_RATE_HZ if shape[0] == 1 else None),
-            frame_count=shape[0],
-            make_frame=_Frames(archive, replace(header, shape=shape), grid, to_the_bit),
-            axes=_text(archive, "axes", "x, y, z"),
-            friction=_scalar(archive, "friction", 0.0),
-            damping_n_s_per_m=_scalar(archive, "damping_n_s_per_m", 0.0),
-            tags=tuple(filter(None, _text(archive, "tags", "direct").split(","))),
-        )
+        places: Any = [archive.numbers(name, 3) for name in ("spacing_m", "origin_m")]
+        grid = Grid((shape[1], shape[2], shape[3]), *places)
+        beside = {name: _beside(archive, name, value) for name, value in _DEFAULTS.items()}
+        beside["tags"] = tuple(filter(None, beside["tags"].split(",")))
+        rate = _beside(archive, "rate_hz", SINGLE_FRAME_RATE_HZ if shape[0] == 1 else None)
+        make = _Frames(archive, replace(header, shape=shape), grid, to_the_bit)
+        return HapticMedium(grid, rate, shape[0], make, **beside)
     except InvalidArgument as error:
         raise SourceError(f"{path}, {error.where}", error.found, error.expected, error.mend) from error
 
 
-def _triple(archive: NpzArchive, name: str) -> tuple[float, float, float]:
-    x, y, z = archive.numbers(name, 3)
-    return (x, y, z)
-
-
-def _scalar(archive: NpzArchive, name: str, default: float | None) -> float:
+def _beside(archive: NpzArchive, name: str, default: float | str | None) -> Any:
+    """A number or a short string of an archive, or the default where there is none."""
     if default is not None and name not in archive.names:
         return default
-    return archive.numbers(name, 1)[0]
-
-
-def _text(archive: NpzArchive, name: str, default: str) -> str:
-    if name not in archive.names:
-        return default
+    if not isinstance(default, str):
+        return archive.numbers(name, 1)[0]
     header = archive.header(name)
     if header.dtype.kind != "U" or header.shape != () or header.data_bytes > _SMALL_BYTES:
         raise SourceError(f"{archive.path}, array {name}", header.words, "one short string")

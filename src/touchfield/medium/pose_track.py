@@ -7,7 +7,7 @@ A pose takes points of the body's own frame into the scene: x_scene = R x_body +
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +16,7 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
 
-_UNIT = 1e-3
-"""Tolerance of a quaternion's length: what three digits in a text file give."""
+_UNIT = 1e-3  # tolerance of a quaternion's length: what three digits in a text file give
 
 
 @dataclass(frozen=True)
@@ -27,8 +26,7 @@ class PoseTrack:
     quaternions : float64 [n, 4]; unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two
         that mean the same rotation the one nearer to the frame before (the first has w >= 0).
     positions_m : float64 [n, 3]; t, where the body's origin lies, metres.
-    Raises `InvalidArgument` if the shapes differ, a number is not finite, or a quaternion is not of length 1 to
-    within 0.001.
+    Raises `InvalidArgument` if shapes differ, a number is not finite, or a quaternion is not of length 1 +- 0.001.
     """
 
     quaternions: Float64s
@@ -67,18 +65,16 @@ class PoseTrack:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, PoseTrack):
             return NotImplemented
-        return np.array_equal(self.quaternions, other.quaternions) and np.array_equal(
-            self.positions_m, other.positions_m
-        )
+        is_same = np.array_equal(self.quaternions, other.quaternions)
+        return is_same and np.array_equal(self.positions_m, other.positions_m)
 
     __hash__ = None  # type: ignore[assignment]
 
     @property
     def is_still(self) -> bool:
         """True if all poses are the same."""
-        return bool(
-            (self.quaternions == self.quaternions[0]).all() and (self.positions_m == self.positions_m[0]).all()
-        )
+        poses = np.hstack([self.quaternions, self.positions_m])
+        return bool((poses == poses[0]).all())
 
     def rotation(self, frame: int) -> Float64s:
         """R of one frame, float64 [3, 3]."""
@@ -122,8 +118,13 @@ class PoseTrack:
         return PoseTrack(self.quaternions[start:stop], self.positions_m[start:stop])
 
 
-_ORTHONORMAL: Final = 1e-6
-"""Tolerance of R^T R against the unit matrix."""
+_ORTHONORMAL: Final = 1e-6  # tolerance of R^T R against the unit matrix
+
+
+def _rotation(quaternions: Float64s) -> Any:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(quaternions, scalar_first=True)
 
 
 def slerp(first: Float64s, second: Float64s, share: Float64s) -> Float64s:
@@ -132,27 +133,19 @@ def slerp(first: Float64s, second: Float64s, share: Float64s) -> Float64s:
     `share` float64 [n] is 0 at the first and 1 at the second; the components may stand in any order, as what lies
     between two points of a sphere does not depend on it.
     """
-    from scipy.spatial.transform import Rotation
-
-    begin = Rotation.from_quat(first, scalar_first=True)
-    turn = begin.inv() * Rotation.from_quat(second, scalar_first=True)
-    part = Rotation.from_rotvec(share[:, None] * turn.as_rotvec())
-    return np.asarray((begin * part).as_quat(scalar_first=True))
+    begin = _rotation(first)
+    turn = (begin.inv() * _rotation(second)).as_rotvec()
+    return np.asarray((begin * type(begin).from_rotvec(share[:, None] * turn)).as_quat(scalar_first=True))
 
 
 def rotation_vectors(before: Float64s, after: Float64s) -> Float64s:
     """The turns that lead from quaternions to others, float64 [n, 3]: along the axis, as long as the angle, rad."""
-    from scipy.spatial.transform import Rotation
-
-    begin, end = (Rotation.from_quat(each, scalar_first=True) for each in (before, after))
-    return np.asarray((end * begin.inv()).as_rotvec())
+    return np.asarray((_rotation(after) * _rotation(before).inv()).as_rotvec())
 
 
 def rotation_matrices(quaternions: Float64s) -> Float64s:
     """The matrices R of unit quaternions float64 [..., 4], float64 [..., 3, 3]."""
-    from scipy.spatial.transform import Rotation
-
-    matrices: Float64s = Rotation.from_quat(quaternions.reshape(-1, 4), scalar_first=True).as_matrix()
+    matrices: Float64s = _rotation(quaternions.reshape(-1, 4)).as_matrix()
     return matrices.reshape(*quaternions.shape[:-1], 3, 3)
 
 

@@ -34,12 +34,8 @@ from touchfield.medium.field import frozen
 
 Lines = Iterator[tuple[int, str]]
 
-HAPTIC_RATE_HZ: Final = 1000.0
-"""The usual rate of a haptic loop (paper section 4); that of a trace without times."""
-
-MAX_SAMPLES: Final = 1 << 24
-"""Of one file: 4.6 hours at 1 kHz, 512 MiB in memory."""
-
+HAPTIC_RATE_HZ: Final = 1000.0  # the usual rate of a haptic loop (paper section 4); that of a trace without times
+MAX_SAMPLES: Final = 1 << 24  # of one file: 4.6 hours at 1 kHz, 512 MiB in memory
 _MAX_LINE: Final = 1 << 16
 _LINES_AT_ONCE: Final = 1 << 16
 _FORCES: Final = ("fx", "fy", "fz")
@@ -61,8 +57,7 @@ class Trace:
     times_s : float64 [n]; seconds, never falling; 0 is the beginning of the medium.
     positions_m : float64 [n, 3]
     quaternions : float64 [n, 4] or None; how the probe was turned, w, x, y, z of length 1; None: not at all.
-    Raises `InvalidArgument` if there is no sample, the shapes differ, a number is not finite, a quaternion is not of
-    length 1, or time falls.
+    Raises `InvalidArgument` if there is no sample, shapes differ, a number is out of range, or time falls.
     """
 
     times_s: Float64s
@@ -187,7 +182,16 @@ def _table(where: Path, forces: tuple[str, ...]) -> tuple[Float64s, Int64s, _Col
     ):
         lines = _lines(file, str(where))
         columns = _columns(next(lines, None), str(where), forces)
-        return (*_rows(lines, columns, str(where)), columns)
+        parts, numbers = [], []
+        while chunk := list(itertools.islice(lines, _LINES_AT_ONCE)):
+            parts.append(_numbers(chunk, columns, str(where)))
+            numbers += [number for number, _ in chunk]
+            if len(numbers) > MAX_SAMPLES:
+                found, expected = f"more than {MAX_SAMPLES} samples", f"at most {MAX_SAMPLES}"
+                raise SourceError(str(where), found, expected, "Cut it in parts.")
+    if not parts:
+        raise SourceError(str(where), "a header and no sample", "at least one line of numbers")
+    return np.concatenate(parts), np.array(numbers), columns
 
 
 def _checked_rate(rate_hz: float) -> float:
@@ -251,31 +255,13 @@ def _columns(header: tuple[int, str] | None, where: str, forces: tuple[str, ...]
     return _Columns(delimiter, places, factors, names)
 
 
-def _rows(lines: Lines, columns: _Columns, where: str) -> tuple[Float64s, Int64s]:
-    """The wanted columns, float64 [n, 3 or 4], and the line of each row."""
-    parts, numbers, count = [], [], 0
-    while chunk := list(itertools.islice(lines, _LINES_AT_ONCE)):
-        count += len(chunk)
-        if count > MAX_SAMPLES:
-            raise SourceError(where, f"more than {MAX_SAMPLES} samples", f"at most {MAX_SAMPLES}", "Cut it in parts.")
-        parts.append(_numbers(chunk, columns, where))
-        numbers.append(np.array([number for number, _ in chunk]))
-    if not parts:
-        raise SourceError(where, "a header and no sample", "at least one line of numbers")
-    return np.concatenate(parts), np.concatenate(numbers)
-
-
 def _numbers(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> Float64s:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
+            texts, places = [text for _, text in chunk], columns.places
             rows = np.loadtxt(
-                [text for _, text in chunk],
-                delimiter=columns.delimiter,
-                usecols=columns.places,
-                comments=None,
-                quotechar='"',
-                ndmin=2,
+                texts, delimiter=columns.delimiter, usecols=places, comments=None, quotechar='"', ndmin=2
             )
     except ValueError:
         rows = None

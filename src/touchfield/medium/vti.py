@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Final
+from typing import IO, Any, Final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.arrays import Float32s
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
 from touchfield.medium.medium import HapticMedium
@@ -55,20 +55,17 @@ def write_vti(
         _write_frame(file, medium, i, told)
         if progress is not None:
             progress(i + 1)
-    with atomic_path(collection) as temporary:
-        temporary.write_text(_collection(medium, files), "utf-8")
-    return collection
-
-
-def _collection(medium: HapticMedium, files: list[Path]) -> str:
     sets = "".join(
         f'    <DataSet timestep="{i / medium.rate_hz!r}" part="0" file={quoteattr(file.name)}/>\n'
         for i, file in enumerate(files)
     )
-    return (
+    text = (
         '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
         f"  <Collection>\n{sets}  </Collection>\n</VTKFile>\n"
     )
+    with atomic_path(collection) as temporary:
+        temporary.write_text(text, "utf-8")
+    return collection
 
 
 def _write_frame(path: Path, medium: HapticMedium, index: int, told: Mapping[str, Sequence[float]]) -> None:
@@ -78,9 +75,9 @@ def _write_frame(path: Path, medium: HapticMedium, index: int, told: Mapping[str
         head = _head(medium, index, told)
         stream.write(head)
         base = stream.tell()
-        _write_blocks(stream, 12 * count, _vectors(field))
+        _write_blocks(stream, 12 * count, _slabs(field))
         offset = stream.tell() - base
-        _write_blocks(stream, 4 * count, _magnitudes(field))
+        _write_blocks(stream, 4 * count, (np.sqrt((w * w).sum(-1)) for w in _slabs(field, np.float64)))
         stream.write(b"\n  </AppendedData>\n</VTKFile>\n")
         stream.seek(head.index(_LATER))
         stream.write(f"{offset:0{len(_LATER)}d}".encode("ascii"))
@@ -120,19 +117,13 @@ compressor="vtkZLibDataCompressor">
     return text.encode("utf-8")
 
 
-def _vectors(field: ForceField) -> Iterator[Float32s]:
+def _slabs(field: ForceField, kind: Any = np.float32) -> Iterator[NDArray[Any]]:
     """Newtons with x fastest, as VTK has it, slab by slab along z."""
     for slab in field.slabs(2):
-        yield slab.transpose(2, 1, 0, 3)
+        yield slab.transpose(2, 1, 0, 3).astype(kind, copy=False)
 
 
-def _magnitudes(field: ForceField) -> Iterator[Float32s]:
-    for slab in _vectors(field):
-        wide = slab.astype(np.float64)
-        yield np.sqrt((wide * wide).sum(axis=-1)).astype(np.float32)
-
-
-def _write_blocks(stream: IO[bytes], total: int, pieces: Iterator[Float32s]) -> None:
+def _write_blocks(stream: IO[bytes], total: int, pieces: Iterable[NDArray[Any]]) -> None:
     """One array: the table of block sizes, then the blocks; `total` bytes in all before compression."""
     blocks = -(-total // BLOCK_BYTES)
     table = stream.tell()

@@ -78,11 +78,8 @@ def create(store: str | Path, medium: HapticMedium, told: Mapping[str, Any], cod
     about = {
         "spacing_m": list(grid.spacing_m),
         "origin_m": list(grid.origin_m),
-        "rate_hz": medium.rate_hz,
-        "axes": medium.axes,
+        **medium.beside,
         "tags": list(medium.tags),
-        "friction": medium.friction,
-        "damping_n_s_per_m": medium.damping_n_s_per_m,
         **told,
     }
     scales = [{"name": ARRAY, "type": "level of detail", "axes": list(_AXES), "datasets": [_level(medium, 0)]}]
@@ -138,8 +135,7 @@ def write_zarr(
     progress : callable, optional; called with the number of frames written, after each.
     levels : coarser media of the same frames, which follow as levels of detail.
     told : mapping of str to JSON values; what else the attributes are to tell.
-    Raises `MissingExtra` if zarr is not installed; `InvalidArgument` if something lies at `path`; `SourceError` if
-    the system refuses to write.
+    Raises `MissingExtra` without zarr; `InvalidArgument` if something lies at `path`; `SourceError` if refused.
     """
     with whole_folder(Path(path)) as store:
         create(store, medium, told, None)
@@ -189,11 +185,13 @@ def cut(field: ForceField, low: Sequence[int], shape: tuple[int, int, int]) -> F
 def read_zarr(path: str | Path) -> HapticMedium:
     """Open a store that `write_zarr` or `touchfield encode` wrote; frames are read when they are asked for.
 
-    Raises `MissingExtra` if zarr is not installed; `SourceError` if it is no such store, its codecs are others than
-    ours, or (when a frame is read) a chunk is damaged.
+    Raises `MissingExtra` without zarr; `SourceError` if it is no such store, or (on a frame) a chunk is damaged.
     """
     zarr = _zarr()
-    about, layout = _about(Path(path)), _layout(Path(path))
+    about, layout = _json(Path(path) / "zarr.json").get("attributes"), _layout(Path(path))
+    about = about.get("touchfield") if isinstance(about, dict) else None
+    if not isinstance(about, dict):
+        raise SourceError(str(path), "a zarr store of something else", "one with the attribute touchfield")
     shape, chunk = layout["shape"], layout["chunk"]
     where = f"{path}, attribute touchfield"
     try:
@@ -223,14 +221,6 @@ def _json(file: Path) -> dict[str, Any]:
     if not isinstance(told, dict) or told.get("zarr_format") != 3:
         raise SourceError(str(file), "another format", "zarr, version 3")
     return told
-
-
-def _about(path: Path) -> dict[str, Any]:
-    about = _json(path / "zarr.json").get("attributes")
-    about = about.get("touchfield") if isinstance(about, dict) else None
-    if not isinstance(about, dict):
-        raise SourceError(str(path), "a zarr store of something else", "one with the attribute touchfield")
-    return about
 
 
 def _layout(path: Path) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from touchfield.render.sampler import FieldSampler
 
 if TYPE_CHECKING:
     from touchfield.medium import HapticMedium
-    from touchfield.medium.haptic_scene import HapticScene
+    from touchfield.medium.medium import HapticScene
 
 
 class DeviceSampler:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.medium.haptic_scene import HapticScene
+from touchfield.medium.medium import HapticScene
 from touchfield.parallel import for_chunks
 from touchfield.render.block import words as W
 from touchfield.render.block.frames import FieldName, FrameParts, FrameStore

@@ -28,7 +28,6 @@ from touchfield.files import readable, require_plain
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_contacts
 from touchfield.parallel import for_chunks
-from touchfield.sources.contact_trace import CurlFree
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind

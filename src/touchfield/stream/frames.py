@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from touchfield.container import TouchReader
 from touchfield.medium import ForceField, Grid, Segments
-from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.parallel import worker_count
 
 MOST_BYTES_AHEAD: Final = 1 << 28

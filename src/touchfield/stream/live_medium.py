@@ -20,9 +20,9 @@ from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import coder
 from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import FormatError, SourceError, UnsupportedVersion
-from touchfield.filters.detail import halved, rebuilt
+from touchfield.filters.resample import halved, rebuilt
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
-from touchfield.medium.vibration import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.stream.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
 from touchfield.stream.opened import OpenStream
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
     from touchfield.codec.segment import FrameCost
     from touchfield.devices import Device
-    from touchfield.medium.placement import Placement
+    from touchfield.medium.grid import Placement
 
 
 FILTERED: Final = "the device-filtered field, behind any haptic filters"
@@ -79,7 +79,7 @@ class OpenStream(ABC):
     @property
     def placement(self) -> Placement:
         """The place of the scene in the workspace: ``to_hand(points)`` and ``to_scene(points)``."""
-        from touchfield.medium.placement import Placement
+        from touchfield.medium.grid import Placement
 
         return Placement(self.reader.head.mapping_scale, self.reader.head.mapping_offset_m)
 

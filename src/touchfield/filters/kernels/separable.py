@@ -16,65 +16,43 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from touchfield.arrays import Float32s, Int64s
-from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
 from touchfield.medium.kernels import first_at_least
-from touchfield.parallel import for_chunks, worker_count
 
-Taps = tuple[Int64s, Float32s, Int64s]
-
-ROW = 24
-"""Numbers of a brick's row: eight samples of three components."""
-
+ROW = 24  # numbers of a brick's row: eight samples of three components
 _LANES = 8  # twelve sums of them leave registers for a weight
 _FLOATS = ir.VectorType(ir.FloatType(), _LANES)
 _SAME_PLACE = ir.Constant(ir.VectorType(ir.IntType(32), _LANES), [0] * _LANES)
 
 
-def _four_rows(
-    typing: Any,
-    out: Any,
-    o: Any,
-    out_step: Any,
-    flat: Any,
-    at: Any,
-    step: Any,
-    offsets: Any,
-    weights: Any,
-    count: Any,
-) -> Any:
+def _four_rows(typing, out, o, out_step, flat, at, step, offsets, weights, count):
     """``out[o + r out_step + n] = sum over k of weights[k] flat[at + r step + offsets[k] + n]``, r < 4, n < 24.
 
     The sum runs over the first `count` of `offsets` int64 and `weights` float32; of none it is zero. `out` and `flat`
     are float32 [n]. Product and addition may be rounded once. No place is tested.
     """
-    signature = types.void(
-        out, types.int64, types.int64, flat, types.int64, types.int64, offsets, weights, types.int64
-    )
+    i64 = types.int64
 
-    def generated(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        def data(kind: Any, value: Any) -> Any:
-            return context.make_array(kind)(context, builder, value).data
+    def generated(context, builder, signature, arguments):
+        def data(n):
+            return context.make_array(signature.args[n])(context, builder, arguments[n]).data
 
-        def part(numbers: Any, first: Any, stride: Any, n: int) -> Any:
+        def part(numbers, first, stride, n):
             row, lane = divmod(n * _LANES, ROW)
             place = builder.add(first, builder.mul(stride, ir.Constant(ir.IntType(64), row)))
             place = builder.add(place, ir.Constant(ir.IntType(64), lane))
             return builder.bitcast(builder.gep(numbers, [place]), _FLOATS.as_pointer())
 
         o, out_step, at, step = (arguments[n] for n in (1, 2, 4, 5))
-        target, source = data(signature.args[0], arguments[0]), data(signature.args[3], arguments[3])
-        offsets, weights = data(signature.args[6], arguments[6]), data(signature.args[7], arguments[7])
+        target, source, offsets, weights = data(0), data(3), data(6), data(7)
         nothing = ir.Constant(_FLOATS, [0.0] * _LANES)
         sums = [cgutils.alloca_once_value(builder, nothing) for _ in range(4 * ROW // _LANES)]
         for kept in sums:
             builder.store(nothing, kept)
         with cgutils.for_range(builder, arguments[8]) as loop:
             weight = builder.load(builder.gep(weights, [loop.index]))
-            spread = builder.insert_element(
-                ir.Constant(_FLOATS, ir.Undefined), weight, ir.Constant(ir.IntType(32), 0)
-            )
-            spread = builder.shuffle_vector(spread, ir.Constant(_FLOATS, ir.Undefined), _SAME_PLACE)
+            empty = ir.Constant(_FLOATS, ir.Undefined)
+            spread = builder.insert_element(empty, weight, ir.Constant(ir.IntType(32), 0))
+            spread = builder.shuffle_vector(spread, empty, _SAME_PLACE)
             first = builder.add(at, builder.load(builder.gep(offsets, [loop.index])))
             for n, kept in enumerate(sums):
                 numbers = builder.load(part(source, first, step, n), align=4)
@@ -84,7 +62,7 @@ def _four_rows(
             builder.store(builder.load(kept), part(target, o, out_step, n), align=4)
         return context.get_dummy_value()
 
-    return signature, generated
+    return types.void(out, i64, i64, flat, i64, i64, offsets, weights, i64), generated
 
 
 four_rows: Any = intrinsic(_four_rows)
@@ -92,7 +70,7 @@ four_rows: Any = intrinsic(_four_rows)
 
 _NO_SIGNS = np.uint64(0x7FFFFFFF7FFFFFFF)  # all bits of two numbers but their signs
 _NO_SIGN = np.uint32(0x7FFFFFFF)
-_TILE = 32  # bricks along z that are filtered at once
+TILE = 32  # bricks along z that are filtered at once
 _PLANE, _BRICK = 8 * ROW, 64 * ROW  # numbers
 _FOUR = np.uint64(0xF)  # the bits of four rows of one i
 _HALF = np.uint64(0xFFFFFFFF)  # those of four i
@@ -100,7 +78,7 @@ _COLUMN = np.uint64(0x0101010101010101)  # the bits of a mask whose rows have j 
 
 
 @njit(cache=True, nogil=True)
-def _row_masks(begin, end, words, masks):
+def row_masks(begin, end, words, masks):
     """The rows, of the 64 of each brick, that hold a force, one bit a row; minus zero is none."""
     for n in range(begin, end):
         mask = np.uint64(0)
@@ -228,10 +206,11 @@ def _line_cleared(line, width, at):
 
 
 @njit(cache=True, nogil=True)
-def _bricks(begin, end, items, source, keys_of_passes, lattice, before, deep, sizes, taps, out, bits, tops):
+def filtered_bricks(begin, end, items, source, keys_of_passes, lattice, before, deep, sizes, taps, out, bits, tops):
     """Slabs of output bricks of one x and a range of z: a ring of columns filtered along x, then column by column.
 
-    `sizes` is how many bricks along z make an item, and how many beyond them its sums reach.
+    `before` and `deep` are for each axis how far back the first sample of a sum lies, and how many samples after it
+    the last one; `sizes` is how many bricks along z make an item, and how many beyond them its sums reach.
     """
     keys, keys_x, keys_y, keys_z = keys_of_passes
     flat, masks = source
@@ -290,44 +269,3 @@ def _bricks(begin, end, items, source, keys_of_passes, lattice, before, deep, si
                 if made_y[keys_y[s] - base]:
                     _line_cleared(line, width, keys_y[s] - base)
                     made_y[keys_y[s] - base] = 0
-
-
-def bricks_filtered_and_tops(
-    forces_n: Float32s,
-    keys: tuple[Int64s, ...],
-    lattice: tuple[int, int, int],
-    before: tuple[int, int, int],
-    deep: tuple[int, int, int],
-    taps: Taps,
-) -> tuple[Float32s, Float32s]:
-    """The forces of output bricks, float32 [n, 8, 8, 8, 3], and the greatest size of a number of each, float32 [n].
-
-    That size is 0 where a brick holds no force, and infinite or not a number where a sum went beyond float32.
-
-    forces_n : float32 [m, 8, 8, 8, 3]
-    keys : int64; ascending keys of the input's bricks, and of those that hold something after x, after y and after z.
-    lattice : (int, int, int); bricks of the grid along each axis.
-    before, deep : (int, int, int); for each axis, how far back the first sample of a sum lies, and how many samples
-        after it the last one.
-    taps : (int64 [3, k], float32 [3, k], int64 [3]); places from the first sample of a sum, weights, how many.
-    """
-    count = len(keys[3])
-    if count * BYTES_PER_BRICK > memory_budget_bytes():
-        zero_forces(count)  # says that it is too much
-    out = np.empty((count, 8, 8, 8, 3), np.float32)  # the kernel sets every row
-    tops = np.zeros(count, np.uint32)
-    flat, masks = forces_n.reshape(-1), np.empty(len(forces_n), np.uint64)
-    for_chunks(_row_masks, len(masks), flat.view(np.uint64), masks, chunk=64)
-    tile = min(lattice[2], _TILE)
-    sizes = (tile, -(-max(before[2], deep[2] - before[2]) // 8))
-    z, x = keys[3] % lattice[2] // tile, keys[3] // (lattice[1] * lattice[2])
-    tiles = -(-lattice[2] // tile)
-    items = np.stack(np.divmod(np.unique(x * tiles + z), tiles), axis=1)
-    hands = 4 * worker_count()  # the pieces of `for_chunks`: slabs are dealt out in turn, so that all cost the same
-    items = np.concatenate([items[hand::hands] for hand in range(hands)])
-    target = out.reshape(-1)
-    for_chunks(
-        _bricks, len(items), items, (flat, masks), keys, lattice, before, deep, sizes, taps, target,
-        target.view(np.uint32), tops,
-    )  # fmt: skip
-    return out, tops.view(np.float32)

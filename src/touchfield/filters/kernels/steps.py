@@ -14,9 +14,6 @@ import math
 import numpy as np
 from numba import njit
 
-from touchfield.arrays import Bools, Float32s, Int32s, Int64s
-from touchfield.parallel import for_chunks
-
 _STRIDES = (100, 10, 1)
 _TILE = 1000
 _FIRST, _END = 111, 889  # places in the tile of sample (0, 0, 0) of the brick, and one beyond (7, 7, 7)
@@ -33,8 +30,7 @@ _FACES = (
 the tile, and how far it is to the next sample along both edges of the face, in that brick and in the tile."""
 
 _FAR = np.float32(16)
-_SERIES = tuple(np.float32((-1) ** n / math.factorial(n)) for n in range(10))
-"""Taylor's for exp(-r), 0 <= r <= 1."""
+_SERIES = tuple(np.float32((-1) ** n / math.factorial(n)) for n in range(10))  # Taylor's for exp(-r), 0 <= r <= 1
 
 
 @njit(cache=True, nogil=True)
@@ -110,7 +106,12 @@ def _step(values, mask, weights, per_kappa, rational, s, flux):
 
 
 @njit(cache=True, nogil=True)
-def _over_bricks(begin, end, slots, support, forces, weights, per_kappa, rational, out):
+def diffused_bricks(begin, end, slots, support, forces, weights, per_kappa, rational, out):
+    """One explicit step of the samples that take part, from `forces` into `out`, both float32 [n, 512, 3].
+
+    `slots` are `touchfield.medium.field.neighbour_slots`; `weights` float32 (x, y, z) are lambda, `per_kappa` is
+    1/kappa, 0 for a conductance of 1, and `rational` takes 1/(1 + s) in place of exp(-s), s = (|difference|/kappa)^2.
+    """
     values, mask = np.zeros((3, _TILE), np.float32), np.zeros(_TILE, np.float32)
     s, flux = np.zeros(_TILE, np.float32), np.zeros((6, _TILE), np.float32)
     for n in range(begin, end):
@@ -140,27 +141,6 @@ def _over_bricks(begin, end, slots, support, forces, weights, per_kappa, rationa
                 for k in range(8):
                     for c in range(3):
                         out[n, local + k, c] = values[c, place + k]
-
-
-def diffused_bricks(
-    slots: Int32s,
-    support: Bools,
-    forces: Float32s,
-    law: tuple[tuple[float, float, float], float, bool],
-    out: Float32s,
-) -> None:
-    """One explicit step from `forces` into `out`, both float32 [n, 8, 8, 8, 3].
-
-    slots : int32 [n, 27]; see `touchfield.medium.field.neighbour_slots`.
-    support : bool [n, 8, 8, 8]; the samples that take part; the others stay as they are.
-    law : ((float, float, float), float, bool); lambda along each axis; kappa, at least 1e-30, inf for a conductance
-        of 1; and 1/(1 + s) in place of exp(-s), with s = (|difference| / kappa)^2. Taken as it is.
-    """
-    n, (lam, kappa, is_rational) = len(slots), law
-    x, y, z = (np.float32(part) for part in lam)
-    arrays = (slots, support.reshape(n, 512), forces.reshape(n, 512, 3))
-    numbers = (x, y, z), np.float32(1 / kappa), is_rational
-    for_chunks(_over_bricks, n, *arrays, *numbers, out.reshape(n, 512, 3), chunk=32)
 
 
 @njit(cache=True, nogil=True)
@@ -211,7 +191,13 @@ def _brick_sum(n, bricks, slots, forces, shape, i, j, offsets, scale, total):
 
 
 @njit(cache=True, nogil=True)
-def _step_bricks(begin, end, bricks, slots, forces, shape, scale, starts, offsets, hold, weight):
+def lifted_bricks(begin, end, bricks, slots, forces, shape, scale, starts, offsets, hold, weight):
+    """Put to each site `hold` times what it holds, and `weight` times the sum of its neighbours, in place.
+
+    `forces` are flat, and zero beyond the grid; `scale` is 1, 2, 4 or 8, so that no neighbour lies beyond the next
+    brick. `starts` int64 [2, 2] tells for the parities along the first two axes the parity along the third of the
+    sites to change, -1 for none; `offsets` int64 [k, 3] are those of their neighbours, in units of `scale`.
+    """
     total = np.zeros(24, np.float32)
     for n in range(begin, end):
         x, y, z = bricks[n, 0] * 8, bricks[n, 1] * 8, bricks[n, 2] * 8
@@ -225,26 +211,3 @@ def _step_bricks(begin, end, bricks, slots, forces, shape, scale, starts, offset
                     for k in range(first, min(8, shape[2] - z), 2 * scale):
                         for r in range(3 * k, 3 * k + 3):
                             forces[row + r] = hold * forces[row + r] + weight * total[r]
-
-
-def lifted_bricks(
-    place: tuple[Int32s, Int32s, tuple[int, int, int]],
-    forces_n: Float32s,
-    scale: int,
-    sites: tuple[Int64s, Int64s],
-    share: tuple[float, float],
-) -> None:
-    """Put to each site what it holds times a number plus a share of the sum of its neighbours.
-
-    place : (int32 [n, 3], int32 [n, 27], (int, int, int)); bricks, `neighbour_slots`, the shape of the grid.
-    forces_n : float32 [n, 8, 8, 8, 3]; changed in place; zero beyond the grid.
-    scale : int; 1, 2, 4 or 8, so that no neighbour lies beyond the next brick.
-    sites : (int64 [2, 2], int64 [k, 3]); for the parities along the first two axes the parity along the third of the
-        sites to change, -1 for none; and the offsets of their neighbours, in units of `scale`.
-    share : (float, float); by what to multiply the site and the sum.
-    """
-    bricks, slots, shape = place
-    numbers = (np.float32(share[0]), np.float32(share[1]))
-    for_chunks(
-        _step_bricks, len(bricks), bricks, slots, forces_n.reshape(-1), shape, scale, *sites, *numbers, chunk=64
-    )

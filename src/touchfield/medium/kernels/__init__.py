@@ -1,5 +1,101 @@
-"""Compiled loops of the values. Import only when first needed: this imports numba."""
+"""Compiled loops over bricks: raster order of the support, and the trilinear query.
 
-from touchfield.medium.kernels.bricks import first_at_least, raster_slots, sample
+Import only when first needed: this imports numba.
+"""
 
-__all__ = ["first_at_least", "raster_slots", "sample"]
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from touchfield.medium.grid import Grid
+
+
+@njit(cache=True, nogil=True)
+def first_at_least(keys, key):
+    """As `numpy.searchsorted`, which numba takes longer to compile."""
+    low, high = 0, keys.shape[0]
+    while low < high:
+        middle = (low + high) >> 1
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, nogil=True)
+def _raster_slots(bricks, mask, out):
+    n = bricks.shape[0]
+    count = 0
+    x0 = 0
+    while x0 < n:  # one slab of bricks with the same x
+        x1 = x0
+        while x1 < n and bricks[x1, 0] == bricks[x0, 0]:
+            x1 += 1
+        for i in range(8):
+            y0 = x0
+            while y0 < x1:  # one row of bricks with the same x and y
+                y1 = y0
+                while y1 < x1 and bricks[y1, 1] == bricks[y0, 1]:
+                    y1 += 1
+                for j in range(8):
+                    for s in range(y0, y1):
+                        for k in range(8):
+                            if mask[s, i, j, k]:
+                                out[count] = s * 512 + i * 64 + j * 8 + k
+                                count += 1
+                y0 = y1
+        x0 = x1
+    return count
+
+
+def raster_slots(bricks: Int32s, mask: Bools) -> Int64s:
+    """Where the samples of `mask` lie in an array [n * 512], in raster order of the grid, int64 [L].
+
+    `bricks` int32 [n, 3] ascending, `mask` bool [n, 8, 8, 8].
+    """
+    out = np.empty(int(np.count_nonzero(mask)), np.int64)
+    _raster_slots(bricks, mask, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _corner(i, j, k, shape, brick_shape, keys, forces, weight, total):
+    if i < 0 or j < 0 or k < 0 or i >= shape[0] or j >= shape[1] or k >= shape[2]:
+        return
+    key = ((i >> 3) * brick_shape[1] + (j >> 3)) * brick_shape[2] + (k >> 3)
+    slot = first_at_least(keys, key)
+    if slot < keys.shape[0] and keys[slot] == key:
+        for c in range(3):
+            total[c] += weight * forces[slot, i & 7, j & 7, k & 7, c]
+
+
+@njit(cache=True, nogil=True)
+def _sample(index, shape, brick_shape, keys, forces, out):
+    total = np.zeros(3)
+    for p in range(index.shape[0]):
+        total[:] = 0.0
+        x, y, z = index[p, 0], index[p, 1], index[p, 2]
+        inside = -1.0 < x < shape[0] and -1.0 < y < shape[1] and -1.0 < z < shape[2]
+        if inside:
+            i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+            fx, fy, fz = x - i, y - j, z - k
+            for a in range(2):
+                wa = fx if a else 1.0 - fx
+                for b in range(2):
+                    wb = wa * (fy if b else 1.0 - fy)
+                    for c in range(2):
+                        w = wb * (fz if c else 1.0 - fz)
+                        if w != 0.0:
+                            _corner(i + a, j + b, k + c, shape, brick_shape, keys, forces, w, total)
+        for c in range(3):
+            out[p, c] = total[c]
+
+
+def sample(index: Float64s, grid: Grid, keys: Int64s, forces_n: Float32s) -> Float32s:
+    """See `ForceField.sample_n`; `index` float64 [m, 3] in samples."""
+    out = np.empty((len(index), 3), np.float32)
+    _sample(index, np.array(grid.shape), np.array(grid.brick_shape), keys, forces_n, out)
+    return out

@@ -12,13 +12,17 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from touchfield.medium.kernels.cell import CELLS, GOLDEN, between
-
 _NO_ARRAYS: Final[dict[str, Any]] = {"cache": True, "nogil": True, "_nrt": False}
 """Of a function that makes none: to count the references to those it is given would take most of its time."""
 
 _1, _2 = np.uint64(1), np.uint64(2)
 INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
+
+CELLS = 9 * 9 * 9 * 3  # numbers of a brick of cells
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, volume 3, section 6.4)
+
+Z, Y, X = np.uint64(3), np.uint64(27), np.uint64(243)
+YZ, XZ, XY, XYZ = Y + Z, X + Z, X + Y, X + Y + Z  # unsigned, so that no index is looked at for its sign
 
 # columns of `placed`: a point x lies at A (x - t) - c, in samples (h metres apart) from the corner of the object's
 # box of bricks; R turns its force into the scene's, v and w times r = x - t add b times the velocity of its surface
@@ -26,6 +30,20 @@ A, C, T, R, V, W, H = 0, 9, 12, 15, 24, 27, 30
 
 # columns of `boxes`: bricks along each axis, where the object's hash table begins, 64 - its bits
 START, SHIFT = 3, 4
+
+
+@njit(nogil=True, forceinline=True)
+def between(cells, o, fx, fy, fz):
+    """Trilinear interpolation in float64 of one component, whose first corner lies at `o`."""
+    a, b = np.float64(cells[o]), np.float64(cells[o + Y])
+    c, d = np.float64(cells[o + X]), np.float64(cells[o + XY])
+    a += fz * (np.float64(cells[o + Z]) - a)
+    b += fz * (np.float64(cells[o + YZ]) - b)
+    c += fz * (np.float64(cells[o + XZ]) - c)
+    d += fz * (np.float64(cells[o + XYZ]) - d)
+    a += fy * (b - a)
+    c += fy * (d - c)
+    return a + fx * (c - a)
 
 
 @njit(nogil=True, forceinline=True)

@@ -17,7 +17,7 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.cells import CellPool
-from touchfield.medium.haptic_scene import HapticScene
+from touchfield.medium.medium import HapticScene
 from touchfield.render.block import words as W
 from touchfield.render.block.memory import Memory
 

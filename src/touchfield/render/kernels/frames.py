@@ -12,8 +12,7 @@ import numpy as np
 from numba import njit
 
 from touchfield.lean import UNCOUNTED
-from touchfield.medium.kernels.cell import CELLS, GOLDEN, XY, XYZ, XZ, YZ, X, Y, Z, between
-from touchfield.medium.kernels.placed import INSIDE, shortened
+from touchfield.medium.kernels.placed import CELLS, GOLDEN, INSIDE, XY, XYZ, XZ, YZ, X, Y, Z, between, shortened
 from touchfield.render.block import words as W
 from touchfield.render.kernels.deformation import bends, bent, stored_place, warp_of
 from touchfield.render.kernels.vectors import (

@@ -9,8 +9,7 @@ from numba import njit
 
 from touchfield.lean import UNCOUNTED
 from touchfield.medium.grid import BRICK
-from touchfield.medium.kernels.cell import CELLS, XY, XYZ, XZ, YZ, X, Y, Z
-from touchfield.medium.kernels.placed import INSIDE
+from touchfield.medium.kernels.placed import CELLS, INSIDE, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.render.block import words as W
 from touchfield.render.kernels import frames
 from touchfield.render.kernels.vectors import cross, dot, plus, put, rows_of, three, times, turned, turned_back

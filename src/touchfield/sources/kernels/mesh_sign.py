@@ -25,7 +25,7 @@ from numba import njit
 
 from touchfield.arrays import Bools, Float64s, Int32s, Int64s
 from touchfield.medium import Grid
-from touchfield.medium.kernels.bricks import first_at_least
+from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks
 
 COLUMN_SHIFT = 27

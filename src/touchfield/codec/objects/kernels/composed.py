@@ -15,8 +15,20 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.lean import LEAN
-from touchfield.medium.kernels.cell import CELLS
-from touchfield.medium.kernels.placed import C, H, R, T, force_of, in_scene, is_held, own, place, shortened, slot_at
+from touchfield.medium.kernels.placed import (
+    CELLS,
+    C,
+    H,
+    R,
+    T,
+    force_of,
+    in_scene,
+    is_held,
+    own,
+    place,
+    shortened,
+    slot_at,
+)
 
 _COLUMNS = 33
 _SLACK = 1 + 1e-6
