@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from machine import Bar, Figures, at_least, at_most, bench, column, timed
 from rate_fields import cases
-from touchfield.codec.paper.body_writer import code_bytes, encode_symbols, fitted_code, pack_runs
-from touchfield.codec.paper.huffman import RUN_SYMBOLS, decode_symbols
+from touchfield.codec.paper.body import RUN_SYMBOLS, decode_symbols
+from touchfield.codec.paper.encoder import code_bytes, encode_symbols, fitted_code, pack_runs
 from touchfield.codec.support import decode_support, encode_support
 from touchfield.medium import ForceField, Grid
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.codec import support
-from touchfield.codec.kernels import whole_numbers
+from touchfield.codec.kernels import support as kernels
 from touchfield.codec.kernels.bits import Bits, end_of, fresh, reader, writer
 from touchfield.codec.support import BRICKS_PER_BYTE, check_end, padded
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
@@ -36,8 +36,8 @@ MOST_RELATIVE_ERROR: Final = 1 / 9  # of an amplitude: in the middle between ste
 _MOST_HZ: Final = int(MAX_FREQUENCY_HZ)
 _BYTES_PER_SAMPLE: Final = 128  # what decoding takes for each sample at its height
 _FRAME: Final = BRICKS_PER_BYTE  # bricks that a frame counts for, so that a byte tells of a frame at most
-_CONTEXTS: Final = support.CONTEXTS + 2 * whole_numbers.CONTEXTS
-_SETS: Final = support.SETS + 2 * whole_numbers.SETS
+_CONTEXTS: Final = support.CONTEXTS + 2 * kernels.NUMBER_CONTEXTS
+_SETS: Final = support.SETS + 2 * kernels.NUMBER_SETS
 # places [L] and values [2, L] of a frame without samples
 _NOTHING: Final = np.zeros(0, np.int64), np.zeros((2, 0), np.int64)
 _WHERE: Final = "VIBR.body"
@@ -107,7 +107,7 @@ def encode_symbols(grid: Grid, frames: Sequence[VibrationSymbols]) -> bytes:
         before = places, values
     numbers = np.concatenate(differences, axis=1)
     brick_count = sum(len(bricks) for bricks, _ in told)
-    bits = writer(brick_count * support.ROOM + numbers.size * whole_numbers.ROOM + 64, fresh(_CONTEXTS, _SETS))
+    bits = writer(brick_count * support.ROOM + numbers.size * kernels.NUMBER_ROOM + 64, fresh(_CONTEXTS, _SETS))
     given: Bricks | None = None
     for bricks in told:
         given = support.code_support(bits, 0, 0, grid, bricks, given)
@@ -155,8 +155,8 @@ def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationS
 
 def _code_numbers(bits: Bits, numbers: Int64s) -> None:
     for n, row in enumerate(numbers):
-        whole_numbers.code_numbers(
-            bits, support.CONTEXTS + n * whole_numbers.CONTEXTS, support.SETS + n * whole_numbers.SETS, row
+        kernels.code_numbers(
+            bits, support.CONTEXTS + n * kernels.NUMBER_CONTEXTS, support.SETS + n * kernels.NUMBER_SETS, row
         )
 
 

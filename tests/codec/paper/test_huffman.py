@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.numbers import encode_numbers
-from touchfield.codec.paper.body_writer import code_bytes, encode_symbols, fitted_code, pack_runs
-from touchfield.codec.paper.huffman import RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
-from touchfield.codec.paper.kernels.loops import LONGEST
+from touchfield.codec.paper.body import RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
+from touchfield.codec.paper.encoder import code_bytes, encode_symbols, fitted_code, pack_runs
+from touchfield.codec.paper.kernels import LONGEST
+from touchfield.codec.support import encode_numbers
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument
 
 COUNTS = st.lists(st.integers(0, 1000) | st.integers(0, 3), min_size=1, max_size=60).filter(any)

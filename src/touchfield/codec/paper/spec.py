@@ -57,7 +57,7 @@ class PaperSpec:
     stage : str
         What figure 4 names in place of deadband, levels, directions and differences between frames: "dpcm", "adpcm"
         (predictive), "dct", "wavelet" (spectral) or "runs" (run-length) of components in uniform steps, each frame
-        alone; or "none". See `codec.paper.stages`.
+        alone; or "none". See `codec.paper.decoder`.
     step_n : float
         Of a stage: the step, newtons, 1e-9 to 1e6.
 

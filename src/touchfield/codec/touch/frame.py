@@ -18,7 +18,7 @@ from touchfield.arrays import Int32s, Int64s
 from touchfield.codec.kernels.bits import Models, fresh, reader
 from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
 from touchfield.codec.support import check_end, code_bricks
-from touchfield.codec.touch.kernels import lattice as kernels
+from touchfield.codec.touch.kernels import workspace as kernels
 from touchfield.codec.touch.kernels.decode_pass import CONTEXTS, SETS, decode_bricks
 from touchfield.codec.touch.kernels.workspace import CLASSES, FEATURES, Law, Scan, fresh_work
 from touchfield.codec.touch.lattice import FixedField, Lattice, warp_of

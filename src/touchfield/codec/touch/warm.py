@@ -27,9 +27,9 @@ def _passes() -> None:
 
 
 def _columns() -> None:
-    from touchfield.codec.touch.columns import synthesise
-    from touchfield.codec.touch.columns_fit import fit
     from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
+    from touchfield.codec.touch.guess import synthesise
+    from touchfield.codec.touch.guess_fit import fit
     from touchfield.codec.touch.promise import agreement
 
     field, spec = solid(), TouchSpec()

@@ -5,10 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.kernels.bits import PLACE, code, mix
-from touchfield.codec.touch.kernels.predict import ahead, before, expect, held, learn
-from touchfield.codec.touch.kernels.residual import CONTEXTS as RESIDUAL_CONTEXTS
-from touchfield.codec.touch.kernels.residual import SETS as RESIDUAL_SETS
-from touchfield.codec.touch.kernels.residual import aim, code_step, code_still, look, place, sizes_of
+from touchfield.codec.touch.kernels.voxel import CONTEXTS as RESIDUAL_CONTEXTS
+from touchfield.codec.touch.kernels.voxel import SETS as RESIDUAL_SETS
+from touchfield.codec.touch.kernels.voxel import (
+    ahead,
+    aim,
+    before,
+    code_step,
+    code_still,
+    expect,
+    held,
+    learn,
+    look,
+    place,
+    sizes_of,
+)
 from touchfield.codec.touch.kernels.workspace import (
     DEEP,
     EXPECTED,

@@ -16,9 +16,18 @@ from touchfield.codec.touch.kernels.decode_pass import (
     settle,
     then_of,
 )
-from touchfield.codec.touch.kernels.lattice import amplitude_of, level_of, step_at
-from touchfield.codec.touch.kernels.predict import before, expect, held
-from touchfield.codec.touch.kernels.residual import BASED, LEVEL, aim, code_step, code_still, look, place
+from touchfield.codec.touch.kernels.voxel import (
+    BASED,
+    LEVEL,
+    aim,
+    before,
+    code_step,
+    code_still,
+    expect,
+    held,
+    look,
+    place,
+)
 from touchfield.codec.touch.kernels.workspace import (
     APART,
     AXES,
@@ -29,8 +38,11 @@ from touchfield.codec.touch.kernels.workspace import (
     STEPS,
     VECTOR,
     WIDTH,
+    amplitude_of,
     copy_reference,
     keep,
+    level_of,
+    step_at,
 )
 from touchfield.lean import entry, inlined, lean
 
