@@ -18,23 +18,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Int32s, Int64s
-from touchfield.codec.kernels import support as kernels
-from touchfield.codec.kernels.bits import PLACE, READING, TASK, Bits, code, end_of, fresh, reader, writer
-from touchfield.codec.kernels.support import (
+from touchfield.codec import kernels
+from touchfield.codec.kernels import (
     NEIGHBOURS,
     NUMBER_CONTEXTS,
     NUMBER_ROOM,
     NUMBER_SETS,
+    PLACE,
+    READING,
+    TASK,
     UNKNOWN,
+    Bits,
     Level,
+    code,
     code_level,
     code_numbers,
+    end_of,
+    fresh,
+    reader,
+    writer,
 )
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.field import slots_around
 from touchfield.medium.grid import BRICK, Grid
 
-X = 1
 # brick coordinates int32 [n, 3], ascending, and the mask of their samples, bool [n, 8, 8, 8]
 Bricks = tuple[Int32s, Bools]
 BRICKS_FREE: Final = 64

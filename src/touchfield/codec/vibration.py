@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Int32s, Int64s
-from touchfield.codec import support
-from touchfield.codec.kernels import support as kernels
-from touchfield.codec.kernels.bits import Bits, end_of, fresh, reader, writer
+from touchfield.codec import kernels, support
+from touchfield.codec.kernels import Bits, end_of, fresh, reader, writer
 from touchfield.codec.support import BRICKS_PER_BYTE, check_end, padded
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.budget import memory_budget_bytes

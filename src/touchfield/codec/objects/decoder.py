@@ -16,8 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Bools, Int64s
-from touchfield.codec.kernels.bits import Bits, fresh, reader
-from touchfield.codec.kernels.support import NUMBER_CONTEXTS, NUMBER_SETS, code_numbers
+from touchfield.codec.kernels import NUMBER_CONTEXTS, NUMBER_SETS, Bits, code_numbers, fresh, reader
 from touchfield.codec.objects.layout import NAME, CodedObject, Parameters, SegmentParts
 from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import FieldDecoder, field_decoder

@@ -20,8 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.kernels.bits import end_of, fresh, price, writer
-from touchfield.codec.kernels.support import NUMBER_ROOM, code_numbers
+from touchfield.codec.kernels import NUMBER_ROOM, code_numbers, end_of, fresh, price, writer
 from touchfield.codec.objects import layout
 from touchfield.codec.objects.decoder import (
     MODELS,

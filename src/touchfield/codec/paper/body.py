@@ -119,16 +119,13 @@ def decode_symbols(
     return sent, levels[:count].copy()
 
 
-Mask = Bools
-
-
 @dataclass(frozen=True)
 class FrameSymbols:
     """Symbols of a frame that go into the stream."""
 
     kind: FrameKind
     bricks: Int32s  # [n, 3]
-    mask: Mask  # [n, 8, 8, 8]; the support (of the differences, in a DIFFERENCE frame)
+    mask: Bools  # [n, 8, 8, 8]; the support (of the differences, in a DIFFERENCE frame)
     sent: Bools  # [L]; per supported sample in raster order: sent, or held
     # levels, directions: [sent.sum()]; amplitude level and direction index of the sent samples
     levels: NDArray[np.uint16]

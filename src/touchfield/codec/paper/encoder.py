@@ -10,9 +10,8 @@ from __future__ import annotations
 import heapq
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,7 @@ from touchfield.codec.paper.body import (
 )
 from touchfield.codec.paper.decoder import GRAIN, LEVELS, ORDER, is_by_brick, lifted
 from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.paper.kernels import LONGEST, pack_bits
+from touchfield.codec.paper.kernels import LONGEST, adpcm, pack_bits
 from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.rate import BitAccount
@@ -78,19 +77,16 @@ class PaperEncoder:
         return write_body(count, coder.levels, coder.coded, single_holds=not spec.hold_runs)
 
 
-@dataclass
 class _Coder:
     """The frames of a segment, coded one after another."""
 
-    grid: Grid
-    spec: PaperSpec
-    segment: Sequence[ForceField]
-    levels: dict[int, AmplitudeLevels]
-    decoded: ForceField | None = None
-    coded: list[CodedFrame] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self._codebook = Codebook.get(self.spec.directions)
+    def __init__(
+        self, grid: Grid, spec: PaperSpec, segment: Sequence[ForceField], levels: dict[int, AmplitudeLevels]
+    ) -> None:
+        self.grid, self.spec, self.segment, self.levels = grid, spec, segment, levels
+        self.decoded: ForceField | None = None
+        self.coded: list[CodedFrame] = []
+        self._codebook = Codebook.get(spec.directions)
         for i, frame in enumerate(self.segment):
             candidates = []
             if i == 0 or self.spec.choose_by_size or self.spec.interframe == "none":
@@ -102,7 +98,9 @@ class _Coder:
                     self.levels[INTER_SET] = _fitted(self.spec, _changes_n(self.spec, self.segment))
                 candidates.append(self._scanned(FrameKind.DIFFERENCE, frame + self.segment[i - 1].scaled(-1)))
             best = min(candidates, key=self._estimated_bits) if len(candidates) > 1 else candidates[0]
-            self.decoded = rebuilt(self.grid, best.symbols, self._levels(best).levels_n, self._codebook, self.decoded)
+            self.decoded = rebuilt(
+                self.grid, best.symbols, self.levels[set_of(best.symbols.kind)].levels_n, self._codebook, self.decoded
+            )
             self.coded.append(best)
 
     def _scanned(self, kind: FrameKind, field: ForceField) -> CodedFrame:
@@ -134,14 +132,10 @@ class _Coder:
         directions = self._codebook.nearest(difference)
         return CodedFrame(FrameSymbols(FrameKind.INTER, frame.bricks, frame.mask, sent, levels, directions), support)
 
-    def _levels(self, frame: CodedFrame) -> AmplitudeLevels:
-        return self.levels[set_of(frame.symbols.kind)]
-
     def _estimated_bits(self, frame: CodedFrame) -> float:
         symbols = frame.symbols
-        packed, _, extra = pack_runs(
-            symbols.sent, symbols.levels, len(self._levels(frame)), single=not self.spec.hold_runs
-        )
+        count = len(self.levels[set_of(symbols.kind)])
+        packed, _, extra = pack_runs(symbols.sent, symbols.levels, count, single=not self.spec.hold_runs)
         amplitude = entropy_bits(np.bincount(packed)) * len(packed) + int(extra.sum())
         direction = entropy_bits(np.bincount(symbols.directions)) * len(symbols.directions)
         return amplitude + direction + 8 * len(frame.support)
@@ -220,11 +214,6 @@ def _depths(weights: list[int]) -> list[int]:
     return [max(1, depth[i]) for i in range(len(weights))]
 
 
-def code_bytes(code: HuffmanCode) -> bytes:
-    """A code as its lengths (`codec.numbers`)."""
-    return encode_numbers(code.lengths)
-
-
 def pack_runs(
     sent: Bools, levels: NDArray[np.uint16], level_count: int, *, single: bool
 ) -> tuple[Int64s, Int64s, Int64s]:
@@ -256,8 +245,7 @@ def encode_symbols(
     return BitStream(out.tobytes(), bit_length)
 
 
-@dataclass(frozen=True)
-class CodedFrame:
+class CodedFrame(NamedTuple):
     """A frame's symbols with its coded support."""
 
     symbols: FrameSymbols
@@ -265,11 +253,7 @@ class CodedFrame:
 
 
 def write_body(
-    direction_count: int,
-    levels: Mapping[int, AmplitudeLevels],
-    frames: Sequence[CodedFrame],
-    *,
-    single_holds: bool,
+    direction_count: int, levels: Mapping[int, AmplitudeLevels], frames: Sequence[CodedFrame], *, single_holds: bool
 ) -> CodedSegment:
     """The body of a segment, and what each frame cost; `levels` are by `INTRA_SET` and `INTER_SET`."""
     kinds, tables, packed = 0, b"", {}
@@ -288,7 +272,8 @@ def write_body(
         made = sets[kind] = TableSet(chosen, fitted_code(amplitude_counts), fitted_code(direction_counts))
         kinds |= kind
         tables += chunk(chosen.levels_n.astype("<f4").tobytes())
-        tables += chunk(code_bytes(made.amplitude_code)) + chunk(code_bytes(made.direction_code))
+        for code in (made.amplitude_code, made.direction_code):
+            tables += chunk(encode_numbers(code.lengths))
     parts, stats = [bytes([kinds]), tables], []
     for f in frames:
         symbols, chosen_set = f.symbols, sets[set_of(f.symbols.kind)]
@@ -332,7 +317,11 @@ def _numbers(frame: ForceField, stage: str, step_n: float) -> tuple[Int64s, int]
         return made.reshape(-1, BRICK**3, 3)[:, ORDER].transpose(2, 1, 0).reshape(-1), 0
     vectors = frame.vectors_n().astype(np.float64) / step_n
     if stage == "adpcm":
-        return _adpcm(_points(vectors * GRAIN)), 0
+        grains = np.ascontiguousarray(_points(vectors * GRAIN).T)
+        residuals = np.zeros_like(grains)
+        for values, out in zip(grains, residuals, strict=True):
+            adpcm(values, out, False)
+        return residuals.reshape(-1), 0
     points = _points(vectors)
     if stage == "dpcm":
         return np.diff(points, axis=0, prepend=np.zeros((1, 3), np.int64)).T.reshape(-1), 0
@@ -343,15 +332,6 @@ def _numbers(frame: ForceField, stage: str, step_n: float) -> tuple[Int64s, int]
 
 def _points(steps: Float64s) -> Int64s:
     return np.rint(np.clip(steps, -float(1 << 40), float(1 << 40))).astype(np.int64)  # too large is told later
-
-
-def _adpcm(grains: Int64s) -> Int64s:
-    from touchfield.codec.paper.kernels import adpcm
-
-    residuals = np.zeros((3, len(grains)), np.int64)
-    for values, out in zip(np.ascontiguousarray(grains.T), residuals, strict=True):
-        adpcm(values, out, False)
-    return residuals.reshape(-1)
 
 
 def _filled(frame: ForceField) -> Float64s:

@@ -8,25 +8,24 @@ promise is sent apart. In the exact mode levels and a codebook are searched for 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s, Int64s
-from touchfield.codec.kernels.bits import end_of, writer
+from touchfield.codec.kernels import end_of, writer
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.segment import CodedSegment, FrameStats, Worst
 from touchfield.codec.support import code_bricks, padded
 from touchfield.codec.touch.body import Exceptions, FrameRecord, shares_of, write_body, write_parameters
 from touchfield.codec.touch.decoder import NAME, TouchDecoder
-from touchfield.codec.touch.exact import AS_THEY_ARE, BRICK_COUNTS, Palette, Told, components, frame_of, models_after
+from touchfield.codec.touch.frame import AS_THEY_ARE, BRICK_COUNTS, Palette, Told, components, frame_of, models_after
 from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
 from touchfield.codec.touch.kernels import exact as kernels
-from touchfield.codec.touch.kernels.compare import largest
 from touchfield.codec.touch.lattice import MOST_NEWTONS, Lattice
-from touchfield.codec.touch.promise import Compared, compared, hidden_of
+from touchfield.codec.touch.promise import Compared, compared, hidden_of, largest
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import FormatError, InvalidArgument
 from touchfield.medium import ForceField, Grid
@@ -49,32 +48,26 @@ class TouchEncoder:
         """`HEAD.coder_parameters`: what was asked for."""
         return write_parameters(self._spec)
 
-    def encode_segment(
-        self, frames: Iterable[ForceField], anchor: ForceField | None = None, longest_n: float | None = None
-    ) -> CodedSegment:
+    def encode_segment(self, frames: Sequence[ForceField], anchor: ForceField | None = None) -> CodedSegment:
         """Code frames, at least one, as an independent segment.
 
-        Where `longest_n` is given, which no force of any frame is longer than, frames are coded as they come.
         `anchor` is a field near the first frame, to be coded in its place: segments of a world that stands, which
         share one, begin with the same bytes, and so with the same forces. The promise is about the frames all the
         same. InvalidArgument if a force is NaN, infinite or beyond 2^120 N, or a frame has another grid.
         """
-        came: list[ForceField] = []
-        if longest_n is None or self._spec.mode == "lossless":
-            came = list(frames)
-            longest_n, frames = max(self._longest_n(i, frame) for i, frame in enumerate(came)), came
+        longest_n = max(self._longest_n(i, frame) for i, frame in enumerate(frames))
         if self._spec.mode == "lossless":
-            return self._verified(came, None, self._exact(came))
+            runs = [[frame] for frame in frames] if self._spec.interframe == "off" else [frames]
+            coded_runs = [(i > 0, *coded) for run in runs for i, coded in enumerate(encode_exact(run))]
+            exact = [FrameRecord(inter, b"", payload, shares_of(bits)) for inter, payload, bits in coded_runs]
+            return self._verified(frames, None, exact)
         if anchor is not None:  # its unit, if that will do: segments that share an anchor shall share the lattice
             mine = self._longest_n(0, anchor)
             longest_n = longest_n if longest_n > 1.01 * mine else mine
         lattice = lattice_for(self._spec, longest_n)
         chooser = Chooser(self._grid, self._spec, lattice)
-        records, seen, is_known = [], [], frames is came
+        records, seen = [], []
         for i, frame in enumerate(frames):
-            if not is_known and self._longest_n(i, frame) > 1.01 * longest_n:
-                raise InvalidArgument(f"frame {i}", "a force longer than was told", f"{longest_n:.3g} N at most")
-            came += [] if is_known else [frame]
             hidden_n = hidden_of(frame, self._spec)
             if i == 0 and anchor is not None:
                 coded, inter, guess = chooser.add(anchor, hidden_of(anchor, self._spec))
@@ -86,7 +79,7 @@ class TouchEncoder:
             seen.append(found)
         if self._spec.effort == "fast" and not any(len(found.keys) for found in seen):
             return self._sealed(lattice, records, seen)  # a decoder makes what was compared, bit for bit
-        return self._verified(came, lattice, records)
+        return self._verified(frames, lattice, records)
 
     def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
         """The anchor before, where no force differs by more than a small share of the mask, or else this frame."""
@@ -98,21 +91,14 @@ class TouchEncoder:
 
     def _longest_n(self, index: int, frame: ForceField) -> float:
         if frame.grid != self._grid:
-            raise InvalidArgument(
-                f"frame {index}", f"a grid of {frame.grid.shape}", f"that of the stream, {self._grid.shape}"
-            )
+            found = f"a grid of {frame.grid.shape}"
+            raise InvalidArgument(f"frame {index}", found, f"that of the stream, {self._grid.shape}")
         longest_n = float(largest(frame.forces_n.reshape(-1, 3)))
         if math.isinf(longest_n):
             raise InvalidArgument(f"frame {index}", "a force that is NaN or infinite", "finite newtons")
         if longest_n > MOST_NEWTONS:
             raise InvalidArgument(f"frame {index}", f"a force of {longest_n:.3g} N", "2^120 N at most")
         return longest_n
-
-    def _exact(self, frames: Sequence[ForceField]) -> list[FrameRecord]:
-        """Frames to the bit, each after the one before, or each alone."""
-        runs = [[frame] for frame in frames] if self._spec.interframe == "off" else [frames]
-        made = [(i > 0, *coded) for run in runs for i, coded in enumerate(encode_exact(run))]
-        return [FrameRecord(inter, b"", payload, shares_of(bits)) for inter, payload, bits in made]
 
     def _verified(
         self, frames: Sequence[ForceField], lattice: Lattice | None, records: list[FrameRecord]
@@ -130,18 +116,15 @@ class TouchEncoder:
                 return self._sealed(lattice, records, found)
             for i, one in enumerate(found):
                 if len(one.keys):
-                    records[i] = replace(records[i], exceptions=self._more(frames[i], records[i].exceptions, one))
+                    keys, places, _ = Exceptions.from_bytes(records[i].exceptions, self._grid)
+                    keys, places = np.append(keys, one.keys), np.append(places, one.places)
+                    records[i] = replace(records[i], exceptions=Exceptions.of(frames[i], keys, places).to_bytes())
         raise AssertionError("a voxel that was sent as it is does not keep the promise")
 
     def _sealed(self, lattice: Lattice | None, records: list[FrameRecord], found: Sequence[Compared]) -> CodedSegment:
         worst = None if self._spec.mode == "nmse" else self._worst(found)
         stats = (FrameStats(r.kind, f.decoded, f.decoded, r.cost.bits) for r, f in zip(records, found, strict=True))
         return CodedSegment(write_body(lattice, records, worst), tuple(stats))
-
-    def _more(self, original: ForceField, known: bytes, found: Compared) -> bytes:
-        before = Exceptions.from_bytes(known, self._grid)
-        keys = np.concatenate([before.keys, found.keys])
-        return Exceptions.of(original, keys, np.concatenate([before.places, found.places])).to_bytes()
 
     def _worst(self, found: Sequence[Compared]) -> Worst:
         frame = max(range(len(found)), key=lambda i: found[i].worst)
@@ -154,14 +137,12 @@ class TouchEncoder:
         return Worst(min(one.worst, 1.0), frame, (x, y, z))
 
 
-Shares = tuple[float, float, float]
-Bounds = Float64s
-
+_Shares = tuple[float, float, float]
 _TRIED: Final = ("ico5", "octa3", "ico3", "ico1", "ico2", "ico4", "octa1", "octa2", "ico8", "ico10")
 _MOST_LEVELS: Final = (1 << 16) - 1
 
 
-def encode_exact(frames: Sequence[ForceField]) -> Iterator[tuple[bytes, Shares]]:
+def encode_exact(frames: Sequence[ForceField]) -> Iterator[tuple[bytes, _Shares]]:
     """Code frames to the bit, each after the one before.
 
     `frames`: at least one; all on one grid, and finite. A sample whose three components are all 0.0 holds no force;
@@ -178,7 +159,7 @@ def encode_exact(frames: Sequence[ForceField]) -> Iterator[tuple[bytes, Shares]]
         yield payload, bits
 
 
-def _coded(frame: ForceField, palette: Palette, before: Told | None) -> tuple[bytes, Shares, Told]:
+def _coded(frame: ForceField, palette: Palette, before: Told | None) -> tuple[bytes, _Shares, Told]:
     kept = frame.forces_n.view(np.uint32).any(axis=(1, 2, 3, 4))
     field = ForceField(frame.grid, frame.bricks[kept], frame.forces_n[kept])
     symbols, models = components(field.forces_n), models_after(before)
@@ -227,7 +208,7 @@ def _symbols(vectors: Float32s, palette: Palette) -> Int64s:
     return np.stack([level, palette.codebook.nearest(vectors)], axis=1).astype(np.int64)
 
 
-def _bounds(vectors: Float32s, codebook: Codebook) -> Bounds:
+def _bounds(vectors: Float32s, codebook: Codebook) -> Float64s:
     """Between which levels the rounded products with the nearest vertices are vectors, float64 [2, n]."""
     vertices = codebook.vertices_float32[codebook.nearest(vectors)]
     v, d = np.abs(vectors.astype(np.float64)), np.abs(vertices.astype(np.float64))
@@ -237,8 +218,8 @@ def _bounds(vectors: Float32s, codebook: Codebook) -> Bounds:
         return np.stack([low, np.where(d > 0, (v + half) / d, np.inf).min(axis=1)])
 
 
-def _distinct(bounds: Bounds) -> Bounds:
-    """Bounds of levels, each once and ascending."""
+def _distinct(bounds: Float64s) -> Float64s:
+    """Float64s of levels, each once and ascending."""
     bounds = bounds[:, np.argsort(bounds.sum(axis=0))]
     middle = bounds.sum(axis=0)
     begins = np.flatnonzero(np.diff(middle, prepend=-1) > 2.0**-20 * middle)

@@ -24,8 +24,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Int32s, Int64s
-from touchfield.codec.kernels.bits import PLACE, fresh, reader
-from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
+from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, PLACE, fresh, reader
 from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE, code_bricks
 from touchfield.codec.touch.kernels import guess as kernels
 from touchfield.codec.touch.kernels.guess import NODE_CONTEXTS, code_nodes

@@ -14,11 +14,23 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
-from touchfield.codec.kernels.bits import end_of, fresh, writer
-from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
+from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, end_of, fresh, writer
 from touchfield.codec.support import code_bricks, padded
-from touchfield.codec.touch import columns as guess
-from touchfield.codec.touch.guess import COLUMNS, SPLINE, SPLINE_CONTEXTS, Head, Nodes, forces_of, weights
+from touchfield.codec.touch.guess import (
+    COLUMNS,
+    DEEPEST,
+    SPLINE,
+    SPLINE_CONTEXTS,
+    TILES_FREE,
+    Head,
+    Nodes,
+    View,
+    column_forces,
+    columns_of,
+    forces_of,
+    least_size,
+    weights,
+)
 from touchfield.codec.touch.kernels import guess as kernels
 from touchfield.codec.touch.kernels.columns_fit import Fits, choose_row
 from touchfield.codec.touch.kernels.encode_pass import Limits
@@ -50,7 +62,7 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
     heads = _heads(view, frame, lattice.unit_n, mask)
     if heads is None:
         return None
-    columns = guess.columns_of(view, heads)
+    columns = columns_of(view, heads)
     # of nine numbers of some 70 bits each: an adaptive bit costs 14 bits at most, but few of them do
     bits = writer(len(columns.surfaces) * 200 + 64, fresh(kernels.COLUMN_CONTEXTS, kernels.COLUMN_SETS))
     ramp = np.array([heads[kernels.TOP], heads[kernels.RAMP] / 65536])
@@ -65,14 +77,14 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
         wishes = np.zeros((count, kernels.WISHES), np.int64)
         choose_row(columns, row, fits, wishes)
         kernels.code_row(bits, columns, row, wishes)
-    made = guess.column_forces(view, columns)
+    made = column_forces(view, columns)
     a, b, tiles_a, tiles_b = view.box
     told = (2 * view.axis + view.inverted, a, b, tiles_a - 1, tiles_b - 1, *heads.tolist())
-    code = end_of(bits).ljust(guess.least_size(view, len(made.bricks)), b"\0")
+    code = end_of(bits).ljust(least_size(view, len(made.bricks)), b"\0")
     return b"".join(map(write_varint, told)) + code, made
 
 
-def _view_of(frame: ForceField) -> guess.View | None:
+def _view_of(frame: ForceField) -> View | None:
     """Along the main axis of the force; None if there is none, few tiles reach the border, or it is too large."""
     if not len(frame.bricks):
         return None
@@ -83,15 +95,15 @@ def _view_of(frame: ForceField) -> guess.View | None:
         return None
     tiles = np.unique(np.delete(frame.bricks, axis, axis=1), axis=0)
     (a, b), (rows, row) = tiles.min(axis=0).tolist(), (np.ptp(tiles, axis=0) + 1).tolist()
-    view = guess.View(frame.grid, axis, bool(total[axis] > 0), (a, b, rows, row))
+    view = View(frame.grid, axis, bool(total[axis] > 0), (a, b, rows, row))
     inner = 0 if view.inverted else frame.grid.brick_shape[axis] - 1
     if np.count_nonzero(frame.bricks[:, axis] == inner) < _LEAST_REACHING * len(tiles):
         return None
-    large = view.depth > guess.DEEPEST or rows * row > guess.TILES_FREE + 4 * len(tiles)
+    large = view.depth > DEEPEST or rows * row > TILES_FREE + 4 * len(tiles)
     return None if large or row * BRICK**2 * view.depth > _ROOM else view
 
 
-def _heads(view: guess.View, frame: ForceField, unit_n: float, mask: Float64s) -> Int64s | None:
+def _heads(view: View, frame: ForceField, unit_n: float, mask: Float64s) -> Int64s | None:
     """Numbers that all columns share; None where no force grows behind a surface, or none is above the mask."""
     forces = frame.forces_n
     lengths = np.moveaxis(np.sqrt(np.einsum("...i,...i", forces, forces)), 1 + view.axis, -1) / unit_n
@@ -117,7 +129,7 @@ def _heads(view: guess.View, frame: ForceField, unit_n: float, mask: Float64s) -
     return whole
 
 
-def _laid_out(view: guess.View, frame: ForceField, tiles: int, scale: float) -> Float32s:
+def _laid_out(view: View, frame: ForceField, tiles: int, scale: float) -> Float32s:
     """Columns of a row of tiles, [8, columns, depth, 4]: across, across, outward and length, units, from outside."""
     a, b, axis = view.order
     bricks = np.flatnonzero(frame.bricks[:, a] == view.box[0] + tiles)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.kernels.bits import PLACE, code, mix
+from touchfield.codec.kernels import PLACE, code, mix
+from touchfield.codec.touch.kernels import workspace as ws
 from touchfield.codec.touch.kernels.voxel import CONTEXTS as RESIDUAL_CONTEXTS
 from touchfield.codec.touch.kernels.voxel import SETS as RESIDUAL_SETS
 from touchfield.codec.touch.kernels.voxel import (
@@ -19,22 +20,6 @@ from touchfield.codec.touch.kernels.voxel import (
     look,
     place,
     sizes_of,
-)
-from touchfield.codec.touch.kernels.workspace import (
-    DEEP,
-    EXPECTED,
-    LEFT,
-    LOW,
-    SIDE,
-    STEPS,
-    UP,
-    VECTOR,
-    copy_reference,
-    keep,
-    length_of,
-    load,
-    load_reference,
-    store,
 )
 from touchfield.lean import entry, inlined, lean
 
@@ -57,8 +42,8 @@ def code_brick(bits, last, state):
 @lean
 def _face(window, first, axis):
     """True where the 4 x 4 cells before a sub-block along an axis, in another brick, hold a force."""
-    back, one = first - before(first, axis), UP if axis == 0 else DEEP
-    two = UP if axis == 2 else LEFT
+    back, one = first - before(first, axis), ws.UP if axis == 0 else ws.DEEP
+    two = ws.UP if axis == 2 else ws.LEFT
     for i in range(4):
         for j in range(4):
             if held(window, first - back + i * one + j * two):
@@ -70,7 +55,7 @@ def _face(window, first, axis):
 def _there(old, first):
     """True where the reference holds a force in a sub-block."""
     for n in range(64):
-        if old[(first + (n >> 4) * DEEP + (n >> 2 & 3) * UP + (n & 3)) * 4 + 3] > 0:
+        if old[(first + (n >> 4) * ws.DEEP + (n >> 2 & 3) * ws.UP + (n & 3)) * 4 + 3] > 0:
             return np.int64(1)
     return np.int64(0)
 
@@ -80,7 +65,7 @@ def code_blocks(bits, work, known, blocks):
     """Code the sub-blocks, of eight of 4 x 4 x 4 voxels, that hold a force: bit n of `blocks`."""
     window, out = work.window, np.int64(0)
     for n in range(8):
-        first = (LOW + (n & 4)) * DEEP + (LOW + 2 * (n & 2)) * UP + LOW + 4 * (n & 1)
+        first = (ws.LOW + (n & 4)) * ws.DEEP + (ws.LOW + 2 * (n & 2)) * ws.UP + ws.LOW + 4 * (n & 1)
         sides = np.int64(0)
         for axis in range(3):
             bit = 4 >> axis
@@ -94,7 +79,7 @@ def code_blocks(bits, work, known, blocks):
 @lean
 def near_of(window, here):
     """Neighbours before a cell, across a face, that hold a force: bits 0 to 2, of axes 0 to 2."""
-    return held(window, here - DEEP) | held(window, here - UP) << 1 | held(window, here - LEFT) << 2
+    return held(window, here - ws.DEEP) | held(window, here - ws.UP) << 1 | held(window, here - ws.LEFT) << 2
 
 
 @lean
@@ -131,10 +116,12 @@ def _around(old, here):
 def look_at_support(bits, work, here, near, then):
     """Gather the three contexts of a voxel's bit of support; returns their set of weights."""
     window = work.window
-    deep, up, left = here - DEEP, here - UP, here - LEFT
-    mask = near | held(window, deep + UP) << 3 | held(window, deep + LEFT) << 4 | held(window, up + LEFT) << 5
-    wide = held(window, deep - UP) | held(window, deep - LEFT) << 1 | held(window, up - LEFT) << 2
-    wide |= held(window, deep - DEEP) << 3 | held(window, left - LEFT) << 4
+    deep, up, left = here - ws.DEEP, here - ws.UP, here - ws.LEFT
+    mask = (
+        near | held(window, deep + ws.UP) << 3 | held(window, deep + ws.LEFT) << 4 | held(window, up + ws.LEFT) << 5
+    )
+    wide = held(window, deep - ws.UP) | held(window, deep - ws.LEFT) << 1 | held(window, up - ws.LEFT) << 2
+    wide |= held(window, deep - ws.DEEP) << 3 | held(window, left - ws.LEFT) << 4
     count = (near & 1) + (near >> 1 & 1) + (near >> 2)
     likely = wide
     if count:
@@ -154,10 +141,10 @@ def look_at_support(bits, work, here, near, then):
 @lean
 def enter(scan, work, n):
     """Lay out what is around brick n, and its reference; True if the reference knows the brick."""
-    load(work.window, scan.cells, scan.near, n)
+    ws.load(work.window, scan.cells, scan.near, n)
     if scan.around.shape[0] == 0:
         return False
-    load_reference(work.old, scan.reference, scan.around, n)
+    ws.load_reference(work.old, scan.reference, scan.around, n)
     return scan.around[n, 13] >= 0
 
 
@@ -167,11 +154,11 @@ def settle(law, work, here, still):
     rows = work.rows
     if still:
         for k in range(3):
-            rows[VECTOR, k] = rows[EXPECTED, k]
+            rows[ws.VECTOR, k] = rows[ws.EXPECTED, k]
     else:
-        place(law, work, rows[STEPS, 0], rows[STEPS, 1], rows[STEPS, 2])
-    v0, v1, v2 = rows[VECTOR, 0], rows[VECTOR, 1], rows[VECTOR, 2]
-    store(work.window, here, v0, v1, v2, length_of(v0, v1, v2), sizes_of(work, still), law.slope)
+        place(law, work, rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2])
+    v0, v1, v2 = rows[ws.VECTOR, 0], rows[ws.VECTOR, 1], rows[ws.VECTOR, 2]
+    ws.store(work.window, here, v0, v1, v2, ws.length_of(v0, v1, v2), sizes_of(work, still), law.slope)
     learn(work)
 
 
@@ -186,17 +173,17 @@ def decode_bricks(bits, scan, law, work):
         if known:
             last = state = code_brick(bits, last, np.int64(0))
         if state == 2:
-            copy_reference(work.window, work.old, law.slope)
-            keep(work.window, scan.cells, n)
+            ws.copy_reference(work.window, work.old, law.slope)
+            ws.keep(work.window, scan.cells, n)
             continue
         blocks = code_blocks(bits, work, known, np.int64(0))
         for x in range(scan.low[n, 0], scan.high[n, 0]):
             for y in range(scan.low[n, 1], scan.high[n, 1]):
                 for z in range(scan.low[n, 2], scan.high[n, 2]):
                     if blocks >> ((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)) & 1:
-                        here = ((x + LOW) * SIDE + y + LOW) * SIDE + z + LOW
+                        here = ((x + ws.LOW) * ws.SIDE + y + ws.LOW) * ws.SIDE + z + ws.LOW
                         _decode_voxel(bits, law, work, here, known, state)
-        keep(work.window, scan.cells, n)
+        ws.keep(work.window, scan.cells, n)
     return True
 
 

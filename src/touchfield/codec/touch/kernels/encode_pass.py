@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchfield.codec.kernels.bits import PLACE, PRICING, TASK, WRITING, mix, mixed_chance, price
+from touchfield.codec.kernels import PLACE, PRICING, TASK, WRITING, mix, mixed_chance, price
+from touchfield.codec.touch.kernels import workspace as ws
 from touchfield.codec.touch.kernels.decode_pass import (
     code_blocks,
     code_brick,
@@ -27,22 +28,6 @@ from touchfield.codec.touch.kernels.voxel import (
     held,
     look,
     place,
-)
-from touchfield.codec.touch.kernels.workspace import (
-    APART,
-    AXES,
-    EXPECTED,
-    LOW,
-    SIDE,
-    SIZES,
-    STEPS,
-    VECTOR,
-    WIDTH,
-    amplitude_of,
-    copy_reference,
-    keep,
-    level_of,
-    step_at,
 )
 from touchfield.lean import entry, inlined, lean
 
@@ -114,7 +99,7 @@ def _mean_sizes(work, here):
     for axis in range(3):
         at = before(here, axis)
         if held(work.window, at):
-            sizes = np.int64(work.window[at * WIDTH + SIZES])
+            sizes = np.int64(work.window[at * ws.WIDTH + ws.SIZES])
             along += sizes & 255
             across += sizes >> 8 & 255
             count += 1
@@ -135,10 +120,10 @@ def choose(bits, law, work, here, f, size, rule):
     nearest where none keeps the rule. Returns the cost: bits, or squared steps where every error has its price.
     """
     rows, level = work.rows, work.of[LEVEL]
-    along = (f[0] * rows[AXES + 0, 0] + f[1] * rows[AXES + 0, 1] + f[2] * rows[AXES + 0, 2]) / 16384.0
-    across_1 = (f[0] * rows[AXES + 1, 0] + f[1] * rows[AXES + 1, 1] + f[2] * rows[AXES + 1, 2]) / 16384.0
-    across_2 = (f[0] * rows[AXES + 2, 0] + f[1] * rows[AXES + 2, 1] + f[2] * rows[AXES + 2, 2]) / 16384.0
-    reached = level_of(min(np.int64(round(abs(along))), np.int64((1 << 18) - 1)), law.border, law.first)
+    along = (f[0] * rows[ws.AXES + 0, 0] + f[1] * rows[ws.AXES + 0, 1] + f[2] * rows[ws.AXES + 0, 2]) / 16384.0
+    across_1 = (f[0] * rows[ws.AXES + 1, 0] + f[1] * rows[ws.AXES + 1, 1] + f[2] * rows[ws.AXES + 1, 2]) / 16384.0
+    across_2 = (f[0] * rows[ws.AXES + 2, 0] + f[1] * rows[ws.AXES + 2, 1] + f[2] * rows[ws.AXES + 2, 2]) / 16384.0
+    reached = ws.level_of(min(np.int64(round(abs(along))), np.int64((1 << 18) - 1)), law.border, law.first)
     n0 = np.int64(round(((reached if along >= 0 else -reached) - level) / 256.0))
     bit = rule.thrift if rule.free else 1.0
     ease = 1.5 if rule.free else 0.5
@@ -150,8 +135,8 @@ def choose(bits, law, work, here, f, size, rule):
     for i in range(reach):
         r0 = n0 + _AROUND[i] if i < 3 else np.int64(0)
         cost_0 = _guessed(r0, slope_0, bit)
-        length = amplitude_of(level + 256 * r0, law.border)
-        step = step_at(abs(length), law.cross_floor, law.cross_rate)
+        length = ws.amplitude_of(level + 256 * r0, law.border)
+        step = ws.step_at(abs(length), law.cross_floor, law.cross_rate)
         n1, n2 = np.int64(round(across_1 / step)), np.int64(round(across_2 / step))
         for j in range(reach * reach):
             j1, j2 = j // reach, j % reach
@@ -167,14 +152,14 @@ def choose(bits, law, work, here, f, size, rule):
                     b0, b1, b2 = r0, r1, r2
                 continue
             if rule.thorough:
-                rows[STEPS, 0], rows[STEPS, 1], rows[STEPS, 2] = r0, r1, r2
+                rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2] = r0, r1, r2
                 cost = bit * _price(bits, law, work)
             if rule.free:
                 cost += error / np.float64(law.floor) ** 2
             if cost < best:
                 best = cost
                 b0, b1, b2 = r0, r1, r2
-    rows[STEPS, 0], rows[STEPS, 1], rows[STEPS, 2] = b0, b1, b2
+    rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2] = b0, b1, b2
     return best
 
 
@@ -184,7 +169,7 @@ def _allowed(law, work, r0, r1, r2, f, size, rule):
     if r0 == 0 and r1 == 0 and r2 == 0 and not work.of[BASED]:
         return False
     place(law, work, r0, r1, r2)
-    d0, d1, d2 = work.rows[VECTOR, 0], work.rows[VECTOR, 1], work.rows[VECTOR, 2]
+    d0, d1, d2 = work.rows[ws.VECTOR, 0], work.rows[ws.VECTOR, 1], work.rows[ws.VECTOR, 2]
     if rule.exact and d0 == 0 and d1 == 0 and d2 == 0:
         return False
     return rule.free or kept(d0, d1, d2, f, size, rule)
@@ -208,12 +193,12 @@ def still_pays(bits, law, work, here, f, size, rule):
     still_bits = bits.cost[0]
     error = 0.0
     for k in range(3):
-        error += (np.float64(work.rows[EXPECTED, k]) - f[k]) ** 2
+        error += (np.float64(work.rows[ws.EXPECTED, k]) - f[k]) ** 2
     aim(law, work, here)
     cost = choose(bits, law, work, here, f, size, rule)
     if work.of[BASED]:
         for k in range(3):
-            work.rows[APART, k] = -work.rows[APART, k]  # as it was before `aim`
+            work.rows[ws.APART, k] = -work.rows[ws.APART, k]  # as it was before `aim`
     moved_bits = -np.log2(max(1.0 - 2.0**-still_bits, 1e-5)) + (0.0 if rule.thorough else 1.0)
     return np.int64(error / np.float64(law.floor) ** 2 + rule.thrift * still_bits < cost + rule.thrift * moved_bits)
 
@@ -233,8 +218,8 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
         if known:
             last = state = code_brick(bits, last, _state_of(work.old, forces[n], rule))
         if state == 2:
-            copy_reference(work.window, work.old, law.slope)
-            keep(work.window, scan.cells, n)
+            ws.copy_reference(work.window, work.old, law.slope)
+            ws.keep(work.window, scan.cells, n)
             continue
         paid = price(bits)
         blocks = code_blocks(bits, work, known, _blocks_of(forces[n], rule))
@@ -243,10 +228,10 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
             for y in range(scan.low[n, 1], scan.high[n, 1]):
                 for z in range(scan.low[n, 2], scan.high[n, 2]):
                     if blocks >> ((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)) & 1:
-                        here = ((x + LOW) * SIDE + y + LOW) * SIDE + z + LOW
+                        here = ((x + ws.LOW) * ws.SIDE + y + ws.LOW) * ws.SIDE + z + ws.LOW
                         f = forces[n, (x * 8 + y) * 8 + z]
                         _encode_voxel(bits, law, work, here, known, state, f, rule, prices)
-        keep(work.window, scan.cells, n)
+        ws.keep(work.window, scan.cells, n)
     return True
 
 
@@ -256,7 +241,7 @@ def _state_of(old, forces, rule):
     count = agrees = 0
     whole = True
     for at in range(512):
-        c = ((((at >> 6) + LOW) * SIDE + (at >> 3 & 7) + LOW) * SIDE + (at & 7) + LOW) * 4
+        c = ((((at >> 6) + ws.LOW) * ws.SIDE + (at >> 3 & 7) + ws.LOW) * ws.SIDE + (at & 7) + ws.LOW) * 4
         f = forces[at]
         if old[c + 3] == 0 and f[0] == 0 and f[1] == 0 and f[2] == 0:
             continue
@@ -295,7 +280,9 @@ def _worth_holding(bits, law, work, here, near, trusted, f, chosen, rule):
         return np.int64(0)
     if chance > 55000:
         expect(law, work, here, near, trusted)
-        return np.int64(kept(work.rows[EXPECTED, 0], work.rows[EXPECTED, 1], work.rows[EXPECTED, 2], f, size, rule))
+        return np.int64(
+            kept(work.rows[ws.EXPECTED, 0], work.rows[ws.EXPECTED, 1], work.rows[ws.EXPECTED, 2], f, size, rule)
+        )
     return np.int64(size > 0)
 
 
@@ -314,7 +301,9 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     expect(law, work, here, near, state == 1)
     look(law, work, here, near)
     size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
-    still = np.int64(kept(work.rows[EXPECTED, 0], work.rows[EXPECTED, 1], work.rows[EXPECTED, 2], f, size, rule))
+    still = np.int64(
+        kept(work.rows[ws.EXPECTED, 0], work.rows[ws.EXPECTED, 1], work.rows[ws.EXPECTED, 2], f, size, rule)
+    )
     if rule.free:
         bits.state[TASK], bits.cost[0] = PRICING, 0.0
         code_still(bits, law, work, here, then, np.int64(1))

@@ -11,47 +11,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.kernels.bits import gamma, mix
-from touchfield.codec.touch.kernels.workspace import (
-    AHEAD,
-    ALTERNATIVES,
-    APART,
-    AXES,
-    BASE,
-    BLEND,
-    CENTRE,
-    DEEP,
-    EXPECTED,
-    FEATURE,
-    FEATURES,
-    LAST,
-    LEFT,
-    LENGTH,
-    LIMIT,
-    OTHER,
-    SIDES,
-    SIZES,
-    STEPS,
-    UP,
-    VECTOR,
-    WIDTH,
-    amplitude_of,
-    axes_along,
-    length_of,
-    level_of,
-    rebuild,
-    step_at,
-)
+from touchfield.codec.kernels import gamma, mix
+from touchfield.codec.touch.kernels import workspace as ws
 from touchfield.lean import inlined, lean
 
 # Places in ``Work.of``: 2^32 over the step; the cell that is followed; the class of weights (-1: none)
 INVERSE, FOLLOWED, _CORRECTED = 13, 14, 15
 NOTHING, REFERENCE = -1, -2  # in place of a cell that is followed
-_FROM = np.array(
-    [DEEP, UP, LEFT, DEEP - UP, DEEP - LEFT, UP - LEFT, DEEP, UP, LEFT, LEFT, UP], np.int64
-)  # fmt: skip
+_D, _U, _L = ws.DEEP, ws.UP, ws.LEFT
+_FROM = np.array([_D, _U, _L, _D - _U, _D - _L, _U - _L, _D, _U, _L, _L, _U], np.int64)
 # distances of the cells whose difference is a feature; 0: the base
-_TO = np.array(6 * [0] + [2 * DEEP, DEEP + UP, DEEP + LEFT, UP + LEFT, UP + LEFT], np.int64)
+_TO = np.array(6 * [0] + [2 * _D, _D + _U, _D + _L, _U + _L, _U + _L], np.int64)
 _PACE = 8  # how fast the weights learn, 1/64; measured: 4 to 12 are within 1 %
 _FEATURE_LIMIT = 4095
 _ERROR_LIMIT = 1023
@@ -62,24 +32,24 @@ _STILLNESS = 1 << 15  # what the energy of the features is at least: half a squa
 @lean
 def held(window, at):
     """1 where a cell holds a force, else 0."""
-    return np.int64(window[at * WIDTH + LENGTH] > 0)
+    return np.int64(window[at * ws.WIDTH + ws.LENGTH] > 0)
 
 
 @lean
 def before(here, axis):
     """The neighbour before a cell along an axis."""
-    return here - (DEEP if axis == 0 else (UP if axis == 1 else LEFT))
+    return here - (ws.DEEP if axis == 0 else (ws.UP if axis == 1 else ws.LEFT))
 
 
 @lean
 def ahead(window, at, axis):
     """The length that the law makes likely one step on along an axis."""
-    return np.int64(window[at * WIDTH + AHEAD + axis])
+    return np.int64(window[at * ws.WIDTH + ws.AHEAD + axis])
 
 
 @lean
 def _bounded(v):
-    return min(max(v, np.int64(-LIMIT)), np.int64(LIMIT))
+    return min(max(v, np.int64(-ws.LIMIT)), np.int64(ws.LIMIT))
 
 
 @lean
@@ -87,8 +57,8 @@ def chain(work, here, axis, floor, row):
     """Follow the law from the neighbour before `here` along an axis, which must hold a force; into a row."""
     window = work.window
     at = before(here, axis)
-    c = at * WIDTH
-    a = np.int64(window[c + LENGTH])
+    c = at * ws.WIDTH
+    a = np.int64(window[c + ws.LENGTH])
     length = max(ahead(window, at, axis), a >> 3, max(np.int64(1), np.int64(floor) >> 1))
     ratio = np.int64(16384)
     if length != a:
@@ -100,13 +70,13 @@ def chain(work, here, axis, floor, row):
 @inlined
 def _off(window, old, at, law):
     """True where the reference is more than a step off at a cell."""
-    a = np.int64(window[at * WIDTH + LENGTH])
+    a = np.int64(window[at * ws.WIDTH + ws.LENGTH])
     if a == 0 or old[at * 4 + 3] == 0:
         return False
     square = np.int64(0)
     for k in range(3):
-        square += (np.int64(window[at * WIDTH + k]) - np.int64(old[at * 4 + k])) ** 2
-    step = step_at(a, law.floor, law.rate)
+        square += (np.int64(window[at * ws.WIDTH + k]) - np.int64(old[at * 4 + k])) ** 2
+    step = ws.step_at(a, law.floor, law.rate)
     return square > step * step
 
 
@@ -114,14 +84,14 @@ def _off(window, old, at, law):
 def _follow(law, work, here, trusted):
     """Put the chain into the row `EXPECTED`: the reference where it is `trusted`, else a neighbour by the law."""
     window, old = work.window, work.old
-    if trusted and old[here * 4 + 3] > 0 and not _off(window, old, here - DEEP, law):
+    if trusted and old[here * 4 + 3] > 0 and not _off(window, old, here - ws.DEEP, law):
         for k in range(3):
-            work.rows[EXPECTED, k] = np.int64(old[here * 4 + k])
+            work.rows[ws.EXPECTED, k] = np.int64(old[here * 4 + k])
         return np.int64(REFERENCE)
     for axis in range(3):
         at = before(here, axis)
         if held(window, at):
-            chain(work, here, axis, law.floor, EXPECTED)
+            chain(work, here, axis, law.floor, ws.EXPECTED)
             return at
     return np.int64(NOTHING)
 
@@ -131,8 +101,8 @@ def _begin(work, here):
     """The blend where no neighbour across a face holds a force: the reference, or the last vector."""
     rows = work.rows
     for k in range(3):
-        rows[BASE, k] = np.int64(work.old[here * 4 + k]) if work.old[here * 4 + 3] > 0 else rows[LAST, k]
-        rows[BLEND, k] = rows[BASE, k]
+        rows[ws.BASE, k] = np.int64(work.old[here * 4 + k]) if work.old[here * 4 + 3] > 0 else rows[ws.LAST, k]
+        rows[ws.BLEND, k] = rows[ws.BASE, k]
     work.of[_CORRECTED] = -1
 
 
@@ -141,12 +111,12 @@ def _differences(work, here):
     """Features 0 to 10: how cells before differ from the base, and from those before them; none where one is none."""
     window, rows = work.window, work.rows
     for n in range(11):
-        c = (here - _FROM[n]) * WIDTH
-        d = (here - _TO[n]) * WIDTH
-        there = np.int64(window[c + LENGTH] > 0) & np.int64(_TO[n] == 0 or window[d + LENGTH] > 0)
+        c = (here - _FROM[n]) * ws.WIDTH
+        d = (here - _TO[n]) * ws.WIDTH
+        there = np.int64(window[c + ws.LENGTH] > 0) & np.int64(_TO[n] == 0 or window[d + ws.LENGTH] > 0)
         for k in range(3):
-            other = rows[BASE, k] if _TO[n] == 0 else np.int64(window[d + k])
-            rows[FEATURE + n, k] = (np.int64(window[c + k]) - other) * there
+            other = rows[ws.BASE, k] if _TO[n] == 0 else np.int64(window[d + k])
+            rows[ws.FEATURE + n, k] = (np.int64(window[c + k]) - other) * there
 
 
 @inlined
@@ -154,7 +124,7 @@ def _since(work, here):
     """Features 11 and 12: the reference less the base, and how much the neighbours differ from theirs on the mean."""
     window, old, rows = work.window, work.old, work.rows
     for k in range(3):
-        rows[FEATURE + 11, k] = rows[FEATURE + 12, k] = 0
+        rows[ws.FEATURE + 11, k] = rows[ws.FEATURE + 12, k] = 0
     if old[here * 4 + 3] == 0:
         return np.int64(0)
     count = np.int64(0)
@@ -163,10 +133,10 @@ def _since(work, here):
         if held(window, at) and old[at * 4 + 3] > 0:
             count += 1
             for k in range(3):
-                rows[FEATURE + 12, k] += np.int64(window[at * WIDTH + k]) - np.int64(old[at * 4 + k])
+                rows[ws.FEATURE + 12, k] += np.int64(window[at * ws.WIDTH + k]) - np.int64(old[at * 4 + k])
     for k in range(3):
-        rows[FEATURE + 11, k] = np.int64(old[here * 4 + k]) - rows[BASE, k]
-        rows[FEATURE + 12, k] //= max(count, np.int64(1))
+        rows[ws.FEATURE + 11, k] = np.int64(old[here * 4 + k]) - rows[ws.BASE, k]
+        rows[ws.FEATURE + 12, k] //= max(count, np.int64(1))
     return np.int64(1)
 
 
@@ -178,18 +148,18 @@ def _mean(law, work, here, near):
     for axis in range(3):
         if near >> axis & 1:
             at = before(here, axis)
-            a = np.int64(window[at * WIDTH + LENGTH])
-            s0 += np.int64(window[at * WIDTH])
-            s1 += np.int64(window[at * WIDTH + 1])
-            s2 += np.int64(window[at * WIDTH + 2])
+            a = np.int64(window[at * ws.WIDTH + ws.LENGTH])
+            s0 += np.int64(window[at * ws.WIDTH])
+            s1 += np.int64(window[at * ws.WIDTH + 1])
+            s2 += np.int64(window[at * ws.WIDTH + 2])
             total += a
             likely += max(ahead(window, at, axis), a >> 3)
             count += 1
     scale = min((likely << 16) // (total * count), np.int64(1 << 17))
-    rows[BASE, 0] = (s0 * scale + 32768) >> 16
-    rows[BASE, 1] = (s1 * scale + 32768) >> 16
-    rows[BASE, 2] = (s2 * scale + 32768) >> 16
-    step = step_at(likely // count, law.floor, law.rate)
+    rows[ws.BASE, 0] = (s0 * scale + 32768) >> 16
+    rows[ws.BASE, 1] = (s1 * scale + 32768) >> 16
+    rows[ws.BASE, 2] = (s2 * scale + 32768) >> 16
+    step = ws.step_at(likely // count, law.floor, law.rate)
     work.of[INVERSE] = (np.int64(1) << 32) // step
     return step
 
@@ -199,17 +169,17 @@ def _corrected(work, kind, step):
     """The blend: the base, and what the weights of a kind make of the features."""
     work.of[_CORRECTED] = kind
     s0 = s1 = s2 = np.int64(0)
-    for n in range(FEATURES):
+    for n in range(ws.FEATURES):
         weight = work.weights[kind, n]
         for k in range(3):
-            f = (work.rows[FEATURE + n, k] * work.of[INVERSE]) >> 24
-            work.rows[FEATURE + n, k] = min(max(f, np.int64(-_FEATURE_LIMIT)), np.int64(_FEATURE_LIMIT))
-        s0 += weight * work.rows[FEATURE + n, 0]
-        s1 += weight * work.rows[FEATURE + n, 1]
-        s2 += weight * work.rows[FEATURE + n, 2]
-    work.rows[BLEND, 0] = _bounded(work.rows[BASE, 0] + ((s0 >> 16) * step >> 8))
-    work.rows[BLEND, 1] = _bounded(work.rows[BASE, 1] + ((s1 >> 16) * step >> 8))
-    work.rows[BLEND, 2] = _bounded(work.rows[BASE, 2] + ((s2 >> 16) * step >> 8))
+            f = (work.rows[ws.FEATURE + n, k] * work.of[INVERSE]) >> 24
+            work.rows[ws.FEATURE + n, k] = min(max(f, np.int64(-_FEATURE_LIMIT)), np.int64(_FEATURE_LIMIT))
+        s0 += weight * work.rows[ws.FEATURE + n, 0]
+        s1 += weight * work.rows[ws.FEATURE + n, 1]
+        s2 += weight * work.rows[ws.FEATURE + n, 2]
+    work.rows[ws.BLEND, 0] = _bounded(work.rows[ws.BASE, 0] + ((s0 >> 16) * step >> 8))
+    work.rows[ws.BLEND, 1] = _bounded(work.rows[ws.BASE, 1] + ((s1 >> 16) * step >> 8))
+    work.rows[ws.BLEND, 2] = _bounded(work.rows[ws.BASE, 2] + ((s2 >> 16) * step >> 8))
 
 
 @lean
@@ -229,7 +199,7 @@ def expect(law, work, here, near, trusted):
     work.of[FOLLOWED] = followed
     if followed == NOTHING:
         for k in range(3):
-            work.rows[EXPECTED, k] = work.rows[BLEND, k]
+            work.rows[ws.EXPECTED, k] = work.rows[ws.BLEND, k]
 
 
 @lean
@@ -237,19 +207,19 @@ def learn(work):
     """Move the weights of the blend towards the row `VECTOR`, which was decoded (normalised least mean squares)."""
     kind = work.of[_CORRECTED]
     for k in range(3):
-        work.rows[LAST, k] = work.rows[VECTOR, k]
+        work.rows[ws.LAST, k] = work.rows[ws.VECTOR, k]
     if kind < 0:
         return
     energy = np.int64(_STILLNESS)
-    for n in range(FEATURES):
+    for n in range(ws.FEATURES):
         for k in range(3):
-            energy += work.rows[FEATURE + n, k] * work.rows[FEATURE + n, k]
+            energy += work.rows[ws.FEATURE + n, k] * work.rows[ws.FEATURE + n, k]
     for k in range(3):
-        error = ((work.rows[VECTOR, k] - work.rows[BLEND, k]) * work.of[INVERSE]) >> 24
+        error = ((work.rows[ws.VECTOR, k] - work.rows[ws.BLEND, k]) * work.of[INVERSE]) >> 24
         error = min(max(error, np.int64(-_ERROR_LIMIT)), np.int64(_ERROR_LIMIT))
         gain = (error * (np.int64(_PACE) << 24)) // energy
-        for n in range(FEATURES):
-            weight = work.weights[kind, n] + ((work.rows[FEATURE + n, k] * gain) >> 14)
+        for n in range(ws.FEATURES):
+            weight = work.weights[kind, n] + ((work.rows[ws.FEATURE + n, k] * gain) >> 14)
             work.weights[kind, n] = min(max(weight, np.int64(-_WEIGHT_LIMIT)), np.int64(_WEIGHT_LIMIT))
 
 
@@ -291,13 +261,13 @@ def _quiet(window, at):
     """State of a cell: without a force, or by how much it was corrected, 0 to 3."""
     if held(window, at) == 0:
         return np.int64(0)
-    sizes = np.int64(window[at * WIDTH + SIZES])
+    sizes = np.int64(window[at * ws.WIDTH + ws.SIZES])
     return min(1 + (sizes & 255) + (sizes >> 8 & 255), np.int64(3))
 
 
 @lean
 def _sizes(window, at):
-    return np.int64(window[at * WIDTH + SIZES]) if held(window, at) else np.int64(0)
+    return np.int64(window[at * ws.WIDTH + ws.SIZES]) if held(window, at) else np.int64(0)
 
 
 @lean
@@ -312,10 +282,10 @@ def _side(d):
 def look(law, work, here, near):
     """Gather how the neighbours of a voxel were corrected, and how far the two opinions lie apart."""
     window, of = work.window, work.of
-    d, u, left = _sizes(window, here - DEEP), _sizes(window, here - UP), _sizes(window, here - LEFT)
+    d, u, left = _sizes(window, here - ws.DEEP), _sizes(window, here - ws.UP), _sizes(window, here - ws.LEFT)
     count = (near & 1) + (near >> 1 & 1) + (near >> 2)
-    length = length_of(work.rows[EXPECTED, 0], work.rows[EXPECTED, 1], work.rows[EXPECTED, 2])
-    step = step_at(length, law.floor, law.rate)
+    length = ws.length_of(work.rows[ws.EXPECTED, 0], work.rows[ws.EXPECTED, 1], work.rows[ws.EXPECTED, 2])
+    step = ws.step_at(length, law.floor, law.rate)
     of[_NEAR], of[_LOUD] = count, min(length >> 12, 15)
     along = (d & 255) + (u & 255) + (left & 255)
     across = (d >> 8 & 255) + (u >> 8 & 255) + (left >> 8 & 255)
@@ -327,22 +297,22 @@ def look(law, work, here, near):
     of[BASED] = np.int64(of[FOLLOWED] != NOTHING)
     rows = work.rows
     for k in range(3):
-        rows[APART, k] = (rows[BLEND, k] if of[BASED] else rows[BASE, k]) - rows[EXPECTED, k]
-    of[_APART] = _digits((length_of(rows[APART, 0], rows[APART, 1], rows[APART, 2]) << 3) // step)
+        rows[ws.APART, k] = (rows[ws.BLEND, k] if of[BASED] else rows[ws.BASE, k]) - rows[ws.EXPECTED, k]
+    of[_APART] = _digits((ws.length_of(rows[ws.APART, 0], rows[ws.APART, 1], rows[ws.APART, 2]) << 3) // step)
 
 
 @lean
 def code_still(bits, law, work, here, then, still):
     """Code that the expected force stands; `then` is what the reference says of the support here."""
-    window, of, expected = work.window, work.of, work.rows[EXPECTED]
-    deep, up, left = here - DEEP, here - UP, here - LEFT
+    window, of, expected = work.window, work.of, work.rows[ws.EXPECTED]
+    deep, up, left = here - ws.DEEP, here - ws.UP, here - ws.LEFT
     quiet = (_quiet(window, deep) << 2 | _quiet(window, up)) << 2 | _quiet(window, left)
     far = np.int64(7)  # how far the reference lies, where it is not followed
     if work.old[here * 4 + 3] > 0 and of[FOLLOWED] != REFERENCE:
         d = np.int64(work.old[here * 4]) - expected[0], np.int64(work.old[here * 4 + 1]) - expected[1]
-        length = length_of(expected[0], expected[1], expected[2])
-        step = step_at(length, law.floor, law.rate)
-        far = _digits((length_of(d[0], d[1], np.int64(work.old[here * 4 + 2]) - expected[2]) << 3) // step)
+        length = ws.length_of(expected[0], expected[1], expected[2])
+        step = ws.step_at(length, law.floor, law.rate)
+        far = _digits((ws.length_of(d[0], d[1], np.int64(work.old[here * 4 + 2]) - expected[2]) << 3) // step)
     b, apart = bits.inputs, of[_APART]
     b[0] = _STILL[0] + (quiet << 3 | apart)
     b[1] = _STILL[1] + ((apart << 4 | of[_LOUD]) << 2 | of[_NEAR])
@@ -356,10 +326,10 @@ def _alternative(law, work, here, n):
     if n < 3:
         if held(work.window, before(here, n)) == 0:
             return False
-        chain(work, here, n, law.floor, OTHER)
+        chain(work, here, n, law.floor, ws.OTHER)
         return True
     for k in range(3):
-        work.rows[OTHER, k] = np.int64(work.old[here * 4 + k])
+        work.rows[ws.OTHER, k] = np.int64(work.old[here * 4 + k])
     return work.old[here * 4 + 3] > 0
 
 
@@ -368,40 +338,40 @@ def aim(law, work, here):
     """Set centre, axes and level of the residual, and on which side of it other predictions lie."""
     of, rows = work.of, work.rows
     for k in range(3):
-        rows[CENTRE, k] = work.rows[BLEND, k]
+        rows[ws.CENTRE, k] = work.rows[ws.BLEND, k]
         if of[BASED]:  # seen from the blend the other opinion lies the other way
-            work.rows[APART, k] = -work.rows[APART, k]
-    length = length_of(rows[CENTRE, 0], rows[CENTRE, 1], rows[CENTRE, 2])
-    if rows[CENTRE, 0] == 0 and rows[CENTRE, 1] == 0 and rows[CENTRE, 2] == 0:
-        rows[CENTRE, 2] = 1
-    axes_along(rows[CENTRE, 0], rows[CENTRE, 1], rows[CENTRE, 2], length, rows)
-    of[LEVEL] = level_of(min(length, (1 << 18) - 1), law.border, law.first)
+            work.rows[ws.APART, k] = -work.rows[ws.APART, k]
+    length = ws.length_of(rows[ws.CENTRE, 0], rows[ws.CENTRE, 1], rows[ws.CENTRE, 2])
+    if rows[ws.CENTRE, 0] == 0 and rows[ws.CENTRE, 1] == 0 and rows[ws.CENTRE, 2] == 0:
+        rows[ws.CENTRE, 2] = 1
+    ws.axes_along(rows[ws.CENTRE, 0], rows[ws.CENTRE, 1], rows[ws.CENTRE, 2], length, rows)
+    of[LEVEL] = ws.level_of(min(length, (1 << 18) - 1), law.border, law.first)
     of[_LENGTH] = length
-    step = step_at(length, law.floor, law.rate)
-    for n in range(ALTERNATIVES):
+    step = ws.step_at(length, law.floor, law.rate)
+    for n in range(ws.ALTERNATIVES):
         there = _alternative(law, work, here, n)
         for c in range(3):
-            work.rows[SIDES + n, c] = 15
+            work.rows[ws.SIDES + n, c] = 15
             if there:
                 d = np.int64(0)
                 for k in range(3):
-                    d += (work.rows[OTHER, k] - rows[CENTRE, k]) * work.rows[AXES + c, k]
-                work.rows[SIDES + n, c] = _side((d >> 12) // step)
+                    d += (work.rows[ws.OTHER, k] - rows[ws.CENTRE, k]) * work.rows[ws.AXES + c, k]
+                work.rows[ws.SIDES + n, c] = _side((d >> 12) // step)
 
 
 @lean
 def place(law, work, r0, r1, r2):
     """Put into the row `VECTOR` what the residual (r0, r1, r2) makes of the centre."""
-    along = amplitude_of(work.of[LEVEL] + 256 * r0, law.border)
-    step = step_at(abs(along), law.cross_floor, law.cross_rate)
-    rebuild(along, r1 * step, r2 * step, work.rows)
+    along = ws.amplitude_of(work.of[LEVEL] + 256 * r0, law.border)
+    step = ws.step_at(abs(along), law.cross_floor, law.cross_rate)
+    ws.rebuild(along, r1 * step, r2 * step, work.rows)
 
 
 @lean
 def _pairs(bits, work, c, table):
     """Contexts of where the other predictions lie along axis c, two by two."""
     for n in range(2):
-        bits.inputs[n] = table + (n << 8 | work.rows[SIDES + 2 * n, c] << 4 | work.rows[SIDES + 2 * n + 1, c])
+        bits.inputs[n] = table + (n << 8 | work.rows[ws.SIDES + 2 * n, c] << 4 | work.rows[ws.SIDES + 2 * n + 1, c])
 
 
 @inlined
@@ -421,25 +391,25 @@ def _code_size(bits, work, c, toward, size):
 def code_step(bits, law, work, c):
     """Code component c of the residual, in the row `STEPS`; those before it are known."""
     of, rows = work.of, work.rows
-    step = step_at(of[_LENGTH], law.floor, law.rate)
+    step = ws.step_at(of[_LENGTH], law.floor, law.rate)
     d = np.int64(0)
     for k in range(3):
-        d += work.rows[APART, k] * work.rows[AXES + c, k]
+        d += work.rows[ws.APART, k] * work.rows[ws.AXES + c, k]
     d >>= 14
     toward, side = _digits((abs(d) << 3) // step), np.int64(d < 0)  # how far off the other opinion is, and where
-    if of[BASED] or c < 2 or rows[STEPS, 0] != 0 or rows[STEPS, 1] != 0:  # else it did not stand for this one
+    if of[BASED] or c < 2 or rows[ws.STEPS, 0] != 0 or rows[ws.STEPS, 1] != 0:  # else it did not stand for this one
         group, table = of[_CLASS_0] if c == 0 else of[_CLASS_1], _ZERO + c * _TABLE
         _pairs(bits, work, c, table + (group >> 2 << 9))
         bits.inputs[2] = table + 1024 + (toward << 3 | of[_APART])
-        if not mix(bits, 3, _SET_ZERO + c * 8 + group, np.int64(rows[STEPS, c] != 0)):
-            rows[STEPS, c] = 0
+        if not mix(bits, 3, _SET_ZERO + c * 8 + group, np.int64(rows[ws.STEPS, c] != 0)):
+            rows[ws.STEPS, c] = 0
             return
     table = _SIGN + c * _TABLE
     _pairs(bits, work, c, table)
     bits.inputs[2] = table + 1024 + ((toward << 1 | side) << 2 | of[_NEAR])
-    negative = mix(bits, 3, _SET_SIGN + c, np.int64(rows[STEPS, c] < 0))
-    size = _code_size(bits, work, c, toward, abs(rows[STEPS, c]))
-    rows[STEPS, c] = -size if negative else size
+    negative = mix(bits, 3, _SET_SIGN + c, np.int64(rows[ws.STEPS, c] < 0))
+    size = _code_size(bits, work, c, toward, abs(rows[ws.STEPS, c]))
+    rows[ws.STEPS, c] = -size if negative else size
 
 
 @lean
@@ -447,5 +417,5 @@ def sizes_of(work, still):
     """The sizes that a cell keeps of its residual."""
     if still:
         return np.int64(0)
-    along, across = abs(work.rows[STEPS, 0]), abs(work.rows[STEPS, 1]) + abs(work.rows[STEPS, 2])
+    along, across = abs(work.rows[ws.STEPS, 0]), abs(work.rows[ws.STEPS, 1]) + abs(work.rows[ws.STEPS, 2])
     return min(along, 15) | min(across, 31) << 8
