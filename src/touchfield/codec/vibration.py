@@ -18,15 +18,13 @@ from numpy.typing import NDArray
 from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.codec import kernels, support
 from touchfield.codec.kernels import Bits, end_of, fresh, reader, writer
-from touchfield.codec.support import BRICKS_PER_BYTE, check_end, padded
+from touchfield.codec.support import BRICKS_PER_BYTE, Bricks, check_end, padded
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.kernels import raster_slots
 from touchfield.medium.vibration import MAX_FREQUENCY_HZ, VibrationFrame
-
-Bricks = tuple[Int32s, Bools]
 
 _IN_OCTAVE: Final = 4
 _LEAST_EXPONENT: Final = -22
@@ -49,9 +47,6 @@ class VibrationSymbols(NamedTuple):
     positions: Int32s
     amplitudes: Int32s
     frequencies: Int32s
-
-
-# -- numbers and their steps ------------------------------------------------------------------------------
 
 
 def symbols_of(frame: VibrationFrame) -> VibrationSymbols:
@@ -78,9 +73,6 @@ def _amplitudes_n(steps: NDArray[np.integer]) -> Float32s:
     octaves, within = np.divmod(steps.astype(np.int64), _IN_OCTAVE)
     shares = (_IN_OCTAVE + within).astype(np.float32)
     return np.ldexp(shares, (octaves + _LEAST_EXPONENT).astype(np.int32))
-
-
-# -- bytes ------------------------------------------------------------------------------------------------
 
 
 def encode_vibration(frames: Sequence[VibrationFrame]) -> bytes:
@@ -132,10 +124,7 @@ def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationS
         positions.append(_positions(*given))
         needed, allowed = sum(map(len, positions)) * _BYTES_PER_SAMPLE, memory_budget_bytes()
         if needed > allowed:
-            found, expected = (
-                f"{needed / 2**30:.1f} GiB of samples in one segment",
-                f"at most {allowed / 2**30:.1f} GiB",
-            )
+            found, expected = f"{needed / 2**30:.1f} GiB of samples", f"at most {allowed / 2**30:.1f} GiB a segment"
             raise InvalidArgument(_WHERE, found, expected, "Set TOUCHFIELD_MEMORY_GIB.")
     numbers = np.zeros((2, sum(map(len, positions))), np.int64)
     _code_numbers(bits, numbers)
@@ -154,9 +143,8 @@ def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationS
 
 def _code_numbers(bits: Bits, numbers: Int64s) -> None:
     for n, row in enumerate(numbers):
-        kernels.code_numbers(
-            bits, support.CONTEXTS + n * kernels.NUMBER_CONTEXTS, support.SETS + n * kernels.NUMBER_SETS, row
-        )
+        at = support.CONTEXTS + n * kernels.NUMBER_CONTEXTS, support.SETS + n * kernels.NUMBER_SETS
+        kernels.code_numbers(bits, *at, row)
 
 
 def _same_samples(before: tuple[Int64s, Int64s], places: Int64s) -> tuple[Bools, Int64s]:
@@ -178,9 +166,6 @@ def _check_values(values: Int64s, least: int, most: int, what: str) -> None:
     if len(values) and not (least <= values.min() and values.max() <= most):
         wrong = values.min() if values.min() < least else values.max()
         raise CorruptFile(f"{_WHERE}, {what}", str(wrong), f"{least} to {most}", _CHANGED)
-
-
-# -- samples in bricks ------------------------------------------------------------------------------------
 
 
 def _places(grid: Grid, positions: Int32s) -> Int64s:

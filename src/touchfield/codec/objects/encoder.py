@@ -226,10 +226,10 @@ class ObjectsEncoder:
     def _coded(self) -> tuple[list[_Fields], list[Worst | None]]:
         """The fields that keep the promise, and the worst voxel of each segment."""
         shares = np.ones(len(self._scene.objects))
-        coded = [self._fields(one, 1.0) for one in self._scene.objects]
-        rule = self._rule()
-        if rule is None:
+        coded, spec = [self._fields(one, 1.0) for one in self._scene.objects], self._spec
+        if not coder_of_spec(spec).has_promise or spec.mode not in ("mask", "lossless") or spec.f0_n == 0:
             return coded, [None] * len(self._ranges)
+        rule = ComposedRule(self._scene, spec.k, spec.f0_n)
         suspects: set[int] = set()  # frames that were beyond: looked at first
         while True:
             found = [self._found(rule, coded, sorted(suspects))] if suspects else []
@@ -237,7 +237,9 @@ class ObjectsEncoder:
                 found = [self._found(rule, coded, frames) for frames in self._ranges]
             ratios = np.max([one.ratios for one in found], axis=0)
             if ratios.max() <= 1.0:
-                return coded, [_worst(one, frames.start) for one, frames in zip(found, self._ranges, strict=True)]
+                worst = [Worst(*one.worst) for one in found]
+                starts = [frames.start for frames in self._ranges]
+                return coded, [w._replace(frame=max(w.frame - i, 0)) for w, i in zip(worst, starts, strict=True)]
             if self._all_rigid:
                 suspects |= {int(frame) for one in found for frame in one.places[one.ratios > 1, 0]}
             for i in np.flatnonzero(ratios > 1):
@@ -265,37 +267,22 @@ class ObjectsEncoder:
             total = total.joined(rule.check(now, self._moves, [frame]))
         return total
 
-    def _rule(self) -> ComposedRule | None:
-        """Rule of the composed field."""
-        spec = self._spec
-        if not coder_of_spec(spec).has_promise or spec.mode not in ("mask", "lossless") or spec.f0_n == 0:
-            return None
-        return ComposedRule(self._scene, spec.k, spec.f0_n)
-
     def _fields(self, one: HapticObject, share: float) -> _Fields:
         """The fields of one object, coded within a share of the mask."""
         if share < _LEAST_SHARE:
-            raise InvalidArgument(
-                f"object {one.name}", "forces that cancel those of another body",
-                f"an error of F_0 = {self._f0_n:g} N at most there", "Take a larger F_0, or --representation voxel.",
-            )  # fmt: skip
-        encoder = field_encoder(one.medium.grid, self._share_of(share))
+            found, expected = (
+                "forces that cancel those of another body",
+                f"an error of {self._f0_n:g} N at most there",
+            )
+            raise InvalidArgument(f"object {one.name}", found, expected, "Take a larger F_0, or voxels.")
+        spec = self._spec
+        if coder_of_spec(spec).has_promise and spec.mode == "mask":
+            if self._scene.surface_damping_n_s_per_m:  # which begins at once where a force begins
+                spec = replace(spec, support="exact")
+            spec = replace(spec, k=max(_LEAST_K, share * spec.k), f0_n=share * spec.f0_n)
+        encoder = field_encoder(one.medium.grid, spec)
         decoder = field_decoder(encoder.name, one.medium.grid, encoder.parameters)
         ranges = [range(1)] if one.is_rigid else self._ranges
         segments = [encoder.encode_segment([one.field(i) for i in frames]) for frames in ranges]
         pair = Pair(one.field(0), next(decoder.frames(segments[0].body, 1))) if one.is_rigid else None
         return _Fields(decoder, encoder.parameters, segments, pair)
-
-    def _share_of(self, share: float) -> Any:
-        spec = self._spec
-        if not coder_of_spec(spec).has_promise or spec.mode != "mask":
-            return spec
-        if self._scene.surface_damping_n_s_per_m:  # which begins at once where a force begins
-            spec = replace(spec, support="exact")
-        return replace(spec, k=max(_LEAST_K, share * spec.k), f0_n=share * spec.f0_n)
-
-
-def _worst(found: Found, first: int) -> Worst:
-    """The worst voxel of a segment that begins with frame `first`."""
-    ratio, frame, voxel = found.worst
-    return Worst(ratio, max(frame - first, 0), voxel)

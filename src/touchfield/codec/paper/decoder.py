@@ -139,9 +139,6 @@ def from_bricks(stage: str, coefficients: Int64s) -> Int64s:
     return _from_wavelet(coefficients) if stage == "wavelet" else _from_dct(coefficients)
 
 
-# -- the 5/3 wavelet --------------------------------------------------------------------------------------
-
-
 def _from_wavelet(coefficients: Int64s) -> Int64s:
     out = coefficients.copy()
     for level in reversed(range(LEVELS)):
@@ -164,9 +161,6 @@ def _joined(x: Int64s) -> Int64s:
     out[0::2] = coarse - ((np.concatenate([detail[:1], detail[:-1]]) + detail + 2) >> 2)
     out[1::2] = detail + ((out[0::2] + np.concatenate([out[2::2], out[-2:-1]])) >> 1)
     return out
-
-
-# -- the DCT ----------------------------------------------------------------------------------------------
 
 
 def cosines() -> Int64s:

@@ -107,9 +107,6 @@ def codebook_names() -> tuple[str, ...]:
     return tuple(f"{family}{f}" for family, most in _LARGEST_FREQUENCY.items() for f in range(1, most + 1))
 
 
-# -- making the polyhedra -------------------------------------------------------------------------------------
-
-
 def _normalised(points: Float64s) -> Float64s:
     """Points [..., 3] on the unit sphere, the squares added in one fixed order."""
     x, y, z = points[..., 0], points[..., 1], points[..., 2]

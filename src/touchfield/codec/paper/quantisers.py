@@ -76,9 +76,6 @@ def _checked(values: NDArray[Any]) -> Float32s:
     return amplitudes
 
 
-# -- by formulas ----------------------------------------------------------------------------------------------
-
-
 def weber_levels(ladder: WeberLadder) -> AmplitudeLevels:
     """A Weber ladder with a zero bin: level 0 is zero, level i + 1 is r_i; below F_min all is zero."""
     return AmplitudeLevels(ladder.levels_n, _rounded_up(ladder.thresholds_n))
@@ -112,8 +109,6 @@ def uniform_levels(step_n: float, top_n: float) -> AmplitudeLevels:
         raise InvalidArgument("uniform quantiser", f"{count} levels", "1 to 65536", "Take a larger step_n.")
     return AmplitudeLevels((step_n * np.arange(count)).astype(np.float32))
 
-
-# -- Lloyd-Max ------------------------------------------------------------------------------------------------
 
 _ITERATIONS = 300
 _MOVES = 32
