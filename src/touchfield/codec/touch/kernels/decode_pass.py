@@ -5,29 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.kernels import PLACE, code, mix
+from touchfield.codec.touch.kernels import voxel as voxel
 from touchfield.codec.touch.kernels import workspace as ws
-from touchfield.codec.touch.kernels.voxel import CONTEXTS as RESIDUAL_CONTEXTS
-from touchfield.codec.touch.kernels.voxel import SETS as RESIDUAL_SETS
-from touchfield.codec.touch.kernels.voxel import (
-    ahead,
-    aim,
-    before,
-    code_step,
-    code_still,
-    expect,
-    held,
-    learn,
-    look,
-    place,
-    sizes_of,
-)
 from touchfield.lean import entry, inlined, lean
 
-_BRICK = RESIDUAL_CONTEXTS
+_BRICK = voxel.CONTEXTS
 _BLOCK = _BRICK + 16
 _BIT = _BLOCK + 32 + np.array([0, 1 << 14, 2 << 14], np.int64)
 CONTEXTS = int(_BIT[2]) + 4096
-SETS = RESIDUAL_SETS + 32
+SETS = voxel.SETS + 32
 _SPARE = 16  # bytes that a code may seem to go on behind its end
 
 
@@ -96,12 +82,6 @@ def then_of(old, here, known):
     return 1 + np.int64(about >= 1) + np.int64(about >= 3)
 
 
-@lean
-def _bin(length):
-    """Class of a length that is likely, of which 3 is none: a 28th of the top each."""
-    return min(max(((length * 28) >> 16) + 3, np.int64(0)), np.int64(31))
-
-
 @inlined
 def _around(old, here):
     """Where the reference holds forces: here, and before and behind along each axis; 7 bits."""
@@ -128,14 +108,15 @@ def look_at_support(bits, work, here, near, then):
         total = np.int64(0)
         for axis in range(3):
             if near >> axis & 1:
-                total += ahead(window, before(here, axis), axis)
-        likely = _bin(total // count)
+                total += voxel.ahead(window, before(here, axis), axis)
+        # a class of length, of which 3 is none: a 28th of the top each
+        likely = min(max((((total // count) * 28) >> 16) + 3, np.int64(0)), np.int64(31))
     around = _around(work.old, here) if then else np.int64(0)
     b = bits.inputs
     b[0] = _BIT[0] + ((likely << 6 | mask) << 3 | then)
     b[1] = _BIT[1] + ((wide << 6 | mask) << 3 | then)
     b[2] = _BIT[2] + ((around << 3 | near) << 2 | likely >> 3)
-    return RESIDUAL_SETS + (count << 3 | then)
+    return voxel.SETS + (count << 3 | then)
 
 
 @lean
@@ -156,10 +137,10 @@ def settle(law, work, here, still):
         for k in range(3):
             rows[ws.VECTOR, k] = rows[ws.EXPECTED, k]
     else:
-        place(law, work, rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2])
+        voxel.place(law, work, rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2])
     v0, v1, v2 = rows[ws.VECTOR, 0], rows[ws.VECTOR, 1], rows[ws.VECTOR, 2]
-    ws.store(work.window, here, v0, v1, v2, ws.length_of(v0, v1, v2), sizes_of(work, still), law.slope)
-    learn(work)
+    ws.store(work.window, here, v0, v1, v2, ws.length_of(v0, v1, v2), voxel.sizes_of(work, still), law.slope)
+    voxel.learn(work)
 
 
 @entry
@@ -193,11 +174,11 @@ def _decode_voxel(bits, law, work, here, known, state):
     then = then_of(work.old, here, known)
     if not mix(bits, 3, look_at_support(bits, work, here, near, then), np.int64(0)):
         return
-    expect(law, work, here, near, state == 1)
-    look(law, work, here, near)
-    still = code_still(bits, law, work, here, then, np.int64(0))
+    voxel.expect(law, work, here, near, state == 1)
+    voxel.look(law, work, here, near)
+    still = voxel.code_still(bits, law, work, here, then, np.int64(0))
     if not still:
-        aim(law, work, here)
+        voxel.aim(law, work, here)
         for c in range(3):
-            code_step(bits, law, work, c)
+            voxel.code_step(bits, law, work, c)
     settle(law, work, here, still)

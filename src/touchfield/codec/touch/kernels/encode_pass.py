@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from touchfield.codec.kernels import PLACE, PRICING, TASK, WRITING, mix, mixed_chance, price
+from touchfield.codec.touch.kernels import voxel as voxel
 from touchfield.codec.touch.kernels import workspace as ws
 from touchfield.codec.touch.kernels.decode_pass import (
     code_blocks,
@@ -16,18 +17,6 @@ from touchfield.codec.touch.kernels.decode_pass import (
     near_of,
     settle,
     then_of,
-)
-from touchfield.codec.touch.kernels.voxel import (
-    BASED,
-    LEVEL,
-    aim,
-    before,
-    code_step,
-    code_still,
-    expect,
-    held,
-    look,
-    place,
 )
 from touchfield.lean import entry, inlined, lean
 
@@ -119,7 +108,7 @@ def choose(bits, law, work, here, f, size, rule):
     Of the points around the force the one that costs least, by a guess or, with ``rule.thorough``, by its price; the
     nearest where none keeps the rule. Returns the cost: bits, or squared steps where every error has its price.
     """
-    rows, level = work.rows, work.of[LEVEL]
+    rows, level = work.rows, work.of[voxel.LEVEL]
     along = (f[0] * rows[ws.AXES + 0, 0] + f[1] * rows[ws.AXES + 0, 1] + f[2] * rows[ws.AXES + 0, 2]) / 16384.0
     across_1 = (f[0] * rows[ws.AXES + 1, 0] + f[1] * rows[ws.AXES + 1, 1] + f[2] * rows[ws.AXES + 1, 2]) / 16384.0
     across_2 = (f[0] * rows[ws.AXES + 2, 0] + f[1] * rows[ws.AXES + 2, 1] + f[2] * rows[ws.AXES + 2, 2]) / 16384.0
@@ -153,7 +142,12 @@ def choose(bits, law, work, here, f, size, rule):
                 continue
             if rule.thorough:
                 rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2] = r0, r1, r2
-                cost = bit * _price(bits, law, work)
+                task, spent = bits.state[TASK], bits.cost[0]
+                bits.state[TASK], bits.cost[0] = PRICING, 0.0
+                for c in range(3):
+                    voxel.code_step(bits, law, work, c)
+                cost = bit * bits.cost[0]
+                bits.state[TASK], bits.cost[0] = task, spent
             if rule.free:
                 cost += error / np.float64(law.floor) ** 2
             if cost < best:
@@ -166,25 +160,13 @@ def choose(bits, law, work, here, f, size, rule):
 @inlined
 def _allowed(law, work, r0, r1, r2, f, size, rule):
     """True where a residual may be told, and makes a force that keeps the rule."""
-    if r0 == 0 and r1 == 0 and r2 == 0 and not work.of[BASED]:
+    if r0 == 0 and r1 == 0 and r2 == 0 and not work.of[voxel.BASED]:
         return False
-    place(law, work, r0, r1, r2)
+    voxel.place(law, work, r0, r1, r2)
     d0, d1, d2 = work.rows[ws.VECTOR, 0], work.rows[ws.VECTOR, 1], work.rows[ws.VECTOR, 2]
     if rule.exact and d0 == 0 and d1 == 0 and d2 == 0:
         return False
     return rule.free or kept(d0, d1, d2, f, size, rule)
-
-
-@inlined
-def _price(bits, law, work):
-    """Bits that the residual in the row `STEPS` would take."""
-    before_task, before_cost = bits.state[TASK], bits.cost[0]
-    bits.state[TASK], bits.cost[0] = PRICING, 0.0
-    for c in range(3):
-        code_step(bits, law, work, c)
-    cost = bits.cost[0]
-    bits.state[TASK], bits.cost[0] = before_task, before_cost
-    return cost
 
 
 @lean
@@ -194,9 +176,9 @@ def still_pays(bits, law, work, here, f, size, rule):
     error = 0.0
     for k in range(3):
         error += (np.float64(work.rows[ws.EXPECTED, k]) - f[k]) ** 2
-    aim(law, work, here)
+    voxel.aim(law, work, here)
     cost = choose(bits, law, work, here, f, size, rule)
-    if work.of[BASED]:
+    if work.of[voxel.BASED]:
         for k in range(3):
             work.rows[ws.APART, k] = -work.rows[ws.APART, k]  # as it was before `aim`
     moved_bits = -np.log2(max(1.0 - 2.0**-still_bits, 1e-5)) + (0.0 if rule.thorough else 1.0)
@@ -279,7 +261,7 @@ def _worth_holding(bits, law, work, here, near, trusted, f, chosen, rule):
     if size > 0 and chance < 45000:
         return np.int64(0)
     if chance > 55000:
-        expect(law, work, here, near, trusted)
+        voxel.expect(law, work, here, near, trusted)
         return np.int64(
             kept(work.rows[ws.EXPECTED, 0], work.rows[ws.EXPECTED, 1], work.rows[ws.EXPECTED, 2], f, size, rule)
         )
@@ -298,25 +280,25 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     prices[0] += told - begun
     if not bit:
         return
-    expect(law, work, here, near, state == 1)
-    look(law, work, here, near)
+    voxel.expect(law, work, here, near, state == 1)
+    voxel.look(law, work, here, near)
     size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
     still = np.int64(
         kept(work.rows[ws.EXPECTED, 0], work.rows[ws.EXPECTED, 1], work.rows[ws.EXPECTED, 2], f, size, rule)
     )
     if rule.free:
         bits.state[TASK], bits.cost[0] = PRICING, 0.0
-        code_still(bits, law, work, here, then, np.int64(1))
+        voxel.code_still(bits, law, work, here, then, np.int64(1))
         still = still_pays(bits, law, work, here, f, size, rule)
         bits.state[TASK] = WRITING
-    code_still(bits, law, work, here, then, still)
+    voxel.code_still(bits, law, work, here, then, still)
     prices[1] += price(bits) - told
     told = price(bits)
     if not still:
-        aim(law, work, here)
+        voxel.aim(law, work, here)
         choose(bits, law, work, here, f, size, rule)
         for c in range(3):
-            code_step(bits, law, work, c)
+            voxel.code_step(bits, law, work, c)
             if c == 0:
                 prices[1] += price(bits) - told
                 told = price(bits)

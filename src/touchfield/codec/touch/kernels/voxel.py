@@ -81,35 +81,13 @@ def _off(window, old, at, law):
 
 
 @inlined
-def _follow(law, work, here, trusted):
-    """Put the chain into the row `EXPECTED`: the reference where it is `trusted`, else a neighbour by the law."""
-    window, old = work.window, work.old
-    if trusted and old[here * 4 + 3] > 0 and not _off(window, old, here - ws.DEEP, law):
-        for k in range(3):
-            work.rows[ws.EXPECTED, k] = np.int64(old[here * 4 + k])
-        return np.int64(REFERENCE)
-    for axis in range(3):
-        at = before(here, axis)
-        if held(window, at):
-            chain(work, here, axis, law.floor, ws.EXPECTED)
-            return at
-    return np.int64(NOTHING)
+def _gather(work, here):
+    """Fill in the features; whether the reference holds a force.
 
-
-@inlined
-def _begin(work, here):
-    """The blend where no neighbour across a face holds a force: the reference, or the last vector."""
-    rows = work.rows
-    for k in range(3):
-        rows[ws.BASE, k] = np.int64(work.old[here * 4 + k]) if work.old[here * 4 + 3] > 0 else rows[ws.LAST, k]
-        rows[ws.BLEND, k] = rows[ws.BASE, k]
-    work.of[_CORRECTED] = -1
-
-
-@inlined
-def _differences(work, here):
-    """Features 0 to 10: how cells before differ from the base, and from those before them; none where one is none."""
-    window, rows = work.window, work.rows
+    0 to 10: how cells before differ from the base, and from those before them, none where one is none; 11 and 12: the
+    reference less the base, and how much the neighbours differ from theirs on the mean.
+    """
+    window, old, rows = work.window, work.old, work.rows
     for n in range(11):
         c = (here - _FROM[n]) * ws.WIDTH
         d = (here - _TO[n]) * ws.WIDTH
@@ -117,12 +95,6 @@ def _differences(work, here):
         for k in range(3):
             other = rows[ws.BASE, k] if _TO[n] == 0 else np.int64(window[d + k])
             rows[ws.FEATURE + n, k] = (np.int64(window[c + k]) - other) * there
-
-
-@inlined
-def _since(work, here):
-    """Features 11 and 12: the reference less the base, and how much the neighbours differ from theirs on the mean."""
-    window, old, rows = work.window, work.old, work.rows
     for k in range(3):
         rows[ws.FEATURE + 11, k] = rows[ws.FEATURE + 12, k] = 0
     if old[here * 4 + 3] == 0:
@@ -186,20 +158,32 @@ def _corrected(work, kind, step):
 def expect(law, work, here, near, trusted):
     """Put the two opinions of a voxel into the rows `EXPECTED` and `BLEND`.
 
-    `near` tells which neighbours across a face hold a force, bits 0 to 2; `trusted`: whether the reference is
-    followed.
+    `near` tells which neighbours across a face hold a force, bits 0 to 2; `trusted`: the reference is followed.
     """
+    window, old, rows, of = work.window, work.old, work.rows, work.of
+    known = old[here * 4 + 3] > 0
     if near:
         step = _mean(law, work, here, near)
-        _differences(work, here)
-        _corrected(work, near | _since(work, here) << 3, step)
-    else:
-        _begin(work, here)
-    followed = _follow(law, work, here, trusted)
-    work.of[FOLLOWED] = followed
-    if followed == NOTHING:
+        _corrected(work, near | _gather(work, here) << 3, step)
+    else:  # the reference, or the last vector
         for k in range(3):
-            work.rows[ws.EXPECTED, k] = work.rows[ws.BLEND, k]
+            rows[ws.BASE, k] = np.int64(old[here * 4 + k]) if known else rows[ws.LAST, k]
+            rows[ws.BLEND, k] = rows[ws.BASE, k]
+        of[_CORRECTED] = -1
+    if trusted and known and not _off(window, old, here - ws.DEEP, law):
+        of[FOLLOWED] = REFERENCE
+        for k in range(3):
+            rows[ws.EXPECTED, k] = np.int64(old[here * 4 + k])
+        return
+    for axis in range(3):
+        at = before(here, axis)
+        if held(window, at):
+            of[FOLLOWED] = at
+            chain(work, here, axis, law.floor, ws.EXPECTED)
+            return
+    of[FOLLOWED] = NOTHING
+    for k in range(3):
+        rows[ws.EXPECTED, k] = rows[ws.BLEND, k]
 
 
 @lean
@@ -320,19 +304,6 @@ def code_still(bits, law, work, here, then, still):
     return mix(bits, 3, of[_QUIET] << 1 | np.int64(far < 7), still)
 
 
-@inlined
-def _alternative(law, work, here, n):
-    """Put prediction n into the row `OTHER`: a chain along axis n, or the reference; whether there is one."""
-    if n < 3:
-        if held(work.window, before(here, n)) == 0:
-            return False
-        chain(work, here, n, law.floor, ws.OTHER)
-        return True
-    for k in range(3):
-        work.rows[ws.OTHER, k] = np.int64(work.old[here * 4 + k])
-    return work.old[here * 4 + 3] > 0
-
-
 @lean
 def aim(law, work, here):
     """Set centre, axes and level of the residual, and on which side of it other predictions lie."""
@@ -349,7 +320,14 @@ def aim(law, work, here):
     of[_LENGTH] = length
     step = ws.step_at(length, law.floor, law.rate)
     for n in range(ws.ALTERNATIVES):
-        there = _alternative(law, work, here, n)
+        if n < 3:
+            there = held(work.window, before(here, n)) > 0
+            if there:
+                chain(work, here, n, law.floor, ws.OTHER)
+        else:
+            there = work.old[here * 4 + 3] > 0
+            for k in range(3):
+                rows[ws.OTHER, k] = np.int64(work.old[here * 4 + k])
         for c in range(3):
             work.rows[ws.SIDES + n, c] = 15
             if there:

@@ -20,7 +20,7 @@ import numpy as np
 
 from touchfield.arrays import Int32s, Int64s
 from touchfield.codec.touch.lattice import BUCKET
-from touchfield.lean import entry, inlined, lean
+from touchfield.lean import entry, lean
 
 FEATURES = 13  # differences of neighbours that the blend is made of
 # sets of weights of the blend: which neighbours across a face hold a force, and whether the reference does
@@ -119,31 +119,23 @@ def store(window, at, v0, v1, v2, a, sizes, slope):
     window[c + 7] = sizes
 
 
-@inlined
-def _copy(window, cells, slot, x0, x1, y0, y1, z0, z1, dx, dy, dz):
-    """Cells of a brick at `slot` (none if below 0) into the window; dx .. dz: where that brick lies."""
-    for x in range(x0, x1):
-        for y in range(y0, y1):
-            to = (((x + 8 * dx + LOW) * SIDE + y + 8 * dy + LOW) * SIDE + z0 + 8 * dz + LOW) * WIDTH
-            if slot < 0:
-                for z in range(z1 - z0):
-                    window[to + z * WIDTH + LENGTH] = 0
-            else:
-                at = (x * 8 + y) * 8 + z0
-                for z in range(z1 - z0):
-                    for q in range(WIDTH):
-                        window[to + z * WIDTH + q] = cells[slot, at + z, q]
-
-
 @lean
 def load(window, cells, near, n):
     """The halo of brick n: two cells deep before it, one behind, of the bricks that are decoded; `near` [n, 13]."""
     for s in range(13):
-        dx, dy, dz = s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1
-        _copy(
-            window, cells, near[n, s], 6 if dx < 0 else 0, 8, 6 if dy < 0 else 0, 1 if dy > 0 else 8,
-            6 if dz < 0 else 0, 1 if dz > 0 else 8, dx, dy, dz,
-        )  # fmt: skip
+        dx, dy, dz, slot = s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1, near[n, s]
+        z0, z1 = 6 if dz < 0 else 0, 1 if dz > 0 else 8
+        for x in range(6 if dx < 0 else 0, 8):
+            for y in range(6 if dy < 0 else 0, 1 if dy > 0 else 8):
+                to = (((x + 8 * dx + LOW) * SIDE + y + 8 * dy + LOW) * SIDE + z0 + 8 * dz + LOW) * WIDTH
+                if slot < 0:
+                    for z in range(z1 - z0):
+                        window[to + z * WIDTH + LENGTH] = 0
+                else:
+                    at = (x * 8 + y) * 8 + z0
+                    for z in range(z1 - z0):
+                        for q in range(WIDTH):
+                            window[to + z * WIDTH + q] = cells[slot, at + z, q]
     # what comes later: of this brick, and beside it
     for x in range(LOW, LOW + 8):
         for y in range(LOW, LOW + 9):
