@@ -77,9 +77,8 @@ def code_bricks(
         code_level(bits, made, contexts_at, sets_at, truth)
         boxes = boxes[made.state[:-1] == 1]
         if bits.state[TASK] == READING and len(boxes) > most:
-            raise CorruptFile(
-                "list of bricks", f"{len(boxes)} or more", f"{most} at most in {len(bits.buffer)} bytes"
-            )
+            expected = f"{most} at most in {len(bits.buffer)} bytes"
+            raise CorruptFile("list of bricks", f"{len(boxes)} or more", expected)
     return boxes.astype(np.int32)
 
 

@@ -46,6 +46,7 @@ _COSINE_BITS = 18
 
 # what a decoded whole number is, in parts of a step, by stage
 PARTS: Final = {"dpcm": 1, "adpcm": GRAIN, "dct": 1 << _FRACTION, "wavelet": 1, "runs": 1}
+BY_BRICK: Final = ("dct", "wavelet")  # stages whose numbers are coefficients of whole bricks
 ORDER: Final = np.argsort(np.indices((BRICK,) * 3).sum(axis=0).reshape(-1), kind="stable")
 """The places of a brick's coefficients, low frequencies first: by the sum of the three indices."""
 
@@ -110,7 +111,7 @@ def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
         if (lengths < 1).any() or int(lengths.sum()) != len(slots):
             raise CorruptFile("SEGM.body runs", f"{int(lengths.sum())} samples", f"{len(slots)}")
         return np.repeat(numbers[runs:].reshape(3, runs).T, lengths, axis=0)
-    if is_by_brick(stage):
+    if stage in BY_BRICK:
         made = np.empty((len(slots), 3), np.int64)
         coefficients = decode_numbers(data, 3 * BRICK**3 * brick_count).reshape(3, BRICK**3, brick_count)
         for component in range(3):
@@ -127,11 +128,6 @@ def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
     for values, read in zip(grains, residuals, strict=True):
         adpcm(values, read, True)
     return grains.T
-
-
-def is_by_brick(stage: str) -> bool:
-    """A stage whose numbers are coefficients of whole bricks."""
-    return stage in ("dct", "wavelet")
 
 
 def from_bricks(stage: str, coefficients: Int64s) -> Int64s:

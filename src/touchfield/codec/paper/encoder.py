@@ -29,7 +29,7 @@ from touchfield.codec.paper.body import (
     rebuilt,
     set_of,
 )
-from touchfield.codec.paper.decoder import GRAIN, LEVELS, ORDER, is_by_brick, lifted
+from touchfield.codec.paper.decoder import BY_BRICK, GRAIN, LEVELS, ORDER, lifted
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.kernels import LONGEST, adpcm, pack_bits
 from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
@@ -311,7 +311,7 @@ def encode_staged(frames: Sequence[ForceField], stage: str, step_n: float) -> Co
 
 def _numbers(frame: ForceField, stage: str, step_n: float) -> tuple[Int64s, int]:
     """The numbers of a frame, int64 [any], and how many runs there are."""
-    if is_by_brick(stage):
+    if stage in BY_BRICK:
         filled = _filled(frame) / step_n
         made = _to_wavelet(_points(filled)) if stage == "wavelet" else _to_dct(filled)
         return made.reshape(-1, BRICK**3, 3)[:, ORDER].transpose(2, 1, 0).reshape(-1), 0

@@ -8,7 +8,7 @@ promise is sent apart. In the exact mode levels and a codebook are searched for 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -24,8 +24,9 @@ from touchfield.codec.touch.decoder import NAME, TouchDecoder
 from touchfield.codec.touch.frame import AS_THEY_ARE, BRICK_COUNTS, Palette, Told, components, frame_of, models_after
 from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
 from touchfield.codec.touch.kernels import exact as kernels
+from touchfield.codec.touch.kernels.encode_pass import largest
 from touchfield.codec.touch.lattice import MOST_NEWTONS, Lattice
-from touchfield.codec.touch.promise import Compared, compared, hidden_of, largest
+from touchfield.codec.touch.promise import Compared, compared, hidden_of
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import FormatError, InvalidArgument
 from touchfield.medium import ForceField, Grid
@@ -48,26 +49,35 @@ class TouchEncoder:
         """`HEAD.coder_parameters`: what was asked for."""
         return write_parameters(self._spec)
 
-    def encode_segment(self, frames: Sequence[ForceField], anchor: ForceField | None = None) -> CodedSegment:
+    def encode_segment(
+        self, frames: Iterable[ForceField], anchor: ForceField | None = None, longest_n: float | None = None
+    ) -> CodedSegment:
         """Code frames, at least one, as an independent segment.
 
+        Where `longest_n` is given, which no force of any frame is longer than, frames are coded as they come.
         `anchor` is a field near the first frame, to be coded in its place: segments of a world that stands, which
         share one, begin with the same bytes, and so with the same forces. The promise is about the frames all the
         same. InvalidArgument if a force is NaN, infinite or beyond 2^120 N, or a frame has another grid.
         """
-        longest_n = max(self._longest_n(i, frame) for i, frame in enumerate(frames))
+        came: list[ForceField] = []
+        if longest_n is None or self._spec.mode == "lossless":
+            came = list(frames)
+            longest_n, frames = max(self._longest_n(i, frame) for i, frame in enumerate(came)), came
         if self._spec.mode == "lossless":
-            runs = [[frame] for frame in frames] if self._spec.interframe == "off" else [frames]
+            runs = [[frame] for frame in came] if self._spec.interframe == "off" else [came]
             coded_runs = [(i > 0, *coded) for run in runs for i, coded in enumerate(encode_exact(run))]
             exact = [FrameRecord(inter, b"", payload, shares_of(bits)) for inter, payload, bits in coded_runs]
-            return self._verified(frames, None, exact)
+            return self._verified(came, None, exact)
         if anchor is not None:  # its unit, if that will do: segments that share an anchor shall share the lattice
             mine = self._longest_n(0, anchor)
             longest_n = longest_n if longest_n > 1.01 * mine else mine
         lattice = lattice_for(self._spec, longest_n)
         chooser = Chooser(self._grid, self._spec, lattice)
-        records, seen = [], []
+        records, seen, is_known = [], [], frames is came
         for i, frame in enumerate(frames):
+            if not is_known and self._longest_n(i, frame) > 1.01 * longest_n:
+                raise InvalidArgument(f"frame {i}", "a force longer than was told", f"{longest_n:.3g} N at most")
+            came += [] if is_known else [frame]
             hidden_n = hidden_of(frame, self._spec)
             if i == 0 and anchor is not None:
                 coded, inter, guess = chooser.add(anchor, hidden_of(anchor, self._spec))
@@ -79,7 +89,7 @@ class TouchEncoder:
             seen.append(found)
         if self._spec.effort == "fast" and not any(len(found.keys) for found in seen):
             return self._sealed(lattice, records, seen)  # a decoder makes what was compared, bit for bit
-        return self._verified(frames, lattice, records)
+        return self._verified(came, lattice, records)
 
     def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
         """The anchor before, where no force differs by more than a small share of the mask, or else this frame."""

@@ -18,7 +18,6 @@ the columns beside.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -187,8 +186,7 @@ _COLUMNS: Final = "columns"
 _CHANGED: Final = "The file was changed or cut."
 
 
-@dataclass(frozen=True)
-class View:
+class View(NamedTuple):
     """Columns of a box, from outside to inside."""
 
     grid: Grid

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.codec.kernels import PLACE, code, mix
-from touchfield.codec.touch.kernels import voxel as voxel
+from touchfield.codec.touch.kernels import voxel
 from touchfield.codec.touch.kernels import workspace as ws
+from touchfield.codec.touch.kernels.voxel import before, held
 from touchfield.lean import entry, inlined, lean
 
 _BRICK = voxel.CONTEXTS
