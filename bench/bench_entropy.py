@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from machine import Bar, Figures, at_least, at_most, bench, column, timed
 from rate_fields import cases
-from touchfield.codec.paper.body_writer import code_bytes, encode_symbols, fitted_code, pack_runs
-from touchfield.codec.paper.huffman import RUN_SYMBOLS, decode_symbols
-from touchfield.codec.support import decode_support, encode_support
+from touchfield.codec.paper.body import RUN_SYMBOLS, decode_symbols
+from touchfield.codec.paper.encoder import encode_symbols, fitted_code, pack_runs
+from touchfield.codec.support import decode_support, encode_numbers, encode_support
 from touchfield.medium import ForceField, Grid
 
 SAMPLES = 128
@@ -48,7 +48,7 @@ def plain_rates(count: int) -> dict[str, dict[str, float]]:
         decode_ms = best_ms(lambda c=code, d=stream, m=len(symbols), n=n: decode_symbols(c, d, m, n))
         rows[f"huffman, {n} symbols"] = {
             "bits_a_symbol": stream.bit_length / len(symbols),
-            "table_bytes": len(code_bytes(code)),
+            "table_bytes": len(encode_numbers(code.lengths)),
             "encode_msym_s": len(symbols) / 1e3 / best_ms(lambda c=code, s=symbols: encode_symbols(c, s)),
             "decode_msym_s": len(symbols) / 1e3 / decode_ms,
             "fit_ms": best_ms(lambda s=symbols, n=n: fitted_code(np.bincount(s[:100_000], minlength=n))),

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine import Bar, Figures, at_least, at_most, bench, column, timed
-from touchfield.codec.objects.pose_encoder import encode_poses, place_steps
-from touchfield.codec.objects.poses import PoseSteps, decode_poses
+from touchfield.codec.objects.decoder import PoseSteps, decode_poses
+from touchfield.codec.objects.encoder import encode_poses, place_steps
 from touchfield.job import EncodeSpec, prepare
 from touchfield.medium.pose_track import PoseTrack
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from touchfield import job
-from touchfield.codec.paper.body_writer import fitted_code
 from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.encoder import fitted_code
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.paper.quantisers import lloyd_max_levels, uniform_levels, weber_levels
 from touchfield.codec.rate import RAW_BITS_PER_VECTOR

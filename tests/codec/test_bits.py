@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
 
-from touchfield.codec.kernels import bits as kernels
-from touchfield.codec.kernels.bits import (
+from touchfield.codec import kernels
+from touchfield.codec.kernels import (
     INPUTS,
     PLACE,
     PRICING,

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchfield.codec.kernels.bits import code, end_of, fresh, reader, writer
-from touchfield.codec.kernels.support import LIST_CONTEXTS, LIST_SETS
+from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, code, end_of, fresh, reader, writer
 from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE, code_bricks, padded
 from touchfield.errors import CorruptFile
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.kernels.bits import end_of, fresh, writer
+from touchfield.codec.kernels import end_of, fresh, writer
 from touchfield.codec.support import (
     BRICKS_FREE,
     BRICKS_PER_BYTE,

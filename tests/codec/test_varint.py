@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.numbers import LARGEST, decode_numbers, encode_numbers
+from touchfield.codec.support import LARGEST, decode_numbers, encode_numbers
 from touchfield.codec.varint import VARINT_LIMIT, read_varint, write_varint
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 

@@ -78,43 +78,25 @@ class CoderOption(NamedTuple):
 
 @dataclass(frozen=True)
 class Coder:
-    """A coder, as the rest of the package knows it.
+    """A coder, as the rest of the package knows it."""
 
-    Attributes
-    ----------
-    name : str
-        In files.
-    encoder, decoder : str
-        Their classes, as ``module:Class``. Of a coder of fields ``encoder(grid, spec)`` is a `FieldEncoder` and
-        ``decoder(grid, parameters, where)`` a `FieldDecoder`.
-    spec : type or None
-        What may be asked of it, a frozen dataclass with `k` and `segment_frames`; None for what codes no fields.
-    makers : mapping of str to callable
-        The words of ``--coder`` that mean this coder, each with what makes a spec of the options that were given.
-    options : tuple of CoderOption
-    hints : tuple of str
-        Keys of options of other rooms that its makers want to see.
-    resolve : callable
-        ``resolve(spec, is_array)``: the spec with what is "auto" resolved for a kind of device.
-    summary : callable
-        ``summary(spec)``: what the summary of an encoded file tells of it.
-    has_promise : bool
-        The decoder's ``promise(body)`` tells what a segment promises.
-    has_codewords : bool
-        Decoded forces are codewords: measures may take each different vector as a symbol.
-    """
-
-    name: str
+    name: str  # in files
+    # classes as ``module:Class``; of a coder of fields ``encoder(grid, spec)`` is a `FieldEncoder` and
+    # ``decoder(grid, parameters, where)`` a `FieldDecoder`
     encoder: str
     decoder: str
+    # what may be asked of it, a frozen dataclass with `k` and `segment_frames`; None for what codes no fields
     spec: type[Any] | None = None
+    # the words of ``--coder`` that mean this coder, each with what makes a spec of the options that were given
     makers: Mapping[str, Callable[[dict[str, Any]], Any]] = field(default_factory=dict)
     options: tuple[CoderOption, ...] = ()
-    hints: tuple[str, ...] = ()
+    hints: tuple[str, ...] = ()  # keys of options of other rooms that its makers want to see
+    # ``resolve(spec, is_array)``: the spec with what is "auto" resolved for a kind of device
     resolve: Callable[[Any, bool], Any] = lambda spec, is_array: spec
+    # ``summary(spec)``: what the summary of an encoded file tells of it
     summary: Callable[[Any], dict[str, Any]] = lambda spec: {}
-    has_promise: bool = False
-    has_codewords: bool = False
+    has_promise: bool = False  # the decoder's ``promise(body)`` tells what a segment promises
+    has_codewords: bool = False  # decoded forces are codewords: measures may take each vector as a symbol
 
     @property
     def encoder_class(self) -> Any:
@@ -159,12 +141,7 @@ def field_encoder(grid: Grid, spec: object) -> FieldEncoder:
 def field_decoder(name: str, grid: Grid, parameters: bytes, where: str = "OBJT") -> FieldDecoder:
     """A decoder of the fields of an object, on its own lattice; `where` is its record.
 
-    Raises
-    ------
-    UnsupportedVersion
-        If there is no such coder of fields.
-    CorruptFile
-        If `parameters` are not those of the coder.
+    UnsupportedVersion if there is no such coder of fields, CorruptFile if the parameters are not those of the coder.
     """
     found = coder(name, f"{where} field_coder")
     if found.spec is None:

@@ -23,18 +23,14 @@ STILL_S: Final = 1.0
 """Of a world that stands: a frame that is the one before again costs a few bytes and no time, and ends no segment."""
 
 
+def segment_length(asked: int | None, rate_hz: float, seconds: float = SEGMENT_S) -> int:
+    """Frames in a segment of a medium of that rate: `asked`, or half a second, 8 at least and 64 at most."""
+    return asked or min(max(math.ceil(seconds * min(rate_hz, 1e6)), LEAST_FRAMES), MOST_FRAMES)
+
+
 def longest_segment(asked: int | None, rate_hz: float) -> int:
     """Frames in a segment in which frames repeat: as `segment_length`, for a second."""
-    if asked is not None:
-        return asked
-    return min(max(math.ceil(STILL_S * min(rate_hz, 1e6)), LEAST_FRAMES), MOST_FRAMES)
-
-
-def segment_length(asked: int | None, rate_hz: float) -> int:
-    """Frames in a segment of a medium of that rate: `asked`, or half a second, 8 at least and 64 at most."""
-    if asked is not None:
-        return asked
-    return min(max(math.ceil(SEGMENT_S * min(rate_hz, 1e6)), LEAST_FRAMES), MOST_FRAMES)
+    return segment_length(asked, rate_hz, STILL_S)
 
 
 class FrameKind(IntEnum):

@@ -6,6 +6,8 @@ told at level l; those below it only where it holds bricks. Each level runs in r
 knows half of its neighbours; of the others it knows whether their parents hold any. Then come the samples of each
 brick, x slowest, each with a chance learnt from its neighbours within two samples and, where it is given, from a
 support that is known already. Samples beyond the grid are not coded.
+
+Whole numbers are bytes by the same arithmetic code (`encode_numbers`).
 """
 
 from __future__ import annotations
@@ -16,14 +18,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Int32s, Int64s
-from touchfield.codec.kernels import support as kernels
-from touchfield.codec.kernels.bits import PLACE, READING, TASK, Bits, code, end_of, fresh, reader, writer
-from touchfield.codec.kernels.support import NEIGHBOURS, UNKNOWN, Level, code_level
+from touchfield.codec import kernels
+from touchfield.codec.kernels import (
+    NEIGHBOURS,
+    NUMBER_CONTEXTS,
+    NUMBER_ROOM,
+    NUMBER_SETS,
+    PLACE,
+    READING,
+    TASK,
+    UNKNOWN,
+    Bits,
+    Level,
+    code,
+    code_level,
+    code_numbers,
+    end_of,
+    fresh,
+    reader,
+    writer,
+)
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.field import slots_around
 from touchfield.medium.grid import BRICK, Grid
 
-X = 1
 # brick coordinates int32 [n, 3], ascending, and the mask of their samples, bool [n, 8, 8, 8]
 Bricks = tuple[Int32s, Bools]
 BRICKS_FREE: Final = 64
@@ -59,9 +77,8 @@ def code_bricks(
         code_level(bits, made, contexts_at, sets_at, truth)
         boxes = boxes[made.state[:-1] == 1]
         if bits.state[TASK] == READING and len(boxes) > most:
-            raise CorruptFile(
-                "list of bricks", f"{len(boxes)} or more", f"{most} at most in {len(bits.buffer)} bytes"
-            )
+            expected = f"{most} at most in {len(bits.buffer)} bytes"
+            raise CorruptFile("list of bricks", f"{len(boxes)} or more", expected)
     return boxes.astype(np.int32)
 
 
@@ -150,3 +167,26 @@ def decode_support(data: bytes, grid: Grid, previous: Bricks | None = None) -> B
     found = code_support(bits, 0, 0, grid, None, previous)
     check_end(bits, len(found[0]), _WHERE)
     return found
+
+
+LARGEST: Final = (1 << 30) - 1  # no number is farther from zero
+
+
+def encode_numbers(numbers: NDArray[np.integer]) -> bytes:
+    """The code of whole numbers [n]. InvalidArgument if one is beyond `LARGEST`."""
+    told = np.array(numbers, np.int64)
+    if told.ndim != 1 or (len(told) and np.abs(told).max() > LARGEST):
+        raise InvalidArgument("numbers", f"shape {told.shape}, or one beyond 2^30 - 1", "one axis of smaller ones")
+    bits = writer(NUMBER_ROOM * len(told) + 64, fresh(NUMBER_CONTEXTS, NUMBER_SETS))
+    code_numbers(bits, 0, 0, told)
+    return end_of(bits)
+
+
+def decode_numbers(data: bytes, count: int) -> Int64s:
+    """The inverse of `encode_numbers`: int64 [count], a sound one; TruncatedFile or CorruptFile for other bytes."""
+    bits, numbers = reader(data, fresh(NUMBER_CONTEXTS, NUMBER_SETS)), np.zeros(count, np.int64)
+    code_numbers(bits, 0, 0, numbers)
+    check_end(bits, 0, "whole numbers")
+    if count and np.abs(numbers).max() > LARGEST:
+        raise CorruptFile("whole numbers", f"{np.abs(numbers).max()}", f"{LARGEST} at most")
+    return numbers

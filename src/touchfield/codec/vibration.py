@@ -16,18 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Int32s, Int64s
-from touchfield.codec import support
-from touchfield.codec.kernels import whole_numbers
-from touchfield.codec.kernels.bits import Bits, end_of, fresh, reader, writer
-from touchfield.codec.support import BRICKS_PER_BYTE, check_end, padded
+from touchfield.codec import kernels, support
+from touchfield.codec.kernels import Bits, end_of, fresh, reader, writer
+from touchfield.codec.support import BRICKS_PER_BYTE, Bricks, check_end, padded
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.kernels import raster_slots
 from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationFrame
-
-Bricks = tuple[Int32s, Bools]
 
 _IN_OCTAVE: Final = 4
 _LEAST_EXPONENT: Final = -22
@@ -36,8 +33,8 @@ MOST_RELATIVE_ERROR: Final = 1 / 9  # of an amplitude: in the middle between ste
 _MOST_HZ: Final = int(MAX_FREQUENCY_HZ)
 _BYTES_PER_SAMPLE: Final = 128  # what decoding takes for each sample at its height
 _FRAME: Final = BRICKS_PER_BYTE  # bricks that a frame counts for, so that a byte tells of a frame at most
-_CONTEXTS: Final = support.CONTEXTS + 2 * whole_numbers.CONTEXTS
-_SETS: Final = support.SETS + 2 * whole_numbers.SETS
+_CONTEXTS: Final = support.CONTEXTS + 2 * kernels.NUMBER_CONTEXTS
+_SETS: Final = support.SETS + 2 * kernels.NUMBER_SETS
 # places [L] and values [2, L] of a frame without samples
 _NOTHING: Final = np.zeros(0, np.int64), np.zeros((2, 0), np.int64)
 _WHERE: Final = "VIBR.body"
@@ -50,9 +47,6 @@ class VibrationSymbols(NamedTuple):
     positions: Int32s
     amplitudes: Int32s
     frequencies: Int32s
-
-
-# -- numbers and their steps ------------------------------------------------------------------------------
 
 
 def symbols_of(frame: VibrationFrame) -> VibrationSymbols:
@@ -81,9 +75,6 @@ def _amplitudes_n(steps: NDArray[np.integer]) -> Float32s:
     return np.ldexp(shares, (octaves + _LEAST_EXPONENT).astype(np.int32))
 
 
-# -- bytes ------------------------------------------------------------------------------------------------
-
-
 def encode_vibration(frames: Sequence[VibrationFrame]) -> bytes:
     """The body of VIBR for the frames of one segment, at least one, all on one grid."""
     return encode_symbols(frames[0].grid, [symbols_of(frame) for frame in frames])
@@ -107,7 +98,7 @@ def encode_symbols(grid: Grid, frames: Sequence[VibrationSymbols]) -> bytes:
         before = places, values
     numbers = np.concatenate(differences, axis=1)
     brick_count = sum(len(bricks) for bricks, _ in told)
-    bits = writer(brick_count * support.ROOM + numbers.size * whole_numbers.ROOM + 64, fresh(_CONTEXTS, _SETS))
+    bits = writer(brick_count * support.ROOM + numbers.size * kernels.NUMBER_ROOM + 64, fresh(_CONTEXTS, _SETS))
     given: Bricks | None = None
     for bricks in told:
         given = support.code_support(bits, 0, 0, grid, bricks, given)
@@ -133,10 +124,7 @@ def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationS
         positions.append(_positions(*given))
         needed, allowed = sum(map(len, positions)) * _BYTES_PER_SAMPLE, memory_budget_bytes()
         if needed > allowed:
-            found, expected = (
-                f"{needed / 2**30:.1f} GiB of samples in one segment",
-                f"at most {allowed / 2**30:.1f} GiB",
-            )
+            found, expected = f"{needed / 2**30:.1f} GiB of samples", f"at most {allowed / 2**30:.1f} GiB a segment"
             raise InvalidArgument(_WHERE, found, expected, "Set TOUCHFIELD_MEMORY_GIB.")
     numbers = np.zeros((2, sum(map(len, positions))), np.int64)
     _code_numbers(bits, numbers)
@@ -155,9 +143,8 @@ def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationS
 
 def _code_numbers(bits: Bits, numbers: Int64s) -> None:
     for n, row in enumerate(numbers):
-        whole_numbers.code_numbers(
-            bits, support.CONTEXTS + n * whole_numbers.CONTEXTS, support.SETS + n * whole_numbers.SETS, row
-        )
+        at = support.CONTEXTS + n * kernels.NUMBER_CONTEXTS, support.SETS + n * kernels.NUMBER_SETS
+        kernels.code_numbers(bits, *at, row)
 
 
 def _same_samples(before: tuple[Int64s, Int64s], places: Int64s) -> tuple[Bools, Int64s]:
@@ -179,9 +166,6 @@ def _check_values(values: Int64s, least: int, most: int, what: str) -> None:
     if len(values) and not (least <= values.min() and values.max() <= most):
         wrong = values.min() if values.min() < least else values.max()
         raise CorruptFile(f"{_WHERE}, {what}", str(wrong), f"{least} to {most}", _CHANGED)
-
-
-# -- samples in bricks ------------------------------------------------------------------------------------
 
 
 def _places(grid: Grid, positions: Int32s) -> Int64s:

@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 from object_makers import F0_N, head_of, moving_scene, tumbling
-from touchfield.codec.objects.encoder import ObjectsEncoder
-from touchfield.codec.objects.pose_encoder import encode_poses
-from touchfield.codec.objects.poses import PoseSteps, decode_poses
+from touchfield.codec.objects.decoder import PoseSteps, decode_poses
+from touchfield.codec.objects.encoder import ObjectsEncoder, encode_poses
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.medium import PoseTrack

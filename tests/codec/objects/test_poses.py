@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from touchfield.codec.objects.pose_encoder import Damping, encode_poses, place_steps, rounded
-from touchfield.codec.objects.poses import MOST_POSES, PoseSteps, decode_poses
+from touchfield.codec.objects.decoder import MOST_POSES, PoseSteps, decode_poses
+from touchfield.codec.objects.encoder import Damping, encode_poses, place_steps, rounded
 from touchfield.codec.objects.promise import displacement_m
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 from touchfield.medium.pose_track import PoseTrack

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 from touchfield.codec.paper.body import INTER_SET, INTRA_SET, FrameSymbols, set_of
-from touchfield.codec.paper.body_writer import CodedFrame, write_body
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.directions import Codebook, codebook_names
-from touchfield.codec.paper.encoder import PaperEncoder
+from touchfield.codec.paper.encoder import CodedFrame, PaperEncoder, write_body
 from touchfield.codec.paper.quantisers import uniform_levels, weber_ladder, weber_levels
 from touchfield.codec.paper.spec import STAGES, PaperSpec
 from touchfield.codec.segment import FrameKind

@@ -11,14 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.fft import idctn
 
-from touchfield.codec.numbers import encode_numbers
-from touchfield.codec.paper.decoder import PaperDecoder
-from touchfield.codec.paper.encoder import PaperEncoder
-from touchfield.codec.paper.kernels.loops import STEPS, adpcm
+from touchfield.codec.paper.decoder import PaperDecoder, from_bricks
+from touchfield.codec.paper.encoder import PaperEncoder, _filled, _to_wavelet
+from touchfield.codec.paper.kernels import STEPS, adpcm
 from touchfield.codec.paper.spec import STAGES, PaperSpec
-from touchfield.codec.paper.stage_encoder import _filled, _to_wavelet
-from touchfield.codec.paper.stages import from_bricks
-from touchfield.codec.support import encode_support
+from touchfield.codec.support import encode_numbers, encode_support
 from touchfield.codec.varint import chunk
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument
 from touchfield.medium import ForceField, Grid

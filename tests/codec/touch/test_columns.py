@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lattice_makers import FLAT, lattice_of, limits_of
 
-from touchfield.codec.touch import columns
-from touchfield.codec.touch.columns_fit import fit
+from touchfield.codec.touch import guess as columns
+from touchfield.codec.touch.guess_fit import fit_columns as fit
 from touchfield.codec.varint import write_varint
 from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile
 from touchfield.medium import ForceField, Grid
@@ -45,7 +45,7 @@ def turned(forces: np.ndarray, axis: int, inverted: bool) -> ForceField:
 def kept(frame: ForceField, data: bytes) -> float:
     """The share of forces at which the guess of some bytes is within the mask."""
     forces, unit_n = frame.to_dense(), lattice_of(frame).unit_n
-    guess = columns.synthesise(data, frame.grid).field(frame.grid, unit_n).to_dense()
+    guess = columns.columns_of_bytes(data, frame.grid).field(frame.grid, unit_n).to_dense()
     length = np.linalg.norm(forces, axis=-1)
     return float((np.linalg.norm(guess - forces, axis=-1) <= np.maximum(0.05, 0.1 * length))[length > 0].mean())
 
@@ -65,7 +65,7 @@ def test_a_hill_is_guessed_along_every_axis(axis, inverted):
     found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
     data, guess = found
-    made = columns.synthesise(data, frame.grid)
+    made = columns.columns_of_bytes(data, frame.grid)
     assert np.array_equal(made.bricks, guess.bricks)
     assert np.array_equal(made.vectors, guess.vectors)
     assert kept(frame, data) > 0.95
@@ -99,14 +99,14 @@ def test_what_is_no_solid_has_no_guess(kind):
 def test_any_mask_is_taken(f0_n):
     frame = turned(solid(), 2, True)
     found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame), f0_n=f0_n))
-    assert found is None or np.array_equal(columns.synthesise(found[0], frame.grid).vectors, found[1].vectors)
+    assert found is None or np.array_equal(columns.columns_of_bytes(found[0], frame.grid).vectors, found[1].vectors)
 
 
 def test_cut_bytes_are_refused(coded):
     frame, data = coded
     for size in (*range(14), len(data) // 2):
         with pytest.raises((TruncatedFile, CorruptFile)):
-            columns.synthesise(data[:size], frame.grid)
+            columns.columns_of_bytes(data[:size], frame.grid)
 
 
 @settings(deadline=None, max_examples=60)
@@ -117,7 +117,7 @@ def test_changed_bytes_give_a_field_or_a_named_error(coded, data):
     for _ in range(data.draw(st.integers(1, 4))):
         changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
     try:
-        made = columns.synthesise(bytes(changed), frame.grid)
+        made = columns.columns_of_bytes(bytes(changed), frame.grid)
     except TouchfieldError:
         return
     assert np.abs(made.vectors, dtype=np.int64).max(initial=0) < 1 << 17
@@ -128,20 +128,20 @@ def test_a_box_of_more_tiles_than_bytes_is_refused():
     grid = Grid((512, 512, 8), (0.001,) * 3, (0.0,) * 3)
     head = b"".join(map(write_varint, (4, 0, 0, 63, 63, *(1,) * 7)))
     with pytest.raises(TruncatedFile, match="tiles"):
-        columns.synthesise(head + bytes(500), grid)
+        columns.columns_of_bytes(head + bytes(500), grid)
 
 
 @pytest.mark.parametrize("box", [(5, 0, 0, 0), (4, 0, 1, 0), (0, 4, 0, 1)])
 def test_a_box_beyond_the_grid_is_refused(box):
     head = b"".join(map(write_varint, (4, *box, *(1,) * 7)))
     with pytest.raises(CorruptFile):
-        columns.synthesise(head + bytes(50), GRID)
+        columns.columns_of_bytes(head + bytes(50), GRID)
 
 
 def test_columns_too_deep_are_refused():
     grid = Grid((8, 8, columns.DEEPEST + 1), (0.001,) * 3, (0.0,) * 3)
     with pytest.raises(CorruptFile, match="grid"):
-        columns.synthesise(b"".join(map(write_varint, (4, 0, 0, 0, 0, *(1,) * 7))) + bytes(50), grid)
+        columns.columns_of_bytes(b"".join(map(write_varint, (4, 0, 0, 0, 0, *(1,) * 7))) + bytes(50), grid)
 
 
 def test_more_bricks_than_bytes_are_refused():
@@ -151,6 +151,6 @@ def test_more_bricks_than_bytes_are_refused():
     frame = ForceField.from_dense(Grid((8, 8, 8000), SPACING_M, (0.0,) * 3), forces)
     found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
-    assert np.array_equal(columns.synthesise(found[0], frame.grid).vectors, found[1].vectors)
+    assert np.array_equal(columns.columns_of_bytes(found[0], frame.grid).vectors, found[1].vectors)
     with pytest.raises(TruncatedFile, match="bricks"):
-        columns.synthesise(found[0].rstrip(b"\0"), frame.grid)
+        columns.columns_of_bytes(found[0].rstrip(b"\0"), frame.grid)

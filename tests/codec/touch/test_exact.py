@@ -17,8 +17,8 @@ from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.touch.exact import decode_exact
-from touchfield.codec.touch.exact_encoder import encode_exact
+from touchfield.codec.touch.encoder import encode_exact
+from touchfield.codec.touch.frame import decode_exact
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField, Grid
 

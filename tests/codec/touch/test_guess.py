@@ -10,8 +10,8 @@ from lattice_makers import lattice_of, limits_of
 from test_columns import solid, turned
 from test_spline import ball
 
-from touchfield.codec.touch import columns_fit, guess
-from touchfield.codec.touch.guess_fit import fit, fit_spline
+from touchfield.codec.touch import guess
+from touchfield.codec.touch.guess_fit import fit, fit_columns, fit_spline
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.promise import agreement
 from touchfield.codec.touch.spec import TouchSpec
@@ -66,7 +66,7 @@ def test_bytes_of_no_kind_are_refused(data, error):
         guess.synthesise(data, ball().grid)
 
 
-@pytest.mark.parametrize("provider", [fit_spline, columns_fit.fit])
+@pytest.mark.parametrize("provider", [fit_spline, fit_columns])
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 1000), (300, 9, 2), (17, 16, 15)])
 @pytest.mark.parametrize("kind", ["full", "ramp", "wide", "denormal", "checkers"])
 def test_any_field_is_guessed_or_not(kind, shape, provider):
@@ -89,13 +89,13 @@ def test_any_field_is_guessed_or_not(kind, shape, provider):
     for mode in ("mask", "nmse"):
         found = provider(frame, lattice_of(frame), limits_of(lattice_of(frame), mode=mode))
         if found is not None:
-            kinds = {fit_spline: guess.SPLINE, columns_fit.fit: guess.COLUMNS}
+            kinds = {fit_spline: guess.SPLINE, fit_columns: guess.COLUMNS}
             made = guess.synthesise(bytes([kinds[provider]]) + found[0], frame.grid)
             assert np.array_equal(made.bricks, found[1].bricks)
             assert np.array_equal(made.vectors, found[1].vectors)
 
 
-@pytest.mark.parametrize("provider", [fit_spline, columns_fit.fit])
+@pytest.mark.parametrize("provider", [fit_spline, fit_columns])
 def test_a_few_bricks_of_a_huge_grid_take_little_memory(provider):
     grid = Grid((1 << 20,) * 3, (0.001,) * 3, (0.0,) * 3)
     far = (1 << 17) - 1

@@ -11,9 +11,8 @@ from lattice_makers import lattice_of, limits_of
 from test_columns import solid, turned
 from test_spline import ball
 
-from touchfield.codec.touch import columns, columns_fit
-from touchfield.codec.touch.guess import spline_of
-from touchfield.codec.touch.guess_fit import fit_spline
+from touchfield.codec.touch.guess import columns_of_bytes, spline_of
+from touchfield.codec.touch.guess_fit import fit_columns, fit_spline
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.varint import write_varint
 from touchfield.errors import TouchfieldError
@@ -47,9 +46,9 @@ def test_a_spline(stiffness):
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_columns(axis, inverted):
     frame = turned(solid(step=9, blurred=True), axis, inverted)
-    found = columns_fit.fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
+    found = fit_columns(frame, lattice_of(frame), limits_of(lattice_of(frame)))
     assert found is not None
-    assert same(columns.synthesise(found[0], frame.grid), second.columns(found[0], frame.grid.shape))
+    assert same(columns_of_bytes(found[0], frame.grid), second.columns(found[0], frame.grid.shape))
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -63,6 +62,6 @@ def test_columns_of_any_bytes(seed):
         other = second.columns(data, shape)
     except FaultyFile:
         with pytest.raises(TouchfieldError):
-            columns.synthesise(data, Grid(shape, (0.001,) * 3, (0.0,) * 3))
+            columns_of_bytes(data, Grid(shape, (0.001,) * 3, (0.0,) * 3))
     else:
-        assert same(columns.synthesise(data, Grid(shape, (0.001,) * 3, (0.0,) * 3)), other)
+        assert same(columns_of_bytes(data, Grid(shape, (0.001,) * 3, (0.0,) * 3)), other)

@@ -14,7 +14,7 @@ from numba import njit
 
 from touchfield.codec.touch.body import write_body
 from touchfield.codec.touch.frame_encoder import lattice_for
-from touchfield.codec.touch.kernels import lattice as kernels
+from touchfield.codec.touch.kernels import workspace as kernels
 from touchfield.codec.touch.kernels.workspace import AXES, ROWS, VECTOR
 from touchfield.codec.touch.lattice import LEAST_RATE, LEAST_UNIFORM, Lattice, warp_of
 from touchfield.codec.touch.spec import TouchSpec

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,7 +46,7 @@ def coded(
     known = Known(frame.grid, lattice, reference, memory or fresh_memory())
     limits = limits_for(spec, lattice)
     made = encode_frame(sketch_of(frame, lattice.unit_n, limits, hidden_of(frame, spec)), known, limits)
-    return made, replace(known, memory=made.memory)
+    return made, known._replace(memory=made.memory)
 
 
 def check(
@@ -112,7 +111,7 @@ def test_each_half_pays(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_damaged_frame_is_refused_or_is_another(data: st.DataObject) -> None:
     frame = hills(17, 5)
     made, known = coded(frame, SPECS[0], None)
-    fresh = replace(known, memory=fresh_memory())
+    fresh = known._replace(memory=fresh_memory())
     bad = bytearray(made.payload)
     for at in data.draw(st.sets(st.integers(0, len(bad) - 1), min_size=1, max_size=3)):
         bad[at] ^= data.draw(st.integers(1, 255))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lattice_makers import FLAT, lattice_of, limits_of
 
-from touchfield.codec.kernels.bits import end_of, fresh, writer
+from touchfield.codec.kernels import end_of, fresh, writer
 from touchfield.codec.support import code_bricks
 from touchfield.codec.touch import guess as spline
 from touchfield.codec.touch.guess_fit import fit_spline

@@ -11,6 +11,7 @@ again, within a smaller share of it, until there is none.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -18,15 +19,115 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from touchfield.arrays import Int64s
+from touchfield.codec.kernels import NUMBER_ROOM, code_numbers, end_of, fresh, price, writer
 from touchfield.codec.objects import layout
+from touchfield.codec.objects.decoder import (
+    MODELS,
+    MOST_ORDER,
+    MOST_POSES,
+    MOST_STEPS,
+    POSITION_POWERS,
+    QUATERNION_POWERS,
+    PoseSteps,
+    code_residuals,
+)
 from touchfield.codec.objects.layout import MAX_OBJECTS, MAX_POSES, CodedObject
-from touchfield.codec.objects.pose_encoder import Damping, encode_poses, place_steps, rounded
-from touchfield.codec.objects.poses import PoseSteps
-from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, reach_m
+from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, displacement_m, reach_m
 from touchfield.codec.registry import FieldDecoder, coder_of_spec, field_decoder, field_encoder
 from touchfield.codec.segment import CodedSegment, Worst, segment_length
 from touchfield.errors import InvalidArgument
-from touchfield.medium import HapticObject, HapticScene
+from touchfield.medium import HapticObject, HapticScene, PoseTrack
+
+_POSITION_COST, _QUATERNION_COST = 3, 4  # numbers that a power of two makes a bit longer
+
+
+class Damping(NamedTuple):
+    """Bound on velocities: the force b (v + omega x r) of a surface may be off by `most_n`, newtons."""
+
+    n_s_per_m: float
+    rate_hz: float
+    most_n: float
+
+    def is_kept(self, source: PoseTrack, decoded: PoseTrack, reach_m: float) -> bool:
+        """True where it is, anywhere within `reach_m` of the body's origin."""
+        if not self.n_s_per_m or source.is_still:
+            return True
+        (v, spin), (v1, spin1) = source.velocities(self.rate_hz), decoded.velocities(self.rate_hz)
+        with np.errstate(over="ignore", invalid="ignore"):
+            off = np.linalg.norm(v1 - v, axis=1) + np.linalg.norm(spin1 - spin, axis=1) * reach_m
+            return bool(self.n_s_per_m * off.max() <= self.most_n)
+
+
+def rounded(track: PoseTrack, steps: PoseSteps) -> Int64s:
+    """The nearest multiples of the steps, int64 [n, 7]; InvalidArgument if a position is beyond 2^50 of them."""
+    farthest = float(np.abs(track.positions_m).max())
+    if farthest > MOST_STEPS * steps.position_m:
+        expected = f"{MOST_STEPS * steps.position_m:g} m at most with a step of {steps.position_m:g} m"
+        raise InvalidArgument("pose track positions_m", f"{farthest:g} m from the origin", expected)
+    numbers = track.positions_m / steps.position_m, track.quaternions / steps.quaternion
+    return np.rint(np.concatenate(numbers, axis=1)).astype(np.int64)
+
+
+def place_steps(track: PoseTrack, reach_m: float, tolerance_m: float, damping: Damping | None = None) -> PoseSteps:
+    """The coarsest steps with which no point of a body leaves its place by more than a tolerance.
+
+    The body's field reaches `reach_m` from its origin. InvalidArgument if the steps would have to be finer than there
+    are any.
+    """
+    first = [
+        min(math.ceil(math.log2(4 * tolerance_m)), POSITION_POWERS[1]),
+        min(math.ceil(math.log2(2 * tolerance_m / max(reach_m, tolerance_m))), QUATERNION_POWERS[1]),
+    ]
+    spans = [max(first[0] - POSITION_POWERS[0] + 1, 0), max(first[1] - QUATERNION_POWERS[0] + 1, 0)]
+    finer = sorted(np.ndindex(*spans), key=lambda d: _POSITION_COST * d[0] + _QUATERNION_COST * d[1])
+    for less_position, less_turn in finer:
+        steps = PoseSteps(2.0 ** (first[0] - less_position), 2.0 ** (first[1] - less_turn))
+        if np.abs(track.positions_m).max() > MOST_STEPS * steps.position_m:
+            continue
+        decoded = steps.track(rounded(track, steps))
+        is_near = displacement_m(track, decoded, reach_m).max() <= tolerance_m
+        if is_near and (damping is None or damping.is_kept(track, decoded, reach_m)):
+            return steps
+    found = f"poses that keep to {1e6 * tolerance_m:g} um"
+    if damping is not None and damping.n_s_per_m:
+        found += f", and a damping of {damping.n_s_per_m:g} N s/m at {damping.rate_hz:g} Hz"
+    mend = "Take a smaller surface damping, or a body nearer to its origin."
+    raise InvalidArgument("pose track", found, "steps of 2^-40 m and 2^-30 at least", mend)
+
+
+def encode_poses(track: PoseTrack, steps: PoseSteps) -> bytes:
+    """The code of a track, by the multiples of `rounded`; InvalidArgument if there are too many poses."""
+    if len(track) > MOST_POSES:
+        raise InvalidArgument("pose track", f"{len(track)} poses", f"{MOST_POSES} at most", "Split it.")
+    numbers = rounded(track, steps)
+    moved = (numbers - numbers[0]).T
+    orders = [_best_order(one) for one in moved]
+    bits = writer(NUMBER_ROOM * (numbers.size + 14) + 64, fresh(*MODELS))
+    code_numbers(bits, 0, 0, np.append(orders, numbers[0]))
+    for c, order in enumerate(orders):
+        if order:
+            code_residuals(bits, c, _residuals(moved[c], order))
+    return end_of(bits)
+
+
+def _best_order(moved: Int64s) -> int:
+    """The predictor with which a component, int64 [n], is shortest, coded alone."""
+
+    def size(order: int) -> float:
+        bits = writer(NUMBER_ROOM * len(moved) + 64, fresh(*MODELS))
+        code_residuals(bits, 0, _residuals(moved, order))
+        return float(price(bits))
+
+    return min(range(1, MOST_ORDER + 1), key=size) if moved.any() else 0
+
+
+def _residuals(moved: Int64s, order: int) -> Int64s:
+    """Differences of that order, int64 [n - 1]; before the first number all are equal to it."""
+    for _ in range(order):
+        moved = np.diff(moved, prepend=0)
+    return moved[1:]
+
 
 # A fifth of what a Phantom Omni can tell of a place (0.055 mm), and 5 mN on a wall of 500 N/m
 PLACE_TOLERANCE_M: Final = 1e-5
@@ -125,10 +226,10 @@ class ObjectsEncoder:
     def _coded(self) -> tuple[list[_Fields], list[Worst | None]]:
         """The fields that keep the promise, and the worst voxel of each segment."""
         shares = np.ones(len(self._scene.objects))
-        coded = [self._fields(one, 1.0) for one in self._scene.objects]
-        rule = self._rule()
-        if rule is None:
+        coded, spec = [self._fields(one, 1.0) for one in self._scene.objects], self._spec
+        if not coder_of_spec(spec).has_promise or spec.mode not in ("mask", "lossless") or spec.f0_n == 0:
             return coded, [None] * len(self._ranges)
+        rule = ComposedRule(self._scene, spec.k, spec.f0_n)
         suspects: set[int] = set()  # frames that were beyond: looked at first
         while True:
             found = [self._found(rule, coded, sorted(suspects))] if suspects else []
@@ -136,7 +237,9 @@ class ObjectsEncoder:
                 found = [self._found(rule, coded, frames) for frames in self._ranges]
             ratios = np.max([one.ratios for one in found], axis=0)
             if ratios.max() <= 1.0:
-                return coded, [_worst(one, frames.start) for one, frames in zip(found, self._ranges, strict=True)]
+                worst = [Worst(*one.worst) for one in found]
+                starts = [frames.start for frames in self._ranges]
+                return coded, [w._replace(frame=max(w.frame - i, 0)) for w, i in zip(worst, starts, strict=True)]
             if self._all_rigid:
                 suspects |= {int(frame) for one in found for frame in one.places[one.ratios > 1, 0]}
             for i in np.flatnonzero(ratios > 1):
@@ -164,37 +267,22 @@ class ObjectsEncoder:
             total = total.joined(rule.check(now, self._moves, [frame]))
         return total
 
-    def _rule(self) -> ComposedRule | None:
-        """Rule of the composed field."""
-        spec = self._spec
-        if not coder_of_spec(spec).has_promise or spec.mode not in ("mask", "lossless") or spec.f0_n == 0:
-            return None
-        return ComposedRule(self._scene, spec.k, spec.f0_n)
-
     def _fields(self, one: HapticObject, share: float) -> _Fields:
         """The fields of one object, coded within a share of the mask."""
         if share < _LEAST_SHARE:
-            raise InvalidArgument(
-                f"object {one.name}", "forces that cancel those of another body",
-                f"an error of F_0 = {self._f0_n:g} N at most there", "Take a larger F_0, or --representation voxel.",
-            )  # fmt: skip
-        encoder = field_encoder(one.medium.grid, self._share_of(share))
+            found, expected = (
+                "forces that cancel those of another body",
+                f"an error of {self._f0_n:g} N at most there",
+            )
+            raise InvalidArgument(f"object {one.name}", found, expected, "Take a larger F_0, or voxels.")
+        spec = self._spec
+        if coder_of_spec(spec).has_promise and spec.mode == "mask":
+            if self._scene.surface_damping_n_s_per_m:  # which begins at once where a force begins
+                spec = replace(spec, support="exact")
+            spec = replace(spec, k=max(_LEAST_K, share * spec.k), f0_n=share * spec.f0_n)
+        encoder = field_encoder(one.medium.grid, spec)
         decoder = field_decoder(encoder.name, one.medium.grid, encoder.parameters)
         ranges = [range(1)] if one.is_rigid else self._ranges
         segments = [encoder.encode_segment([one.field(i) for i in frames]) for frames in ranges]
         pair = Pair(one.field(0), next(decoder.frames(segments[0].body, 1))) if one.is_rigid else None
         return _Fields(decoder, encoder.parameters, segments, pair)
-
-    def _share_of(self, share: float) -> Any:
-        spec = self._spec
-        if not coder_of_spec(spec).has_promise or spec.mode != "mask":
-            return spec
-        if self._scene.surface_damping_n_s_per_m:  # which begins at once where a force begins
-            spec = replace(spec, support="exact")
-        return replace(spec, k=max(_LEAST_K, share * spec.k), f0_n=share * spec.f0_n)
-
-
-def _worst(found: Found, first: int) -> Worst:
-    """The worst voxel of a segment that begins with frame `first`."""
-    ratio, frame, voxel = found.worst
-    return Worst(ratio, max(frame - first, 0), voxel)

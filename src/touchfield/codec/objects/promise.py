@@ -96,7 +96,7 @@ class ComposedRule:
 
     def check(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> Found:
         """Compare frames of the scene, whose bodies have these fields and moves."""
-        from touchfield.codec.objects.kernels import composed as kernels
+        from touchfield.codec.objects import kernels
 
         grid, limit_n = self.scene.grid, self.scene.force_max_n
         rule = kernels.Rule(self.k, self.f0_n, limit_n * _FLOOR_SHARE, limit_n)

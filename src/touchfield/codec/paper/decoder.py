@@ -1,20 +1,180 @@
-"""The decoder of the paper's coder (figure 4): segments to fields."""
+"""The decoder of the paper's coder (figure 4): segments to fields.
+
+Stages stand in place of levels and directions: predictive, spectral and run-length coding of a field. The paper names
+them (sections 2 and 4.3) and tells none. Each takes the components of the supported samples in uniform steps, frame
+by frame, and makes whole numbers of them, which `codec.support.encode_numbers` codes:
+
+* ``dpcm``: the difference to the sample before, z fastest, so that it is the neighbour in depth where there is one.
+* ``adpcm``: two weights predict the next sample and follow the signal, and the step grows where differences are
+  large and shrinks again (Jayant), up to four times the finest (`kernels.adpcm`).
+* ``wavelet``: LeGall's 5/3 by whole-number lifting, as in JPEG 2000, three levels on each brick; exact.
+* ``dct``: the orthonormal DCT (type 2) on each brick, its coefficients in uniform steps. Back it goes in fixed
+  point: 18 bits of cosine, 8 bits below a step, so that every machine has the same forces.
+* ``runs``: vectors, each with how many of the next are equal to it.
+
+What lies in a brick beside the support is known to be none, so a transform may make of it what it likes.
+"""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.paper.body import BodyReader
+from touchfield.codec.paper.body import MOST_NEWTONS, BodyReader, field_of
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.paper.quantisers import amplitudes_n
-from touchfield.codec.paper.stages import PARTS, StageReader
+from touchfield.codec.rate import BitAccount
 from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
-from touchfield.errors import CorruptFile
+from touchfield.codec.support import decode_numbers, decode_support
+from touchfield.codec.varint import Parts
+from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.budget import memory_budget_bytes, zero_forces
+from touchfield.medium.grid import BRICK
+from touchfield.medium.kernels import raster_slots
+
+LEVELS: Final = 3  # of the wavelet: 8 samples, 4, 2
+GRAIN: Final = 16  # parts of the finest step that ADPCM counts in
+_FARTHEST = float(1 << 20)  # steps of a component that are told apart
+_BYTES_PER_BRICK = 128 * BRICK**3  # that decoding takes at its height
+_FRACTION = 8  # bits below a step in the DCT
+_COSINE_BITS = 18
+
+# what a decoded whole number is, in parts of a step, by stage
+PARTS: Final = {"dpcm": 1, "adpcm": GRAIN, "dct": 1 << _FRACTION, "wavelet": 1, "runs": 1}
+BY_BRICK: Final = ("dct", "wavelet")  # stages whose numbers are coefficients of whole bricks
+ORDER: Final = np.argsort(np.indices((BRICK,) * 3).sum(axis=0).reshape(-1), kind="stable")
+"""The places of a brick's coefficients, low frequencies first: by the sum of the three indices."""
+
+
+class StageReader:
+    """A segment of a stage, as `body.BodyReader`; CorruptFile or TruncatedFile for other bytes than the writer's."""
+
+    def __init__(self, body: bytes, grid: Grid, stage: str) -> None:
+        self._parts, self._grid, self._stage = Parts(body), grid, stage
+        (self.step_n,) = struct.unpack("<d", self._parts.take(8, "step"))
+        if not 1e-9 <= self.step_n <= MOST_NEWTONS:
+            raise CorruptFile("SEGM.body step", f"{self.step_n!r} N", f"1e-9 to {MOST_NEWTONS:g} N")
+
+    def fields(self, frame_count: int) -> Iterator[tuple[ForceField, FrameStats]]:
+        """The frames in turn, decoded."""
+        for _ in range(frame_count):
+            cost, support, runs, numbers = self._frame()
+            bricks, mask = decode_support(support, self._grid)
+            if len(bricks) * _BYTES_PER_BRICK > memory_budget_bytes():
+                found, allowed = f"{len(bricks)} bricks", f"{memory_budget_bytes() // _BYTES_PER_BRICK} at most"
+                raise InvalidArgument("SEGM.body", found, allowed, "Set TOUCHFIELD_MEMORY_GIB.")
+            forces, slots = zero_forces(len(bricks)), raster_slots(bricks, mask)
+            if runs > len(slots):
+                raise CorruptFile("SEGM.body runs", f"{runs}", f"at most {len(slots)}, one for each sample")
+            scale = np.float64(self.step_n) / PARTS[self._stage]
+            vectors = _decoded(self._stage, numbers, (len(bricks), slots, runs)) * scale
+            if vectors.size and np.abs(vectors).max() > MOST_NEWTONS:
+                raise CorruptFile("SEGM.body", "a force that is too large", f"at most {MOST_NEWTONS:g} N")
+            forces.reshape(-1, 3)[slots] = vectors.astype(np.float32)
+            yield field_of(self._grid, bricks, forces), FrameStats(cost.kind, len(slots), len(slots), cost.bits)
+        self._parts.check_end()
+
+    def quantise(self, field: ForceField) -> Int64s:
+        """Each supported force as one number: the triple of its components in whole steps."""
+        steps = np.clip(field.vectors_n() / self.step_n, -_FARTHEST, _FARTHEST)
+        x, y, z = np.rint(steps).astype(np.int64).T
+        triple: Int64s = (x << 42) + (y << 21) + z
+        return triple
+
+    def costs(self, frame_count: int) -> Iterator[FrameCost]:
+        """Cost of each frame, without decoding it."""
+        for _ in range(frame_count):
+            yield self._frame()[0]
+        self._parts.check_end()
+
+    def _frame(self) -> tuple[FrameCost, bytes, int, bytes]:
+        began = self._parts.at
+        support = self._parts.chunk("support")
+        runs = self._parts.varint("number of runs") if self._stage == "runs" else 0
+        numbers = self._parts.chunk("numbers")
+        bits = BitAccount(8 * len(support), 8 * len(numbers))
+        bits += BitAccount(side=8 * (self._parts.at - began) - bits.total)
+        return FrameCost(FrameKind.INTRA, bits), support, runs, numbers
+
+
+def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
+    """Supported samples in the order of `slots`, int64 [L, 3]; `known`: number of bricks, slots, number of runs."""
+    brick_count, slots, runs = known
+    if stage == "runs":
+        numbers = decode_numbers(data, 4 * runs)
+        lengths = numbers[:runs] + 1
+        if (lengths < 1).any() or int(lengths.sum()) != len(slots):
+            raise CorruptFile("SEGM.body runs", f"{int(lengths.sum())} samples", f"{len(slots)}")
+        return np.repeat(numbers[runs:].reshape(3, runs).T, lengths, axis=0)
+    if stage in BY_BRICK:
+        made = np.empty((len(slots), 3), np.int64)
+        coefficients = decode_numbers(data, 3 * BRICK**3 * brick_count).reshape(3, BRICK**3, brick_count)
+        for component in range(3):
+            bricks = np.empty((brick_count, BRICK**3), np.int64)
+            bricks[:, ORDER] = coefficients[component].T
+            made[:, component] = from_bricks(stage, bricks.reshape(-1, BRICK, BRICK, BRICK)).reshape(-1)[slots]
+        return made
+    residuals = decode_numbers(data, 3 * len(slots)).reshape(3, -1)
+    if stage == "dpcm":
+        return np.cumsum(residuals, axis=1).T
+    from touchfield.codec.paper.kernels import adpcm
+
+    grains = np.zeros_like(residuals)
+    for values, read in zip(grains, residuals, strict=True):
+        adpcm(values, read, True)
+    return grains.T
+
+
+def from_bricks(stage: str, coefficients: Int64s) -> Int64s:
+    """Samples of coefficients, int64 [n, 8, 8, 8]."""
+    return _from_wavelet(coefficients) if stage == "wavelet" else _from_dct(coefficients)
+
+
+def _from_wavelet(coefficients: Int64s) -> Int64s:
+    out = coefficients.copy()
+    for level in reversed(range(LEVELS)):
+        size = BRICK >> level
+        part = out[:, :size, :size, :size]
+        for axis in (3, 2, 1):
+            part[...] = lifted(part, axis, _joined)
+    return out
+
+
+def lifted(part: Int64s, axis: int, step: Callable[[Int64s], Int64s]) -> Int64s:
+    """A step of lifting along one axis."""
+    return np.moveaxis(step(np.moveaxis(part, axis, 0)), 0, axis)
+
+
+def _joined(x: Int64s) -> Int64s:
+    half = len(x) // 2
+    coarse, detail = x[:half], x[half:]
+    out = np.empty_like(x)
+    out[0::2] = coarse - ((np.concatenate([detail[:1], detail[:-1]]) + detail + 2) >> 2)
+    out[1::2] = detail + ((out[0::2] + np.concatenate([out[2::2], out[-2:-1]])) >> 1)
+    return out
+
+
+def cosines() -> Int64s:
+    """The orthonormal DCT of type 2 in 2^-18, int64 [frequency, sample]."""
+    frequency, sample = np.indices((BRICK, BRICK))
+    scale = np.where(frequency == 0, np.sqrt(1 / BRICK), np.sqrt(2 / BRICK))
+    made = scale * np.cos(np.pi * (2 * sample + 1) * frequency / (2 * BRICK))
+    return np.rint(made * (1 << _COSINE_BITS)).astype(np.int64)
+
+
+def _from_dct(coefficients: Int64s) -> Int64s:
+    """In parts of 2^-8 of a step; rounded after each axis."""
+    basis, out = cosines(), coefficients << _FRACTION
+    for axis in (1, 2, 3):
+        turned = np.moveaxis(out, axis, -1)
+        made = sum(turned[..., f : f + 1] * basis[f] for f in range(BRICK))
+        out = np.moveaxis((made + (1 << (_COSINE_BITS - 1))) >> _COSINE_BITS, -1, axis)
+    return out
 
 
 class PaperDecoder:

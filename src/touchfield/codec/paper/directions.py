@@ -91,7 +91,7 @@ class Codebook:
         Of those equally near the first; 0 for the zero vector. `vectors` are float32 [m, 3] of any length;
         InvalidArgument if the shape is another, or a vector is not finite.
         """
-        from touchfield.codec.paper.kernels.loops import nearest
+        from touchfield.codec.paper.kernels import nearest
 
         x = np.ascontiguousarray(vectors, np.float32)
         if x.ndim != 2 or x.shape[1] != 3 or not np.isfinite(x).all():
@@ -105,9 +105,6 @@ class Codebook:
 def codebook_names() -> tuple[str, ...]:
     """The names of all codebooks."""
     return tuple(f"{family}{f}" for family, most in _LARGEST_FREQUENCY.items() for f in range(1, most + 1))
-
-
-# -- making the polyhedra -------------------------------------------------------------------------------------
 
 
 def _normalised(points: Float64s) -> Float64s:

@@ -2,31 +2,47 @@
 
 source model (voxel) -> perceptual filter (deadband) -> quantise amplitude and direction apart -> difference
 between frames -> entropy code. The device filter came before. Codebooks are trained on the whole segment and
-transmitted; the Huffman codes are made when all its symbols are known. Stages are coded in `stage_encoder`.
+transmitted; the Huffman codes are made when all its symbols are known. Stages (`decoder`) take the place of all that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import heapq
+import struct
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.arrays import Float32s
+from touchfield.arrays import Bools, Float32s, Float64s, Int64s
 from touchfield.codec.paper import quantisers
-from touchfield.codec.paper.body import INTER_SET, INTRA_SET, FrameSymbols, rebuilt, set_of
-from touchfield.codec.paper.body_writer import CodedFrame, pack_runs, write_body
+from touchfield.codec.paper.body import (
+    INTER_SET,
+    INTRA_SET,
+    RUN_SYMBOLS,
+    BitStream,
+    FrameSymbols,
+    HuffmanCode,
+    TableSet,
+    rebuilt,
+    set_of,
+)
+from touchfield.codec.paper.decoder import BY_BRICK, GRAIN, LEVELS, ORDER, lifted
 from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.paper.kernels import LONGEST, adpcm, pack_bits
 from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.paper.stage_encoder import encode_staged
-from touchfield.codec.segment import CodedSegment, FrameKind
-from touchfield.codec.support import encode_support
+from touchfield.codec.rate import BitAccount
+from touchfield.codec.segment import CodedSegment, FrameKind, FrameStats
+from touchfield.codec.support import LARGEST, encode_numbers, encode_support
+from touchfield.codec.varint import chunk, write_varint
+from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys
+from touchfield.medium.grid import BRICK
 from touchfield.perception.weber import gate, gate_in_time
 
 _LEAST_FORCE_N: Final = 1e-6
@@ -61,19 +77,16 @@ class PaperEncoder:
         return write_body(count, coder.levels, coder.coded, single_holds=not spec.hold_runs)
 
 
-@dataclass
 class _Coder:
     """The frames of a segment, coded one after another."""
 
-    grid: Grid
-    spec: PaperSpec
-    segment: Sequence[ForceField]
-    levels: dict[int, AmplitudeLevels]
-    decoded: ForceField | None = None
-    coded: list[CodedFrame] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self._codebook = Codebook.get(self.spec.directions)
+    def __init__(
+        self, grid: Grid, spec: PaperSpec, segment: Sequence[ForceField], levels: dict[int, AmplitudeLevels]
+    ) -> None:
+        self.grid, self.spec, self.segment, self.levels = grid, spec, segment, levels
+        self.decoded: ForceField | None = None
+        self.coded: list[CodedFrame] = []
+        self._codebook = Codebook.get(spec.directions)
         for i, frame in enumerate(self.segment):
             candidates = []
             if i == 0 or self.spec.choose_by_size or self.spec.interframe == "none":
@@ -85,7 +98,9 @@ class _Coder:
                     self.levels[INTER_SET] = _fitted(self.spec, _changes_n(self.spec, self.segment))
                 candidates.append(self._scanned(FrameKind.DIFFERENCE, frame + self.segment[i - 1].scaled(-1)))
             best = min(candidates, key=self._estimated_bits) if len(candidates) > 1 else candidates[0]
-            self.decoded = rebuilt(self.grid, best.symbols, self._levels(best).levels_n, self._codebook, self.decoded)
+            self.decoded = rebuilt(
+                self.grid, best.symbols, self.levels[set_of(best.symbols.kind)].levels_n, self._codebook, self.decoded
+            )
             self.coded.append(best)
 
     def _scanned(self, kind: FrameKind, field: ForceField) -> CodedFrame:
@@ -117,14 +132,10 @@ class _Coder:
         directions = self._codebook.nearest(difference)
         return CodedFrame(FrameSymbols(FrameKind.INTER, frame.bricks, frame.mask, sent, levels, directions), support)
 
-    def _levels(self, frame: CodedFrame) -> AmplitudeLevels:
-        return self.levels[set_of(frame.symbols.kind)]
-
     def _estimated_bits(self, frame: CodedFrame) -> float:
         symbols = frame.symbols
-        packed, _, extra = pack_runs(
-            symbols.sent, symbols.levels, len(self._levels(frame)), single=not self.spec.hold_runs
-        )
+        count = len(self.levels[set_of(symbols.kind)])
+        packed, _, extra = pack_runs(symbols.sent, symbols.levels, count, single=not self.spec.hold_runs)
         amplitude = entropy_bits(np.bincount(packed)) * len(packed) + int(extra.sum())
         direction = entropy_bits(np.bincount(symbols.directions)) * len(symbols.directions)
         return amplitude + direction + 8 * len(frame.support)
@@ -169,3 +180,191 @@ def _thinned(amplitudes: Float32s) -> Float32s:
     """Every n-th sample, so that training costs no more on a long segment; the largest is kept."""
     step = -(-len(amplitudes) // _TRAINING_SAMPLES)
     return amplitudes if step <= 1 else np.append(amplitudes[::step], amplitudes.max())
+
+
+_LONGEST_RUN = (1 << RUN_SYMBOLS) - 1
+
+
+def fitted_code(counts: Int64s) -> HuffmanCode:
+    """Huffman's code for symbols that occur `counts` times, int64 [n]; more alike where it had more than 24 bits."""
+    lengths = np.zeros(len(counts), np.uint8)
+    present = np.flatnonzero(counts)
+    weights = np.asarray(counts)[present]
+    while len(present):
+        depths = _depths(weights.tolist())
+        if max(depths) <= LONGEST:
+            lengths[present] = depths
+            break
+        weights = (weights + 1) // 2
+    return HuffmanCode(lengths)
+
+
+def _depths(weights: list[int]) -> list[int]:
+    """Bits of the code of each symbol."""
+    heap = [(weight, i) for i, weight in enumerate(weights)]
+    heapq.heapify(heap)
+    above: dict[int, int] = {}
+    for parent in range(len(weights), 2 * len(weights) - 1):
+        (one, i), (other, j) = heapq.heappop(heap), heapq.heappop(heap)
+        above[i] = above[j] = parent
+        heapq.heappush(heap, (one + other, parent))
+    depth = {heap[0][1]: 0}
+    for node in range(2 * len(weights) - 3, -1, -1):
+        depth[node] = depth[above[node]] + 1
+    return [max(1, depth[i]) for i in range(len(weights))]
+
+
+def pack_runs(
+    sent: Bools, levels: NDArray[np.uint16], level_count: int, *, single: bool
+) -> tuple[Int64s, Int64s, Int64s]:
+    """The symbols of the samples bool [L], with the raw bits behind each: symbols, values, and numbers of bits.
+
+    `levels` are those of the sent samples; with `single` each held sample is a symbol of its own.
+    """
+    index = np.arange(len(sent))
+    since = index - np.maximum.accumulate(np.where(sent, index, -1)) - 1  # held samples before this one
+    at = np.flatnonzero(sent | (since % (1 if single else _LONGEST_RUN) == 0))
+    runs = np.diff(at, append=len(sent))
+    bits = np.frexp(runs)[1].astype(np.int64) - 1
+    symbols, values = level_count + bits, runs - (1 << bits)
+    symbols[sent[at]] = levels
+    return symbols, values, bits
+
+
+def encode_symbols(
+    code: HuffmanCode, symbols: NDArray[Any], values: Int64s | int = 0, extra: Int64s | int = 0
+) -> BitStream:
+    """The codes of symbols [m], each followed by ``extra[i]`` raw bits of ``values[i]``."""
+    _, ranks, order = code.tables
+    codes = np.zeros(len(code.lengths), np.int64)
+    codes[order] = np.arange(len(order)) - ranks[code.lengths[order]]
+    written, lengths = (codes[symbols] << extra) | values, code.lengths[symbols].astype(np.int64) + extra
+    bit_length = int(lengths.sum())
+    out = np.zeros(-(-bit_length // 8), np.uint8)
+    pack_bits(written, lengths, out)
+    return BitStream(out.tobytes(), bit_length)
+
+
+class CodedFrame(NamedTuple):
+    """A frame's symbols with its coded support."""
+
+    symbols: FrameSymbols
+    support: bytes
+
+
+def write_body(
+    direction_count: int, levels: Mapping[int, AmplitudeLevels], frames: Sequence[CodedFrame], *, single_holds: bool
+) -> CodedSegment:
+    """The body of a segment, and what each frame cost; `levels` are by `INTRA_SET` and `INTER_SET`."""
+    kinds, tables, packed = 0, b"", {}
+    sets = {}
+    for kind in (INTRA_SET, INTER_SET):
+        mine = [f.symbols for f in frames if set_of(f.symbols.kind) == kind]
+        if not mine:
+            continue
+        chosen = levels[kind]
+        amplitude_counts = np.zeros(len(chosen) + RUN_SYMBOLS, np.int64)
+        direction_counts = np.zeros(direction_count, np.int64)
+        for symbols in mine:
+            streams = packed[id(symbols)] = pack_runs(symbols.sent, symbols.levels, len(chosen), single=single_holds)
+            amplitude_counts += np.bincount(streams[0], minlength=len(amplitude_counts))
+            direction_counts += np.bincount(symbols.directions, minlength=direction_count)
+        made = sets[kind] = TableSet(chosen, fitted_code(amplitude_counts), fitted_code(direction_counts))
+        kinds |= kind
+        tables += chunk(chosen.levels_n.astype("<f4").tobytes())
+        for code in (made.amplitude_code, made.direction_code):
+            tables += chunk(encode_numbers(code.lengths))
+    parts, stats = [bytes([kinds]), tables], []
+    for f in frames:
+        symbols, chosen_set = f.symbols, sets[set_of(f.symbols.kind)]
+        amplitudes = encode_symbols(chosen_set.amplitude_code, *packed[id(symbols)])
+        directions = encode_symbols(chosen_set.direction_code, symbols.directions)
+        data = bytes([symbols.kind]) + chunk(f.support)
+        data += b"".join(write_varint(s.bit_length) + s.data for s in (amplitudes, directions))
+        bits = BitAccount(8 * len(f.support), amplitudes.bit_length, directions.bit_length)
+        bits += BitAccount(side=8 * len(data) - bits.total)
+        parts.append(data)
+        stats.append(FrameStats(symbols.kind, len(symbols.sent), len(symbols.levels), bits))
+    return CodedSegment(b"".join(parts), tuple(stats))
+
+
+_PASSES = 4
+_ROUNDING = 1 / 3  # of the DCT: a coefficient below two thirds of a step is none
+
+
+def encode_staged(frames: Sequence[ForceField], stage: str, step_n: float) -> CodedSegment:
+    """The frames as a segment of a stage, each alone. InvalidArgument if the step is too fine for the forces."""
+    parts, stats = [struct.pack("<d", step_n)], []
+    for frame in frames:
+        support = encode_support(frame.grid, frame.bricks, frame.mask)
+        numbers, runs = _numbers(frame, stage, step_n)
+        if np.abs(numbers).max(initial=0) > LARGEST:
+            raise InvalidArgument("step_n", f"{step_n:g} N", "at least 2^-20 of the largest component")
+        code = encode_numbers(numbers)
+        data = chunk(support) + (write_varint(runs) if stage == "runs" else b"") + chunk(code)
+        bits = BitAccount(8 * len(support), 8 * len(code))
+        bits += BitAccount(side=8 * len(data) - bits.total)
+        parts.append(data)
+        stats.append(FrameStats(FrameKind.INTRA, frame.support_count, frame.support_count, bits))
+    return CodedSegment(b"".join(parts), tuple(stats))
+
+
+def _numbers(frame: ForceField, stage: str, step_n: float) -> tuple[Int64s, int]:
+    """The numbers of a frame, int64 [any], and how many runs there are."""
+    if stage in BY_BRICK:
+        filled = _filled(frame) / step_n
+        made = _to_wavelet(_points(filled)) if stage == "wavelet" else _to_dct(filled)
+        return made.reshape(-1, BRICK**3, 3)[:, ORDER].transpose(2, 1, 0).reshape(-1), 0
+    vectors = frame.vectors_n().astype(np.float64) / step_n
+    if stage == "adpcm":
+        grains = np.ascontiguousarray(_points(vectors * GRAIN).T)
+        residuals = np.zeros_like(grains)
+        for values, out in zip(grains, residuals, strict=True):
+            adpcm(values, out, False)
+        return residuals.reshape(-1), 0
+    points = _points(vectors)
+    if stage == "dpcm":
+        return np.diff(points, axis=0, prepend=np.zeros((1, 3), np.int64)).T.reshape(-1), 0
+    begins = np.flatnonzero(np.append(True, (points[1:] != points[:-1]).any(axis=1))[: len(points)])
+    lengths = np.diff(begins, append=len(points)) - 1
+    return np.concatenate([lengths, points[begins].T.reshape(-1)]), len(begins)
+
+
+def _points(steps: Float64s) -> Int64s:
+    return np.rint(np.clip(steps, -float(1 << 40), float(1 << 40))).astype(np.int64)  # too large is told later
+
+
+def _filled(frame: ForceField) -> Float64s:
+    """Forces [n, 8, 8, 8, 3], those beside the support chosen smooth: the brick's mean, then means of neighbours."""
+    held = frame.mask[..., None]
+    x = frame.forces_n.astype(np.float64)
+    mean = x.sum(axis=(1, 2, 3)) / np.maximum(frame.mask.sum(axis=(1, 2, 3)), 1)[:, None]
+    x = np.where(held, x, mean[:, None, None, None, :])
+    for _ in range(_PASSES):
+        p = np.pad(x, ((0, 0), (1, 1), (1, 1), (1, 1), (0, 0)), mode="edge")
+        around = p[:, :-2, 1:-1, 1:-1] + p[:, 2:, 1:-1, 1:-1] + p[:, 1:-1, :-2, 1:-1] + p[:, 1:-1, 2:, 1:-1]
+        x = np.where(held, x, (around + p[:, 1:-1, 1:-1, :-2] + p[:, 1:-1, 1:-1, 2:]) / 6)
+    return x
+
+
+def _to_wavelet(points: Int64s) -> Int64s:
+    out = points.copy()
+    for level in range(LEVELS):
+        size = BRICK >> level
+        part = out[:, :size, :size, :size]
+        for axis in (1, 2, 3):
+            part[...] = lifted(part, axis, _split)
+    return out
+
+
+def _split(x: Int64s) -> Int64s:
+    even, odd = x[0::2], x[1::2]
+    detail = odd - ((even + np.concatenate([even[1:], even[-1:]])) >> 1)
+    return np.concatenate([even + ((np.concatenate([detail[:1], detail[:-1]]) + detail + 2) >> 2), detail])
+
+
+def _to_dct(steps: Float64s) -> Int64s:
+    from scipy.fft import dctn
+
+    spectrum = dctn(steps, axes=(1, 2, 3), norm="ortho") if len(steps) else steps
+    return np.sign(spectrum).astype(np.int64) * _points(np.floor(np.abs(spectrum) + _ROUNDING))

@@ -19,8 +19,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,20 +45,6 @@ MOST_DISTINCT: Final = 1 << 22
 _MOST_TRAINED: Final = 1 << 22  # amplitudes a Lloyd-Max quantiser is trained on; of more, evenly spaced ones
 _MOST_OF_A_FRAME: Final = 1 << 20
 _SLACK: Final = 1 + 1e-6
-
-
-class VectorQuantiser(Protocol):
-    """One form of Q; symbol 0 is "no force"."""
-
-    @property
-    def alphabet(self) -> int:
-        """K: how many symbols there are, "no force" among them."""
-
-    def symbols_of(self, vectors_n: Float32s) -> Int32s:
-        """The symbols of force vectors, newtons, float32 [m, 3], int32 [m]."""
-
-    def vectors_of(self, symbols: Int32s) -> Float32s:
-        """The codewords of symbols [m], newtons, float32 [m, 3]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,20 +131,14 @@ class _Distinct:
         return vectors
 
 
+VectorQuantiser = Pairs | Components | _Distinct
+"""A form of Q: its `alphabet`, "no force" among it; `symbols_of` float32 [m, 3]; and `vectors_of` int32 [m]."""
+
+
 def _packed(vectors_n: Float32s) -> NDArray[Any]:
     """Each vector as one value that sorts: its twelve bytes; -0.0 is 0.0."""
     rows = np.ascontiguousarray(vectors_n + np.float32(0))
     return rows.view(np.dtype((np.void, 12))).reshape(-1)
-
-
-def _distinct(fields: Iterable[ForceField]) -> _Distinct:
-    known = _packed(np.zeros((0, 3), np.float32))
-    for field in fields:
-        known = np.unique(np.concatenate([known, _packed(field.vectors_n())]))
-        if len(known) > MOST_DISTINCT:
-            found, mend = f"more than {MOST_DISTINCT} different vectors", "Name a quantiser such as weber:0.1."
-            raise InvalidArgument("quantiser distinct", found, "a field of a decoder", mend)
-    return _Distinct(known)
 
 
 @dataclass(frozen=True)
@@ -191,10 +172,9 @@ class FieldQuantiserSpec:
         amplitude, slash, beside = text.partition("/")
         form, _, number = amplitude.partition(":")
         takes = {"components": not slash, "weber-components": beside.isdecimal()}.get(form, not slash or beside)
-        try:
+        value = math.nan
+        with suppress(ValueError):
             value = float(number) if takes else math.nan
-        except ValueError:
-            value = math.nan
         if not math.isfinite(value):
             expected = "FORM:NUMBER, FORM:NUMBER/DIRECTIONS or weber-components:K/LEVELS, such as weber:0.1"
             raise InvalidArgument("quantiser", repr(text), expected)
@@ -217,13 +197,22 @@ class FieldQuantiserSpec:
         if force_max_n is not None and not 0 <= force_max_n < math.inf:
             raise InvalidArgument("force_max_n", repr(force_max_n), "newtons, 0 or more")
         if self.form == "distinct":
-            return FieldQuantiser(self.words, math.inf, _distinct(fields))
+            known = _packed(np.zeros((0, 3), np.float32))
+            for field in fields:
+                known = np.unique(np.concatenate([known, _packed(field.vectors_n())]))
+                if len(known) > MOST_DISTINCT:
+                    found, mend = (
+                        f"more than {MOST_DISTINCT} different vectors",
+                        "Name a quantiser such as weber:0.1.",
+                    )
+                    raise InvalidArgument("quantiser distinct", found, "a field of a decoder", mend)
+            return FieldQuantiser(self.words, math.inf, _Distinct(known))
         top, amplitudes = 0.0 if force_max_n is None else float(force_max_n), np.zeros(0, np.float32)
         for field in fields if force_max_n is None or self.form == "lloyd-max" else ():
-            found = amplitudes_n(field.vectors_n())
-            top = max(top, float(found.max(initial=0.0)))
+            sizes = amplitudes_n(field.vectors_n())
+            top = max(top, float(sizes.max(initial=0.0)))
             if self.form == "lloyd-max":
-                amplitudes = np.concatenate([amplitudes, found[:: -(-len(found) // _MOST_OF_A_FRAME) or 1]])
+                amplitudes = np.concatenate([amplitudes, sizes[:: -(-len(sizes) // _MOST_OF_A_FRAME) or 1]])
                 amplitudes = amplitudes[:: -(-len(amplitudes) // _MOST_TRAINED) or 1]
         return FieldQuantiser(self.words, top * _SLACK, self._made(top, amplitudes))
 
@@ -232,21 +221,19 @@ class FieldQuantiserSpec:
         if self.form == "weber-components":
             if not 1 <= self.levels <= MOST_LEVELS:
                 raise InvalidArgument("weber-components", f"{self.levels} levels", f"1 to {MOST_LEVELS}")
-            ratio = WeberLadder(self.number, 1.0, 1).ratio
-            return Components(
-                quantisers.weber_levels(WeberLadder(self.number, (top_n or 1.0) / ratio**self.levels, self.levels))
-            )
-        if self.form in ("components", "uniform"):
+            least = (top_n or 1.0) / WeberLadder(self.number, 1.0, 1).ratio ** self.levels
+            return Components(quantisers.weber_levels(WeberLadder(self.number, least, self.levels)))
+        if self.form == "weber":
+            levels = quantisers.weber_levels(quantisers.weber_ladder(self.number, top_n))
+        elif self.form == "lloyd-max":
+            levels = quantisers.lloyd_max_levels(amplitudes, self.number)
+        else:
             levels = quantisers.uniform_levels(self.number, top_n)
-            if self.form == "components" and len(levels) - 1 > MOST_LEVELS:
+        if self.form == "components":
+            if len(levels) - 1 > MOST_LEVELS:
                 found = f"{len(levels) - 1} steps of {self.number:g} N to {top_n:.3g} N"
                 raise InvalidArgument("quantiser components", found, f"up to {MOST_LEVELS}", "Take a larger step.")
-            if self.form == "components":
-                return Components(levels)
-        elif self.form == "weber":
-            levels = quantisers.weber_levels(quantisers.weber_ladder(self.number, top_n))
-        else:
-            levels = quantisers.lloyd_max_levels(amplitudes, self.number)
+            return Components(levels)
         return Pairs(levels, None if self.directions == "none" else Codebook.get(self.directions))
 
 

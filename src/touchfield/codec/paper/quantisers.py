@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,9 +76,6 @@ def _checked(values: NDArray[Any]) -> Float32s:
     return amplitudes
 
 
-# -- by formulas ----------------------------------------------------------------------------------------------
-
-
 def weber_levels(ladder: WeberLadder) -> AmplitudeLevels:
     """A Weber ladder with a zero bin: level 0 is zero, level i + 1 is r_i; below F_min all is zero."""
     return AmplitudeLevels(ladder.levels_n, _rounded_up(ladder.thresholds_n))
@@ -113,8 +110,6 @@ def uniform_levels(step_n: float, top_n: float) -> AmplitudeLevels:
     return AmplitudeLevels((step_n * np.arange(count)).astype(np.float32))
 
 
-# -- Lloyd-Max ------------------------------------------------------------------------------------------------
-
 _ITERATIONS = 300
 _MOVES = 32
 _TOLERANCE = 1e-6
@@ -140,30 +135,24 @@ def lloyd_max_levels(samples_n: NDArray[Any], nq: float) -> AmplitudeLevels:
     found, least = wide[:1], math.inf
     thresholds = _companded(wide, count)
     for _ in range(_MOVES):
-        cells = _lloyd(wide, thresholds, count)
-        total = float(cells.errors.sum())
+        counts, means, errors = _lloyd(wide, thresholds, count)
+        total = float(errors.sum())
         if total >= least * (1 - _TOLERANCE):
             break
-        found, least = cells.means, total
+        found, least = means, total
         # a level is taken from where two can be merged cheaply to the cell with the largest error
-        pairs = cells.counts[1:] * cells.counts[:-1] / (cells.counts[1:] + cells.counts[:-1])
-        costs = pairs * np.diff(cells.means) ** 2
-        merged, split = int(costs.argmin()), int(cells.errors.argmax())
+        costs = counts[1:] * counts[:-1] / (counts[1:] + counts[:-1]) * np.diff(means) ** 2
+        merged, split = int(costs.argmin()), int(errors.argmax())
         thresholds = np.delete((found[1:] + found[:-1]) / 2, merged)
         thresholds = np.sort(np.append(thresholds, found[split]))
     return AmplitudeLevels(np.unique(found.astype(np.float32)))
 
 
-class _Cells(NamedTuple):
-    """Number, mean and squared error of the samples of each cell, float64 [n]."""
+def _lloyd(values: Float64s, thresholds: Float64s, count: int) -> tuple[Float64s, Float64s, Float64s]:
+    """Lloyd's iteration on ascending values: number, mean and squared error of each cell's samples, float64 [n].
 
-    counts: Float64s
-    means: Float64s
-    errors: Float64s
-
-
-def _lloyd(values: Float64s, thresholds: Float64s, count: int) -> _Cells:
-    """Lloyd's iteration on ascending values; where a cell runs empty, the one with the largest error is split."""
+    Where a cell runs empty, the one with the largest error is split.
+    """
     sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (values, values * values))
     before = math.inf
     for _ in range(_ITERATIONS):
@@ -177,7 +166,7 @@ def _lloyd(values: Float64s, thresholds: Float64s, count: int) -> _Cells:
             break
         worst = np.argsort(-errors, kind="stable")[:missing]
         thresholds, before = np.sort(np.concatenate([(means[1:] + means[:-1]) / 2, means[worst]])), total
-    return _Cells(counts, means, errors)
+    return counts, means, errors
 
 
 def _companded(values: Float64s, count: int) -> Float64s:

@@ -23,62 +23,37 @@ _CHOICES: Final = {
 
 @dataclass(frozen=True)
 class PaperSpec:
-    """The paper's coder, as asked for.
-
-    Parameters
-    ----------
-    k : float
-        Weber fraction of the deadband (eq. 8), between 0 and 1.
-    nq : int
-        n_q: 2^n_q amplitude levels, 1 to 12; of the Weber ladder see `weber_levels`.
-    directions : str
-        Direction codebook: ico5 (252 vertices), octa3 (258, the paper's count), ico3 (92), ico1 to ico20; "auto"
-        is ico5 for a point device, and octa1 for an array, whose forces all lie along one axis.
-    amplitude : str
-        Amplitude quantiser: "lloyd-max" (the paper's), "weber" (the corrected eq. 6) or "uniform".
-    deadband : str
-        Reading of eq. 8 within a frame: "closed" (the vector against the decoded reference, with the k' that
-        guarantees k; default), "last-sent", "previous" (as printed), "zero" (the zero is written in place), or
-        "none".
-    interframe : str
-        "closed" (difference to the decoded previous frame; default), "open" (to the original one, as printed:
-        errors add up), or "none" (every frame alone).
-    choose_by_size : bool
-        Each frame is coded alone or as a difference, whichever is smaller; the literal coder always takes the
-        difference.
-    hold_runs : bool
-        Held samples are coded in runs; the literal coder writes one zero symbol for each.
-    segment_frames : int
-        Frames in an independent segment, 1 to 4096.
-    weber_levels : str
-        Levels of the Weber ladder: "needed" (as many as k needs from F_min on), "full" (2^n_q with the zero, from the
-        largest force down: with n_q = 6 the 6 bits a sample of table 2, which span 547:1 at k = 0.05), or "auto"
-        (full for an array, needed for a point device).
-    stage : str
-        What figure 4 names in place of deadband, levels, directions and differences between frames: "dpcm", "adpcm"
-        (predictive), "dct", "wavelet" (spectral) or "runs" (run-length) of components in uniform steps, each frame
-        alone; or "none". See `codec.paper.stages`.
-    step_n : float
-        Of a stage: the step, newtons, 1e-9 to 1e6.
-
-    Raises
-    ------
-    InvalidArgument
-        If a part is unknown or out of range, or does nothing beside the stage.
-    """
+    """The paper's coder, as asked for; InvalidArgument if a part cannot be, or does nothing beside the stage."""
 
     k: float = 0.1
+    """Weber fraction of the deadband (eq. 8), between 0 and 1."""
     nq: int = 6
+    """n_q: 2^n_q amplitude levels, 1 to 12; of the Weber ladder see `weber_levels`."""
     directions: str = "auto"
+    """Codebook: ico5 (252 vertices), octa3 (258, the paper's count), ico3 (92), ico1 to ico20; "auto" is ico5 for a
+    point device, and octa1 for an array, whose forces all lie along one axis."""
     amplitude: str = "lloyd-max"
+    """Amplitude quantiser: "lloyd-max" (the paper's), "weber" (the corrected eq. 6) or "uniform"."""
     deadband: str = "closed"
+    """Reading of eq. 8 within a frame: "closed" (the vector against the decoded reference, with the k' that
+    guarantees k), "last-sent", "previous" (as printed), "zero" (the zero is written in place), or "none"."""
     interframe: str = "closed"
+    """Of frames: "closed" (difference to the decoded previous frame), "open" (to the original one, as printed: errors
+    add up), or "none" (every frame alone)."""
     choose_by_size: bool = True
+    """Each frame alone or as a difference, whichever is smaller; the literal coder always takes the difference."""
     hold_runs: bool = True
+    """Held samples are coded in runs; the literal coder writes one zero symbol for each."""
     segment_frames: int = 8
+    """Frames in an independent segment, 1 to 4096."""
     weber_levels: str = "auto"
+    """Of the Weber ladder: "needed" (as many as k needs from F_min on), "full" (2^n_q with the zero, from the largest
+    force down: with n_q = 6 the 6 bits a sample of table 2), or "auto" (full for an array, needed for a point)."""
     stage: str = "none"
+    """What figure 4 names in place of deadband, levels, directions and differences: "dpcm", "adpcm" (predictive),
+    "dct", "wavelet" (spectral) or "runs" (run-length) of components in uniform steps, each frame alone."""
     step_n: float = 0.05
+    """Of a stage: the step, newtons, 1e-9 to 1e6."""
 
     def __post_init__(self) -> None:
         if not 0 < self.k < 1:

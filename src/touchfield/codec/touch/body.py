@@ -10,7 +10,7 @@ import math
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -212,8 +212,7 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
         raise CorruptFile(where, f"{error.where} = {error.found}", error.expected) from None
 
 
-@dataclass(frozen=True)
-class Exceptions:
+class Exceptions(NamedTuple):
     """Forces that replace decoded ones."""
 
     keys: Int64s  # [m]; of the bricks
@@ -227,9 +226,6 @@ class Exceptions:
         bricks, slot = np.unique(pairs[:, 0], return_inverse=True)
         forces = original.forces_at(bricks).reshape(-1, _SAMPLES, 3)[slot.reshape(-1), pairs[:, 1]]
         return cls(pairs[:, 0], pairs[:, 1], forces)
-
-    def __len__(self) -> int:
-        return len(self.keys)
 
     def to_bytes(self) -> bytes:
         """The chunk (docs/format/touch.md, "Exceptions")."""
@@ -267,20 +263,14 @@ class Exceptions:
         vectors = np.frombuffer(b"".join(forces), "<f4").astype(np.float32).reshape(-1, 3)
         if not np.isfinite(vectors).all():
             raise CorruptFile(_APART, "a force that is not finite", "finite newtons")
-        made = cls(np.array(keys, np.int64), np.array(places, np.int64), vectors)
-        made._check_inside(grid)
-        return made
-
-    def _check_inside(self, grid: Grid) -> None:
-        bricks = np.stack(np.unravel_index(self.keys, grid.brick_shape), axis=-1)
-        local = np.stack(np.unravel_index(self.places, (8, 8, 8)), axis=-1)
-        if len(self) and ((8 * bricks + local) >= np.asarray(grid.shape)).any():
+        bricks = np.stack(np.unravel_index(np.array(keys, np.int64), grid.brick_shape), axis=-1)
+        local = np.stack(np.unravel_index(np.array(places, np.int64), (8, 8, 8)), axis=-1)
+        if (8 * bricks + local >= np.asarray(grid.shape)).any():
             raise CorruptFile(_APART, "a sample beyond the grid", f"samples below {grid.shape}")
+        return cls(np.array(keys, np.int64), np.array(places, np.int64), vectors)
 
     def applied(self, field: ForceField) -> ForceField:
         """A field with these forces in place of its own; bricks without any force are left out."""
-        if not len(self):
-            return field
         keys = np.union1d(brick_keys(field.grid, field.bricks), self.keys)
         bricks = np.stack(np.unravel_index(keys, field.grid.brick_shape), axis=-1).astype(np.int32)
         own = np.searchsorted(keys, brick_keys(field.grid, field.bricks))

@@ -14,7 +14,7 @@ from touchfield.codec.touch.lattice import TOP, FixedField
 from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
-    from touchfield.codec.touch.exact import Told
+    from touchfield.codec.touch.frame import Told
 
 NAME: Final = "touch"
 _TOP_UNKNOWN_N: Final = 100.0  # of a field kept exactly: the ladder that it is measured by reaches that far
@@ -81,8 +81,7 @@ class TouchDecoder:
 
     def _decoded(self, body: bytes, frame_count: int) -> Iterator[tuple[FrameRecord, ForceField]]:
         from touchfield.codec.touch.body import Exceptions
-        from touchfield.codec.touch.exact import decode_exact
-        from touchfield.codec.touch.frame import Known, decode_frame, fresh_memory
+        from touchfield.codec.touch.frame import Known, decode_exact, decode_frame, fresh_memory
         from touchfield.codec.touch.guess import synthesise
 
         reader = self._reader(body)

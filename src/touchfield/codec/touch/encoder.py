@@ -2,23 +2,29 @@
 
 Each frame is coded in closed loop by the ways that its effort tries (`frame_encoder`); then the finished body is
 decoded as any receiver would, every voxel of every frame is compared with the original, and what is beyond the
-promise is sent apart.
+promise is sent apart. In the exact mode levels and a codebook are searched for of which all forces are products.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
+from touchfield.arrays import Float32s, Float64s, Int64s
+from touchfield.codec.kernels import end_of, writer
+from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.segment import CodedSegment, FrameStats, Worst
+from touchfield.codec.support import code_bricks, padded
 from touchfield.codec.touch.body import Exceptions, FrameRecord, shares_of, write_body, write_parameters
 from touchfield.codec.touch.decoder import NAME, TouchDecoder
-from touchfield.codec.touch.exact_encoder import encode_exact
+from touchfield.codec.touch.frame import AS_THEY_ARE, BRICK_COUNTS, Palette, Told, components, frame_of, models_after
 from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
-from touchfield.codec.touch.kernels.compare import largest
+from touchfield.codec.touch.kernels import exact as kernels
+from touchfield.codec.touch.kernels.encode_pass import largest
 from touchfield.codec.touch.lattice import MOST_NEWTONS, Lattice
 from touchfield.codec.touch.promise import Compared, compared, hidden_of
 from touchfield.codec.touch.spec import TouchSpec
@@ -58,7 +64,10 @@ class TouchEncoder:
             came = list(frames)
             longest_n, frames = max(self._longest_n(i, frame) for i, frame in enumerate(came)), came
         if self._spec.mode == "lossless":
-            return self._verified(came, None, self._exact(came))
+            runs = [[frame] for frame in came] if self._spec.interframe == "off" else [came]
+            coded_runs = [(i > 0, *coded) for run in runs for i, coded in enumerate(encode_exact(run))]
+            exact = [FrameRecord(inter, b"", payload, shares_of(bits)) for inter, payload, bits in coded_runs]
+            return self._verified(came, None, exact)
         if anchor is not None:  # its unit, if that will do: segments that share an anchor shall share the lattice
             mine = self._longest_n(0, anchor)
             longest_n = longest_n if longest_n > 1.01 * mine else mine
@@ -92,21 +101,14 @@ class TouchEncoder:
 
     def _longest_n(self, index: int, frame: ForceField) -> float:
         if frame.grid != self._grid:
-            raise InvalidArgument(
-                f"frame {index}", f"a grid of {frame.grid.shape}", f"that of the stream, {self._grid.shape}"
-            )
+            found = f"a grid of {frame.grid.shape}"
+            raise InvalidArgument(f"frame {index}", found, f"that of the stream, {self._grid.shape}")
         longest_n = float(largest(frame.forces_n.reshape(-1, 3)))
         if math.isinf(longest_n):
             raise InvalidArgument(f"frame {index}", "a force that is NaN or infinite", "finite newtons")
         if longest_n > MOST_NEWTONS:
             raise InvalidArgument(f"frame {index}", f"a force of {longest_n:.3g} N", "2^120 N at most")
         return longest_n
-
-    def _exact(self, frames: Sequence[ForceField]) -> list[FrameRecord]:
-        """Frames to the bit, each after the one before, or each alone."""
-        runs = [[frame] for frame in frames] if self._spec.interframe == "off" else [frames]
-        made = [(i > 0, *coded) for run in runs for i, coded in enumerate(encode_exact(run))]
-        return [FrameRecord(inter, b"", payload, shares_of(bits)) for inter, payload, bits in made]
 
     def _verified(
         self, frames: Sequence[ForceField], lattice: Lattice | None, records: list[FrameRecord]
@@ -124,18 +126,15 @@ class TouchEncoder:
                 return self._sealed(lattice, records, found)
             for i, one in enumerate(found):
                 if len(one.keys):
-                    records[i] = replace(records[i], exceptions=self._more(frames[i], records[i].exceptions, one))
+                    keys, places, _ = Exceptions.from_bytes(records[i].exceptions, self._grid)
+                    keys, places = np.append(keys, one.keys), np.append(places, one.places)
+                    records[i] = replace(records[i], exceptions=Exceptions.of(frames[i], keys, places).to_bytes())
         raise AssertionError("a voxel that was sent as it is does not keep the promise")
 
     def _sealed(self, lattice: Lattice | None, records: list[FrameRecord], found: Sequence[Compared]) -> CodedSegment:
         worst = None if self._spec.mode == "nmse" else self._worst(found)
         stats = (FrameStats(r.kind, f.decoded, f.decoded, r.cost.bits) for r, f in zip(records, found, strict=True))
         return CodedSegment(write_body(lattice, records, worst), tuple(stats))
-
-    def _more(self, original: ForceField, known: bytes, found: Compared) -> bytes:
-        before = Exceptions.from_bytes(known, self._grid)
-        keys = np.concatenate([before.keys, found.keys])
-        return Exceptions.of(original, keys, np.concatenate([before.places, found.places])).to_bytes()
 
     def _worst(self, found: Sequence[Compared]) -> Worst:
         frame = max(range(len(found)), key=lambda i: found[i].worst)
@@ -146,3 +145,94 @@ class TouchEncoder:
         local = np.unravel_index(one.worst_place, (BRICK,) * 3)
         x, y, z = (BRICK * int(b) + int(n) for b, n in zip(brick, local, strict=True))
         return Worst(min(one.worst, 1.0), frame, (x, y, z))
+
+
+_Shares = tuple[float, float, float]
+_TRIED: Final = ("ico5", "octa3", "ico3", "ico1", "ico2", "ico4", "octa1", "octa2", "ico8", "ico10")
+_MOST_LEVELS: Final = (1 << 16) - 1
+
+
+def encode_exact(frames: Sequence[ForceField]) -> Iterator[tuple[bytes, _Shares]]:
+    """Code frames to the bit, each after the one before.
+
+    `frames`: at least one; all on one grid, and finite. A sample whose three components are all 0.0 holds no force;
+    one of -0.0 does. Yields payloads, and the bits of support, amplitude and direction
+    (of components that are told as they are, the first is the amplitude).
+    """
+    palette = _products(frames)
+    later = palette or AS_THEY_ARE
+    before: Told | None = None
+    for frame in frames:
+        if before is None and palette is None:
+            palette = _products(frames[:1])
+        payload, bits, before = _coded(frame, later if before else palette or later, before)
+        yield payload, bits
+
+
+def _coded(frame: ForceField, palette: Palette, before: Told | None) -> tuple[bytes, _Shares, Told]:
+    kept = frame.forces_n.view(np.uint32).any(axis=(1, 2, 3, 4))
+    field = ForceField(frame.grid, frame.bricks[kept], frame.forces_n[kept])
+    symbols, models = components(field.forces_n), models_after(before)
+    if palette.book:
+        held = symbols[:, 0] >= 0
+        symbols = np.where(held, _symbols(field.forces_n.reshape(-1, 3), palette).T, -1).T.copy()
+    head = bytes([palette.book])
+    if palette.book and before is None:
+        head += len(palette.levels).to_bytes(2, "little") + palette.levels.astype("<f4").tobytes()
+    work = frame_of(field.grid, field.bricks, palette, symbols, before)
+    bits = writer(320 * len(field.bricks) + 64 * symbols.size + 64, models)
+    code_bricks(bits, 0, 0, field.grid.brick_shape, field.bricks, before and before.field.bricks)
+    kernels.code_samples(bits, work)
+    payload = head + padded(end_of(bits), BRICK_COUNTS * len(field.bricks))
+    amplitude, direction = 8 * len(head) + float(work.spent[1]), float(work.spent[2])
+    shares = 8 * len(payload) - amplitude - direction, amplitude, direction
+    return payload, shares, Told(field, palette, symbols, models)
+
+
+def _products(frames: Sequence[ForceField]) -> Palette | None:
+    """Levels and a codebook of which all forces are products, and more than there are levels; or None."""
+    vectors = [frame.forces_n.reshape(-1, 3) for frame in frames]
+    vectors = [v[v.view(np.uint32).any(axis=1)] for v in vectors]
+    for name in _TRIED:
+        codebook, found = Codebook.get(name), np.zeros((2, 0))
+        for v in (vectors[0][:64], *vectors):
+            bounds = _bounds(v, codebook)
+            if not (bounds[0] <= bounds[1]).all() or not np.isfinite(bounds).all():
+                break
+            found = _distinct(np.concatenate([found, bounds], axis=1))
+        else:
+            levels = np.minimum(found.sum(axis=0) / 2, np.finfo(np.float32).max).astype(np.float32)
+            palette = Palette(1 + codebook_names().index(name), levels)
+            if 0 < len(levels) < min(sum(map(len, vectors)), _MOST_LEVELS) and all(
+                np.array_equal(palette.forces(_symbols(v, palette)).view(np.uint32), v.view(np.uint32))
+                for v in vectors
+            ):
+                return palette
+    return None
+
+
+def _symbols(vectors: Float32s, palette: Palette) -> Int64s:
+    """The level and the vertex, int64 [n, 2], of vectors that the palette has."""
+    levels = palette.levels.astype(np.float64)
+    level = np.searchsorted(levels[1:] + levels[:-1], _bounds(vectors, palette.codebook).sum(axis=0))
+    return np.stack([level, palette.codebook.nearest(vectors)], axis=1).astype(np.int64)
+
+
+def _bounds(vectors: Float32s, codebook: Codebook) -> Float64s:
+    """Between which levels the rounded products with the nearest vertices are vectors, float64 [2, n]."""
+    vertices = codebook.vertices_float32[codebook.nearest(vectors)]
+    v, d = np.abs(vectors.astype(np.float64)), np.abs(vertices.astype(np.float64))
+    with np.errstate(all="ignore"):  # beside the largest float32, and where a vertex has a zero
+        half = np.spacing(np.abs(vectors)).astype(np.float64) / 2
+        low = np.where(d > 0, (v - half) / d, 0).max(axis=1)
+        return np.stack([low, np.where(d > 0, (v + half) / d, np.inf).min(axis=1)])
+
+
+def _distinct(bounds: Float64s) -> Float64s:
+    """Float64s of levels, each once and ascending."""
+    bounds = bounds[:, np.argsort(bounds.sum(axis=0))]
+    middle = bounds.sum(axis=0)
+    begins = np.flatnonzero(np.diff(middle, prepend=-1) > 2.0**-20 * middle)
+    if not len(begins):
+        return bounds
+    return np.stack([np.maximum.reduceat(bounds[0], begins), np.minimum.reduceat(bounds[1], begins)])

@@ -9,13 +9,12 @@ differ in mode "mask-direction", whose ball is a disc of directions times a span
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
-from touchfield.codec.kernels.bits import end_of, writer
+from touchfield.codec.kernels import end_of, writer
 from touchfield.codec.support import code_bricks, padded
 from touchfield.codec.touch.frame import SLOPE_LIMIT, Course, Known, Memory, fresh_memory, law_of
 from touchfield.codec.touch.guess_fit import fit
@@ -85,8 +84,7 @@ _LOOKED_AT: Final = 64  # bricks that the law is taken from, about
 _STEEP: Final = 0.19  # share of a force along an axis, from which on it tells of the law
 
 
-@dataclass(frozen=True)
-class CodedFrame:
+class CodedFrame(NamedTuple):
     """A frame's bytes, and what the decoder will make of them and learn."""
 
     payload: bytes
@@ -95,8 +93,7 @@ class CodedFrame:
     memory: Memory
 
 
-@dataclass(frozen=True)
-class Sketch:
+class Sketch(NamedTuple):
     """A frame as its pass takes it, whatever it is predicted from."""
 
     course: Course
@@ -127,10 +124,7 @@ def sketch_of(frame: ForceField, unit_n: float, limits: Limits, hidden_n: Float3
 
 
 def _course_of(vectors: Float32s, grid: Grid) -> Course:
-    """With the force along every axis; the slowest is the one along which it points most.
-
-    Of two alike, it is not that of the finest sampling, whose neighbours are worth more in the plane.
-    """
+    """With the force along every axis; the slowest is that along which it points most, of two alike the coarser."""
     flat = vectors.reshape(-1, 3)
     sums, sizes = flat.sum(axis=0, dtype=np.float64), np.abs(flat).sum(axis=0, dtype=np.float64)
     spacing = np.asarray(grid.spacing_m)
@@ -182,21 +176,14 @@ class Way(NamedTuple):
     guess: tuple[bytes, FixedField] | None
 
 
-@dataclass(frozen=True)
-class _Effort:
-    """Trials of an effort.
+class _Effort(NamedTuple):
+    """Trials of an effort, by shares of voxels at which a field keeps the rule."""
 
-    `alike` and `unlike` are shares of voxels at which the frame before keeps the rule: from the first on a frame is
-    coded after it, below the second alone, and between them both ways are tried; `still` that share from which on no
-    guess is looked for, and `trusted` the share at which a guess must keep the rule for nothing else to be tried. A
-    guess that earns less than the share `earns` of a frame's bytes is not looked for in later frames of the segment.
-    """
-
-    alike: float
-    unlike: float
-    still: float
-    trusted: float
-    earns: float
+    alike: float  # of the frame before: from it on a frame is coded after that,
+    unlike: float  # below this alone, and between them both ways are tried
+    still: float  # of the frame before: from it on no guess is looked for
+    trusted: float  # of a guess: from it on nothing else is tried
+    earns: float  # of a frame's bytes: a guess that earns less is not looked for again in its segment
 
 
 _EFFORTS: Final = {
@@ -206,24 +193,19 @@ _EFFORTS: Final = {
 }
 
 
-@dataclass
 class Chooser:
     """State of an encoder within a segment."""
 
-    grid: Grid
-    spec: TouchSpec
-    lattice: Lattice
-
-    def __post_init__(self) -> None:
-        self._effort = _EFFORTS[self.spec.effort]
-        self._limits: Limits = limits_for(self.spec, self.lattice)
+    def __init__(self, grid: Grid, spec: TouchSpec, lattice: Lattice) -> None:
+        self._grid, self._spec, self._lattice, self._effort = grid, spec, lattice, _EFFORTS[spec.effort]
+        self._limits: Limits = limits_for(spec, lattice)
         self._previous: FixedField | None = None
         self._memory: Memory = fresh_memory()
-        self._looks = self.spec.guess == "auto"
+        self._looks = spec.guess == "auto"
 
     def add(self, frame: ForceField, hidden_n: Float32s) -> tuple[CodedFrame, bool, bytes]:
         """Code the next frame; whether it knows the one before, and the bytes of its guess."""
-        sketch = sketch_of(frame, self.lattice.unit_n, self._limits, hidden_n)
+        sketch = sketch_of(frame, self._lattice.unit_n, self._limits, hidden_n)
         limits = self._limits._replace(thorough=False)
         tried = [(self._coded(sketch, way, limits), way) for way in self._ways(frame, sketch)]
         worths = [self._worth(sketch, coded, way) for coded, way in tried]
@@ -238,18 +220,18 @@ class Chooser:
     def _ways(self, frame: ForceField, sketch: Sketch) -> list[Way]:
         effort, previous = self._effort, self._previous
         alike = 0.0
-        if previous is not None and self.spec.interframe == "auto":
-            alike = agreement(frame, previous, self.lattice.unit_n, self.spec)
+        if previous is not None and self._spec.interframe == "auto":
+            alike = agreement(frame, previous, self._lattice.unit_n, self._spec)
         inters = [False, True]
-        if previous is None or self.spec.interframe == "off":
+        if previous is None or self._spec.interframe == "off":
             inters = [False]
-        elif self.spec.interframe == "on" or alike >= effort.alike:
+        elif self._spec.interframe == "on" or alike >= effort.alike:
             inters = [True]
         elif alike < effort.unlike:
             inters = [False]
         guess, kept = None, 0.0
         if self._looks and alike < effort.still and len(sketch.bricks):
-            guess, kept = fit(frame, self.lattice, self._limits, self.spec)
+            guess, kept = fit(frame, self._lattice, self._limits, self._spec)
         ways = [Way(inter, None) for inter in inters]
         if guess is None or kept <= alike:
             return ways
@@ -260,7 +242,7 @@ class Chooser:
         reference, memory = (self._previous, self._memory) if way.inter else (None, fresh_memory())
         if way.guess is not None:
             reference = way.guess[1]
-        return encode_frame(sketch, Known(self.grid, self.lattice, reference, memory), limits)
+        return encode_frame(sketch, Known(self._grid, self._lattice, reference, memory), limits)
 
     def _worth(self, sketch: Sketch, coded: CodedFrame, way: Way) -> float:
         """Bytes; where every error has its price, what they and the errors come to."""
@@ -268,5 +250,5 @@ class Chooser:
         if not self._limits.free:
             return float(size)
         made = sketch.course.turned(coded.decoded.vectors, sketch.order)
-        error = float(((made - sketch.forces) ** 2).sum()) / self.lattice.floor**2
+        error = float(((made - sketch.forces) ** 2).sum()) / self._lattice.floor**2
         return error / (8 * self._limits.thrift) + size

@@ -33,7 +33,7 @@ class FixedField:
 
     def field(self, grid: Grid, unit_n: float) -> ForceField:
         """The forces in newtons: one float32 product each, the only floating-point step of decoding."""
-        from touchfield.codec.touch.kernels.lattice import newtons
+        from touchfield.codec.touch.kernels.workspace import newtons
 
         forces, held = np.empty(self.vectors.shape, np.float32), np.empty(len(self.vectors), np.bool_)
         newtons(self.vectors.reshape(-1), np.float32(unit_n), forces.reshape(-1), held)

@@ -20,75 +20,54 @@ _CHOICES: Final = {
 
 @dataclass(frozen=True)
 class TouchSpec:
-    """The coder `touch`, as asked for.
-
-    Parameters
-    ----------
-    k : float
-        Weber fraction of the promise |F_dec - F| <= max(F_0, k |F|), 0.001 to below 1.
-    f0_n : float
-        F_0, newtons, 0 or more.
-    mode : str
-        "mask" (the promise above, the default); "mask-direction" (| |F_dec| - |F| | <= max(F_0, k |F|), and where
-        |F| > F_0 / sin(direction JND) the angle between both is at most `direction_jnd_deg`; elsewhere the error
-        is at most F_0); "nmse" (no promise: a mean squared error for the fewest bytes, by `step_n`); "lossless"
-        (an already quantised field exactly as it is).
-    direction_jnd_deg : float
-        Just noticeable difference of a direction, degrees, above 0 and below 90 (docs: Barbagli 2006, Tan 2006).
-    step_n : float
-        Step of the uniform lattice of mode "nmse", newtons.
-    effort : str
-        "fast", "default" or "max": bytes against time, never against the promise. "fast" checks it on the encoder's
-        own reconstruction, which a decoder makes again bit for bit; the others decode their bytes.
-    masking : float
-        Spatial masking, mode "mask" only: share beta, 0 to 1, of the mean force around that is hidden at a voxel; the
-        promise is then max(F_0, k |F| + beta mean), see `touchfield.perception.SpatialMasking`. 0: none.
-    masking_radius_m : float
-        R of that mean, metres: how far apart two points are felt as two, by default on a finger.
-    support : str
-        "movable": a force of at most F_0 may become none, and none may become one of at most F_0; "exact": the
-        support is kept.
-    guess : str
-        Whether a surface or a spline is sent to predict a frame from: "auto" (where that is smaller), or "off".
-    interframe : str
-        Whether a frame is predicted from the one before: "auto" (where it is smaller), "off", "on".
-    segment_frames : int or None
-        Frames in an independent segment, 1 to 4096; None: by the medium's rate (`codec.segment`).
-    """
+    """The coder `touch`, as asked for; InvalidArgument if a part is out of range."""
 
     k: float = 0.1
+    """Weber fraction of the promise |F_dec - F| <= max(F_0, k |F|), 0.001 to below 1."""
     f0_n: float = 0.05
+    """F_0, newtons, 0 or more."""
     mode: str = "mask"
+    """One of "mask" (the promise above); "mask-direction" (| |F_dec| - |F| | <= max(F_0, k |F|), and where |F| >
+    F_0 / sin(direction JND) the angle between is at most `direction_jnd_deg`; elsewhere an error is F_0 at most);
+    "nmse" (no promise: a mean squared error for the fewest bytes, by `step_n`); "lossless" (an already quantised
+    field exactly as it is)."""
     direction_jnd_deg: float = 18.4
+    """Just noticeable difference of a direction, degrees, above 0 and below 90 (docs: Barbagli 2006, Tan 2006)."""
     step_n: float = 0.05
+    """Step of the uniform lattice of mode "nmse", newtons."""
     effort: str = "default"
+    """One of "fast", "default" or "max": bytes against time, never against the promise. "fast" checks it on the
+    encoder's own reconstruction, which a decoder makes again bit for bit; the others decode their bytes."""
     support: str = "movable"
+    """Either "movable", a force of at most F_0 may become none, and none one of at most F_0; or "exact"."""
     masking: float = 0.0
+    """Spatial masking, mode "mask" only: share beta, 0 to 1, of the mean force around that is hidden at a voxel; the
+    promise is then max(F_0, k |F| + beta mean), see `touchfield.perception.SpatialMasking`. 0: none."""
     masking_radius_m: float = 0.0025
+    """R of that mean, metres: how far apart two points are felt as two, by default on a finger."""
     guess: str = "auto"
+    """Whether a surface or a spline is sent to predict a frame from: "auto" (where that is smaller), or "off"."""
     interframe: str = "auto"
+    """Whether a frame is predicted from the one before: "auto" (where it is smaller), "off", "on"."""
     segment_frames: int | None = None
+    """Frames in an independent segment, 1 to 4096; None: by the medium's rate (`codec.segment`)."""
 
     def __post_init__(self) -> None:
-        if not 0.001 <= self.k < 1:
-            raise InvalidArgument("k", repr(self.k), "a Weber fraction from 0.001 to below 1, such as 0.1")
-        if not 0 <= self.f0_n < math.inf:
-            raise InvalidArgument("f0_n", repr(self.f0_n), "newtons, 0 or more, such as 0.05")
-        if not 0 < self.direction_jnd_deg < 90:
-            raise InvalidArgument("direction_jnd_deg", repr(self.direction_jnd_deg), "degrees above 0 and below 90")
-        if not 0 < self.step_n < math.inf:
-            raise InvalidArgument("step_n", repr(self.step_n), "newtons above 0")
-        if self.segment_frames is not None and not 1 <= self.segment_frames <= 4096:
-            raise InvalidArgument("segment_frames", repr(self.segment_frames), "1 to 4096 frames")
-        if not 0 <= self.masking <= 1:
-            raise InvalidArgument("masking", repr(self.masking), "a share from 0 to 1, such as 0.05")
+        frames = self.segment_frames
+        for name, fits, expected in (
+            ("k", 0.001 <= self.k < 1, "a Weber fraction from 0.001 to below 1, such as 0.1"),
+            ("f0_n", 0 <= self.f0_n < math.inf, "newtons, 0 or more, such as 0.05"),
+            ("direction_jnd_deg", 0 < self.direction_jnd_deg < 90, "degrees above 0 and below 90"),
+            ("step_n", 0 < self.step_n < math.inf, "newtons above 0"),
+            ("segment_frames", frames is None or 1 <= frames <= 4096, "1 to 4096 frames"),
+            ("masking", 0 <= self.masking <= 1, "a share from 0 to 1, such as 0.05"),
+            ("masking_radius_m", 1e-6 <= self.masking_radius_m <= 1, "metres from 1e-6 to 1"),
+            *((name, getattr(self, name) in of, f"one of {', '.join(of)}") for name, of in _CHOICES.items()),
+        ):
+            if not fits:
+                raise InvalidArgument(name, repr(getattr(self, name)), expected)
         if self.masking and self.mode != "mask":
             raise InvalidArgument("masking", f"it in mode {self.mode}", "it in mode mask only")
-        if not 1e-6 <= self.masking_radius_m <= 1:
-            raise InvalidArgument("masking_radius_m", repr(self.masking_radius_m), "metres from 1e-6 to 1")
-        for name, choices in _CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
 
 
 def _spec(asked: dict[str, Any]) -> TouchSpec:
@@ -112,9 +91,8 @@ def _spec(asked: dict[str, Any]) -> TouchSpec:
     mode = chosen.get("mode", TouchSpec.mode)
     for key, only in (("direction_jnd_deg", "mask-direction"), ("step_n", "nmse")):
         if key in chosen and mode != only:
-            raise InvalidArgument(
-                _option(key), f"it in mode {mode}", f"it in mode {only} only", f"Add --mode {only}."
-            )
+            found, expected = f"it in mode {mode}", f"it in mode {only} only"
+            raise InvalidArgument(_option(key), found, expected, f"Add --mode {only}.")
     return TouchSpec(**chosen)
 
 

@@ -27,16 +27,16 @@ def _passes() -> None:
 
 
 def _columns() -> None:
-    from touchfield.codec.touch.columns import synthesise
-    from touchfield.codec.touch.columns_fit import fit
     from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
+    from touchfield.codec.touch.guess import columns_of_bytes
+    from touchfield.codec.touch.guess_fit import fit_columns
     from touchfield.codec.touch.promise import agreement
 
     field, spec = solid(), TouchSpec()
     lattice = lattice_for(spec, 2.0)
-    found = fit(field, lattice, limits_for(spec, lattice))
+    found = fit_columns(field, lattice, limits_for(spec, lattice))
     if found is not None:
-        agreement(field, synthesise(found[0], field.grid), lattice.unit_n, spec)
+        agreement(field, columns_of_bytes(found[0], field.grid), lattice.unit_n, spec)
 
 
 GROUPS: Final[Mapping[str, Callable[[], None]]] = {"passes": _passes, "columns": _columns}

@@ -35,21 +35,16 @@ class Fits(NamedTuple):
 
 
 @lean
-def _normalised(u):
-    length = np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
-    for c in range(3):
-        u[c] /= max(length, 1e-9)
-    return length
-
-
-@lean
 def _direction(d, begin, end, weights, u):
     """The direction of samples begin to end - 1."""
     for c in range(3):
         u[c] = 0.0
         for t in range(begin, end):
             u[c] += weights[t] * d[t, c]
-    return _normalised(u)
+    length = np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    for c in range(3):
+        u[c] /= max(length, 1e-9)
+    return length
 
 
 @lean

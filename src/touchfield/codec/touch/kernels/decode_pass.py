@@ -4,34 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.kernels.bits import PLACE, code, mix
-from touchfield.codec.touch.kernels.predict import ahead, before, expect, held, learn
-from touchfield.codec.touch.kernels.residual import CONTEXTS as RESIDUAL_CONTEXTS
-from touchfield.codec.touch.kernels.residual import SETS as RESIDUAL_SETS
-from touchfield.codec.touch.kernels.residual import aim, code_step, code_still, look, place, sizes_of
-from touchfield.codec.touch.kernels.workspace import (
-    DEEP,
-    EXPECTED,
-    LEFT,
-    LOW,
-    SIDE,
-    STEPS,
-    UP,
-    VECTOR,
-    copy_reference,
-    keep,
-    length_of,
-    load,
-    load_reference,
-    store,
-)
+from touchfield.codec.kernels import PLACE, code, mix
+from touchfield.codec.touch.kernels import voxel
+from touchfield.codec.touch.kernels import workspace as ws
+from touchfield.codec.touch.kernels.voxel import before, held
 from touchfield.lean import entry, inlined, lean
 
-_BRICK = RESIDUAL_CONTEXTS
+_BRICK = voxel.CONTEXTS
 _BLOCK = _BRICK + 16
 _BIT = _BLOCK + 32 + np.array([0, 1 << 14, 2 << 14], np.int64)
 CONTEXTS = int(_BIT[2]) + 4096
-SETS = RESIDUAL_SETS + 32
+SETS = voxel.SETS + 32
 _SPARE = 16  # bytes that a code may seem to go on behind its end
 
 
@@ -46,8 +29,8 @@ def code_brick(bits, last, state):
 @lean
 def _face(window, first, axis):
     """True where the 4 x 4 cells before a sub-block along an axis, in another brick, hold a force."""
-    back, one = first - before(first, axis), UP if axis == 0 else DEEP
-    two = UP if axis == 2 else LEFT
+    back, one = first - before(first, axis), ws.UP if axis == 0 else ws.DEEP
+    two = ws.UP if axis == 2 else ws.LEFT
     for i in range(4):
         for j in range(4):
             if held(window, first - back + i * one + j * two):
@@ -59,7 +42,7 @@ def _face(window, first, axis):
 def _there(old, first):
     """True where the reference holds a force in a sub-block."""
     for n in range(64):
-        if old[(first + (n >> 4) * DEEP + (n >> 2 & 3) * UP + (n & 3)) * 4 + 3] > 0:
+        if old[(first + (n >> 4) * ws.DEEP + (n >> 2 & 3) * ws.UP + (n & 3)) * 4 + 3] > 0:
             return np.int64(1)
     return np.int64(0)
 
@@ -69,7 +52,7 @@ def code_blocks(bits, work, known, blocks):
     """Code the sub-blocks, of eight of 4 x 4 x 4 voxels, that hold a force: bit n of `blocks`."""
     window, out = work.window, np.int64(0)
     for n in range(8):
-        first = (LOW + (n & 4)) * DEEP + (LOW + 2 * (n & 2)) * UP + LOW + 4 * (n & 1)
+        first = (ws.LOW + (n & 4)) * ws.DEEP + (ws.LOW + 2 * (n & 2)) * ws.UP + ws.LOW + 4 * (n & 1)
         sides = np.int64(0)
         for axis in range(3):
             bit = 4 >> axis
@@ -83,7 +66,7 @@ def code_blocks(bits, work, known, blocks):
 @lean
 def near_of(window, here):
     """Neighbours before a cell, across a face, that hold a force: bits 0 to 2, of axes 0 to 2."""
-    return held(window, here - DEEP) | held(window, here - UP) << 1 | held(window, here - LEFT) << 2
+    return held(window, here - ws.DEEP) | held(window, here - ws.UP) << 1 | held(window, here - ws.LEFT) << 2
 
 
 @lean
@@ -100,12 +83,6 @@ def then_of(old, here, known):
     return 1 + np.int64(about >= 1) + np.int64(about >= 3)
 
 
-@lean
-def _bin(length):
-    """Class of a length that is likely, of which 3 is none: a 28th of the top each."""
-    return min(max(((length * 28) >> 16) + 3, np.int64(0)), np.int64(31))
-
-
 @inlined
 def _around(old, here):
     """Where the reference holds forces: here, and before and behind along each axis; 7 bits."""
@@ -120,33 +97,36 @@ def _around(old, here):
 def look_at_support(bits, work, here, near, then):
     """Gather the three contexts of a voxel's bit of support; returns their set of weights."""
     window = work.window
-    deep, up, left = here - DEEP, here - UP, here - LEFT
-    mask = near | held(window, deep + UP) << 3 | held(window, deep + LEFT) << 4 | held(window, up + LEFT) << 5
-    wide = held(window, deep - UP) | held(window, deep - LEFT) << 1 | held(window, up - LEFT) << 2
-    wide |= held(window, deep - DEEP) << 3 | held(window, left - LEFT) << 4
+    deep, up, left = here - ws.DEEP, here - ws.UP, here - ws.LEFT
+    mask = (
+        near | held(window, deep + ws.UP) << 3 | held(window, deep + ws.LEFT) << 4 | held(window, up + ws.LEFT) << 5
+    )
+    wide = held(window, deep - ws.UP) | held(window, deep - ws.LEFT) << 1 | held(window, up - ws.LEFT) << 2
+    wide |= held(window, deep - ws.DEEP) << 3 | held(window, left - ws.LEFT) << 4
     count = (near & 1) + (near >> 1 & 1) + (near >> 2)
     likely = wide
     if count:
         total = np.int64(0)
         for axis in range(3):
             if near >> axis & 1:
-                total += ahead(window, before(here, axis), axis)
-        likely = _bin(total // count)
+                total += voxel.ahead(window, before(here, axis), axis)
+        # a class of length, of which 3 is none: a 28th of the top each
+        likely = min(max((((total // count) * 28) >> 16) + 3, np.int64(0)), np.int64(31))
     around = _around(work.old, here) if then else np.int64(0)
     b = bits.inputs
     b[0] = _BIT[0] + ((likely << 6 | mask) << 3 | then)
     b[1] = _BIT[1] + ((wide << 6 | mask) << 3 | then)
     b[2] = _BIT[2] + ((around << 3 | near) << 2 | likely >> 3)
-    return RESIDUAL_SETS + (count << 3 | then)
+    return voxel.SETS + (count << 3 | then)
 
 
 @lean
 def enter(scan, work, n):
     """Lay out what is around brick n, and its reference; True if the reference knows the brick."""
-    load(work.window, scan.cells, scan.near, n)
+    ws.load(work.window, scan.cells, scan.near, n)
     if scan.around.shape[0] == 0:
         return False
-    load_reference(work.old, scan.reference, scan.around, n)
+    ws.load_reference(work.old, scan.reference, scan.around, n)
     return scan.around[n, 13] >= 0
 
 
@@ -156,12 +136,12 @@ def settle(law, work, here, still):
     rows = work.rows
     if still:
         for k in range(3):
-            rows[VECTOR, k] = rows[EXPECTED, k]
+            rows[ws.VECTOR, k] = rows[ws.EXPECTED, k]
     else:
-        place(law, work, rows[STEPS, 0], rows[STEPS, 1], rows[STEPS, 2])
-    v0, v1, v2 = rows[VECTOR, 0], rows[VECTOR, 1], rows[VECTOR, 2]
-    store(work.window, here, v0, v1, v2, length_of(v0, v1, v2), sizes_of(work, still), law.slope)
-    learn(work)
+        voxel.place(law, work, rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2])
+    v0, v1, v2 = rows[ws.VECTOR, 0], rows[ws.VECTOR, 1], rows[ws.VECTOR, 2]
+    ws.store(work.window, here, v0, v1, v2, ws.length_of(v0, v1, v2), voxel.sizes_of(work, still), law.slope)
+    voxel.learn(work)
 
 
 @entry
@@ -175,17 +155,17 @@ def decode_bricks(bits, scan, law, work):
         if known:
             last = state = code_brick(bits, last, np.int64(0))
         if state == 2:
-            copy_reference(work.window, work.old, law.slope)
-            keep(work.window, scan.cells, n)
+            ws.copy_reference(work.window, work.old, law.slope)
+            ws.keep(work.window, scan.cells, n)
             continue
         blocks = code_blocks(bits, work, known, np.int64(0))
         for x in range(scan.low[n, 0], scan.high[n, 0]):
             for y in range(scan.low[n, 1], scan.high[n, 1]):
                 for z in range(scan.low[n, 2], scan.high[n, 2]):
                     if blocks >> ((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)) & 1:
-                        here = ((x + LOW) * SIDE + y + LOW) * SIDE + z + LOW
+                        here = ((x + ws.LOW) * ws.SIDE + y + ws.LOW) * ws.SIDE + z + ws.LOW
                         _decode_voxel(bits, law, work, here, known, state)
-        keep(work.window, scan.cells, n)
+        ws.keep(work.window, scan.cells, n)
     return True
 
 
@@ -195,11 +175,11 @@ def _decode_voxel(bits, law, work, here, known, state):
     then = then_of(work.old, here, known)
     if not mix(bits, 3, look_at_support(bits, work, here, near, then), np.int64(0)):
         return
-    expect(law, work, here, near, state == 1)
-    look(law, work, here, near)
-    still = code_still(bits, law, work, here, then, np.int64(0))
+    voxel.expect(law, work, here, near, state == 1)
+    voxel.look(law, work, here, near)
+    still = voxel.code_still(bits, law, work, here, then, np.int64(0))
     if not still:
-        aim(law, work, here)
+        voxel.aim(law, work, here)
         for c in range(3):
-            code_step(bits, law, work, c)
+            voxel.code_step(bits, law, work, c)
     settle(law, work, here, still)

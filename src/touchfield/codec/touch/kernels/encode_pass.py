@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from touchfield.codec.kernels.bits import PLACE, PRICING, TASK, WRITING, mix, mixed_chance, price
+from touchfield.codec.kernels import PLACE, PRICING, TASK, WRITING, mix, mixed_chance, price
+from touchfield.codec.touch.kernels import voxel
+from touchfield.codec.touch.kernels import workspace as ws
 from touchfield.codec.touch.kernels.decode_pass import (
     code_blocks,
     code_brick,
@@ -16,22 +19,7 @@ from touchfield.codec.touch.kernels.decode_pass import (
     settle,
     then_of,
 )
-from touchfield.codec.touch.kernels.lattice import amplitude_of, level_of, step_at
-from touchfield.codec.touch.kernels.predict import before, expect, held
-from touchfield.codec.touch.kernels.residual import BASED, LEVEL, aim, code_step, code_still, look, place
-from touchfield.codec.touch.kernels.workspace import (
-    APART,
-    AXES,
-    EXPECTED,
-    LOW,
-    SIDE,
-    SIZES,
-    STEPS,
-    VECTOR,
-    WIDTH,
-    copy_reference,
-    keep,
-)
+from touchfield.codec.touch.kernels.voxel import before, held
 from touchfield.lean import entry, inlined, lean
 
 _ROOM = 1 << 14  # bytes that a brick cannot fill
@@ -102,7 +90,7 @@ def _mean_sizes(work, here):
     for axis in range(3):
         at = before(here, axis)
         if held(work.window, at):
-            sizes = np.int64(work.window[at * WIDTH + SIZES])
+            sizes = np.int64(work.window[at * ws.WIDTH + ws.SIZES])
             along += sizes & 255
             across += sizes >> 8 & 255
             count += 1
@@ -122,11 +110,11 @@ def choose(bits, law, work, here, f, size, rule):
     Of the points around the force the one that costs least, by a guess or, with ``rule.thorough``, by its price; the
     nearest where none keeps the rule. Returns the cost: bits, or squared steps where every error has its price.
     """
-    rows, level = work.rows, work.of[LEVEL]
-    along = (f[0] * rows[AXES + 0, 0] + f[1] * rows[AXES + 0, 1] + f[2] * rows[AXES + 0, 2]) / 16384.0
-    across_1 = (f[0] * rows[AXES + 1, 0] + f[1] * rows[AXES + 1, 1] + f[2] * rows[AXES + 1, 2]) / 16384.0
-    across_2 = (f[0] * rows[AXES + 2, 0] + f[1] * rows[AXES + 2, 1] + f[2] * rows[AXES + 2, 2]) / 16384.0
-    reached = level_of(min(np.int64(round(abs(along))), np.int64((1 << 18) - 1)), law.border, law.first)
+    rows, level = work.rows, work.of[voxel.LEVEL]
+    along = (f[0] * rows[ws.AXES + 0, 0] + f[1] * rows[ws.AXES + 0, 1] + f[2] * rows[ws.AXES + 0, 2]) / 16384.0
+    across_1 = (f[0] * rows[ws.AXES + 1, 0] + f[1] * rows[ws.AXES + 1, 1] + f[2] * rows[ws.AXES + 1, 2]) / 16384.0
+    across_2 = (f[0] * rows[ws.AXES + 2, 0] + f[1] * rows[ws.AXES + 2, 1] + f[2] * rows[ws.AXES + 2, 2]) / 16384.0
+    reached = ws.level_of(min(np.int64(round(abs(along))), np.int64((1 << 18) - 1)), law.border, law.first)
     n0 = np.int64(round(((reached if along >= 0 else -reached) - level) / 256.0))
     bit = rule.thrift if rule.free else 1.0
     ease = 1.5 if rule.free else 0.5
@@ -138,8 +126,8 @@ def choose(bits, law, work, here, f, size, rule):
     for i in range(reach):
         r0 = n0 + _AROUND[i] if i < 3 else np.int64(0)
         cost_0 = _guessed(r0, slope_0, bit)
-        length = amplitude_of(level + 256 * r0, law.border)
-        step = step_at(abs(length), law.cross_floor, law.cross_rate)
+        length = ws.amplitude_of(level + 256 * r0, law.border)
+        step = ws.step_at(abs(length), law.cross_floor, law.cross_rate)
         n1, n2 = np.int64(round(across_1 / step)), np.int64(round(across_2 / step))
         for j in range(reach * reach):
             j1, j2 = j // reach, j % reach
@@ -155,39 +143,32 @@ def choose(bits, law, work, here, f, size, rule):
                     b0, b1, b2 = r0, r1, r2
                 continue
             if rule.thorough:
-                rows[STEPS, 0], rows[STEPS, 1], rows[STEPS, 2] = r0, r1, r2
-                cost = bit * _price(bits, law, work)
+                rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2] = r0, r1, r2
+                task, spent = bits.state[TASK], bits.cost[0]
+                bits.state[TASK], bits.cost[0] = PRICING, 0.0
+                for c in range(3):
+                    voxel.code_step(bits, law, work, c)
+                cost = bit * bits.cost[0]
+                bits.state[TASK], bits.cost[0] = task, spent
             if rule.free:
                 cost += error / np.float64(law.floor) ** 2
             if cost < best:
                 best = cost
                 b0, b1, b2 = r0, r1, r2
-    rows[STEPS, 0], rows[STEPS, 1], rows[STEPS, 2] = b0, b1, b2
+    rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2] = b0, b1, b2
     return best
 
 
 @inlined
 def _allowed(law, work, r0, r1, r2, f, size, rule):
     """True where a residual may be told, and makes a force that keeps the rule."""
-    if r0 == 0 and r1 == 0 and r2 == 0 and not work.of[BASED]:
+    if r0 == 0 and r1 == 0 and r2 == 0 and not work.of[voxel.BASED]:
         return False
-    place(law, work, r0, r1, r2)
-    d0, d1, d2 = work.rows[VECTOR, 0], work.rows[VECTOR, 1], work.rows[VECTOR, 2]
+    voxel.place(law, work, r0, r1, r2)
+    d0, d1, d2 = work.rows[ws.VECTOR, 0], work.rows[ws.VECTOR, 1], work.rows[ws.VECTOR, 2]
     if rule.exact and d0 == 0 and d1 == 0 and d2 == 0:
         return False
     return rule.free or kept(d0, d1, d2, f, size, rule)
-
-
-@inlined
-def _price(bits, law, work):
-    """Bits that the residual in the row `STEPS` would take."""
-    before_task, before_cost = bits.state[TASK], bits.cost[0]
-    bits.state[TASK], bits.cost[0] = PRICING, 0.0
-    for c in range(3):
-        code_step(bits, law, work, c)
-    cost = bits.cost[0]
-    bits.state[TASK], bits.cost[0] = before_task, before_cost
-    return cost
 
 
 @lean
@@ -196,12 +177,12 @@ def still_pays(bits, law, work, here, f, size, rule):
     still_bits = bits.cost[0]
     error = 0.0
     for k in range(3):
-        error += (np.float64(work.rows[EXPECTED, k]) - f[k]) ** 2
-    aim(law, work, here)
+        error += (np.float64(work.rows[ws.EXPECTED, k]) - f[k]) ** 2
+    voxel.aim(law, work, here)
     cost = choose(bits, law, work, here, f, size, rule)
-    if work.of[BASED]:
+    if work.of[voxel.BASED]:
         for k in range(3):
-            work.rows[APART, k] = -work.rows[APART, k]  # as it was before `aim`
+            work.rows[ws.APART, k] = -work.rows[ws.APART, k]  # as it was before `aim`
     moved_bits = -np.log2(max(1.0 - 2.0**-still_bits, 1e-5)) + (0.0 if rule.thorough else 1.0)
     return np.int64(error / np.float64(law.floor) ** 2 + rule.thrift * still_bits < cost + rule.thrift * moved_bits)
 
@@ -221,8 +202,8 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
         if known:
             last = state = code_brick(bits, last, _state_of(work.old, forces[n], rule))
         if state == 2:
-            copy_reference(work.window, work.old, law.slope)
-            keep(work.window, scan.cells, n)
+            ws.copy_reference(work.window, work.old, law.slope)
+            ws.keep(work.window, scan.cells, n)
             continue
         paid = price(bits)
         blocks = code_blocks(bits, work, known, _blocks_of(forces[n], rule))
@@ -231,10 +212,10 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
             for y in range(scan.low[n, 1], scan.high[n, 1]):
                 for z in range(scan.low[n, 2], scan.high[n, 2]):
                     if blocks >> ((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)) & 1:
-                        here = ((x + LOW) * SIDE + y + LOW) * SIDE + z + LOW
+                        here = ((x + ws.LOW) * ws.SIDE + y + ws.LOW) * ws.SIDE + z + ws.LOW
                         f = forces[n, (x * 8 + y) * 8 + z]
                         _encode_voxel(bits, law, work, here, known, state, f, rule, prices)
-        keep(work.window, scan.cells, n)
+        ws.keep(work.window, scan.cells, n)
     return True
 
 
@@ -244,7 +225,7 @@ def _state_of(old, forces, rule):
     count = agrees = 0
     whole = True
     for at in range(512):
-        c = ((((at >> 6) + LOW) * SIDE + (at >> 3 & 7) + LOW) * SIDE + (at & 7) + LOW) * 4
+        c = ((((at >> 6) + ws.LOW) * ws.SIDE + (at >> 3 & 7) + ws.LOW) * ws.SIDE + (at & 7) + ws.LOW) * 4
         f = forces[at]
         if old[c + 3] == 0 and f[0] == 0 and f[1] == 0 and f[2] == 0:
             continue
@@ -282,8 +263,10 @@ def _worth_holding(bits, law, work, here, near, trusted, f, chosen, rule):
     if size > 0 and chance < 45000:
         return np.int64(0)
     if chance > 55000:
-        expect(law, work, here, near, trusted)
-        return np.int64(kept(work.rows[EXPECTED, 0], work.rows[EXPECTED, 1], work.rows[EXPECTED, 2], f, size, rule))
+        voxel.expect(law, work, here, near, trusted)
+        return np.int64(
+            kept(work.rows[ws.EXPECTED, 0], work.rows[ws.EXPECTED, 1], work.rows[ws.EXPECTED, 2], f, size, rule)
+        )
     return np.int64(size > 0)
 
 
@@ -299,25 +282,112 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     prices[0] += told - begun
     if not bit:
         return
-    expect(law, work, here, near, state == 1)
-    look(law, work, here, near)
+    voxel.expect(law, work, here, near, state == 1)
+    voxel.look(law, work, here, near)
     size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
-    still = np.int64(kept(work.rows[EXPECTED, 0], work.rows[EXPECTED, 1], work.rows[EXPECTED, 2], f, size, rule))
+    still = np.int64(
+        kept(work.rows[ws.EXPECTED, 0], work.rows[ws.EXPECTED, 1], work.rows[ws.EXPECTED, 2], f, size, rule)
+    )
     if rule.free:
         bits.state[TASK], bits.cost[0] = PRICING, 0.0
-        code_still(bits, law, work, here, then, np.int64(1))
+        voxel.code_still(bits, law, work, here, then, np.int64(1))
         still = still_pays(bits, law, work, here, f, size, rule)
         bits.state[TASK] = WRITING
-    code_still(bits, law, work, here, then, still)
+    voxel.code_still(bits, law, work, here, then, still)
     prices[1] += price(bits) - told
     told = price(bits)
     if not still:
-        aim(law, work, here)
+        voxel.aim(law, work, here)
         choose(bits, law, work, here, f, size, rule)
         for c in range(3):
-            code_step(bits, law, work, c)
+            voxel.code_step(bits, law, work, c)
             if c == 0:
                 prices[1] += price(bits) - told
                 told = price(bits)
     prices[2] += price(bits) - told
     settle(law, work, here, still)
+
+
+# An original beside what a decoder makes of it, voxel by voxel of both supports, in float64: bricks of both are
+# merged by their keys, and what neither holds is zero in both.
+MASK, DIRECTION, FREE = 0, 1, 2  # the last: anything goes
+
+_BEHIND = np.iinfo(np.int64).max
+
+
+@inlined
+def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle, hidden):
+    """The square of |error| / allowed, of an original (x, y, z) and a decoded (u, v, w)."""
+    if rule == FREE:
+        return 0.0
+    size2 = x * x + y * y + z * z
+    error2 = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
+    if error2 == 0.0:
+        return 0.0
+    allowed2 = max(f0 * f0, k * k * size2)
+    if hidden > 0.0:
+        allowed2 = max(allowed2, (k * math.sqrt(size2) + hidden) ** 2)
+    if rule == DIRECTION:
+        size = math.sqrt(size2)
+        if size * sine > f0:
+            radial = abs(math.sqrt(u * u + v * v + w * w) - size) / math.sqrt(allowed2)
+            a, b, c = y * w - z * v, z * u - x * w, x * v - y * u
+            turn = math.atan2(math.sqrt(a * a + b * b + c * c), x * u + y * v + z * w) / angle
+            return max(radial, turn) ** 2
+        allowed2 = f0 * f0
+    return error2 / allowed2 if allowed2 > 0.0 else np.inf
+
+
+@entry
+def compare(keys, forces, other_keys, other, rule, exact, limits, hidden, found):
+    """Compare voxel by voxel; `found`, int64 [2, n], takes the first n that are beyond, of which all are counted.
+
+    `hidden`: what forces around hide, newtons, float32 [bricks of the original, 512], or [0, 512].
+    """
+    k, f0, sine, angle = limits
+    worst, worst_key, worst_place = 0.0, -1, 0
+    supported, within, decoded, beyond = 0, 0, 0, 0
+    i, j = 0, 0
+    while i < keys.shape[0] or j < other_keys.shape[0]:
+        mine = keys[i] if i < keys.shape[0] else _BEHIND
+        theirs = other_keys[j] if j < other_keys.shape[0] else _BEHIND
+        key = min(mine, theirs)
+        for place in range(512):
+            x, y, z, u, v, w = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            if mine == key:
+                x, y, z = 1.0 * forces[i, place, 0], 1.0 * forces[i, place, 1], 1.0 * forces[i, place, 2]
+            if theirs == key:
+                u, v, w = 1.0 * other[j, place, 0], 1.0 * other[j, place, 1], 1.0 * other[j, place, 2]
+            held = x != 0.0 or y != 0.0 or z != 0.0
+            sent = u != 0.0 or v != 0.0 or w != 0.0
+            if not held and not sent:
+                continue
+            around = 1.0 * hidden[i, place] if mine == key and hidden.shape[0] else 0.0
+            ratio2 = _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle, around)
+            if exact and held != sent:
+                ratio2 = np.inf
+            supported += held
+            decoded += sent
+            within += held and ratio2 <= 1.0
+            if ratio2 > worst:
+                worst, worst_key, worst_place = ratio2, key, place
+            if ratio2 > 1.0:
+                if beyond < found.shape[1]:
+                    found[0, beyond], found[1, beyond] = key, place
+                beyond += 1
+        i += mine == key
+        j += theirs == key
+    return beyond, worst, worst_key, worst_place, supported, within, decoded
+
+
+@entry
+def largest(forces):
+    """The longest |F| of float32 [n, 3]; infinite where one is not a finite number."""
+    most = 0.0
+    for i in range(forces.shape[0]):
+        x, y, z = np.float64(forces[i, 0]), np.float64(forces[i, 1]), np.float64(forces[i, 2])
+        size2 = x * x + y * y + z * z
+        if not size2 < np.inf:
+            return np.inf
+        most = max(most, size2)
+    return math.sqrt(most)

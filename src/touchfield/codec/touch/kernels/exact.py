@@ -7,9 +7,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.codec.kernels.bits import PLACE, READING, TASK, mix, price
-from touchfield.codec.kernels.support import LIST_CONTEXTS as _TABLE
-from touchfield.codec.kernels.support import LIST_SETS as _SETS
+from touchfield.codec.kernels import LIST_CONTEXTS as _TABLE
+from touchfield.codec.kernels import LIST_SETS as _SETS
+from touchfield.codec.kernels import PLACE, READING, TASK, mix, price
 from touchfield.lean import entry, inlined, lean
 
 _SIZE: Final = 1 << 18

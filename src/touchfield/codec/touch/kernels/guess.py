@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.kernels.bits import READING, TASK, code, even, gamma, mix
+from touchfield.codec.kernels import READING, TASK, code, even, gamma, mix
 from touchfield.lean import entry, inlined, lean
 
 REACH: Final = 1 << 23  # no coefficient is beyond it, units

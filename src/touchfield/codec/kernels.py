@@ -5,6 +5,9 @@ is written) or the distance of the code from it (decoder). A chance has 22 bits 
 one number of 32 bits. Several chances are mixed on the logistic scale by weights that learn as well. All is of whole
 numbers below 2^62, the tables too: equal bytes on every machine. The same functions write, read and price: a caller
 gives the bit, or anything when reading, and takes what is returned.
+
+On these stand the loops of the support (a bit for each box of the octree of bricks, and for each sample) and of whole
+numbers, each told by its sign and its binary digits in contexts of the three before it.
 """
 
 from __future__ import annotations
@@ -65,6 +68,10 @@ class Models(NamedTuple):
 
     chances: NDArray[np.uint32]  # [contexts]
     weights: Int32s  # [sets, INPUTS]
+
+    def copy(self) -> Models:
+        """Models that may be changed without these."""
+        return Models(self.chances.copy(), self.weights.copy())
 
 
 def fresh(contexts: int, sets: int) -> Models:
@@ -227,3 +234,180 @@ def gamma(bits, value, most):
 def price(bits):
     """Bits written so far; for an encoder's account only."""
     return 8.0 * bits.state[PLACE] + 48.0 - np.log2(np.float64(bits.state[RANGE]))
+
+
+# the six faces, those told first before the others, and the six edges told before
+NEIGHBOURS: Final = (
+    (-1, 0, 0), (0, -1, 0), (0, 0, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1),
+    (-1, -1, 0), (-1, 1, 0), (-1, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1),
+)  # fmt: skip
+UNKNOWN: Final = 2  # state of a box that may hold bricks, for its parent does
+_EDGES: Final = 1 + 729
+_CHANGED: Final = _EDGES + 512
+_FOUND: Final = _CHANGED + 16
+LIST_CONTEXTS: Final = _FOUND + 4
+LIST_SETS: Final = 2
+
+
+class Level(NamedTuple):
+    """Boxes of one size whose parents hold bricks."""
+
+    keys: Int64s  # [n]; their places, ascending
+    parents: Int64s  # [n]; their parents' places in the level above
+    left: Int64s  # left, found: [parents]; children not told yet, and those that hold bricks
+    found: Int64s
+    before: NDArray[np.uint8]  # [n + 1]; 1 where the list known before has bricks; the last is 0
+    state: NDArray[np.uint8]  # [n + 1]; `UNKNOWN`, and when told 1 or 0; the last, of all that is not listed, is 0
+    steps: Int64s  # steps, places: [12]; from a key to its neighbours', and where in `keys` they are
+    places: Int64s
+
+
+@entry
+def code_level(bits, level, contexts_at, sets_at, wanted):
+    """Tell which boxes hold bricks, when writing those `wanted`, uint8 [n]; an only child does untold."""
+    count = level.keys.shape[0]
+    for n in range(count):
+        faces, edges, changed = np.int64(0), np.int64(0), np.int64(0)
+        for k in range(12):
+            key, place = level.keys[n] + level.steps[k], level.places[k]
+            while place < count and level.keys[place] < key:
+                place += 1
+            level.places[k] = place
+            if place == count or level.keys[place] != key:
+                place = count
+            state = np.int64(level.state[place])
+            if k >= 6:
+                edges = edges << 1 | state
+            else:
+                faces = faces * 3 + state
+            if k < 3:
+                edges = edges << 1 | state
+                changed = changed << 1 | (state ^ np.int64(level.before[place]))
+        old, parent, bit = np.int64(level.before[n]), level.parents[n], np.int64(1)
+        level.left[parent] -= 1
+        found = np.int64(level.found[parent] > 0)
+        if found or level.left[parent]:
+            bits.inputs[0] = contexts_at + 1 + (0 if old else faces)
+            bits.inputs[1] = contexts_at + _EDGES + edges
+            bits.inputs[2] = contexts_at + _CHANGED + 8 * old + changed
+            bits.inputs[3] = contexts_at + _FOUND + 2 * old + found
+            bit = mix(bits, 4, sets_at + old, np.int64(wanted[n]))
+        level.state[n] = bit
+        level.found[parent] += bit
+
+
+_OLD: Final = 4096
+SAMPLE_CONTEXTS: Final = _OLD + 1024
+SAMPLE_SETS: Final = 8
+
+_NEAR: Final = (-144, -12, -1, -143, -13, -11, -156, -288, -24, -132, -131, -2)
+_LATE: Final = (0, -1, 1, -12, 12, -144, 144)
+"""Steps in a window of 12 x 12 x 12 samples: to those told before, and to those of the support before."""
+
+
+class Samples(NamedTuple):
+    """The samples of n bricks, beside m that both sides know."""
+
+    # [n + 1, 512]; 1 where a sample is set, as far as it is told; the last brick, of all that are not listed, is 0
+    held: NDArray[np.uint8]
+    before: NDArray[np.uint8]  # [m + 1, 512]; the same of the support before
+    # around, around_before: [n, 27]; places in both of each brick and of those around it, x slowest; -1 of those not
+    # listed
+    around: Int64s
+    around_before: Int64s
+    inside: Int64s  # [n, 3]; samples of a brick within the grid
+    # window, old: [1728]; room for a brick of both, whose first sample is at (2, 2, 2), and what is around it
+    window: NDArray[np.uint8]
+    old: NDArray[np.uint8]
+
+
+@entry
+def code_samples(bits, contexts_at, sets_at, samples, wanted):
+    """Tell which samples are set, when writing those `wanted`, uint8 [n, 512]; returns whether the code held them."""
+    held, window, old = samples.held, samples.window, samples.old
+    for brick in range(wanted.shape[0]):
+        if bits.state[TASK] == READING and bits.state[PLACE] > bits.buffer.shape[0] + 6:
+            return False
+        for n in range(1728):
+            x, y, z = n // 144 + 6, n // 12 % 12 + 6, n % 12 + 6
+            near, place = (x >> 3) * 9 + (y >> 3) * 3 + (z >> 3), (x & 7) << 6 | (y & 7) << 3 | (z & 7)
+            window[n] = held[samples.around[brick, near], place]
+            old[n] = samples.before[samples.around_before[brick, near], place]
+        for x in range(samples.inside[brick, 0]):
+            for y in range(samples.inside[brick, 1]):
+                for z in range(samples.inside[brick, 2]):
+                    here, place = ((x + 2) * 12 + y + 2) * 12 + z + 2, x << 6 | y << 3 | z
+                    mask, late = np.int64(0), np.int64(0)
+                    for k in range(12):
+                        mask |= np.int64(window[here + _NEAR[k]]) << k
+                    for k in range(7):
+                        late |= np.int64(old[here + _LATE[k]]) << k
+                    bits.inputs[0] = contexts_at + mask
+                    bits.inputs[1] = contexts_at + _OLD + (late << 3 | mask & 7)
+                    window[here] = mix(bits, 2, sets_at + (mask & 7), np.int64(wanted[brick, place]))
+                    held[brick, place] = window[here]
+    return True
+
+
+_LONGEST: Final = 62  # binary digits of the largest
+_SIGN, _MORE, _SECOND = 1, 1, 16  # bit 0 is "not zero", 2 to 15 are "more digits", 18 to 31 the second digit
+NUMBER_SETS: Final = 32
+_AROUND: Final = NUMBER_SETS
+_SIZES: Final = _AROUND + 125 * NUMBER_SETS
+NUMBER_CONTEXTS: Final = _SIZES + 21 * 7 * NUMBER_SETS
+# bytes that a writer has for a number: a bit costs 14 bits at most, and 65 that learn at most
+NUMBER_ROOM: Final = 128
+
+
+@lean
+def _near(number):
+    return min(max(number, np.int64(-2)), np.int64(2)) + 2
+
+
+@lean
+def _size(number, most):
+    """Binary digits, `most` at most, with the sign, from 0 on."""
+    size, left = np.int64(0), abs(number)
+    while left > 0 and size < most:
+        left >>= 1
+        size += 1
+    return most - size if number < 0 else most + size
+
+
+@lean
+def _code(bits, at, which, bit):
+    bits.inputs[0] = at[0] + which
+    bits.inputs[1] = at[1] + which
+    bits.inputs[2] = at[2] + which
+    return mix(bits, 3, at[3] + which, bit)
+
+
+@entry
+def code_numbers(bits, contexts_at, sets_at, numbers):
+    """Write or read whole numbers, int64 [n]; those behind the end of a code that is read stay as they are."""
+    r1, r2, r3 = np.int64(0), np.int64(0), np.int64(0)
+    for i in range(numbers.shape[0]):
+        near = (_near(r1) * 5 + _near(r2)) * 5 + _near(r3)
+        sizes = _size(r1, np.int64(10)) * 7 + _size(r2, np.int64(3))
+        at = (
+            contexts_at, contexts_at + _AROUND + NUMBER_SETS * near,
+            contexts_at + _SIZES + NUMBER_SETS * sizes, sets_at,
+        )  # fmt: skip
+        size, found = abs(numbers[i]), np.int64(0)
+        if _code(bits, at, np.int64(0), np.int64(size > 0)):
+            sign = _code(bits, at, np.int64(_SIGN), np.int64(numbers[i] < 0))
+            length, more = np.int64(0), np.int64(1)
+            while more and length < _LONGEST:
+                length += 1
+                more = _code(bits, at, _MORE + min(length, np.int64(14)), np.int64(size >> length > 0))
+            found = np.int64(1)
+            if length > 1:
+                found = 2 | _code(bits, at, _SECOND + min(length, np.int64(15)), (size >> (length - 2)) & 1)
+            if length > 2:
+                rest = (np.int64(1) << (length - 2)) - 1
+                found = found << (length - 2) | even(bits, size & rest, length - 2)
+            found = -found if sign else found
+        numbers[i] = found
+        r3, r2, r1 = r2, r1, found
+        if bits.state[TASK] == READING and bits.state[PLACE] > bits.buffer.shape[0] + 6:
+            return

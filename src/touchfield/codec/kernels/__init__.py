@@ -1,1 +1,0 @@
-"""Compiled loops of the codec; imported inside functions, never with the package."""
