@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 
 from touchfield.devices import device
 from touchfield.errors import DeviceError, InvalidArgument, SourceError
-from touchfield.render.array_device import ArrayDevice
-from touchfield.render.array_player import MOST_AHEAD, ArrayPlayer, DrivesAhead
+from touchfield.render.array_player import MOST_AHEAD, ArrayDevice, ArrayPlayer, DrivesAhead
 
 VEST = replace(device("tactsuit-x40"), lattice=(2, 3, 1), panels=2)
 SHAPE = (2, 3, 2)
@@ -237,7 +236,7 @@ import time
 from dataclasses import replace
 import numpy as np
 from touchfield.devices import device
-from touchfield.render.array_device import ArrayDevice
+from touchfield.render.array_player import ArrayDevice
 from touchfield.render.array_player import ArrayPlayer
 
 class Told(ArrayDevice):

@@ -14,6 +14,7 @@ from __future__ import annotations
 import atexit
 import math
 import threading
+from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic
@@ -25,9 +26,9 @@ from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:
-    from touchfield.render.array_device import ArrayDevice
+    from touchfield.devices import Device
 
-    """Drives, 0 to 1, and frequencies, Hz; float32 [panels, rows, columns] each."""
+
 Shown = tuple[Float32s, Float32s | None]
 
 AHEAD_S: Final = 0.5  # how much is decoded ahead, in seconds of the player
@@ -363,3 +364,25 @@ class ArrayPlayer:
 def _check(name: str, value: float, low: float, high: float) -> None:
     if not (math.isfinite(value) and low <= value <= high):
         raise InvalidArgument(name, repr(value), f"{low:g} to {high:g}")
+
+
+class ArrayDevice(ABC):
+    """A fixed array of actuators; its `profile` has columns, rows, panels and levels."""
+
+    profile: Device
+
+    @abstractmethod
+    def open(self) -> None:
+        """Find the device and make it ready; `DeviceError` if it is not there, or answers wrongly."""
+
+    @abstractmethod
+    def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
+        """Show drives, float32 [panels, rows, columns] from 0 to 1, for about so many seconds.
+
+        Row 0 is the top row as one looks at the panel, column 0 the left one; panel 0 is the front. The frequencies
+        of the vibration band have the same shape; None where the medium has none. `DeviceError` if it is gone.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """All actuators off, then let it go; must not raise, and may be called twice, or after a failed `open`."""

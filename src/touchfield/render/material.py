@@ -31,7 +31,7 @@ from touchfield.perception.vibrotactile import BANDS_HZ
 from touchfield.render.block import words as W
 
 if TYPE_CHECKING:
-    from touchfield.render.block.memory import Memory
+    from touchfield.render.block import Memory
 Levels = tuple[tuple[tuple[float, ...], ...], ...]
 
 

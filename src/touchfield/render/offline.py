@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
+from touchfield.render.block import DEFAULT_BYTES, Memory, TickLog, statistics_of
 from touchfield.render.block import words as W
-from touchfield.render.block.memory import DEFAULT_BYTES, Memory
-from touchfield.render.block.record import TickLog, statistics_of
+from touchfield.render.player import Session, is_over
 from touchfield.render.servo import Opener, VirtualClock, serve
-from touchfield.render.session import Session, is_over
 from touchfield.render.spec import RenderSpec
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 class OfflineRun:
     """Outcome of a run.
 
-    `log` has a row of `block.record.COLUMNS` for each tick, to the end of the last ramp; `statistics` are as of
+    `log` has a row of `block.COLUMNS` for each tick, to the end of the last ramp; `statistics` are as of
     `Player.statistics`, with times of the virtual clock; `notes` are for the user; `error` is that of the medium,
     where it was to be kept.
     """

@@ -7,17 +7,25 @@ at a signal, when the player is gone, when the device itself fails (as far as it
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import gc
 import math
+import multiprocessing
+import os
+import signal
+import struct
+import sys
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
+from multiprocessing.connection import Connection
+from pathlib import Path
+from pickle import PickleError
+from typing import Any, Final
 
-from touchfield.errors import DeviceError
+from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
+from touchfield.render.block import Block, Memory
 from touchfield.render.block import words as W
 from touchfield.render.point_device import Point, PointDevice
-
-if TYPE_CHECKING:
-    from touchfield.render.block.memory import Memory
 
 Opener = Callable[[], PointDevice]  # makes the device, not yet open; can be pickled
 _WATCH_S: Final = 0.01
@@ -108,7 +116,7 @@ def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable
     `memory` is laid out, with the first order in it; `must_stop` is asked before each tick. What the device raises
     is raised after the force was brought to zero, as far as it listens.
     """
-    from touchfield.render.kernels.cycle import cycle
+    from touchfield.render.kernels.tick import cycle
 
     memory.i8[W.IS_SIMULATED] = type(device).advance is not PointDevice.advance
     memory.i8[W.IS_PACED] = device.is_paced or device.is_driven
@@ -182,3 +190,300 @@ def _watch(memory: Memory, device: PointDevice, must_stop: Callable[[], bool]) -
         ends_s = time.monotonic() + 1e-9 * float(i8[W.RAMP_LIMIT_NS])
         while not i8[W.RELEASED] and seen_s + _MOST_SILENT_S > time.monotonic() and time.monotonic() < ends_s:
             time.sleep(_WATCH_S)
+
+
+_BEGIN_S: Final = 180.0
+"""In which interpreter and compiled code are loaded; on a fresh machine the code is compiled first."""
+
+_SILENT_S: Final = 0.03  # without a tick for so long, a process that waits for something is one whose device hangs
+_MOST_STARVED_S: Final = 2.0  # the same of one that could run, and has only not got the processor
+FIFO_PRIORITY: Final = 50  # in the middle: above all ordinary processes, below what the kernel itself runs there
+_LATENCY: Final = "/dev/cpu_dma_latency"
+"""Linux: while it is open, no processor takes longer to wake than what was written, microseconds."""
+
+_MCL_CURRENT, _MCL_ONFAULT = 1, 4
+_PR_SET_TIMERSLACK: Final = 29
+
+_LONGEST_S: Final = 5.0  # in which a new interpreter starts, the device is opened, and zero is written
+_TERMINATE_S: Final = 3.0
+_KILL_S: Final = 2.0
+
+
+def _in_words(error: BaseException) -> tuple[bool, str, str, str, str]:
+    """An error as plain words, for the pipe."""
+    if not isinstance(error, TouchfieldError):
+        error = DeviceError("device", f"{type(error).__name__}: {error}")
+    return isinstance(error, InvalidArgument), error.where, error.found, error.expected, error.mend
+
+
+def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> None:
+    """The process: attach, warm up, open, serve, tell."""
+    parent = os.getppid()
+    block = Block.attach(Path(path))
+    pipe.send(("attached", None))
+    memory = block.memory
+    i8 = memory.i8
+
+    def stop(*_: Any) -> None:
+        i8[W.STOP_HERE] = 1
+
+    for one in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(one, stop)
+    try:
+        warm_up(memory)
+        report = prefer(is_realtime)
+        device = opener()
+        is_ready = False
+
+        def must_stop() -> bool:
+            nonlocal is_ready
+            if not is_ready:  # asked for the first time once the device is open
+                is_ready = True
+                pipe.send(("ready", report))
+            return os.getppid() != parent
+
+        serve(memory, device, WallClock(), must_stop)
+        pipe.send(("done", None))
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            pipe.send(("error", _in_words(error)))
+    finally:
+        with contextlib.suppress(OSError):
+            pipe.close()
+
+
+def warm_up(memory: Memory) -> None:
+    """Load the compiled code, or compile it, by ticks on a copy of the block without frames."""
+    from touchfield.render.kernels.tick import cycle
+
+    log_words = int(memory.i8[W.ARENA])
+    mute = Memory.empty(max(log_words, W.FREE))
+    mute.i8[:] = memory.i8[: mute.words]
+    for n in range(32):
+        cycle(*mute.views, 0.0, 0.0, 0.0, 1 + n * int(mute.i8[W.TICK_NS]))
+    mute.i8[W.STOP_HERE] = 1
+    cycle(*mute.views, 0.0, 0.0, 0.0, 1 << 40)
+
+
+# -- punctual -------------------------------------------------------------------------------------------------
+
+
+def prefer(is_realtime: bool = True) -> dict[str, str]:
+    """Make this process punctual; what was had is told, and what was not is no error.
+
+    The collector is switched off, wake-ups are not put together with others, and with `is_realtime` the process is
+    scheduled under SCHED_FIFO, its memory stays where it is, and until it ends processors do not fall asleep: one
+    that sleeps wakes late, and in a virtual machine only when the host finds a place for it (milliseconds where
+    others want the host, too). What comes back is ``priority``, "SCHED_FIFO 50" or "normal" and why; ``memory``,
+    "locked" or "not locked" and why; ``processors``, "kept awake" or "may sleep" and why.
+    """
+    gc.collect()
+    gc.disable()
+    gc.freeze()
+    if sys.platform.startswith("linux"):
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    if not is_realtime:
+        rest = {"memory": "not locked: not asked for", "processors": "may sleep: not asked for"}
+        return {"priority": "normal: asked for", **rest}
+    return {"priority": _fifo(), "memory": _locked(), "processors": _awake()}
+
+
+def _fifo() -> str:
+    if not hasattr(os, "sched_setscheduler"):
+        return "normal: this system has no SCHED_FIFO"
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+    except OSError as error:
+        return f"normal: SCHED_FIFO is not allowed ({error.strerror})"
+    return f"SCHED_FIFO {FIFO_PRIORITY}"
+
+
+def _locked() -> str:
+    if not sys.platform.startswith("linux"):
+        return "not locked: not on this system"
+    try:  # what is locked is what was and will be touched of the block: it need not be there as a whole
+        library = ctypes.CDLL(None, use_errno=True)
+        if library.mlockall(_MCL_CURRENT | _MCL_ONFAULT) == 0:
+            return "locked"
+        return f"not locked: {os.strerror(ctypes.get_errno())}"
+    except (OSError, AttributeError) as error:
+        return f"not locked: {error}"
+
+
+def _awake() -> str:
+    try:
+        latency = os.open(_LATENCY, os.O_WRONLY)  # to the end of the process
+    except OSError as error:
+        return f"may sleep: {error.strerror}"
+    try:
+        os.write(latency, struct.pack("i", 0))
+    except OSError as error:
+        os.close(latency)
+        return f"may sleep: {error.strerror}"
+    return "kept awake"
+
+
+# -- its end ---------------------------------------------------------------------------------------------------
+
+
+def _zero(opener: Opener, pipe: Connection) -> None:
+    try:
+        device = opener()
+        try:
+            device.open()
+            if not device.is_driven:
+                device.put_force_n(0.0, 0.0, 0.0)
+        finally:
+            device.close()
+        pipe.send("")
+    except BaseException as error:
+        pipe.send(f"{type(error).__name__}: {error}")
+
+
+def zero_afresh(opener: Opener) -> str:
+    """Zero through a fresh connection, where a servo is gone without it; a note that tells how it went.
+
+    The opener is called once more in a process of its own, which gets no longer than `_LONGEST_S` and is then ended.
+    """
+    context = multiprocessing.get_context("spawn")
+    mine, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_zero, args=(opener, theirs), name="touchfield-zero", daemon=True)
+    try:
+        process.start()
+        theirs.close()
+        answer = mine.recv() if mine.poll(_LONGEST_S) else f"no answer within {_LONGEST_S:g} s"
+    except (EOFError, OSError) as error:
+        answer = f"{type(error).__name__}"
+    finally:
+        process.join(0.5)
+        if process.is_alive():
+            process.kill()
+            process.join()
+        mine.close()
+        process.close()
+    if answer:
+        return f"A force of zero was tried through a fresh connection, which failed ({answer}): switch the device off"
+    return "A force of zero was written through a fresh connection to the device"
+
+
+def is_waiting(pid: int) -> bool:
+    """True if no thread of a process runs or could run, and where the system does not tell.
+
+    A process that could run has only not got the processor, as on a machine with too much to do.
+    """
+    try:
+        for one in Path(f"/proc/{pid}/task").iterdir():
+            if (one / "stat").read_text().rpartition(")")[2].split()[0] == "R":
+                return False
+    except (OSError, IndexError):
+        pass
+    return True
+
+
+class ServoProcess:
+    """The process as its parent holds it.
+
+    The block is laid out, with the first order in it; its name is taken away once the process has it. The opener
+    makes the device, in the process. `report` tells scheduling class and memory, once it is ready; `error` is what
+    ended it; `is_done`: it ended in order; `is_lost`: without having brought the force to zero.
+    """
+
+    def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe(duplex=False)
+        self._block = block
+        self.report: dict[str, str] = {}
+        self.error: TouchfieldError | None = None
+        self.is_ready = self.is_done = self.is_lost = self._is_joined = False
+        self._ticks, self._ticked_s = -1, time.monotonic()
+        self._silent_s = max(_SILENT_S, 3 / float(block.memory.f8[W.RATE_HZ]))
+        self._process = context.Process(
+            target=_main, args=(str(block.path), opener, is_realtime, theirs), name="touchfield-servo", daemon=True
+        )
+        try:
+            self._process.start()
+        except (AttributeError, TypeError, ImportError, PickleError) as error:  # of a local function, say
+            raise InvalidArgument("opener", f"{opener!r} ({error})", "a callable that can be pickled") from error
+        finally:
+            theirs.close()
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process."""
+        return self._process.pid
+
+    def notice(self, ticks: int, has_released: bool) -> None:
+        """Notice that no tick came since long ago: the device hangs; the process is ended.
+
+        So many `ticks` came so far; none need come where the force was brought to zero (`has_released`).
+        """
+        now_s = time.monotonic()
+        is_over = self._is_joined or self.error or self.is_done or not self._process.is_alive()
+        if ticks != self._ticks or has_released or is_over:
+            self._ticks, self._ticked_s = ticks, now_s
+            return
+        silent_s = now_s - self._ticked_s
+        if silent_s < self._silent_s or (silent_s < _MOST_STARVED_S and self.pid and not is_waiting(self.pid)):
+            return
+        self.error = DeviceError(
+            "device", f"no answer for {1e3 * silent_s:.0f} ms", "a position at each tick", "Plug it in again."
+        )
+        self.is_lost = True
+        self._process.kill()
+
+    def listen(self) -> None:
+        """Take what it told since; never waits."""
+        if self._is_joined:
+            return
+        is_alive = self._process.is_alive()  # asked first: the words of one that is not are all there
+        with contextlib.suppress(EOFError, OSError):
+            while self._pipe.poll():
+                self._take(*self._pipe.recv())
+        if not is_alive and not self.is_done and self.error is None:
+            self.is_lost = self.is_ready
+            self.error = DeviceError(
+                "servo process",
+                f"its end with exit code {self._process.exitcode}",
+                "a process that runs until it is told to stop",
+                "" if self.is_ready else 'Begin the player under `if __name__ == "__main__":` of your program.',
+            )
+
+    def _take(self, what: str, content: Any) -> None:
+        if what == "attached":
+            if os.name == "posix":
+                self._block.unlink()
+        elif what == "ready":
+            self.is_ready, self.report = True, content
+        elif what == "done":
+            self.is_done = True
+        else:
+            is_argument, *words = content
+            self.error = (InvalidArgument if is_argument else DeviceError)(*words)
+
+    def wait_ready(self) -> None:
+        """Wait until the device is open; raises what it could not be opened for."""
+        ends = time.monotonic() + _BEGIN_S
+        while not self.is_ready:
+            self.listen()
+            if self.error is not None:
+                raise self.error
+            if self.is_done:
+                return
+            if time.monotonic() > ends:
+                raise DeviceError("servo process", f"no sign for {_BEGIN_S:g} s", "an open device")
+            time.sleep(0.002)
+
+    def join(self, ramp_s: float) -> None:
+        """Wait for its end, after it was told to stop; one that does not end is terminated, then killed."""
+        process = self._process
+        process.join(ramp_s)
+        for end, seconds in ((process.terminate, _TERMINATE_S), (process.kill, _KILL_S)):
+            if process.is_alive():
+                end()
+                process.join(seconds)
+        self.listen()
+        self._is_joined = True
+        self._pipe.close()
+        if not process.is_alive():
+            process.close()

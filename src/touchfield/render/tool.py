@@ -25,7 +25,7 @@ from touchfield.medium.field import frozen
 from touchfield.render.block import words as W
 
 if TYPE_CHECKING:
-    from touchfield.render.block.memory import Memory
+    from touchfield.render.block import Memory
 
 MOST_POINTS: Final = 100_000
 SPHERE_POINTS: Final = 1000

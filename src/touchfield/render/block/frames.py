@@ -18,8 +18,8 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.cells import CellPool
 from touchfield.medium.haptic_scene import HapticScene
+from touchfield.render.block import Memory
 from touchfield.render.block import words as W
-from touchfield.render.block.memory import Memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
