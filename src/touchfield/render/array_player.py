@@ -127,8 +127,6 @@ class DrivesAhead:
         drives = before[0] + share * (after[0] - before[0])
         return np.clip(drives, np.float32(0), np.float32(1)), _nearest(before[1], after[1], float(share))
 
-    # -- the decoder's thread ------------------------------------------------------------------------------
-
     def _run(self) -> None:
         try:
             while True:
@@ -185,40 +183,21 @@ def _nearest(before: Float32s | None, after: Float32s | None, share: float) -> F
 
 @dataclass(frozen=True)
 class ArrayStatistics:
-    """Counts of the sender so far.
+    """Counts of the sender so far."""
 
-    Frames `sent`; of these `late` by more than half a period, and `stalled`, all off because the feed had nothing;
-    `skipped`, because the one before took too long; `mean_rate_hz` of those sent, 0 before the second.
-    """
-
-    sent: int
-    late: int
-    skipped: int
-    stalled: int
-    mean_rate_hz: float
+    sent: int  # frames
+    late: int  # of these, by more than half a period
+    skipped: int  # because the one before took too long
+    stalled: int  # of those sent, all off because the feed had nothing
+    mean_rate_hz: float  # of those sent, 0 before the second
 
 
 class ArrayPlayer:
     """Plays frames of drives on an array; a context manager, which closes it.
 
-    Parameters
-    ----------
-    frames : DriveFrames
-        Such as `touchfield.job.array_medium.Drives`.
-    device : ArrayDevice
-    rate_hz : float, optional
-        Frames a second to the device; by default the profile's rate, up to 100, or 50 where it states none.
-    loop : bool
-        Whether to begin again at the end.
-    speed : float
-        Seconds of the medium in a second.
-    start_s : float
-        Where in the medium to begin, seconds.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range, or the medium does not last until `start_s`.
+    `frames` are such as `touchfield.job.array_medium.Drives`; `rate_hz`, frames a second to the device, is by default
+    the profile's, up to 100, or 50 where it states none; `speed` is seconds of the medium in a second, `start_s`
+    where in it to begin. `InvalidArgument` if a number is out of range, or the medium does not last until `start_s`.
     """
 
     def __init__(
@@ -250,8 +229,6 @@ class ArrayPlayer:
         self._is_open = False
         self._sent = self._late = self._skipped = self._stalled = 0
         self._span_s = 0.0
-
-    # -- what a program calls ------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Open the device, or raise `DeviceError`, and begin; once only."""
@@ -287,9 +264,8 @@ class ArrayPlayer:
     @property
     def notes(self) -> tuple[str, ...]:
         """A note for the user where the feed stalled."""
-        if not self._stalled:
-            return ()
-        return ("Frames are not made in time: the actuators are off meanwhile. A lower --speed may help",)
+        note = "Frames are not made in time: the actuators are off meanwhile. A lower --speed may help"
+        return (note,) if self._stalled else ()
 
     def close(self) -> None:
         """All actuators off, and the device let go; never raises, and may be called twice."""
@@ -317,8 +293,6 @@ class ArrayPlayer:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    # -- the sender's thread -------------------------------------------------------------------------------
 
     def _run(self) -> None:
         try:

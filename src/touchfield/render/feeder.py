@@ -15,11 +15,11 @@ import time
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from touchfield.errors import TouchfieldError
 from touchfield.medium import HapticScene
-from touchfield.medium.cells import CellPool
 from touchfield.render.block import Layout, Memory, Ring, check_fits, too_little
 from touchfield.render.block import words as W
 from touchfield.render.block.frames import VIBRATION, FieldName, FrameParts, field_words, write_fields
@@ -27,17 +27,13 @@ from touchfield.render.segment_blend import with_blends
 from touchfield.render.spec import Wall, stated_n_per_m, stiffest_n_per_m, wall_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from touchfield.medium import Grid, HapticMedium
     from touchfield.medium.deformation import Deformation
 
 
 FIRST_GENERATION: Final = 1  # of the frames before any seek
 _FRAME: Final = (1 << W.FRAME_BITS) - 1
-_SPARE: Final = 1.5
-"""A frame is begun where so many times what it should take is left."""
-
+_SPARE: Final = 1.5  # A frame is begun where so many times what it should take is left
 _LATEST: Final = 16
 _MOST_TRIED: Final = 4096
 
@@ -48,11 +44,10 @@ _SHORTEST_PAUSE_S: Final = 0.001
 class Pace:
     """Cost of decoding on this machine, and the next frame that can be there in time.
 
-    A frame in the middle of a segment costs every frame from the one decoded last, or from the segment's start. Where
-    a frame takes longer than it lasts, those further on in the segment come ever later, but the start of a segment to
-    come can be reached: so the frame rate falls to what this machine can do. `starts` are frames that need none
-    before them, ascending from 0; empty where none needs another. `frame_s` is what a frame takes, in seconds; 0
-    before the second, as the first one also loads or compiles code.
+    A frame in the middle of a segment costs every frame from the one decoded last, or from the segment's start
+    (`starts`, as of `FrameSource`): where a frame takes longer than it lasts, the start of a segment to come can
+    still be reached. `frame_s` is what a frame takes; 0 before the second, as the first one also loads or compiles
+    code.
     """
 
     def __init__(self, starts: Sequence[int], frame_count: int, rate_hz: float) -> None:
@@ -69,11 +64,7 @@ class Pace:
         self._latest = frame
 
     def in_time(self, frame: int, stop: int, media_s: float, speed: float) -> int:
-        """The first frame from `frame` on that can be ready at its time; `stop` where none is before that.
-
-        Where `stop` lies within the medium and nothing before it can be ready, `frame` itself: holding one for so
-        long would hide that nothing can be played.
-        """
+        """The first frame from `frame` on that can be ready at its time; else `stop`, or `frame` where it goes on."""
         for at in range(frame, min(stop, frame + _MOST_TRIED)):
             left_s = (at / self._rate_hz - media_s) / speed
             if _SPARE * self.frame_s * self._needed(at) <= left_s or not self.frame_s:
@@ -100,13 +91,10 @@ def arena_words(source: FrameSource, memory_bytes: int) -> int:
 class Feeder:
     """Writes frames ahead of the servo; by `step` in the caller's thread, or in a thread of its own after `start`.
 
-    The first generation begins with the unrolled frame `first_frame`. ``reserve(words)`` sees to it that so many
-    words of the block can be written. With `is_timed` the time of publication is told, for the latency, and frames
-    that come too late are left out; ``clock_s()`` gives seconds for the time that they take. ``tell_stiffness(k)`` is
-    told the stiffest slope of each frame, N/m, before the frame is there.
-
-    `error` is what ended the feed, `decode_s` seconds that the latest frames took, `left_out` how many frames were
-    not decoded, because they would have come too late.
+    ``reserve(words)`` sees to it that so many words of the block can be written. With `is_timed` the time of
+    publication is told, and frames that come too late are left out. ``tell_stiffness(k)`` is told the stiffest slope
+    of each frame, N/m. `error` is what ended the feed, `decode_s` what the latest frames took, `left_out` how many
+    would have come too late.
     """
 
     def __init__(
@@ -256,8 +244,6 @@ class Feeder:
         while self._next < (int(self._memory.i8[W.NEEDS]) & _FRAME) + frames and self.step():
             pass
 
-    # -- in a thread of its own -------------------------------------------------------------------------------
-
     def start(self) -> None:
         """Feed from a thread until `close`."""
         self._thread = threading.Thread(target=self._run, name="touchfield-feeder", daemon=True)
@@ -289,47 +275,21 @@ _WORDS_PER_BRICK: Final = 1200
 _WORDS_BESIDE: Final = 1024
 
 
+@dataclass(frozen=True)
 class Prepared:
-    """A frame that is decoded: how many words it takes, how stiff it is, and how it is written.
+    """A frame that is decoded: how many words it takes, how stiff it is, and how it is written at a word."""
 
-    `pools` are of its own fields; `shared` tells where the fields lie that all frames share; `stretch` is how many
-    times stiffer a deformation makes them at most.
-    """
-
-    def __init__(
-        self,
-        parts: FrameParts,
-        frame: int,
-        pools: Mapping[FieldName, CellPool],
-        shared: Mapping[FieldName, int],
-        stretch: float = 1.0,
-    ) -> None:
-        self._parts, self._frame, self._pools, self._shared = parts, frame, pools, shared
-        self.words = sum(map(field_words, pools.values())) + parts.words
-        self.stiffest_n_per_m = stretch * stiffest_n_per_m(pools.values())
-
-    def write(self, memory: Memory, at: int) -> int:
-        """Write it at a word; the place of the frame, behind its own fields."""
-        places = dict(self._shared)
-        at = write_fields(memory, at, self._pools, places)
-        self._parts.write(memory, at, self._frame, places)
-        return at
+    words: int
+    stiffest_n_per_m: float
+    write: Callable[[Memory, int], int]  # the place of the frame, behind its own fields
 
 
 class FrameSource:
     """Frames by their number; with `is_blended` one segment goes over into the next (`segment_blend`).
 
-    Attributes
-    ----------
-    starts : tuple of int
-        Frames that need no frame before them to be decoded, ascending from 0; those after need all from there on.
-        Empty where every frame stands alone.
-    shared_words : int
-        What all frames share takes so many words.
-    stiffest_n_per_m : float
-        Of the fields that all frames share.
-    most_words : int
-        No frame takes more words than so many beside that.
+    `starts` are frames that need no frame before them to be decoded, ascending from 0, those after need all from
+    there on; empty where every frame stands alone. `shared_words` is what all frames share, `stiffest_n_per_m` of
+    those fields, and beside that no frame takes more than `most_words`.
     """
 
     def __init__(
@@ -396,7 +356,15 @@ class FrameSource:
         """Decode a frame."""
         names = [name for name in self._parts.names(frame) if not self._parts.is_shared(name)]
         pools = {name: self._parts.cells(name) for name in names}
-        return Prepared(self._parts, frame, pools, self._places, self._stretch)
+
+        def write(memory: Memory, at: int) -> int:
+            places = dict(self._places)
+            at = write_fields(memory, at, pools, places)
+            self._parts.write(memory, at, frame, places)
+            return at
+
+        words = sum(map(field_words, pools.values())) + self._parts.words
+        return Prepared(words, self._stretch * stiffest_n_per_m(pools.values()), write)
 
 
 def _starts(medium: HapticMedium | HapticScene) -> tuple[int, ...]:

@@ -403,10 +403,7 @@ class Session:
         self.order(memory, mode=mode)
 
     def _adapt(self, memory: Memory, stiffness_n_per_m: float) -> None:
-        """Choose damping and coupling anew for a frame that is stiffer than those before; the ticks follow slowly.
-
-        A proxy's walls have one stiffness, whatever the slopes of the field.
-        """
+        """Choose damping and coupling anew for a frame that is stiffer than those before; the ticks follow slowly."""
         if stiffness_n_per_m <= self._stiffest_n_per_m or (self._wall is not None and self._stability is not None):
             return
         self._stiffest_n_per_m = stiffness_n_per_m

@@ -21,17 +21,10 @@ class PointDevice(ABC):
     """A point that a hand moves, in the device's own axes.
 
     Used by one thread, within the servo's process: it is made there, by a callable that can be pickled.
-
-    Attributes
-    ----------
-    is_paced : bool
-        Whether `position_m` waits for the device and so sets the rate of the loop.
-    is_driven : bool
-        Whether the vendor's driver calls us: then `drive` is used, and neither `position_m` nor `put_force_n`.
     """
 
-    is_paced: ClassVar[bool] = False
-    is_driven: ClassVar[bool] = False
+    is_paced: ClassVar[bool] = False  # whether `position_m` waits for the device and so sets the rate of the loop
+    is_driven: ClassVar[bool] = False  # whether the vendor's driver calls us, by `drive`: it asks for no position
 
     @abstractmethod
     def open(self) -> None:

@@ -44,19 +44,9 @@ class FieldSampler:
     last; with `loop` the last frame is followed by the first one, so that a round takes frame_count / rate_hz. One
     thread at a time; a batch itself runs on all cores.
 
-    Parameters
-    ----------
-    medium : HapticMedium or HapticScene
-        Objects of a scene are looked up in their own frames.
-    memory_bytes : int
-        For the latest frames, which are kept; as much twice more for those of `at`.
-    deformation : Deformation, optional
-        Bends a medium of voxels, by its tracks.
-
-    Raises
-    ------
-    InvalidArgument
-        From a query: if a time is not finite, shapes do not fit, or two frames do not fit into the memory allowed.
+    `memory_bytes` are for the latest frames, which are kept, and as much twice more for those of `at`; a
+    `deformation` bends a medium of voxels by its tracks. A query raises `InvalidArgument` if a time is not finite,
+    shapes do not fit, or two frames do not fit into the memory allowed.
     """
 
     def __init__(
@@ -78,15 +68,9 @@ class FieldSampler:
         self._point: Any = None
 
     def force_n(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> Float32s:
-        """Force, newtons, float32 [..., 3].
+        """Force, newtons, float32 [..., 3], at points float [..., 3], metres; one that is not finite has none.
 
-        Parameters
-        ----------
-        time_s : float or float [...]
-            Seconds; one for all points, or one for each.
-        points_m : float [..., 3]
-            Metres; a point that is not finite has no force.
-        loop : bool
+        `time_s`, seconds, is one time for all points, or one for each.
         """
         from touchfield.render.kernels import points as kernels
 
@@ -292,11 +276,7 @@ class DeviceSampler:
 
     The frames about an instant are made by the processor and copied once; points and forces are not copied.
 
-    Parameters
-    ----------
-    medium : HapticMedium or HapticScene
-    memory_bytes : int
-        For frames, as of `FieldSampler`.
+    `memory_bytes` are for frames, as of `FieldSampler`.
     """
 
     def __init__(self, medium: HapticMedium | HapticScene, memory_bytes: int = 256 << 20) -> None:
@@ -305,12 +285,10 @@ class DeviceSampler:
         self._views: tuple[Any, ...] = ()
 
     def force_n(self, time_s: float, points_m: Any, loop: bool = False) -> Any:
-        """Force, newtons, float32 [n, 3], on the device.
+        """Force, newtons, float32 [n, 3], on the device, with a ``__cuda_array_interface__``.
 
-        points_m : float64 [n, 3], metres: an array on a GPU of any library (``__dlpack__`` or
-            ``__cuda_array_interface__``), or one of NumPy, which is copied there.
-
-        The result has a ``__cuda_array_interface__``. Raises `InvalidArgument` for another shape or type.
+        Points, float64 [n, 3] in metres, are an array on a GPU of any library (``__dlpack__`` or
+        ``__cuda_array_interface__``), or one of NumPy, which is copied there; `InvalidArgument` for others.
         """
         from touchfield.cuda import empty, for_each, on_device
         from touchfield.render.kernels.points import forces_at_points

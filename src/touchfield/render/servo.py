@@ -29,8 +29,7 @@ from touchfield.render.point_device import Point, PointDevice
 
 Opener = Callable[[], PointDevice]  # makes the device, not yet open; can be pickled
 _WATCH_S: Final = 0.01
-_MOST_SILENT_S: Final = 2.0
-"""A driver that does not call for so long is taken for dead."""
+_MOST_SILENT_S: Final = 2.0  # A driver that does not call for so long is taken for dead
 
 
 class WallClock:
@@ -65,10 +64,7 @@ Clock = WallClock | VirtualClock
 
 
 class Grip:
-    """Traffic between a device and the block beside its place: orientation, buttons, gripper; force and torque.
-
-    A device that does not tell these is not asked, and gets its force alone.
-    """
+    """Traffic between a device and the block beside its place; a device that tells no more is not asked for it."""
 
     def __init__(self, memory: Memory, device: PointDevice) -> None:
         self._f8, self._i8, self._device = memory.f8, memory.i8, device
@@ -113,8 +109,7 @@ class Grip:
 def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable[[], bool]) -> None:
     """Open a device and serve it until a stop has brought the force to zero; closes it in any case.
 
-    `memory` is laid out, with the first order in it; `must_stop` is asked before each tick. What the device raises
-    is raised after the force was brought to zero, as far as it listens.
+    `must_stop` is asked before each tick. What the device raises is raised once the force is zero.
     """
     from touchfield.render.kernels.tick import cycle
 
@@ -265,17 +260,11 @@ def warm_up(memory: Memory) -> None:
     cycle(*mute.views, 0.0, 0.0, 0.0, 1 << 40)
 
 
-# -- punctual -------------------------------------------------------------------------------------------------
-
-
 def prefer(is_realtime: bool = True) -> dict[str, str]:
     """Make this process punctual; what was had is told, and what was not is no error.
 
-    The collector is switched off, wake-ups are not put together with others, and with `is_realtime` the process is
-    scheduled under SCHED_FIFO, its memory stays where it is, and until it ends processors do not fall asleep: one
-    that sleeps wakes late, and in a virtual machine only when the host finds a place for it (milliseconds where
-    others want the host, too). What comes back is ``priority``, "SCHED_FIFO 50" or "normal" and why; ``memory``,
-    "locked" or "not locked" and why; ``processors``, "kept awake" or "may sleep" and why.
+    No collector, wake-ups by themselves, and with `is_realtime` SCHED_FIFO, locked memory, and processors that stay
+    awake until it ends. ``priority``, ``memory`` and ``processors`` tell what there is, or why not.
     """
     gc.collect()
     gc.disable()
@@ -324,9 +313,6 @@ def _awake() -> str:
     return "kept awake"
 
 
-# -- its end ---------------------------------------------------------------------------------------------------
-
-
 def _zero(opener: Opener, pipe: Connection) -> None:
     try:
         device = opener()
@@ -342,10 +328,7 @@ def _zero(opener: Opener, pipe: Connection) -> None:
 
 
 def zero_afresh(opener: Opener) -> str:
-    """Zero through a fresh connection, where a servo is gone without it; a note that tells how it went.
-
-    The opener is called once more in a process of its own, which gets no longer than `_LONGEST_S` and is then ended.
-    """
+    """Zero through a fresh connection from a process of its own, where a servo is gone without; how it went."""
     context = multiprocessing.get_context("spawn")
     mine, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_zero, args=(opener, theirs), name="touchfield-zero", daemon=True)
@@ -368,10 +351,7 @@ def zero_afresh(opener: Opener) -> str:
 
 
 def is_waiting(pid: int) -> bool:
-    """True if no thread of a process runs or could run, and where the system does not tell.
-
-    A process that could run has only not got the processor, as on a machine with too much to do.
-    """
+    """True if no thread of a process runs or could run, and where the system does not tell."""
     try:
         for one in Path(f"/proc/{pid}/task").iterdir():
             if (one / "stat").read_text().rpartition(")")[2].split()[0] == "R":
@@ -382,11 +362,10 @@ def is_waiting(pid: int) -> bool:
 
 
 class ServoProcess:
-    """The process as its parent holds it.
+    """The process as its parent holds it; the block is laid out, with the first order in it.
 
-    The block is laid out, with the first order in it; its name is taken away once the process has it. The opener
-    makes the device, in the process. `report` tells scheduling class and memory, once it is ready; `error` is what
-    ended it; `is_done`: it ended in order; `is_lost`: without having brought the force to zero.
+    `report` is that of `prefer`, once it is ready; `error` is what ended it; `is_done`: it ended in order; `is_lost`:
+    without having brought the force to zero.
     """
 
     def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
@@ -414,10 +393,7 @@ class ServoProcess:
         return self._process.pid
 
     def notice(self, ticks: int, has_released: bool) -> None:
-        """Notice that no tick came since long ago: the device hangs; the process is ended.
-
-        So many `ticks` came so far; none need come where the force was brought to zero (`has_released`).
-        """
+        """End the process of a device that hangs: no tick has come since long ago, and the force is not at zero."""
         now_s = time.monotonic()
         is_over = self._is_joined or self.error or self.is_done or not self._process.is_alive()
         if ticks != self._ticks or has_released or is_over:

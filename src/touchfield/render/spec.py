@@ -33,9 +33,7 @@ Triple = tuple[float, float, float]
 
 PEAK_RISE_S: Final = 0.005  # a slew limit that is not given lets the force rise from zero to its peak in this time
 _LEAST_N: Final = 1e-6
-_MOST_N: Final = 1e6
-"""A limit out of this range is a mistake; within it no square of a force or torque is lost."""
-
+_MOST_N: Final = 1e6  # A limit out of this range is a mistake; within it no square of a force or torque is lost
 _FROM_ZERO: Final = ("force_scale", "friction", "damping_n_s_per_m", "coupling_n_per_m")
 _NUMBERS: Final = (
     *("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz", "wall_n_per_m"),
@@ -49,88 +47,35 @@ _NUMBERS: Final = (
 class RenderSpec:
     """Wishes of a receiver to the renderer; every default is safe for a hand.
 
-    Parameters
-    ----------
-    rate_hz : float
-        Ticks a second.
-    friction, damping_n_s_per_m : float or None
-        mu and b of paper 3.2; None takes those of the medium. With a b that is given there is no other damping.
-    slip_speed_m_s : float
-        v_s of `touchfield.filters.contact`.
-    coupling_n_per_m : float or None
-        Stiffness of a virtual coupling between hand and field; 0: none, the field acts on the hand directly. None
-        chooses as `damping_n_s_per_m` does: what device and medium need to be stable (`render.spec`).
-    passivity : bool
-        Whether the time-domain passivity controller takes out what energy the loop made.
-    scale : float
-        Metres of the field for one metre of the device.
-    clutch_m : (float, float, float)
-        Point of the field that lies at the device's origin, metres, in the field's axes.
-    force_scale : float
-        Newtons of the device for one newton of the field.
-    gravity_n : (float, float, float)
-        A steady force added for the weight of the handle, newtons, in the device's axes.
-    peak_n, continuous_n : float or None
-        Limits of |F|; None takes those of the device (no continuous limit where it states none).
-    slew_n_per_s : float or None
-        Limit of |dF/dt|; None lets the force rise to its peak in 5 ms.
-    thermal_s : float
-        Time constant of the heat budget that lets the force exceed the continuous limit for a while, seconds.
-    ramp_s : float
-        In which the force goes to zero when the feed stalls, and comes back.
-    velocity_cutoff_hz : float
-        Of the low-pass on the velocity that is estimated from positions.
-    blend : bool
-        Whether one segment of a stream goes over into the next (`touchfield.render.segment_blend`).
-    render : str
-        "proxy": what the hand is pressed into holds, however thin (`kernels.proxy`); "field": the
-        force that is stored where the hand is; "auto": the proxy where the field is a wall's and no coupling is
-        asked for (docs/decisions/0014).
-    wall_n_per_m : float or None
-        Stiffness of the proxy's spring; None takes that of the field.
-    tool : Tool or None
-        What the hand holds into the field; None: a point.
-    peak_nm, continuous_nm, slew_nm_per_s : float or None
-        Limits of the torque, as those of the force; a device that states none gets none.
-    up : str
-        Axis of the field that is up for the hand, one of `axes.UPS`.
-    materials : tuple of Material or None
-        What surfaces are made of (`render.material`); None takes those that travel with the medium.
-    deformation : Deformation or None
-        Bends the medium by tracks, or lets it yield (`medium.deformation`); the field is rendered as it is then.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range or not finite, or a tool is asked for together with a coupling.
+    `InvalidArgument` if a number is out of range or not finite, or a tool is asked for together with a coupling.
     """
 
-    rate_hz: float = 1000.0
-    friction: float | None = None
-    damping_n_s_per_m: float | None = None
-    slip_speed_m_s: float = 0.001
-    coupling_n_per_m: float | None = None
-    passivity: bool = False
-    scale: float = 1.0
-    clutch_m: Triple = (0.0, 0.0, 0.0)
-    force_scale: float = 1.0
-    gravity_n: Triple = (0.0, 0.0, 0.0)
-    peak_n: float | None = None
-    continuous_n: float | None = None
-    slew_n_per_s: float | None = None
-    thermal_s: float = 1.0
-    ramp_s: float = 0.02
-    velocity_cutoff_hz: float = 100.0
-    blend: bool = True
-    render: str = "auto"
-    wall_n_per_m: float | None = None
-    tool: Tool | None = None
-    peak_nm: float | None = None
+    rate_hz: float = 1000.0  # ticks a second
+    friction: float | None = None  # mu and b of paper 3.2; None: those of the medium
+    damping_n_s_per_m: float | None = None  # where it is given there is no other damping
+    slip_speed_m_s: float = 0.001  # v_s of `touchfield.filters.contact`
+    coupling_n_per_m: float | None = None  # between hand and field; 0: none; None: what is needed to be stable
+    passivity: bool = False  # whether the controller in the time domain takes out what energy the loop made
+    scale: float = 1.0  # metres of the field for one metre of the device
+    clutch_m: Triple = (0.0, 0.0, 0.0)  # point of the field that lies at the device's origin, the field's axes
+    force_scale: float = 1.0  # newtons of the device for one newton of the field
+    gravity_n: Triple = (0.0, 0.0, 0.0)  # a steady force for the weight of the handle, the device's axes
+    peak_n: float | None = None  # of |F|; None: that of the device
+    continuous_n: float | None = None  # of |F| in the long run; None: that of the device, if it states one
+    slew_n_per_s: float | None = None  # of |dF/dt|; None: to the peak in 5 ms
+    thermal_s: float = 1.0  # time constant of the heat that lets the force exceed the continuous limit for a while
+    ramp_s: float = 0.02  # in which the force goes to zero when the feed stalls, and comes back
+    velocity_cutoff_hz: float = 100.0  # of the low-pass on the velocity that is estimated from positions
+    blend: bool = True  # whether one segment of a stream goes over into the next (`render.segment_blend`)
+    render: str = "auto"  # "proxy", "field", or the proxy where it is a wall's (docs/decisions/0014)
+    wall_n_per_m: float | None = None  # stiffness of the proxy's spring; None: that of the field
+    tool: Tool | None = None  # that the hand holds into the field; None: a point
+    peak_nm: float | None = None  # limits of the torque, as those of the force
     continuous_nm: float | None = None
     slew_nm_per_s: float | None = None
-    up: str = "auto"
-    materials: tuple[Material, ...] | None = None
-    deformation: Deformation | None = None
+    up: str = "auto"  # axis of the field that is up for the hand, one of `point_device.UPS`
+    materials: tuple[Material, ...] | None = None  # None: those that travel with the medium
+    deformation: Deformation | None = None  # bends the medium, or lets it yield; it is rendered as a field then
 
     def __post_init__(self) -> None:
         for name in _NUMBERS:
@@ -159,12 +104,10 @@ class RenderSpec:
 def write_parameters(
     memory: Memory, spec: RenderSpec, device: Device, medium_friction: float, medium_damping: float, field_axes: str
 ) -> tuple[str, ...]:
-    """Write the parameters of the ticks to come, and begin their state anew: no force, gain zero, no heat.
+    """Write the parameters of the ticks to come, and begin their state anew; notes for the user.
 
-    Not while a servo runs. `device` is a point (type 1); mu, b in N s/m and axes are those of the medium, the first
-    two taken where `spec` gives none. What comes back are notes for the user, on axes that could not be followed and
-    limits that cannot be held up. `InvalidArgument` if a limit of `spec` is beyond the device's, or a coefficient of
-    the medium is not finite or negative; `DeviceError` if the device is no point, or states no force.
+    Not while a servo runs; mu and b of the medium are taken where `spec` gives none. `InvalidArgument` if a limit is
+    beyond the device's or a coefficient negative or not finite; `DeviceError` if it is no point, or states no force.
     """
     if device.is_array:
         raise DeviceError(device.name, "a type 2 device", "a type 1 device: a point that the hand moves")
@@ -249,11 +192,17 @@ _INERTIA_KG: Final = 0.045
 
 _HAND_KG: Final = 0.05
 _MARGIN: Final = 2.0
-_TURN: Final = 0.4
-"""(w L)^2 of the swing of hand and wall, in which the damper comes late by L."""
+_TURN: Final = 0.4  # (w L)^2 of the swing of hand and wall, in which the damper comes late by L
 _STEP_N: Final = 0.035
-_FELT: Final = 0.92
-"""Of what Colgate's rule allows the bare device: at least so much is felt."""
+_FELT: Final = 0.92  # Of what Colgate's rule allows the bare device: at least so much is felt
+
+
+# A force that is sampled, held and late by d is -K x (t - T/2 - d) for slow movements: beside the spring a negative
+# damper of K (T/2 + d), which the device must bear (Colgate and Schenkel 1997). The renderer brakes with
+# B = 2 K (T/2 + d) - b in contact, along the force, never with more than that force (`kernels.effects.braked`). The
+# damper lags by L: against a mass m (the device and a light hand) B is kept below m / 2L and K below 0.4 m / L^2. One
+# step of the encoder moves the force by q (K + B / T share): below 35 mN and twice the friction (Diolaiti 2006).
+# A stiffer field is felt through a coupling; but what Colgate's rule allows the bare device is felt within 8 %.
 
 
 @dataclass(frozen=True)
@@ -271,11 +220,7 @@ def delay_s(device: Device) -> float:
 
 
 def stability_of(device: Device, spec: RenderSpec, medium_damping: float, stiffest_n_per_m: float) -> Stability:
-    """Damper in contact and coupling for a field of this stiffest slope; what `spec` states stays as it is.
-
-    `medium_damping`, N s/m, is everywhere in the medium: so much less is needed in contact. The slope is along the
-    field's force.
-    """
+    """Damper in contact and coupling for a field of this stiffest slope; what `spec` states stays as it is."""
     tick, late = 1 / spec.rate_hz, delay_s(device)
     scale = spec.scale * spec.force_scale
     k, own = scale * stiffest_n_per_m, device.damping_n_s_per_m or 0.0
@@ -319,10 +264,7 @@ _SHARE: Final = 1e-3  # of the cells that push back may be stiffer: edges, corne
 
 
 def stiffest_n_per_m(pools: Iterable[CellPool]) -> float:
-    """Growth of a force with a way against it, N/m: what one cell in a thousand of a field passes, at the most.
-
-    It is what a wall of the field asks of the loop. `pools` are of one field each, in their own frames.
-    """
+    """Growth of a force with a way against it, N/m: what one cell in a thousand of a field passes, at the most."""
     from touchfield.render.kernels.points import BINS, count_slopes, slope_of_bin
 
     stiffest = 0.0
@@ -359,9 +301,8 @@ class Wall:
 def wall_of(field: ForceField) -> Wall | None:
     """The wall that a field tells of; None where most of it does not grow against its force, as a steady pull.
 
-    A penalty force grows against itself: a sample farther out it is less by K for each metre, and points alike. Where
-    most samples do so the field is a wall's; its stiffness is that of the steeper ones, as edges, thin walls and the
-    low-pass lessen it.
+    Where most samples are less by K for each metre farther out and point alike it is a wall's; its stiffness is that
+    of the steeper ones, as edges, thin walls and the low-pass lessen it.
     """
     sizes = np.linalg.norm(field.forces_n, axis=-1)
     if not sizes.any():
@@ -387,10 +328,7 @@ def wall_of(field: ForceField) -> Wall | None:
 
 
 def stated_n_per_m(provenance: Mapping[str, str]) -> float | None:
-    """The stiffness that a medium's provenance states for its walls; None where it states none that could be.
-
-    That is taken before what the field tells: a thin wall is as hard as a thick one.
-    """
+    """The stiffness that a medium's provenance states for its walls; None where it states none that could be."""
     try:
         spec = json.loads(provenance.get("spec", "{}"))
         stated = float(spec["stiffness_n_per_m"]) if spec["law"] == "penalty" else math.nan

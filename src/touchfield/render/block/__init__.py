@@ -1,9 +1,9 @@
-"""The block itself: its views, the file by which two processes share it, and what lies where behind its fixed places.
+"""The block that player and servo share: its views and file, what lies where, and the record of a run in it.
 
-A file of its own name rather than `multiprocessing.shared_memory`: where the system allows it, the name is taken away
-as soon as both have opened it, so that nothing is left behind whichever process is killed; room is reserved before it
-is written, so that a full ``/dev/shm`` is an error and not a crash; and a view that somebody still holds keeps the
-memory alive instead of raising when the block is closed.
+A file of its own name rather than `multiprocessing.shared_memory`: the name is taken away as soon as both have opened
+it, so that nothing is left behind whichever process is killed; room is reserved before it is written, so that a full
+``/dev/shm`` is an error and not a crash; a view that somebody still holds keeps the memory alive. A row of the log is
+written by every tick and never waits: where nobody drains, the oldest are lost, and the loss is counted.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import os
 import tempfile
 from collections import deque
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,22 +27,15 @@ from touchfield.errors import InvalidArgument
 from touchfield.render.block import words as W
 
 PREFIX: Final = "touchfield-servo-"
-_STEP_BYTES: Final = 1 << 22
-"""Room is reserved in steps of this size."""
-
+_STEP_BYTES: Final = 1 << 22  # Room is reserved in steps of this size
 DEFAULT_BYTES: Final = 1 << 28  # what frames that are decoded ahead may take
 LOG_ROWS: Final = 8192
-SLOTS: Final = 256
-"""Frames in the directory, a power of two: those that are there at one time."""
+SLOTS: Final = 256  # Frames in the directory, a power of two: those that are there at one time
 
 
 @dataclass(frozen=True)
 class Memory:
-    """One block as four views of the same bytes, in the order in which every kernel takes them.
-
-    Compiled code gets these, so that it can be called from Python and from a vendor's driver, which knows nothing
-    but an address.
-    """
+    """One block as four views of the same bytes, in the order in which every kernel takes them."""
 
     i8: Int64s
     u8: NDArray[np.uint64]
@@ -70,9 +64,6 @@ class Memory:
     def words(self) -> int:
         """Their number."""
         return len(self.i8)
-
-
-# -- shared by two processes ------------------------------------------------------------------------------------
 
 
 def shared_folder() -> Path:
@@ -151,52 +142,32 @@ def _no_room(needed: int) -> InvalidArgument:
     )
 
 
-# -- what lies where --------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
 class Layout:
-    """Sizes and places of the parts of one block: behind `words.FREE` directory, log, tool, materials, yields, arena.
+    """Places of the parts of one block: behind `words.FREE` directory, log, tool, materials, yields, arena.
 
     The arena begins with what all frames share (fields of rigid bodies); the rest of it is a `Ring` of frames.
     """
 
-    arena_words: int
-    slots: int = SLOTS
-    log_rows: int = LOG_ROWS
-    tool_words: int = 0
-    material_words: int = 0
-    yield_words: int = 0
-
-    @property
-    def log(self) -> int:
-        """Its first word."""
-        return W.FREE + W.DIRECTORY_WORDS * self.slots
-
-    @property
-    def tool(self) -> int:
-        """Its first word."""
-        return self.log + W.ROW_WORDS * self.log_rows
-
-    @property
-    def material(self) -> int:
-        """Its first word."""
-        return self.tool + self.tool_words
-
-    @property
-    def yields(self) -> int:
-        """Its first word."""
-        return self.material + self.material_words
-
-    @property
-    def arena(self) -> int:
-        """Its first word."""
-        return self.yields + self.yield_words
-
-    @property
-    def words(self) -> int:
-        """Of the whole block."""
-        return self.arena + self.arena_words
+    def __init__(
+        self,
+        arena_words: int,
+        slots: int = SLOTS,
+        log_rows: int = LOG_ROWS,
+        tool_words: int = 0,
+        material_words: int = 0,
+        yield_words: int = 0,
+    ) -> None:
+        self.slots, self.log_rows = slots, log_rows
+        sizes = (
+            W.DIRECTORY_WORDS * slots,
+            W.ROW_WORDS * log_rows,
+            tool_words,
+            material_words,
+            yield_words,
+            arena_words,
+        )
+        ends = accumulate(sizes, initial=W.FREE)
+        _, self.log, self.tool, self.material, self.yields, self.arena, self.words = ends
 
     def write(self, memory: Memory, frame_count: int, frame_rate_hz: float, is_loop: bool, rate_hz: float) -> None:
         """Fill the words of CONTROL that are set once, and empty the directory; `rate_hz` is that of the ticks."""
@@ -287,10 +258,7 @@ sign of life from the player; paused."""
 
 
 class TickLog:
-    """Rows taken out of the ring, at most `rows` of them kept, the oldest given up first.
-
-    `lost` are those that were overwritten before they were taken, or given up since.
-    """
+    """Rows taken out of the ring, the latest `rows` of them kept; `lost` are those overwritten or given up."""
 
     def __init__(self, memory: Memory, rows: int) -> None:
         self._memory: Memory | None = memory
@@ -361,10 +329,8 @@ def statistics_of(memory: Memory) -> dict[str, Any]:
         **{name: int(i8[place]) for name, place in _COUNTS.items()},
         "stalled_share": float(i8[W.STALLED_TICKS] / max(i8[W.PLAYED_TICKS], 1)),
     }
-    for name, at, worst in (
-        ("jitter", W.PERIODS, W.WORST_PERIOD_NS),
-        ("lateness", W.LATENESSES, W.WORST_LATENESS_NS),
-    ):
+    histograms = ("jitter", W.PERIODS, W.WORST_PERIOD_NS), ("lateness", W.LATENESSES, W.WORST_LATENESS_NS)
+    for name, at, worst in histograms:
         bins = i8[at : at + W.TIME_BINS + 1].copy()
         for percent, share in (("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999)):
             counts[f"{name}_{percent}_us"] = _quantile_us(bins, share, 1e-3 * float(i8[worst]))

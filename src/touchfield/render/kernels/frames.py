@@ -1,8 +1,9 @@
-"""Compiled: where a bent medium is looked up, how that turns its force, and how it yields (`medium.deformation`).
+"""Compiled: the force at a point between two frames of the block, where a deformation bends it, and how it yields.
 
-The lattice of control points lies in the block behind the parts of a frame (`block.words`, WARP); what yields lies
-apart, for the ticks alone to write. A query takes the 64 control points about it, those of two frames blended and of
-what yields added, and sums them with the weights and slopes of a cubic B-spline. Nothing is allocated.
+All that a tick asks of the field: force, gradient, vibration. Nothing is allocated. A coordinate that is not finite,
+or out of all bounds, fails the test of the field's box and gives zero. The lattice of a deformation lies behind the
+parts of a frame (`block.words`, WARP), what yields apart; a query sums the 64 control points about it with the
+weights and slopes of a cubic B-spline.
 """
 
 from __future__ import annotations
@@ -122,11 +123,7 @@ def _control(i8, f8, a, b, blend, i, j, k):
 
 @njit(**UNCOUNTED, cache=True)
 def give_way(i8, f8, frame, p, force, dt):
-    """Let the control points of what yields follow a force at a point for a tick of `dt` seconds.
-
-    Those about the point go to where u there would be the compliance times the force, all others back to rest, each
-    with the same time constant, and none farther than keeps the map from folding.
-    """
+    """Let the control points of what yields follow a force at a point for `dt` seconds, and all others go to rest."""
     warp = warp_of(i8, frame)
     soft = i8[np.uint64(warp + W.WARP_YIELD)] if warp > 0 else 0
     if soft <= 0:
@@ -166,9 +163,6 @@ _1, _2 = np.uint64(1), np.uint64(2)
 _BY, _BZ = np.uint64(W.FIELD_BOX + 1), np.uint64(W.FIELD_BOX + 2)
 
 UNTURNED = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-
-
-# -- one field at a point of its own frame --------------------------------------------------------------------------
 
 
 @njit(**UNCOUNTED, forceinline=True)
@@ -237,9 +231,6 @@ def slopes(f4, o, f):
     return c + fy * (d - c) - (a + fy * (b - a)), (b - a) + fx * ((d - c) - (b - a)), low + fx * (high - low)
 
 
-# -- one part: where it lies, how it is turned, what its motion adds ------------------------------------------------
-
-
 @njit(**UNCOUNTED, forceinline=True)
 def ends(frame_a, frame_b, blend):
     """The same instant with blend 0 wherever one frame alone tells it; beyond 0 and 1 the nearer frame."""
@@ -294,9 +285,6 @@ def motion(f8, a, b, blend, d):
     return plus(mixed(f8, a + W.PART_MOTION, b + W.PART_MOTION, blend), cross(spin(f8, a, b, blend), d))
 
 
-# -- the force ------------------------------------------------------------------------------------------------------
-
-
 @njit(**UNCOUNTED, forceinline=True)
 def part_count(i8, frame_a, frame_b):
     """Bodies that both frames have."""
@@ -305,10 +293,7 @@ def part_count(i8, frame_a, frame_b):
 
 @njit(**UNCOUNTED, forceinline=True)
 def part_force(i8, u8, f8, f4, a, b, blend, d):
-    """Force of a part in the scene, its `arm` d away, without what its motion adds.
-
-    The loop goes over the field in the first frame and, if it is another one, that in the second.
-    """
+    """Force of a part in the scene, its `arm` d away, without what its motion adds; of one field or of two."""
     field, last = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
     is_turned = not i8[np.uint64(a + W.PART_IS_IDENTITY)] & i8[np.uint64(b + W.PART_IS_IDENTITY)]
     r = UNTURNED
@@ -365,13 +350,9 @@ def _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
 def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """F(x, t), newtons, between the frames at words `frame_a` (blend 0) and `frame_b` (blend 1); x in metres.
 
-    Trilinear in space. Of a part with the same field in both frames the pose alone is interpolated (its position
-    linearly, its quaternion linearly and made unit again); fields that differ are blended linearly in that pose.
+    Trilinear in space; the pose of a part is interpolated, and fields that differ are blended linearly in that pose.
     """
     return force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
-
-
-# -- its slope ------------------------------------------------------------------------------------------------------
 
 
 @njit(**UNCOUNTED, forceinline=True)
@@ -405,11 +386,9 @@ def _cut(column, share, u):
 
 @njit(**UNCOUNTED, cache=True)
 def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
-    """dF_i/dx_j of `force_at`, N/m, row by row: nine numbers.
+    """dF_i/dx_j of `force_at`, N/m, row by row; on a plane of a lattice that of the cell towards greater indices.
 
-    On a plane of a lattice, where the slope jumps, it is that of the cell towards greater indices. Where the sum is
-    cut to its limit, only the change of its direction is left. Where a deformation bends the field, it is J^T S J of
-    the slopes S there, J = I + grad u, and the force times the second slopes of u.
+    Where a deformation bends the field, it is J^T S J of the slopes S, J = I + grad u, and a term of u's second.
     """
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
     if warp_of(i8, frame_a) == 0:
@@ -457,16 +436,9 @@ def _plain_gradient(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     return p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2]
 
 
-# -- vibration ------------------------------------------------------------------------------------------------------
-
-
 @njit(**UNCOUNTED, cache=True)
 def vibration_at(i8, u8, f8, f4, frame, x, y, z):
-    """Amplitude, newtons, and frequency, Hz, of the vibration of a frame at a point, metres; (0, 0) where none is.
-
-    The amplitude is interpolated as a force is, with zero where nothing vibrates; the frequency is that of the
-    nearest of the cell's corners that vibrates.
-    """
+    """Amplitude, newtons, interpolated, and frequency, Hz, of the nearest corner that vibrates; zeros for none."""
     field = i8[np.uint64(frame + W.FRAME_VIBRATION)]
     if field == 0:
         return 0.0, 0.0

@@ -1,18 +1,16 @@
-"""One tick of the renderer, from the place of the device to its force (paper section 3.2, the last box of figure 4).
+"""One turn of the servo: time, orders and frames -> `tick` -> a force for the device, a row of the log, the counts.
 
     place -> axes, scale, clutch -> velocity -> proxy, or field, or coupling -> friction, damping -> vibration
           -> axes, force scale -> passivity -> gravity -> gain -> limits -> force
 
-`tick` and `release` are the only two that hand out forces, and both do so through `effects.limited`. They take the
-four views of the block, and leave in it what a log may want and the torque of a tool (`block.words`), whose way is
-that of the force.
+`tick` and `release` are the only two that hand out forces, and both do so through `effects.limited`. `cycle` is
+called by the Python loop of the servo and by the callback that a vendor's driver takes; it allocates nothing, waits
+for nothing, and takes nothing but views of the block. Without a frame or a place (or a turn) of the device the gain
+goes to zero in the time of the ramp, and the last force is let go.
 
-The gain goes to zero in the time that was asked for when there is no frame, or no place of the device that could be
-one, and comes back likewise: of a force that cannot be computed any more, the last one is let go. All of it follows,
-also the force for the weight of the handle.
-
-A grip that says no orientation (not finite, or no unit quaternion) is as a device that says no place: gain goes down,
-and of a torque that cannot be computed any more the last one is let go, within the limits.
+**The media clock** stands at the beginning and after a seek until the first frames are there. Where a later one is
+late there is no force, but the clock goes on; only where nothing more will come does it stand. Each word has one
+writer; a fence stands between what is told and the word that tells it.
 """
 
 from __future__ import annotations
@@ -54,12 +52,10 @@ _LEAST, _MOST = 0.81, 1.21  # of the square of a quaternion that was meant to be
 
 @njit(cache=True, nogil=True)
 def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
-    """The force of one tick, three numbers, newtons, the device's axes.
+    """The force of one tick, three numbers, newtons, the device's axes, for a device at (x, y, z), metres.
 
-    The first four are the block. `frame_a` and `frame_b` are places of the frames before and after this time, perhaps
-    the same; 0: there is none. `blend`, 0 to 1, goes from the one to the other. (x, y, z) is the place of the device,
-    metres, its axes; any floats (others are compiled anew). A `dt`, seconds since the tick before, that is not
-    positive and finite gives the force before once more.
+    `frame_a` and `frame_b` are places of the frames before and after this time, 0: there is none; `blend` goes from
+    the one to the other. A `dt`, seconds, that is not positive and finite gives the force before once more.
     """
     if not effects.has_passed(f8, dt):
         return three(f8, W.FORCE)
@@ -87,10 +83,7 @@ def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
 
 @njit(cache=True, nogil=True)
 def release(i8, u8, f8, f4, dt):
-    """The next force on the way to zero, three numbers, newtons, the device's axes; zero in the end and ever after.
-
-    It goes down in a straight line within the time of the ramp, or as fast as the slew limit allows.
-    """
+    """The next force on the way to zero within the ramp or the slew limit, newtons; zero for ever in the end."""
     if not effects.has_passed(f8, dt):
         return three(f8, W.FORCE)
     before = f8[W.GAIN]
@@ -159,9 +152,6 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
     axes = rows_of(f8, W.AXES)
     force = times(f8[W.FORCE_SCALE], turned_back(axes, plus(effects.braked(f8, force, v), drag)))
     return plus(effects.passive(f8, force, times(1.0 / f8[W.SCALE], turned_back(axes, v)), dt), three(f8, W.GRAVITY))
-
-
-# -- torque ---------------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True, nogil=True)
@@ -306,9 +296,7 @@ def _count_use(i8, frame, now_ns):
 
 @njit(cache=True, nogil=True)
 def frames_now(i8, f8, clock_s, now_ns, is_silent):
-    """Places of the frames before and after this instant, 0 where there is no force to be rendered; the share of the
-    second; and the first unrolled frame that may still be read.
-    """
+    """Places of the two frames of this instant, 0: no force; share of the second; first frame still to be read."""
     count, rate_hz = i8[W.FRAME_COUNT], f8[W.FRAME_RATE_HZ]
     media_s = _media_now(i8, f8, clock_s)
     wanted, following, blend = 0, 0, 0.0
@@ -397,11 +385,7 @@ def _write_row(i8, f8, clock_s, force, is_silent, is_stopping):
 
 @njit(cache=True, nogil=True)
 def cycle(i8, u8, f8, f4, x, y, z, now_ns):
-    """The force for the device at (x, y, z), in its own axes, at the time `now_ns` of the monotonic clock.
-
-    The first four are the views of one `Memory`; (x, y, z) are metres, and not finite is as no field. The force,
-    three floats, newtons, is within the device's limits; the torque is left in the block.
-    """
+    """The force, newtons, for the device at (x, y, z), metres, at `now_ns` of the clock; torque is in the block."""
     is_simulated, ticks = i8[W.IS_SIMULATED] != 0, i8[W.TICKS]
     _count_time(i8, now_ns)
     if is_simulated:
