@@ -81,22 +81,13 @@ class DrivesAhead:
         self._changed = threading.Condition()
         self._error: BaseException | None = None
         self._is_stopped = False
-        self._thread = threading.Thread(target=self._run, name="touchfield-array-ahead", daemon=True)
-
-    def start(self) -> None:
-        """Begin to decode."""
-        self._thread.start()
+        self.thread = threading.Thread(target=self._run, name="touchfield-array-ahead", daemon=True)
 
     def stop(self) -> None:
         """Decode no further frame."""
         with self._changed:
             self._is_stopped = True
             self._changed.notify_all()
-
-    def join(self, timeout_s: float) -> None:
-        """Wait for the end of the thread, after `stop`."""
-        if self._thread.is_alive():
-            self._thread.join(timeout_s)
 
     def wait_for(self, position: float) -> None:
         """Wait until what is shown at a position is there, or will never be."""
@@ -125,7 +116,10 @@ class DrivesAhead:
         before, after = ([one for one in shown if one is not None] * 2)[:2]
         share = np.float32(position - needed[0])
         drives = before[0] + share * (after[0] - before[0])
-        return np.clip(drives, np.float32(0), np.float32(1)), _nearest(before[1], after[1], float(share))
+        near, far = (before[1], after[1]) if share < 0.5 else (after[1], before[1])
+        if near is not None and far is not None:
+            near = np.where(near > 0, near, far)
+        return np.clip(drives, np.float32(0), np.float32(1)), far if near is None else near
 
     def _run(self) -> None:
         try:
@@ -136,7 +130,11 @@ class DrivesAhead:
                     if self._is_stopped or at is None:
                         return
                 frame = at % self._frames.frame_count
-                shown = self._checked(frame, self._frames.drives(frame)), self._frames.frequencies(frame)
+                drives = self._frames.drives(frame)
+                if drives.shape != self._shape:
+                    raise InvalidArgument(f"drives of frame {frame}", f"shape {drives.shape}", f"{self._shape}")
+                drives = np.clip(np.nan_to_num(drives, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float32)
+                shown = drives, self._frames.frequencies(frame)
                 with self._changed:
                     self._held[at] = shown
                     self._changed.notify_all()
@@ -166,19 +164,6 @@ class DrivesAhead:
             return [0]  # however often it is shown, it is made once
         is_last = (low + 1) % count == 0
         return [low] if is_last or low == position else [low, low + 1]
-
-    def _checked(self, frame: int, drives: Float32s) -> Float32s:
-        if drives.shape != self._shape:
-            raise InvalidArgument(f"drives of frame {frame}", f"shape {drives.shape}", f"{self._shape}")
-        bounded = np.clip(np.nan_to_num(drives, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
-        return bounded.astype(np.float32)
-
-
-def _nearest(before: Float32s | None, after: Float32s | None, share: float) -> Float32s | None:
-    near, far = (before, after) if share < 0.5 else (after, before)
-    if near is None or far is None:
-        return near if far is None else far
-    return np.where(near > 0, near, far)
 
 
 @dataclass(frozen=True)
@@ -225,7 +210,7 @@ class ArrayPlayer:
         self._ahead = DrivesAhead(frames, self._shape, self._first, self._stride, rate, loop)
         self._stop, self._begun, self._done = threading.Event(), threading.Event(), threading.Event()
         self._sender = threading.Thread(target=self._run, name="touchfield-array", daemon=True)
-        self._error: BaseException | None = None
+        self.error: BaseException | None = None  # that ended it early
         self._is_open = False
         self._sent = self._late = self._skipped = self._stalled = 0
         self._span_s = 0.0
@@ -238,13 +223,12 @@ class ArrayPlayer:
         try:
             self._device.open()
         except BaseException:
-            self._stop.set()
-            self._begun.set()
-            self._done.set()
+            for event in (self._stop, self._begun, self._done):
+                event.set()
             self._device.close()
             raise
         atexit.register(self.close)  # a program that ends without `close` must not leave an actuator on
-        self._ahead.start()
+        self._ahead.thread.start()
         self._sender.start()
 
     def wait(self, timeout_s: float | None = None) -> bool:
@@ -253,8 +237,8 @@ class ArrayPlayer:
         Raises what ended it, an error of the device or of the frames.
         """
         is_done = self._done.wait(timeout_s)
-        if is_done and self._error is not None:
-            raise self._error
+        if is_done and self.error is not None:
+            raise self.error
         return is_done
 
     def wait_begun(self, timeout_s: float | None = None) -> bool:
@@ -274,12 +258,8 @@ class ArrayPlayer:
         self._ahead.stop()
         if self._sender.is_alive():
             self._sender.join()
-        self._ahead.join(_LONGEST_CLOSE_S)
-
-    @property
-    def error(self) -> BaseException | None:
-        """The error that ended it early, or None."""
-        return self._error
+        if self._ahead.thread.is_alive():
+            self._ahead.thread.join(_LONGEST_CLOSE_S)
 
     @property
     def statistics(self) -> ArrayStatistics:
@@ -298,7 +278,7 @@ class ArrayPlayer:
         try:
             self._play()
         except BaseException as error:
-            self._error = error
+            self.error = error
         finally:
             self._ahead.stop()
             with suppress(Exception):  # a device that is gone cannot be told

@@ -284,7 +284,7 @@ class Prepared:
     write: Callable[[Memory, int], int]  # the place of the frame, behind its own fields
 
 
-class FrameSource:
+class FrameSource(FrameParts):
     """Frames by their number; with `is_blended` one segment goes over into the next (`segment_blend`).
 
     `starts` are frames that need no frame before them to be decoded, ascending from 0, those after need all from
@@ -300,11 +300,10 @@ class FrameSource:
         self.starts = _starts(medium)
         self._is_there = getattr(getattr(medium, "make_frame", None), "is_there", None)
         medium, self._blends = with_blends(medium) if is_blended else (medium, ())
-        self._parts = FrameParts(medium, deformation)
-        self.frame_count, self.rate_hz = self._parts.frame_count, self._parts.rate_hz
+        super().__init__(medium, deformation)
         self._stretch = 1.0 if deformation is None else deformation.most_stretch**2
-        names = self._parts.names(0)
-        self._rigid = {name: self._parts.cells(name) for name in names if self._parts.is_shared(name)}
+        names = self.names(0)
+        self._rigid = {name: self.cells(name) for name in names if self.is_shared(name)}
         self._places: dict[FieldName, int] = {}
         self.shared_words = sum(map(field_words, self._rigid.values()))
         self.stiffest_n_per_m = self._stretch * stiffest_n_per_m(self._rigid.values())
@@ -312,7 +311,7 @@ class FrameSource:
             own = [one.medium.grid for one in medium.objects if not one.is_rigid]
         else:
             own = [medium.grid] * len(names)
-        self.most_words = sum(map(_most_words, own)) + self._parts.words
+        self.most_words = sum(map(_most_words, own)) + self.words
 
     def wall(self) -> Wall | None:
         """The wall that the first frame tells of, or else the middle one; of bodies the stiffest.
@@ -320,13 +319,13 @@ class FrameSource:
         None where they cannot be decoded: who plays them is told.
         """
         for frame in (0, self.frame_count // 2):
-            names = [name for name in self._parts.names(frame) if name[0] != VIBRATION]
+            names = [name for name in self.names(frame) if name[0] != VIBRATION]
             try:
-                walls = [wall for name in names if (wall := wall_of(self._parts.field(name))) is not None]
+                walls = [wall for name in names if (wall := wall_of(self.field(name))) is not None]
             except TouchfieldError:
                 return None
             if walls:
-                stated = stated_n_per_m(self._parts.medium.provenance)
+                stated = stated_n_per_m(self.medium.provenance)
                 stiffness = stated or max(wall.stiffness_n_per_m for wall in walls)
                 level = min(wall.level_n for wall in walls)
                 if len(names) == 1:
@@ -334,10 +333,6 @@ class FrameSource:
                 finest = min(min(wall.spacing_m) for wall in walls)  # bodies turn
                 return Wall(stiffness, level, (finest, finest, finest))
         return None
-
-    def yield_at(self, word: int) -> None:
-        """Tell where in the block the displacements lie by which a deformation yields."""
-        self._parts.yield_at = word
 
     def write_shared(self, memory: Memory, at: int) -> None:
         """Write what all frames share."""
@@ -354,16 +349,16 @@ class FrameSource:
 
     def prepare(self, frame: int) -> Prepared:
         """Decode a frame."""
-        names = [name for name in self._parts.names(frame) if not self._parts.is_shared(name)]
-        pools = {name: self._parts.cells(name) for name in names}
+        names = [name for name in self.names(frame) if not self.is_shared(name)]
+        pools = {name: self.cells(name) for name in names}
 
         def write(memory: Memory, at: int) -> int:
             places = dict(self._places)
             at = write_fields(memory, at, pools, places)
-            self._parts.write(memory, at, frame, places)
+            self.write(memory, at, frame, places)
             return at
 
-        words = sum(map(field_words, pools.values())) + self._parts.words
+        words = sum(map(field_words, pools.values())) + self.words
         return Prepared(words, self._stretch * stiffest_n_per_m(pools.values()), write)
 
 

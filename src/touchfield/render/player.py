@@ -389,7 +389,7 @@ class Session:
         f8 = memory.f8
         if self._yield_words:
             f8[self.layout.yields : self.layout.yields + self._yield_words] = 0.0
-            source.yield_at(self.layout.yields)
+            source.yield_at = self.layout.yields
         if self._wall is not None:
             f8[W.WALL], f8[W.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n
             f8[W.WALL_SPACING : W.WALL_SPACING + 3] = self._wall.spacing_m

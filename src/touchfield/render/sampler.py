@@ -222,7 +222,13 @@ class PairsAhead:
         self._count = parts.frame_count
         self._parts = parts
         self._cells: dict[FieldName, CellPool] = {}  # of the pair made last
-        self._stores = [FrameStore(parts, memory_bytes, self._cells_of) for _ in range(2)]
+
+        def cells_of(name: FieldName) -> CellPool:
+            if name not in self._cells:
+                self._cells[name] = parts.cells(name)
+            return self._cells[name]
+
+        self._stores = [FrameStore(parts, memory_bytes, cells_of) for _ in range(2)]
         self._used = 0
         self._coming: tuple[tuple[int, int], Future[Place]] | None = None
 
@@ -248,11 +254,6 @@ class PairsAhead:
         self._cells = {name: cells for name, cells in self._cells.items() if name in names}
         return store.memory, first, second
 
-    def _cells_of(self, name: FieldName) -> CellPool:
-        if name not in self._cells:
-            self._cells[name] = self._parts.cells(name)
-        return self._cells[name]
-
     def settle(self) -> None:
         """Wait until nothing is made in the background."""
         if self._coming is not None:
@@ -261,14 +262,12 @@ class PairsAhead:
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-pairs", initializer=_stand_back)
+    def stand_back() -> None:  # when woken, not take the processor from the one that asks (4 ms of it, else)
+        if hasattr(os, "SCHED_BATCH"):
+            with suppress(OSError):
+                os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
-
-def _stand_back() -> None:
-    """Let this thread, when it is woken, not take the processor from the one that asks (4 ms of it, else)."""
-    if hasattr(os, "SCHED_BATCH"):
-        with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-pairs", initializer=stand_back)
 
 
 class DeviceSampler:

@@ -92,19 +92,6 @@ class Grip:
         else:
             self._device.put_force_n(*force_n)
 
-    def put_nothing(self) -> None:
-        """Put neither force nor torque."""
-        self._f8[W.TORQUE : W.TORQUE + 3] = 0.0
-        self.put((0.0, 0.0, 0.0))
-
-    @property
-    def held_s(self) -> float:
-        """The time in which what is held may go to zero, seconds."""
-        f8 = self._f8
-        force_s = math.hypot(*f8[W.FORCE : W.FORCE + 3]) / float(f8[W.SLEW])
-        torque = math.hypot(*f8[W.TORQUE : W.TORQUE + 3])
-        return max(force_s, torque / float(f8[W.TORQUE_SLEW])) if torque > 0 else force_s
-
 
 def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable[[], bool]) -> None:
     """Open a device and serve it until a stop has brought the force to zero; closes it in any case.
@@ -113,48 +100,46 @@ def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable
     """
     from touchfield.render.kernels.tick import cycle
 
-    memory.i8[W.IS_SIMULATED] = type(device).advance is not PointDevice.advance
-    memory.i8[W.IS_PACED] = device.is_paced or device.is_driven
+    i8, views, dt_s = memory.i8, memory.views, 1.0 / float(memory.f8[W.RATE_HZ])
+    is_paced, grip, at_m = device.is_paced, Grip(memory, device), (0.0, 0.0, 0.0)
+    i8[W.IS_SIMULATED] = type(device).advance is not PointDevice.advance
+    i8[W.IS_PACED] = is_paced or device.is_driven
     try:
         device.open()
         if device.is_driven:
             _watch(memory, device, must_stop)
-        else:
-            _serve(memory, device, clock, must_stop, cycle)
+            return
+        sleep_until, position_m = clock.sleep_until, device.position_m
+        try:
+            while not i8[W.RELEASED]:
+                now_ns = 0 if is_paced else sleep_until(int(i8[W.DEADLINE_NS]))
+                if must_stop():
+                    i8[W.STOP_HERE] = 1
+                at_m = position_m()
+                grip.read()
+                grip.put(cycle(*views, *at_m, clock.now_ns() if is_paced else now_ns))
+                device.advance(0.0 if i8[W.MODE] == W.IDLE else dt_s)
+        except BaseException:
+            _let_go(memory, device, grip, clock, cycle, at_m)
+            raise
     finally:
         device.close()
 
 
-def _serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable[[], bool], cycle: Any) -> None:
-    i8, views, dt_s = memory.i8, memory.views, 1.0 / float(memory.f8[W.RATE_HZ])
-    sleep_until, position_m, grip = clock.sleep_until, device.position_m, Grip(memory, device)
-    is_paced = device.is_paced
-    x = y = z = 0.0
-    try:
-        while not i8[W.RELEASED]:
-            now_ns = 0 if is_paced else sleep_until(int(i8[W.DEADLINE_NS]))
-            if must_stop():
-                i8[W.STOP_HERE] = 1
-            x, y, z = position_m()
-            grip.read()
-            grip.put(cycle(*views, x, y, z, clock.now_ns() if is_paced else now_ns))
-            device.advance(0.0 if i8[W.MODE] == W.IDLE else dt_s)
-    except BaseException:
-        _let_go(memory, device, grip, clock, cycle, (x, y, z))
-        raise
-
-
 def _let_go(memory: Memory, device: PointDevice, grip: Grip, clock: Clock, cycle: Any, at_m: Point) -> None:
     """Force and torque to zero, whatever the device says to it."""
-    i8, dt_s = memory.i8, 1.0 / float(memory.f8[W.RATE_HZ])
+    i8, f8, dt_s = memory.i8, memory.f8, 1.0 / float(memory.f8[W.RATE_HZ])
     i8[W.STOP_HERE] = 1
     ends_ns = clock.now_ns() + int(i8[W.RAMP_LIMIT_NS])
     while not i8[W.RELEASED]:
         now_ns = clock.sleep_until(int(i8[W.DEADLINE_NS]))
         if now_ns > ends_ns:  # it takes its time to answer; zero, but no sooner than the slew limit allows
-            clock.sleep_until(now_ns + math.ceil(1e9 * grip.held_s))
+            limits = ((W.FORCE, W.SLEW), (W.TORQUE, W.TORQUE_SLEW))
+            held = [(math.hypot(*f8[at : at + 3]), float(f8[slew])) for at, slew in limits]
+            clock.sleep_until(now_ns + math.ceil(1e9 * max(size / slew if size else 0.0 for size, slew in held)))
+            f8[W.TORQUE : W.TORQUE + 3] = 0.0
             with contextlib.suppress(Exception):
-                grip.put_nothing()
+                grip.put((0.0, 0.0, 0.0))
             return
         force = cycle(*memory.views, *at_m, now_ns)
         with contextlib.suppress(Exception):
@@ -187,28 +172,17 @@ def _watch(memory: Memory, device: PointDevice, must_stop: Callable[[], bool]) -
             time.sleep(_WATCH_S)
 
 
-_BEGIN_S: Final = 180.0
-"""In which interpreter and compiled code are loaded; on a fresh machine the code is compiled first."""
-
+_BEGIN_S: Final = 180.0  # in which interpreter and code are loaded; on a fresh machine the code is compiled first
 _SILENT_S: Final = 0.03  # without a tick for so long, a process that waits for something is one whose device hangs
 _MOST_STARVED_S: Final = 2.0  # the same of one that could run, and has only not got the processor
 FIFO_PRIORITY: Final = 50  # in the middle: above all ordinary processes, below what the kernel itself runs there
-_LATENCY: Final = "/dev/cpu_dma_latency"
-"""Linux: while it is open, no processor takes longer to wake than what was written, microseconds."""
-
+_LATENCY: Final = "/dev/cpu_dma_latency"  # while it is open, no processor takes longer to wake than was written, us
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4
 _PR_SET_TIMERSLACK: Final = 29
 
 _LONGEST_S: Final = 5.0  # in which a new interpreter starts, the device is opened, and zero is written
 _TERMINATE_S: Final = 3.0
 _KILL_S: Final = 2.0
-
-
-def _in_words(error: BaseException) -> tuple[bool, str, str, str, str]:
-    """An error as plain words, for the pipe."""
-    if not isinstance(error, TouchfieldError):
-        error = DeviceError("device", f"{type(error).__name__}: {error}")
-    return isinstance(error, InvalidArgument), error.where, error.found, error.expected, error.mend
 
 
 def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> None:
@@ -240,8 +214,11 @@ def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> Non
         serve(memory, device, WallClock(), must_stop)
         pipe.send(("done", None))
     except BaseException as error:
+        own = (
+            error if isinstance(error, TouchfieldError) else DeviceError("device", f"{type(error).__name__}: {error}")
+        )
         with contextlib.suppress(OSError):
-            pipe.send(("error", _in_words(error)))
+            pipe.send(("error", (isinstance(own, InvalidArgument), own.where, own.found, own.expected, own.mend)))
     finally:
         with contextlib.suppress(OSError):
             pipe.close()
@@ -251,8 +228,7 @@ def warm_up(memory: Memory) -> None:
     """Load the compiled code, or compile it, by ticks on a copy of the block without frames."""
     from touchfield.render.kernels.tick import cycle
 
-    log_words = int(memory.i8[W.ARENA])
-    mute = Memory.empty(max(log_words, W.FREE))
+    mute = Memory.empty(max(int(memory.i8[W.ARENA]), W.FREE))
     mute.i8[:] = memory.i8[: mute.words]
     for n in range(32):
         cycle(*mute.views, 0.0, 0.0, 0.0, 1 + n * int(mute.i8[W.TICK_NS]))
@@ -275,42 +251,22 @@ def prefer(is_realtime: bool = True) -> dict[str, str]:
     if not is_realtime:
         rest = {"memory": "not locked: not asked for", "processors": "may sleep: not asked for"}
         return {"priority": "normal: asked for", **rest}
-    return {"priority": _fifo(), "memory": _locked(), "processors": _awake()}
 
+    def lock() -> None:  # what was and will be touched of the block, which need not be there as a whole
+        if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_ONFAULT):
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
 
-def _fifo() -> str:
-    if not hasattr(os, "sched_setscheduler"):
-        return "normal: this system has no SCHED_FIFO"
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
-    except OSError as error:
-        return f"normal: SCHED_FIFO is not allowed ({error.strerror})"
-    return f"SCHED_FIFO {FIFO_PRIORITY}"
-
-
-def _locked() -> str:
-    if not sys.platform.startswith("linux"):
-        return "not locked: not on this system"
-    try:  # what is locked is what was and will be touched of the block: it need not be there as a whole
-        library = ctypes.CDLL(None, use_errno=True)
-        if library.mlockall(_MCL_CURRENT | _MCL_ONFAULT) == 0:
-            return "locked"
-        return f"not locked: {os.strerror(ctypes.get_errno())}"
-    except (OSError, AttributeError) as error:
-        return f"not locked: {error}"
-
-
-def _awake() -> str:
-    try:
-        latency = os.open(_LATENCY, os.O_WRONLY)  # to the end of the process
-    except OSError as error:
-        return f"may sleep: {error.strerror}"
-    try:
-        os.write(latency, struct.pack("i", 0))
-    except OSError as error:
-        os.close(latency)
-        return f"may sleep: {error.strerror}"
-    return "kept awake"
+    report = {"priority": f"SCHED_FIFO {FIFO_PRIORITY}", "memory": "locked", "processors": "kept awake"}
+    for key, otherwise, act in (
+        ("priority", "normal", lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))),
+        ("memory", "not locked", lock),  # on Linux alone, as its flags
+        ("processors", "may sleep", lambda: os.write(os.open(_LATENCY, os.O_WRONLY), struct.pack("i", 0))),
+    ):
+        try:
+            act()
+        except (OSError, AttributeError) as error:
+            report[key] = f"{otherwise}: {getattr(error, 'strerror', None) or 'not on this system'}"
+    return report
 
 
 def _zero(opener: Opener, pipe: Connection) -> None:
@@ -415,7 +371,17 @@ class ServoProcess:
         is_alive = self._process.is_alive()  # asked first: the words of one that is not are all there
         with contextlib.suppress(EOFError, OSError):
             while self._pipe.poll():
-                self._take(*self._pipe.recv())
+                kind, content = self._pipe.recv()
+                if kind == "attached":
+                    if os.name == "posix":
+                        self._block.unlink()
+                elif kind == "ready":
+                    self.is_ready, self.report = True, content
+                elif kind == "done":
+                    self.is_done = True
+                else:
+                    is_argument, *words = content
+                    self.error = (InvalidArgument if is_argument else DeviceError)(*words)
         if not is_alive and not self.is_done and self.error is None:
             self.is_lost = self.is_ready
             self.error = DeviceError(
@@ -424,18 +390,6 @@ class ServoProcess:
                 "a process that runs until it is told to stop",
                 "" if self.is_ready else 'Begin the player under `if __name__ == "__main__":` of your program.',
             )
-
-    def _take(self, what: str, content: Any) -> None:
-        if what == "attached":
-            if os.name == "posix":
-                self._block.unlink()
-        elif what == "ready":
-            self.is_ready, self.report = True, content
-        elif what == "done":
-            self.is_done = True
-        else:
-            is_argument, *words = content
-            self.error = (InvalidArgument if is_argument else DeviceError)(*words)
 
     def wait_ready(self) -> None:
         """Wait until the device is open; raises what it could not be opened for."""

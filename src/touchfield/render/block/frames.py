@@ -276,11 +276,6 @@ class FrameStore:
                 self._written[slot] = frame
         return self._slots[first], self._slots[second]
 
-    @property
-    def kept(self) -> list[FieldName]:
-        """The fields that are there, the least recently used first."""
-        return list(self._fields)
-
     def _room(self, words: int, needed: dict[FieldName, None]) -> int:
         """A place for so many words: free, or made by growing, or by letting older fields go."""
         if self._top + words > self.memory.words < self._bound:
