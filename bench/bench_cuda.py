@@ -20,8 +20,7 @@ from bench_query import SIDE, SPACING_M, field, path
 from machine import Bar, Figures, at_least, at_most, bench, figure, timed
 from touchfield import cuda
 from touchfield.medium import Grid, HapticMedium
-from touchfield.render.device_sampler import DeviceSampler
-from touchfield.render.sampler import FieldSampler
+from touchfield.render.sampler import DeviceSampler, FieldSampler
 from touchfield.sources.depth_scene import DepthScene, force_bricks, query_of
 from touchfield.sources.kernels import depth
 from touchfield.sources.laws import LawSpec, penalty

@@ -26,7 +26,7 @@ from touchfield.medium import ForceField
 from touchfield.perception.hand_motion import in_band, points_on_surface, slide_m, surface_walks
 from touchfield.render.block import words as W
 from touchfield.render.kernels.proxy import held
-from touchfield.render.walls import wall_of
+from touchfield.render.spec import wall_of
 from touchfield.sources.shapes import Box, Sphere
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render"))

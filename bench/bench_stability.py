@@ -33,8 +33,7 @@ from scipy.linalg import expm
 from machine import Bar, Figures, at_least, at_most, bench
 from touchfield.render.block import words as W
 from touchfield.render.kernels.tick import tick
-from touchfield.render.spec import RenderSpec
-from touchfield.render.walls import stability_of
+from touchfield.render.spec import RenderSpec, stability_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render"))
 from tick_makers import OMNI, Bench, wall

@@ -12,8 +12,7 @@ import numpy as np
 
 from touchfield.cuda import computing, on_host
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.render.device_sampler import DeviceSampler
-from touchfield.render.sampler import FieldSampler
+from touchfield.render.sampler import DeviceSampler, FieldSampler
 from touchfield.sources.laws import LawSpec, penalty
 from touchfield.sources.tiny_scenes import tiny_scenes
 

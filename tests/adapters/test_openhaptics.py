@@ -16,7 +16,7 @@ from touchfield.adapters import openhaptics
 from touchfield.adapters.openhaptics import OpenHaptics
 from touchfield.adapters.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.render.block.memory import Memory
+from touchfield.render.block import Memory
 
 VARIABLE = "TOUCHFIELD_OPENHAPTICS_LIBRARY"
 TICKS, RELEASE, RAISE, NOW = 0, 1, 2, 3

@@ -8,8 +8,8 @@ import numpy as np
 
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
+from touchfield.render.block import Memory
 from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
-from touchfield.render.block.memory import Memory
 
 
 class Block:

@@ -15,9 +15,9 @@ import numpy as np
 from touchfield.devices import device
 from touchfield.errors import CorruptFile, DeviceError
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.render.block.memory import Memory
+from touchfield.render.block import Memory
+from touchfield.render.player import Session
 from touchfield.render.point_device import Point, PointDevice
-from touchfield.render.session import Session
 from touchfield.render.spec import RenderSpec
 
 OMNI = replace(device("phantom-omni"), force_max_n=4.0, force_continuous_n=None)

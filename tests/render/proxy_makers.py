@@ -13,12 +13,11 @@ from touchfield.job import EncodeSpec
 from touchfield.job.prepare import prepare
 from touchfield.medium import ForceField
 from touchfield.medium.cells import CellPool
+from touchfield.render.block import Memory
 from touchfield.render.block import words as W
 from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
-from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.tick import tick
-from touchfield.render.spec import RenderSpec, write_parameters
-from touchfield.render.walls import wall_of
+from touchfield.render.spec import RenderSpec, wall_of, write_parameters
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.shapes import Shape
 

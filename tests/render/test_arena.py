@@ -8,11 +8,10 @@ from hypothesis import strategies as st
 from player_makers import telling
 
 from touchfield.errors import InvalidArgument
+from touchfield.render.block import PREFIX, Block, Layout, Memory, Ring, check_fits, shared_folder
 from touchfield.render.block import words as W
-from touchfield.render.block.memory import PREFIX, Block, Layout, Memory, Ring, check_fits, shared_folder
-from touchfield.render.feeder import arena_words
-from touchfield.render.frame_source import FrameSource
-from touchfield.render.session import ramp_limit_s
+from touchfield.render.feeder import FrameSource, arena_words
+from touchfield.render.player import ramp_limit_s
 
 
 @given(st.integers(20, 60), st.lists(st.tuples(st.integers(1, 25), st.integers(0, 3)), max_size=40))

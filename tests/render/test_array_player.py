@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 
 from touchfield.devices import device
 from touchfield.errors import DeviceError, InvalidArgument, SourceError
-from touchfield.render.array_device import ArrayDevice
-from touchfield.render.array_player import MOST_AHEAD, ArrayPlayer, DrivesAhead
+from touchfield.render.array_player import MOST_AHEAD, ArrayDevice, ArrayPlayer, DrivesAhead
 
 VEST = replace(device("tactsuit-x40"), lattice=(2, 3, 1), panels=2)
 SHAPE = (2, 3, 2)
@@ -89,13 +88,13 @@ def test_every_frame_in_its_turn_and_all_off_at_the_end() -> None:
 
 def test_linear_between_frames_and_the_last_is_held() -> None:
     ahead = DrivesAhead(Frames(lambda i: [0.0, 1.0, 0.5][i], 3), SHAPE, 0.0, 0.25, 50, False)
-    ahead.start()
+    ahead.thread.start()
     for position, drive in ((0.0, 0.0), (0.25, 0.25), (0.75, 0.75), (1.0, 1.0), (1.5, 0.75), (2.0, 0.5), (2.75, 0.5)):
         ahead.wait_for(position)
         shown = ahead.at(position)
         assert shown is not None and shown[1] is None and (shown[0] == np.float32(drive)).all()
     ahead.stop()
-    ahead.join(5.0)
+    ahead.thread.join(5.0)
 
 
 def test_frequencies_come_from_the_nearer_frame_that_has_one() -> None:
@@ -104,13 +103,13 @@ def test_frequencies_come_from_the_nearer_frame_that_has_one() -> None:
             return np.broadcast_to(np.array([[100.0, 0.0], [200.0, 150.0]][frame], np.float32), SHAPE)
 
     ahead = DrivesAhead(Vibrating(lambda i: 0.5, 2), SHAPE, 0.0, 0.25, 50, False)
-    ahead.start()
+    ahead.thread.start()
     ahead.wait_for(0.25)
     for position, expected in ((0.0, [100, 0]), (0.25, [100, 150]), (0.75, [200, 150])):
         shown = ahead.at(position)
         assert shown is not None and shown[1] is not None and (shown[1][0, 0] == expected).all()
     ahead.stop()
-    ahead.join(5.0)
+    ahead.thread.join(5.0)
 
 
 def test_as_many_frames_as_the_medium_has_time_for() -> None:
@@ -149,12 +148,12 @@ def test_a_fast_medium_is_not_decoded_where_it_is_not_shown() -> None:
 def test_what_is_decoded_ahead_is_bounded() -> None:
     frames = Frames(lambda i: 0.5, 1 << 30, 1e6)
     ahead = DrivesAhead(frames, SHAPE, 0.0, 0.5, 2000.0, True)
-    ahead.start()
+    ahead.thread.start()
     ahead.wait_for(200.0)
     time.sleep(0.05)
     assert len(frames.asked) <= MOST_AHEAD and len(ahead._held) <= MOST_AHEAD
     ahead.stop()
-    ahead.join(5.0)
+    ahead.thread.join(5.0)
 
 
 def test_a_stall_of_the_feed_is_all_off_and_nothing_is_left_out() -> None:
@@ -237,7 +236,7 @@ import time
 from dataclasses import replace
 import numpy as np
 from touchfield.devices import device
-from touchfield.render.array_device import ArrayDevice
+from touchfield.render.array_player import ArrayDevice
 from touchfield.render.array_player import ArrayPlayer
 
 class Told(ArrayDevice):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from touchfield.devices import devices
 from touchfield.errors import InvalidArgument
-from touchfield.render.axes import BOX_AXES, axes_matrix, axes_notes, axes_of_text
+from touchfield.render.point_device import BOX_AXES, axes_matrix, axes_notes, axes_of_text
 from touchfield.render.spec import RenderSpec
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from player_makers import RATE_HZ, frame_of, laid_out, telling
 
 from touchfield.medium import HapticMedium
+from touchfield.render.block import FLAGS, TickLog, statistics_of
 from touchfield.render.block import words as W
-from touchfield.render.block.record import FLAGS, TickLog, statistics_of
-from touchfield.render.kernels.cycle import cycle
+from touchfield.render.kernels.tick import cycle
 from touchfield.render.spec import RenderSpec
 
 TICK_NS = 1_000_000

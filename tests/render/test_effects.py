@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from tick_makers import OMNI, Bench, Vector, constant, linear, wall
 
 from touchfield.medium import Grid
+from touchfield.render.block import Memory
 from touchfield.render.block import words as W
 from touchfield.render.block.frames import frame_words
-from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec
 

@@ -12,12 +12,11 @@ from player_makers import GRID, laid_out, telling, told
 
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
+from touchfield.render.block import Memory
 from touchfield.render.block import words as W
-from touchfield.render.block.memory import Memory
-from touchfield.render.feeder import Feeder
-from touchfield.render.frame_source import FrameSource
+from touchfield.render.feeder import Feeder, FrameSource
 from touchfield.render.kernels.frames import force_at
-from touchfield.render.session import Session
+from touchfield.render.player import Session
 from touchfield.render.spec import RenderSpec
 
 

@@ -13,8 +13,8 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
 from touchfield.medium.medium import VibrationFrame
+from touchfield.render.block import Memory
 from touchfield.render.block.frames import FramePart, field_words, write_field
-from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.frames import force_at, vibration_at
 
 GRID = Grid((17, 12, 21), (0.01, 0.011, 0.009), (-0.08, -0.06, -0.1))

@@ -16,10 +16,9 @@ from player_makers import OMNI, Absent, Failing, Hung, Noted, Simulated, Still, 
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.medium import ForceField
-from touchfield.render.block.memory import PREFIX, shared_folder
-from touchfield.render.block.record import FLAGS
+from touchfield.render.block import FLAGS, PREFIX, shared_folder
 from touchfield.render.player import Player
-from touchfield.render.process import zero_afresh
+from touchfield.render.servo import zero_afresh
 
 
 @pytest.fixture(autouse=True)
@@ -154,7 +153,7 @@ def test_a_fresh_connection_that_fails_is_told() -> None:
 
 def test_a_device_that_hangs_cannot_keep_us(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("touchfield.render.player._JOIN_S", 0.1)
-    monkeypatch.setattr("touchfield.render.process._TERMINATE_S", 0.1)
+    monkeypatch.setattr("touchfield.render.servo._TERMINATE_S", 0.1)
     with Player(telling(1), OMNI, Hung) as player:
         player.play()
         with pytest.raises(DeviceError, match="no answer for"):

@@ -17,8 +17,7 @@ from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace
 from touchfield.render.block import words as W
 from touchfield.render.offline import run_offline
-from touchfield.render.spec import RenderSpec
-from touchfield.render.walls import wall_of
+from touchfield.render.spec import RenderSpec, wall_of
 from touchfield.sources.shapes import Box, Sphere
 
 UNTURNED = (1.0, 0.0, 0.0, 0.0)

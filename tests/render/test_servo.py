@@ -235,8 +235,8 @@ class Driver(Still):
         import threading
         import time
 
-        from touchfield.render.block.memory import Memory
-        from touchfield.render.kernels.cycle import cycle
+        from touchfield.render.block import Memory
+        from touchfield.render.kernels.tick import cycle
 
         memory = Memory.of((ctypes.c_char * (8 * words)).from_address(address))
 

@@ -14,11 +14,10 @@ from tick_makers import GRID, OMNI, Bench, constant, points, wall
 from touchfield.devices import Device
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.cells import CellPool
+from touchfield.render.block import Memory
 from touchfield.render.block import words as W
-from touchfield.render.block.memory import Memory
-from touchfield.render.session import Session
-from touchfield.render.spec import RenderSpec
-from touchfield.render.walls import stability_of, stiffest_n_per_m
+from touchfield.render.player import Session
+from touchfield.render.spec import RenderSpec, stability_of, stiffest_n_per_m
 
 STRONG = replace(OMNI, force_max_n=12.0, force_continuous_n=None)
 FINE = Grid((17, 17, 129), (0.01, 0.01, 0.0005), (-0.08, -0.08, -0.048))

@@ -13,10 +13,10 @@ from tick_makers import OMNI, Bench, constant, linear, wall
 
 from touchfield.devices import device
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.render.axes import axes_matrix
+from touchfield.render.block import Memory
 from touchfield.render.block import words as W
-from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.tick import release, tick
+from touchfield.render.point_device import axes_matrix
 from touchfield.render.spec import RenderSpec, write_parameters
 from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES
 

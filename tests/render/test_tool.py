@@ -16,9 +16,9 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
 from touchfield.medium.pose_track import rotation_matrices
+from touchfield.render.block import Memory
 from touchfield.render.block import words as W
 from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
-from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.kernels.points import tool_force
 from touchfield.render.spec import RenderSpec

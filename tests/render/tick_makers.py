@@ -13,6 +13,7 @@ from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
 from touchfield.medium.deformation import Deformation
 from touchfield.medium.medium import VibrationFrame
+from touchfield.render.block import Memory
 from touchfield.render.block import words as W
 from touchfield.render.block.frames import (
     FramePart,
@@ -23,7 +24,6 @@ from touchfield.render.block.frames import (
     write_frame,
     write_warp,
 )
-from touchfield.render.block.memory import Memory
 from touchfield.render.kernels.tick import release, tick
 from touchfield.render.spec import RenderSpec, write_parameters
 

@@ -24,7 +24,7 @@ from touchfield.adapters.links import Address, address, reason, service_check, w
 from touchfield.adapters.registry import Check, DeviceKind, library_check, steps_of
 from touchfield.arrays import Float32s, Int64s
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.render.array_device import ArrayDevice
+from touchfield.render.array_player import ArrayDevice
 
 if TYPE_CHECKING:
     from touchfield.devices import Device

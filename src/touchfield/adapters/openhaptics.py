@@ -78,7 +78,7 @@ class OpenHaptics(PointDevice):
     name : str or None
         Such as "Left Device"; None takes the default device.
     cycle : compiled function or None
-        What the callback calls; None takes `touchfield.render.kernels.cycle.cycle`.
+        What the callback calls; None takes `touchfield.render.kernels.tick.cycle`.
     """
 
     is_driven: ClassVar[bool] = True
@@ -177,7 +177,7 @@ class OpenHaptics(PointDevice):
         from touchfield.adapters.kernels import compiled_callback
 
         if self._cycle is None:
-            self._cycle = import_module("touchfield.render.kernels.cycle").cycle
+            self._cycle = import_module("touchfield.render.kernels.tick").cycle
         library = self._library
         frame = (library.hdBeginFrame, library.hdEndFrame)
         return compiled_callback(self._cycle, *frame, library.hdGetDoublev, library.hdSetDoublev, library.hdGetError)

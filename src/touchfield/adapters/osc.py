@@ -31,7 +31,7 @@ from touchfield.adapters.links import Address, address, reason
 from touchfield.adapters.registry import Check, DeviceKind, drives_of, steps_of
 from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import DeviceError
-from touchfield.render.array_device import ArrayDevice
+from touchfield.render.array_player import ArrayDevice
 
 if TYPE_CHECKING:
     from touchfield.devices import Device

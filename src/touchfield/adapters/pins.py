@@ -32,7 +32,7 @@ from touchfield.adapters.links import SerialLine, TcpLine, address, serial_ports
 from touchfield.adapters.registry import Check, DeviceKind, library_check, steps_of
 from touchfield.arrays import Float32s, Int64s
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.render.array_device import ArrayDevice
+from touchfield.render.array_player import ArrayDevice
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -25,7 +25,7 @@ from touchfield.render.point_device import PointDevice
 if TYPE_CHECKING:
     from touchfield.devices import Device
     from touchfield.medium.trace import Trace
-    from touchfield.render.array_device import ArrayDevice
+    from touchfield.render.array_player import ArrayDevice
 
 
 POINTS = ("sim", "haply", "openhaptics", "forcedimension")

@@ -28,7 +28,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.pose_track import rotation_matrices, slerp
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace
-from touchfield.render.axes import BOX_AXES, axes_matrix
+from touchfield.render.point_device import BOX_AXES, axes_matrix
 
 Query = Callable[[Float64s], Float64s]
 

@@ -72,7 +72,7 @@ class Device:
     torque_max_nm, torque_continuous_nm : float or None
         Peak and continuous torque, newton metres; None: it shows no torque.
     inertia_kg, damping_n_s_per_m, friction_n : float or None
-        Apparent mass at the tip, its viscous damping and its friction, where known; `render.walls` assumes the
+        Apparent mass at the tip, its viscous damping and its friction, where known; `render.spec` assumes the
         worst of what is not.
     delay_ms : float or None
         From a place that is told to a force that acts, beside sampling and holding, where known.

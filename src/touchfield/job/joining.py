@@ -23,7 +23,7 @@ from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.stream_scene import is_stream
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.render.axes import axes_matrix
+from touchfield.render.point_device import axes_matrix
 from touchfield.sources.registry import open_source
 
 KERNELS: Final = (*LOW_PASSES, "trilinear")

@@ -35,7 +35,7 @@ from touchfield.measure.similarity import (
 from touchfield.medium import HapticMedium
 from touchfield.medium.grid import Placement
 from touchfield.parallel import Report, silent
-from touchfield.render.axes import BOX_AXES, axes_matrix
+from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import CAMERA_AXES

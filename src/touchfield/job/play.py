@@ -27,8 +27,8 @@ from touchfield.job.play_files import write_log, write_sound
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.parallel import Report, silent
 from touchfield.render.array_player import ArrayPlayer
-from touchfield.render.block.record import FLAGS
-from touchfield.render.frame_source import FrameSource
+from touchfield.render.block import FLAGS
+from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Player
 from touchfield.render.spec import RenderSpec
@@ -106,7 +106,7 @@ class PlaySpec:
 class Played:
     """The traces of a play.
 
-    `statistics` have stable keys; `rows` are of `touchfield.render.block.record.COLUMNS`, a row a tick, None for an
+    `statistics` have stable keys; `rows` are of `touchfield.render.block.COLUMNS`, a row a tick, None for an
     array; `error` is what ended it half way: what was felt until then is here.
     """
 

@@ -18,7 +18,7 @@ from touchfield.adapters.effect_files import RATE_HZ, write_wav
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.atomic import atomic_path
-from touchfield.render.block.record import FLAGS
+from touchfield.render.block import FLAGS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,7 +44,7 @@ _ORDER: Final = 2
 
 
 def write_log(path: Path, rows: NDArray[Any]) -> None:
-    """Write rows of `touchfield.render.block.record.COLUMNS` as comma-separated text, whole or not at all."""
+    """Write rows of `touchfield.render.block.COLUMNS` as comma-separated text, whole or not at all."""
     words = {flags: _words(flags) for flags in np.unique(rows["flags"]).tolist()}
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.write(",".join(COLUMNS) + "\n")
@@ -83,7 +83,7 @@ def sound_of(times_s: Float64s, forces_n: Float64s) -> tuple[Float64s, tuple[flo
 
 
 def write_sound(path: Path, rows: NDArray[Any]) -> str:
-    """Write rows of `touchfield.render.block.record.COLUMNS` as ``.wav``; a note on what it holds.
+    """Write rows of `touchfield.render.block.COLUMNS` as ``.wav``; a note on what it holds.
 
     InvalidArgument if there are fewer than two rows, or too many for a WAV; SourceError if the system refuses.
     """

@@ -28,7 +28,7 @@ from touchfield.medium.grid import BRICK
 from touchfield.medium.trace import read_trace
 from touchfield.parallel import Report, silent
 from touchfield.reduction import Hand, Reduced, freedom, held_out, reach_of, reduced
-from touchfield.render.axes import BOX_AXES, axes_matrix
+from touchfield.render.point_device import BOX_AXES, axes_matrix
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 _LOOKED_AT: Final = 8
-_HAND_KG, _INERTIA_KG = 0.05, 0.045  # as `touchfield.render.walls` has them, the second of the least device
+_HAND_KG, _INERTIA_KG = 0.05, 0.045  # as `touchfield.render.spec` has them, the second of the least device
 _SPEED_M_S: Final = 0.2  # the fastest slide of `touchfield.perception.hand_motion`
 _PUSH_SHARE: Final = 0.25  # of a device's greatest force, where its continuous one is not known
 

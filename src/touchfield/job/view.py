@@ -24,7 +24,7 @@ from touchfield.job.stream_scene import Source
 from touchfield.medium import HapticMedium
 from touchfield.medium.atomic import atomic_path
 from touchfield.parallel import Report, silent
-from touchfield.render.axes import BOX_AXES, axes_matrix
+from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.stream.mux import demux
 from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.browser import page_of

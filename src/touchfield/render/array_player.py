@@ -14,6 +14,7 @@ from __future__ import annotations
 import atexit
 import math
 import threading
+from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic
@@ -25,9 +26,9 @@ from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument
 
 if TYPE_CHECKING:
-    from touchfield.render.array_device import ArrayDevice
+    from touchfield.devices import Device
 
-    """Drives, 0 to 1, and frequencies, Hz; float32 [panels, rows, columns] each."""
+
 Shown = tuple[Float32s, Float32s | None]
 
 AHEAD_S: Final = 0.5  # how much is decoded ahead, in seconds of the player
@@ -80,22 +81,13 @@ class DrivesAhead:
         self._changed = threading.Condition()
         self._error: BaseException | None = None
         self._is_stopped = False
-        self._thread = threading.Thread(target=self._run, name="touchfield-array-ahead", daemon=True)
-
-    def start(self) -> None:
-        """Begin to decode."""
-        self._thread.start()
+        self.thread = threading.Thread(target=self._run, name="touchfield-array-ahead", daemon=True)
 
     def stop(self) -> None:
         """Decode no further frame."""
         with self._changed:
             self._is_stopped = True
             self._changed.notify_all()
-
-    def join(self, timeout_s: float) -> None:
-        """Wait for the end of the thread, after `stop`."""
-        if self._thread.is_alive():
-            self._thread.join(timeout_s)
 
     def wait_for(self, position: float) -> None:
         """Wait until what is shown at a position is there, or will never be."""
@@ -124,9 +116,10 @@ class DrivesAhead:
         before, after = ([one for one in shown if one is not None] * 2)[:2]
         share = np.float32(position - needed[0])
         drives = before[0] + share * (after[0] - before[0])
-        return np.clip(drives, np.float32(0), np.float32(1)), _nearest(before[1], after[1], float(share))
-
-    # -- the decoder's thread ------------------------------------------------------------------------------
+        near, far = (before[1], after[1]) if share < 0.5 else (after[1], before[1])
+        if near is not None and far is not None:
+            near = np.where(near > 0, near, far)
+        return np.clip(drives, np.float32(0), np.float32(1)), far if near is None else near
 
     def _run(self) -> None:
         try:
@@ -137,7 +130,11 @@ class DrivesAhead:
                     if self._is_stopped or at is None:
                         return
                 frame = at % self._frames.frame_count
-                shown = self._checked(frame, self._frames.drives(frame)), self._frames.frequencies(frame)
+                drives = self._frames.drives(frame)
+                if drives.shape != self._shape:
+                    raise InvalidArgument(f"drives of frame {frame}", f"shape {drives.shape}", f"{self._shape}")
+                drives = np.clip(np.nan_to_num(drives, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float32)
+                shown = drives, self._frames.frequencies(frame)
                 with self._changed:
                     self._held[at] = shown
                     self._changed.notify_all()
@@ -168,56 +165,24 @@ class DrivesAhead:
         is_last = (low + 1) % count == 0
         return [low] if is_last or low == position else [low, low + 1]
 
-    def _checked(self, frame: int, drives: Float32s) -> Float32s:
-        if drives.shape != self._shape:
-            raise InvalidArgument(f"drives of frame {frame}", f"shape {drives.shape}", f"{self._shape}")
-        bounded = np.clip(np.nan_to_num(drives, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
-        return bounded.astype(np.float32)
-
-
-def _nearest(before: Float32s | None, after: Float32s | None, share: float) -> Float32s | None:
-    near, far = (before, after) if share < 0.5 else (after, before)
-    if near is None or far is None:
-        return near if far is None else far
-    return np.where(near > 0, near, far)
-
 
 @dataclass(frozen=True)
 class ArrayStatistics:
-    """Counts of the sender so far.
+    """Counts of the sender so far."""
 
-    Frames `sent`; of these `late` by more than half a period, and `stalled`, all off because the feed had nothing;
-    `skipped`, because the one before took too long; `mean_rate_hz` of those sent, 0 before the second.
-    """
-
-    sent: int
-    late: int
-    skipped: int
-    stalled: int
-    mean_rate_hz: float
+    sent: int  # frames
+    late: int  # of these, by more than half a period
+    skipped: int  # because the one before took too long
+    stalled: int  # of those sent, all off because the feed had nothing
+    mean_rate_hz: float  # of those sent, 0 before the second
 
 
 class ArrayPlayer:
     """Plays frames of drives on an array; a context manager, which closes it.
 
-    Parameters
-    ----------
-    frames : DriveFrames
-        Such as `touchfield.job.array_medium.Drives`.
-    device : ArrayDevice
-    rate_hz : float, optional
-        Frames a second to the device; by default the profile's rate, up to 100, or 50 where it states none.
-    loop : bool
-        Whether to begin again at the end.
-    speed : float
-        Seconds of the medium in a second.
-    start_s : float
-        Where in the medium to begin, seconds.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range, or the medium does not last until `start_s`.
+    `frames` are such as `touchfield.job.array_medium.Drives`; `rate_hz`, frames a second to the device, is by default
+    the profile's, up to 100, or 50 where it states none; `speed` is seconds of the medium in a second, `start_s`
+    where in it to begin. `InvalidArgument` if a number is out of range, or the medium does not last until `start_s`.
     """
 
     def __init__(
@@ -245,12 +210,10 @@ class ArrayPlayer:
         self._ahead = DrivesAhead(frames, self._shape, self._first, self._stride, rate, loop)
         self._stop, self._begun, self._done = threading.Event(), threading.Event(), threading.Event()
         self._sender = threading.Thread(target=self._run, name="touchfield-array", daemon=True)
-        self._error: BaseException | None = None
+        self.error: BaseException | None = None  # that ended it early
         self._is_open = False
         self._sent = self._late = self._skipped = self._stalled = 0
         self._span_s = 0.0
-
-    # -- what a program calls ------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Open the device, or raise `DeviceError`, and begin; once only."""
@@ -260,13 +223,12 @@ class ArrayPlayer:
         try:
             self._device.open()
         except BaseException:
-            self._stop.set()
-            self._begun.set()
-            self._done.set()
+            for event in (self._stop, self._begun, self._done):
+                event.set()
             self._device.close()
             raise
         atexit.register(self.close)  # a program that ends without `close` must not leave an actuator on
-        self._ahead.start()
+        self._ahead.thread.start()
         self._sender.start()
 
     def wait(self, timeout_s: float | None = None) -> bool:
@@ -275,8 +237,8 @@ class ArrayPlayer:
         Raises what ended it, an error of the device or of the frames.
         """
         is_done = self._done.wait(timeout_s)
-        if is_done and self._error is not None:
-            raise self._error
+        if is_done and self.error is not None:
+            raise self.error
         return is_done
 
     def wait_begun(self, timeout_s: float | None = None) -> bool:
@@ -286,9 +248,8 @@ class ArrayPlayer:
     @property
     def notes(self) -> tuple[str, ...]:
         """A note for the user where the feed stalled."""
-        if not self._stalled:
-            return ()
-        return ("Frames are not made in time: the actuators are off meanwhile. A lower --speed may help",)
+        note = "Frames are not made in time: the actuators are off meanwhile. A lower --speed may help"
+        return (note,) if self._stalled else ()
 
     def close(self) -> None:
         """All actuators off, and the device let go; never raises, and may be called twice."""
@@ -297,12 +258,8 @@ class ArrayPlayer:
         self._ahead.stop()
         if self._sender.is_alive():
             self._sender.join()
-        self._ahead.join(_LONGEST_CLOSE_S)
-
-    @property
-    def error(self) -> BaseException | None:
-        """The error that ended it early, or None."""
-        return self._error
+        if self._ahead.thread.is_alive():
+            self._ahead.thread.join(_LONGEST_CLOSE_S)
 
     @property
     def statistics(self) -> ArrayStatistics:
@@ -317,13 +274,11 @@ class ArrayPlayer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # -- the sender's thread -------------------------------------------------------------------------------
-
     def _run(self) -> None:
         try:
             self._play()
         except BaseException as error:
-            self._error = error
+            self.error = error
         finally:
             self._ahead.stop()
             with suppress(Exception):  # a device that is gone cannot be told
@@ -363,3 +318,25 @@ class ArrayPlayer:
 def _check(name: str, value: float, low: float, high: float) -> None:
     if not (math.isfinite(value) and low <= value <= high):
         raise InvalidArgument(name, repr(value), f"{low:g} to {high:g}")
+
+
+class ArrayDevice(ABC):
+    """A fixed array of actuators; its `profile` has columns, rows, panels and levels."""
+
+    profile: Device
+
+    @abstractmethod
+    def open(self) -> None:
+        """Find the device and make it ready; `DeviceError` if it is not there, or answers wrongly."""
+
+    @abstractmethod
+    def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
+        """Show drives, float32 [panels, rows, columns] from 0 to 1, for about so many seconds.
+
+        Row 0 is the top row as one looks at the panel, column 0 the left one; panel 0 is the front. The frequencies
+        of the vibration band have the same shape; None where the medium has none. `DeviceError` if it is gone.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """All actuators off, then let it go; must not raise, and may be called twice, or after a failed `open`."""

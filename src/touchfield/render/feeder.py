@@ -9,24 +9,31 @@ Where frames take longer to be decoded than they last, those that could not be t
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from touchfield.errors import TouchfieldError
+from touchfield.medium import HapticScene
+from touchfield.render.block import Layout, Memory, Ring, check_fits, too_little
 from touchfield.render.block import words as W
-from touchfield.render.block.memory import Layout, Memory, Ring, check_fits, too_little
+from touchfield.render.block.frames import VIBRATION, FieldName, FrameParts, field_words, write_fields
+from touchfield.render.segment_blend import with_blends
+from touchfield.render.spec import Wall, stated_n_per_m, stiffest_n_per_m, wall_of
 
 if TYPE_CHECKING:
-    from touchfield.render.frame_source import FrameSource, Prepared
+    from touchfield.medium import Grid, HapticMedium
+    from touchfield.medium.deformation import Deformation
+
 
 FIRST_GENERATION: Final = 1  # of the frames before any seek
 _FRAME: Final = (1 << W.FRAME_BITS) - 1
-_SPARE: Final = 1.5
-"""A frame is begun where so many times what it should take is left."""
-
+_SPARE: Final = 1.5  # A frame is begun where so many times what it should take is left
 _LATEST: Final = 16
 _MOST_TRIED: Final = 4096
 
@@ -37,11 +44,10 @@ _SHORTEST_PAUSE_S: Final = 0.001
 class Pace:
     """Cost of decoding on this machine, and the next frame that can be there in time.
 
-    A frame in the middle of a segment costs every frame from the one decoded last, or from the segment's start. Where
-    a frame takes longer than it lasts, those further on in the segment come ever later, but the start of a segment to
-    come can be reached: so the frame rate falls to what this machine can do. `starts` are frames that need none
-    before them, ascending from 0; empty where none needs another. `frame_s` is what a frame takes, in seconds; 0
-    before the second, as the first one also loads or compiles code.
+    A frame in the middle of a segment costs every frame from the one decoded last, or from the segment's start
+    (`starts`, as of `FrameSource`): where a frame takes longer than it lasts, the start of a segment to come can
+    still be reached. `frame_s` is what a frame takes; 0 before the second, as the first one also loads or compiles
+    code.
     """
 
     def __init__(self, starts: Sequence[int], frame_count: int, rate_hz: float) -> None:
@@ -58,11 +64,7 @@ class Pace:
         self._latest = frame
 
     def in_time(self, frame: int, stop: int, media_s: float, speed: float) -> int:
-        """The first frame from `frame` on that can be ready at its time; `stop` where none is before that.
-
-        Where `stop` lies within the medium and nothing before it can be ready, `frame` itself: holding one for so
-        long would hide that nothing can be played.
-        """
+        """The first frame from `frame` on that can be ready at its time; else `stop`, or `frame` where it goes on."""
         for at in range(frame, min(stop, frame + _MOST_TRIED)):
             left_s = (at / self._rate_hz - media_s) / speed
             if _SPARE * self.frame_s * self._needed(at) <= left_s or not self.frame_s:
@@ -89,13 +91,10 @@ def arena_words(source: FrameSource, memory_bytes: int) -> int:
 class Feeder:
     """Writes frames ahead of the servo; by `step` in the caller's thread, or in a thread of its own after `start`.
 
-    The first generation begins with the unrolled frame `first_frame`. ``reserve(words)`` sees to it that so many
-    words of the block can be written. With `is_timed` the time of publication is told, for the latency, and frames
-    that come too late are left out; ``clock_s()`` gives seconds for the time that they take. ``tell_stiffness(k)`` is
-    told the stiffest slope of each frame, N/m, before the frame is there.
-
-    `error` is what ended the feed, `decode_s` seconds that the latest frames took, `left_out` how many frames were
-    not decoded, because they would have come too late.
+    ``reserve(words)`` sees to it that so many words of the block can be written. With `is_timed` the time of
+    publication is told, and frames that come too late are left out. ``tell_stiffness(k)`` is told the stiffest slope
+    of each frame, N/m. `error` is what ended the feed, `decode_s` what the latest frames took, `left_out` how many
+    would have come too late.
     """
 
     def __init__(
@@ -185,7 +184,7 @@ class Feeder:
 
     def _leave_out(self, needed: int) -> bool:
         """Hold the frame before in place of those that cannot be there in time; False where none is left."""
-        from touchfield.render.kernels.cycle import publish
+        from touchfield.render.kernels.tick import publish
 
         i8, f8 = self._memory.i8, self._memory.f8
         is_running = i8[W.FEED] in (W.RUNNING, W.STALLED) and i8[W.MODE_NOW] == W.PLAYING
@@ -205,7 +204,7 @@ class Feeder:
         return self._is_loop or frame < self._source.frame_count
 
     def _write(self, ready: Prepared, needed: int) -> bool:
-        from touchfield.render.kernels.cycle import publish
+        from touchfield.render.kernels.tick import publish
 
         check_fits(ready.words, self._ring.words, f"frame {self._next % self._source.frame_count}")
         self._ring.free_before(needed)
@@ -245,8 +244,6 @@ class Feeder:
         while self._next < (int(self._memory.i8[W.NEEDS]) & _FRAME) + frames and self.step():
             pass
 
-    # -- in a thread of its own -------------------------------------------------------------------------------
-
     def start(self) -> None:
         """Feed from a thread until `close`."""
         self._thread = threading.Thread(target=self._run, name="touchfield-feeder", daemon=True)
@@ -271,3 +268,109 @@ class Feeder:
             self._wake.notify()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(timeout_s)
+
+
+_WORDS_PER_BRICK: Final = 1200
+"""More than a brick takes in the block: cells, what is held, and its share of the hash table."""
+_WORDS_BESIDE: Final = 1024
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A frame that is decoded: how many words it takes, how stiff it is, and how it is written at a word."""
+
+    words: int
+    stiffest_n_per_m: float
+    write: Callable[[Memory, int], int]  # the place of the frame, behind its own fields
+
+
+class FrameSource(FrameParts):
+    """Frames by their number; with `is_blended` one segment goes over into the next (`segment_blend`).
+
+    `starts` are frames that need no frame before them to be decoded, ascending from 0, those after need all from
+    there on; empty where every frame stands alone. `shared_words` is what all frames share, `stiffest_n_per_m` of
+    those fields, and beside that no frame takes more than `most_words`.
+    """
+
+    def __init__(
+        self, medium: HapticMedium | HapticScene, is_blended: bool = True, deformation: Deformation | None = None
+    ) -> None:
+        self.axes = medium.axes
+        self.friction, self.damping_n_s_per_m = medium.friction, medium.damping_n_s_per_m
+        self.starts = _starts(medium)
+        self._is_there = getattr(getattr(medium, "make_frame", None), "is_there", None)
+        medium, self._blends = with_blends(medium) if is_blended else (medium, ())
+        super().__init__(medium, deformation)
+        self._stretch = 1.0 if deformation is None else deformation.most_stretch**2
+        names = self.names(0)
+        self._rigid = {name: self.cells(name) for name in names if self.is_shared(name)}
+        self._places: dict[FieldName, int] = {}
+        self.shared_words = sum(map(field_words, self._rigid.values()))
+        self.stiffest_n_per_m = self._stretch * stiffest_n_per_m(self._rigid.values())
+        if isinstance(medium, HapticScene):
+            own = [one.medium.grid for one in medium.objects if not one.is_rigid]
+        else:
+            own = [medium.grid] * len(names)
+        self.most_words = sum(map(_most_words, own)) + self.words
+
+    def wall(self) -> Wall | None:
+        """The wall that the first frame tells of, or else the middle one; of bodies the stiffest.
+
+        None where they cannot be decoded: who plays them is told.
+        """
+        for frame in (0, self.frame_count // 2):
+            names = [name for name in self.names(frame) if name[0] != VIBRATION]
+            try:
+                walls = [wall for name in names if (wall := wall_of(self.field(name))) is not None]
+            except TouchfieldError:
+                return None
+            if walls:
+                stated = stated_n_per_m(self.medium.provenance)
+                stiffness = stated or max(wall.stiffness_n_per_m for wall in walls)
+                level = min(wall.level_n for wall in walls)
+                if len(names) == 1:
+                    return Wall(stiffness, level, walls[0].spacing_m)
+                finest = min(min(wall.spacing_m) for wall in walls)  # bodies turn
+                return Wall(stiffness, level, (finest, finest, finest))
+        return None
+
+    def write_shared(self, memory: Memory, at: int) -> None:
+        """Write what all frames share."""
+        write_fields(memory, at, self._rigid, self._places)
+
+    def is_there(self, frame: int) -> bool:
+        """True where a frame can be prepared at once; of a live stream it may not have come yet."""
+        return self._is_there is None or bool(self._is_there(frame))
+
+    def forget(self) -> None:
+        """Blend nothing into the frame that is prepared next: play goes on elsewhere."""
+        for blend in self._blends:
+            blend.forget()
+
+    def prepare(self, frame: int) -> Prepared:
+        """Decode a frame."""
+        names = [name for name in self.names(frame) if not self.is_shared(name)]
+        pools = {name: self.cells(name) for name in names}
+
+        def write(memory: Memory, at: int) -> int:
+            places = dict(self._places)
+            at = write_fields(memory, at, pools, places)
+            self.write(memory, at, frame, places)
+            return at
+
+        words = sum(map(field_words, pools.values())) + self.words
+        return Prepared(words, self._stretch * stiffest_n_per_m(pools.values()), write)
+
+
+def _starts(medium: HapticMedium | HapticScene) -> tuple[int, ...]:
+    """Where segments begin; of a scene, those of the first object that changes: all are cut at the same frames."""
+    if isinstance(medium, HapticScene):
+        return next((_starts(one.medium) for one in medium.objects if not one.is_rigid), ())
+    if medium.segments is not None:
+        return medium.segments.starts
+    return getattr(medium.make_frame, "starts", ())
+
+
+def _most_words(grid: Grid) -> int:
+    """Of a field on this lattice: its cells reach a brick before its first."""
+    return _WORDS_BESIDE + _WORDS_PER_BRICK * math.prod(n + 1 for n in grid.brick_shape)

@@ -31,17 +31,13 @@ from touchfield.perception.vibrotactile import BANDS_HZ
 from touchfield.render.block import words as W
 
 if TYPE_CHECKING:
-    from touchfield.render.block.memory import Memory
+    from touchfield.render.block import Memory
 Levels = tuple[tuple[tuple[float, ...], ...], ...]
 
 
-KEY: Final = "materials.json"
-"""Of a medium's provenance."""
-
+KEY: Final = "materials.json"  # Of a medium's provenance
 MOST_MATERIALS: Final = 64
-MOST_LEVELS: Final = 32
-"""Speeds, and forces, of one material."""
-
+MOST_LEVELS: Final = 32  # Speeds, and forces, of one material
 _MOST_BYTES: Final = 1 << 22
 _MOST_STORED: Final = 4096
 _EVERYWHERE: Final = ((-math.inf,) * 3, (math.inf,) * 3)
@@ -97,9 +93,6 @@ class Material:
         except (TypeError, ValueError):
             found = f"material {self.name!r} texture_rms_n", "rows of several lengths, or no numbers"
             raise InvalidArgument(*found, "[speeds, forces, 16]") from None
-
-
-# -- as JSON ------------------------------------------------------------------------------------------------------
 
 
 def materials_json(materials: Iterable[Material]) -> str:
@@ -187,9 +180,6 @@ def stored_json(materials: Iterable[Material]) -> str:
         mend = "Give it beside the file: touchfield play --materials FILE.json."
         raise InvalidArgument("materials", f"a table of {len(text)} letters", f"at most {_MOST_STORED}", mend)
     return text
-
-
-# -- in the block -------------------------------------------------------------------------------------------------
 
 
 def material_words(materials: Sequence[Material]) -> int:

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
+from touchfield.render.block import DEFAULT_BYTES, Memory, TickLog, statistics_of
 from touchfield.render.block import words as W
-from touchfield.render.block.memory import DEFAULT_BYTES, Memory
-from touchfield.render.block.record import TickLog, statistics_of
+from touchfield.render.player import Session, is_over
 from touchfield.render.servo import Opener, VirtualClock, serve
-from touchfield.render.session import Session, is_over
 from touchfield.render.spec import RenderSpec
 
 if TYPE_CHECKING:
@@ -25,11 +24,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OfflineRun:
-    """Outcome of a run.
-
-    `log` has a row of `block.record.COLUMNS` for each tick, to the end of the last ramp; `statistics` are as of
-    `Player.statistics`, with times of the virtual clock; `notes` are for the user; `error` is that of the medium,
-    where it was to be kept.
+    """Outcome of a run: a row of `block.COLUMNS` for each tick, statistics as of `Player.statistics` with times of
+    the virtual clock, notes for the user, and the error of the medium, where it was to be kept.
     """
 
     log: NDArray[Any]
@@ -51,25 +47,12 @@ def run_offline(
     memory_bytes: int = DEFAULT_BYTES,
     keeps_error: bool = False,
 ) -> OfflineRun:
-    """Play a medium to a device in this process, as fast as it goes.
+    """Play a medium to a device in this process, as fast as it goes; other arguments as of `Player`.
 
-    Parameters
-    ----------
-    medium, device_profile, opener, spec, loop, speed, start_s, memory_bytes
-        As of `Player`; the device must not have a rhythm of its own.
-    seconds : float, optional
-        Time of the device; None plays to the end of the medium, which must have one.
-    keeps_error : bool
-        Whether an error of the medium is kept beside what was felt before it, and not raised.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range, a frame does not fit, or the run has no end.
-    DeviceError
-        Of the device.
-    TouchfieldError
-        Of the medium, as a corrupt segment; the force was brought to zero before.
+    The device must not have a rhythm of its own. `seconds` are of the device; None plays to the end of the medium,
+    which must have one. With `keeps_error` an error of the medium, as a corrupt segment, is kept beside what was felt
+    before it, and else raised once the force is zero. `InvalidArgument` if a number is out of range, a frame does not
+    fit, or the run has no end; `DeviceError` of the device.
     """
     spec = RenderSpec() if spec is None else spec
     session = Session(medium, device_profile, spec, memory_bytes, loop, speed, start_s)

@@ -26,10 +26,11 @@ from touchfield.render.block.frames import FieldName, FrameParts, FrameStore
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from touchfield.medium import HapticMedium
     from touchfield.medium.cells import CellPool
     from touchfield.medium.deformation import Deformation
-    from touchfield.medium.medium import HapticMedium
-    from touchfield.render.block.memory import Memory
+    from touchfield.render.block import Memory
+
 
 _POINTS_AT_ONCE: Final = 8192
 _ALWAYS: Final = sys.float_info.max
@@ -43,19 +44,9 @@ class FieldSampler:
     last; with `loop` the last frame is followed by the first one, so that a round takes frame_count / rate_hz. One
     thread at a time; a batch itself runs on all cores.
 
-    Parameters
-    ----------
-    medium : HapticMedium or HapticScene
-        Objects of a scene are looked up in their own frames.
-    memory_bytes : int
-        For the latest frames, which are kept; as much twice more for those of `at`.
-    deformation : Deformation, optional
-        Bends a medium of voxels, by its tracks.
-
-    Raises
-    ------
-    InvalidArgument
-        From a query: if a time is not finite, shapes do not fit, or two frames do not fit into the memory allowed.
+    `memory_bytes` are for the latest frames, which are kept, and as much twice more for those of `at`; a
+    `deformation` bends a medium of voxels by its tracks. A query raises `InvalidArgument` if a time is not finite,
+    shapes do not fit, or two frames do not fit into the memory allowed.
     """
 
     def __init__(
@@ -77,15 +68,9 @@ class FieldSampler:
         self._point: Any = None
 
     def force_n(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> Float32s:
-        """Force, newtons, float32 [..., 3].
+        """Force, newtons, float32 [..., 3], at points float [..., 3], metres; one that is not finite has none.
 
-        Parameters
-        ----------
-        time_s : float or float [...]
-            Seconds; one for all points, or one for each.
-        points_m : float [..., 3]
-            Metres; a point that is not finite has no force.
-        loop : bool
+        `time_s`, seconds, is one time for all points, or one for each.
         """
         from touchfield.render.kernels import points as kernels
 
@@ -237,7 +222,13 @@ class PairsAhead:
         self._count = parts.frame_count
         self._parts = parts
         self._cells: dict[FieldName, CellPool] = {}  # of the pair made last
-        self._stores = [FrameStore(parts, memory_bytes, self._cells_of) for _ in range(2)]
+
+        def cells_of(name: FieldName) -> CellPool:
+            if name not in self._cells:
+                self._cells[name] = parts.cells(name)
+            return self._cells[name]
+
+        self._stores = [FrameStore(parts, memory_bytes, cells_of) for _ in range(2)]
         self._used = 0
         self._coming: tuple[tuple[int, int], Future[Place]] | None = None
 
@@ -263,11 +254,6 @@ class PairsAhead:
         self._cells = {name: cells for name, cells in self._cells.items() if name in names}
         return store.memory, first, second
 
-    def _cells_of(self, name: FieldName) -> CellPool:
-        if name not in self._cells:
-            self._cells[name] = self._parts.cells(name)
-        return self._cells[name]
-
     def settle(self) -> None:
         """Wait until nothing is made in the background."""
         if self._coming is not None:
@@ -276,11 +262,44 @@ class PairsAhead:
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-pairs", initializer=_stand_back)
+    def stand_back() -> None:  # when woken, not take the processor from the one that asks (4 ms of it, else)
+        if hasattr(os, "SCHED_BATCH"):
+            with suppress(OSError):
+                os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-pairs", initializer=stand_back)
 
 
-def _stand_back() -> None:
-    """Let this thread, when it is woken, not take the processor from the one that asks (4 ms of it, else)."""
-    if hasattr(os, "SCHED_BATCH"):
-        with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+class DeviceSampler:
+    """Forces of a medium or a scene of objects at points in the memory of a GPU (extra ``cuda``).
+
+    The frames about an instant are made by the processor and copied once; points and forces are not copied.
+
+    `memory_bytes` are for frames, as of `FieldSampler`.
+    """
+
+    def __init__(self, medium: HapticMedium | HapticScene, memory_bytes: int = 256 << 20) -> None:
+        self._sampler = FieldSampler(medium, memory_bytes)
+        self._places: tuple[int, int] | None = None
+        self._views: tuple[Any, ...] = ()
+
+    def force_n(self, time_s: float, points_m: Any, loop: bool = False) -> Any:
+        """Force, newtons, float32 [n, 3], on the device, with a ``__cuda_array_interface__``.
+
+        Points, float64 [n, 3] in metres, are an array on a GPU of any library (``__dlpack__`` or
+        ``__cuda_array_interface__``), or one of NumPy, which is copied there; `InvalidArgument` for others.
+        """
+        from touchfield.cuda import empty, for_each, on_device
+        from touchfield.render.kernels.points import forces_at_points
+
+        if len(points_m.shape) != 2 or points_m.shape[1] != 3 or points_m.dtype != np.float64:
+            found = f"{points_m.dtype}, shape {tuple(points_m.shape)}"
+            raise InvalidArgument("points_m", found, "float64 [n, 3], metres")
+        memory, first, second, blend = self._sampler.frames_at(time_s, loop)
+        if self._places != (first, second):
+            self._views, self._places = on_device(tuple(memory.views)), (first, second)
+        out = empty((points_m.shape[0], 3), np.float32)
+        blends = on_device(np.array([blend]))
+        points = on_device(points_m)
+        for_each(forces_at_points, len(out), points, blends, *self._views, first, second, out)
+        return out

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -13,24 +14,26 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.render.axes import UPS, axes_matrix, axes_notes
 from touchfield.render.block import words as W
+from touchfield.render.point_device import UPS, axes_matrix, axes_notes
 from touchfield.render.tool import Tool
-from touchfield.render.walls import delay_s
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from touchfield.devices import Device
+    from touchfield.medium import ForceField
+    from touchfield.medium.cells import CellPool
     from touchfield.medium.deformation import Deformation
-    from touchfield.render.block.memory import Memory
+    from touchfield.render.block import Memory
     from touchfield.render.material import Material
+
 
 Triple = tuple[float, float, float]
 
 PEAK_RISE_S: Final = 0.005  # a slew limit that is not given lets the force rise from zero to its peak in this time
 _LEAST_N: Final = 1e-6
-_MOST_N: Final = 1e6
-"""A limit out of this range is a mistake; within it no square of a force or torque is lost."""
-
+_MOST_N: Final = 1e6  # A limit out of this range is a mistake; within it no square of a force or torque is lost
 _FROM_ZERO: Final = ("force_scale", "friction", "damping_n_s_per_m", "coupling_n_per_m")
 _NUMBERS: Final = (
     *("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz", "wall_n_per_m"),
@@ -44,88 +47,35 @@ _NUMBERS: Final = (
 class RenderSpec:
     """Wishes of a receiver to the renderer; every default is safe for a hand.
 
-    Parameters
-    ----------
-    rate_hz : float
-        Ticks a second.
-    friction, damping_n_s_per_m : float or None
-        mu and b of paper 3.2; None takes those of the medium. With a b that is given there is no other damping.
-    slip_speed_m_s : float
-        v_s of `touchfield.filters.contact`.
-    coupling_n_per_m : float or None
-        Stiffness of a virtual coupling between hand and field; 0: none, the field acts on the hand directly. None
-        chooses as `damping_n_s_per_m` does: what device and medium need to be stable (`render.walls`).
-    passivity : bool
-        Whether the time-domain passivity controller takes out what energy the loop made.
-    scale : float
-        Metres of the field for one metre of the device.
-    clutch_m : (float, float, float)
-        Point of the field that lies at the device's origin, metres, in the field's axes.
-    force_scale : float
-        Newtons of the device for one newton of the field.
-    gravity_n : (float, float, float)
-        A steady force added for the weight of the handle, newtons, in the device's axes.
-    peak_n, continuous_n : float or None
-        Limits of |F|; None takes those of the device (no continuous limit where it states none).
-    slew_n_per_s : float or None
-        Limit of |dF/dt|; None lets the force rise to its peak in 5 ms.
-    thermal_s : float
-        Time constant of the heat budget that lets the force exceed the continuous limit for a while, seconds.
-    ramp_s : float
-        In which the force goes to zero when the feed stalls, and comes back.
-    velocity_cutoff_hz : float
-        Of the low-pass on the velocity that is estimated from positions.
-    blend : bool
-        Whether one segment of a stream goes over into the next (`touchfield.render.segment_blend`).
-    render : str
-        "proxy": what the hand is pressed into holds, however thin (`kernels.proxy`); "field": the
-        force that is stored where the hand is; "auto": the proxy where the field is a wall's and no coupling is
-        asked for (docs/decisions/0014).
-    wall_n_per_m : float or None
-        Stiffness of the proxy's spring; None takes that of the field.
-    tool : Tool or None
-        What the hand holds into the field; None: a point.
-    peak_nm, continuous_nm, slew_nm_per_s : float or None
-        Limits of the torque, as those of the force; a device that states none gets none.
-    up : str
-        Axis of the field that is up for the hand, one of `axes.UPS`.
-    materials : tuple of Material or None
-        What surfaces are made of (`render.material`); None takes those that travel with the medium.
-    deformation : Deformation or None
-        Bends the medium by tracks, or lets it yield (`medium.deformation`); the field is rendered as it is then.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is out of range or not finite, or a tool is asked for together with a coupling.
+    `InvalidArgument` if a number is out of range or not finite, or a tool is asked for together with a coupling.
     """
 
-    rate_hz: float = 1000.0
-    friction: float | None = None
-    damping_n_s_per_m: float | None = None
-    slip_speed_m_s: float = 0.001
-    coupling_n_per_m: float | None = None
-    passivity: bool = False
-    scale: float = 1.0
-    clutch_m: Triple = (0.0, 0.0, 0.0)
-    force_scale: float = 1.0
-    gravity_n: Triple = (0.0, 0.0, 0.0)
-    peak_n: float | None = None
-    continuous_n: float | None = None
-    slew_n_per_s: float | None = None
-    thermal_s: float = 1.0
-    ramp_s: float = 0.02
-    velocity_cutoff_hz: float = 100.0
-    blend: bool = True
-    render: str = "auto"
-    wall_n_per_m: float | None = None
-    tool: Tool | None = None
-    peak_nm: float | None = None
+    rate_hz: float = 1000.0  # ticks a second
+    friction: float | None = None  # mu and b of paper 3.2; None: those of the medium
+    damping_n_s_per_m: float | None = None  # where it is given there is no other damping
+    slip_speed_m_s: float = 0.001  # v_s of `touchfield.filters.contact`
+    coupling_n_per_m: float | None = None  # between hand and field; 0: none; None: what is needed to be stable
+    passivity: bool = False  # whether the controller in the time domain takes out what energy the loop made
+    scale: float = 1.0  # metres of the field for one metre of the device
+    clutch_m: Triple = (0.0, 0.0, 0.0)  # point of the field that lies at the device's origin, the field's axes
+    force_scale: float = 1.0  # newtons of the device for one newton of the field
+    gravity_n: Triple = (0.0, 0.0, 0.0)  # a steady force for the weight of the handle, the device's axes
+    peak_n: float | None = None  # of |F|; None: that of the device
+    continuous_n: float | None = None  # of |F| in the long run; None: that of the device, if it states one
+    slew_n_per_s: float | None = None  # of |dF/dt|; None: to the peak in 5 ms
+    thermal_s: float = 1.0  # time constant of the heat that lets the force exceed the continuous limit for a while
+    ramp_s: float = 0.02  # in which the force goes to zero when the feed stalls, and comes back
+    velocity_cutoff_hz: float = 100.0  # of the low-pass on the velocity that is estimated from positions
+    blend: bool = True  # whether one segment of a stream goes over into the next (`render.segment_blend`)
+    render: str = "auto"  # "proxy", "field", or the proxy where it is a wall's (docs/decisions/0014)
+    wall_n_per_m: float | None = None  # stiffness of the proxy's spring; None: that of the field
+    tool: Tool | None = None  # that the hand holds into the field; None: a point
+    peak_nm: float | None = None  # limits of the torque, as those of the force
     continuous_nm: float | None = None
     slew_nm_per_s: float | None = None
-    up: str = "auto"
-    materials: tuple[Material, ...] | None = None
-    deformation: Deformation | None = None
+    up: str = "auto"  # axis of the field that is up for the hand, one of `point_device.UPS`
+    materials: tuple[Material, ...] | None = None  # None: those that travel with the medium
+    deformation: Deformation | None = None  # bends the medium, or lets it yield; it is rendered as a field then
 
     def __post_init__(self) -> None:
         for name in _NUMBERS:
@@ -154,12 +104,10 @@ class RenderSpec:
 def write_parameters(
     memory: Memory, spec: RenderSpec, device: Device, medium_friction: float, medium_damping: float, field_axes: str
 ) -> tuple[str, ...]:
-    """Write the parameters of the ticks to come, and begin their state anew: no force, gain zero, no heat.
+    """Write the parameters of the ticks to come, and begin their state anew; notes for the user.
 
-    Not while a servo runs. `device` is a point (type 1); mu, b in N s/m and axes are those of the medium, the first
-    two taken where `spec` gives none. What comes back are notes for the user, on axes that could not be followed and
-    limits that cannot be held up. `InvalidArgument` if a limit of `spec` is beyond the device's, or a coefficient of
-    the medium is not finite or negative; `DeviceError` if the device is no point, or states no force.
+    Not while a servo runs; mu and b of the medium are taken where `spec` gives none. `InvalidArgument` if a limit is
+    beyond the device's or a coefficient negative or not finite; `DeviceError` if it is no point, or states no force.
     """
     if device.is_array:
         raise DeviceError(device.name, "a type 2 device", "a type 1 device: a point that the hand moves")
@@ -236,3 +184,155 @@ def _coefficient(name: str, asked: float | None, stated: float) -> float:
     if not 0 <= value < math.inf:
         raise InvalidArgument(name, repr(value), "a finite number, 0 or more")
     return value
+
+
+_DELAY_S: Final = 1e-3
+_INERTIA_KG: Final = 0.045
+"""Of a device that does not say: one frame of USB, and the least of the desktop devices. Damping: none."""
+
+_HAND_KG: Final = 0.05
+_MARGIN: Final = 2.0
+_TURN: Final = 0.4  # (w L)^2 of the swing of hand and wall, in which the damper comes late by L
+_STEP_N: Final = 0.035
+_FELT: Final = 0.92  # Of what Colgate's rule allows the bare device: at least so much is felt
+
+
+# A force that is sampled, held and late by d is -K x (t - T/2 - d) for slow movements: beside the spring a negative
+# damper of K (T/2 + d), which the device must bear (Colgate and Schenkel 1997). The renderer brakes with
+# B = 2 K (T/2 + d) - b in contact, along the force, never with more than that force (`kernels.effects.braked`). The
+# damper lags by L: against a mass m (the device and a light hand) B is kept below m / 2L and K below 0.4 m / L^2. One
+# step of the encoder moves the force by q (K + B / T share): below 35 mN and twice the friction (Diolaiti 2006).
+# A stiffer field is felt through a coupling; but what Colgate's rule allows the bare device is felt within 8 %.
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Damper in contact and coupling of a medium on a device, in the units of the field, 0: none; and why."""
+
+    brake_n_s_per_m: float
+    coupling_n_per_m: float
+    note: str
+
+
+def delay_s(device: Device) -> float:
+    """From a place that is told to a force that acts, beside sampling and holding, seconds."""
+    return _DELAY_S if device.delay_ms is None else 1e-3 * device.delay_ms
+
+
+def stability_of(device: Device, spec: RenderSpec, medium_damping: float, stiffest_n_per_m: float) -> Stability:
+    """Damper in contact and coupling for a field of this stiffest slope; what `spec` states stays as it is."""
+    tick, late = 1 / spec.rate_hz, delay_s(device)
+    scale = spec.scale * spec.force_scale
+    k, own = scale * stiffest_n_per_m, device.damping_n_s_per_m or 0.0
+    coupling = scale * spec.coupling_n_per_m if spec.coupling_n_per_m else 0.0
+    hold = tick / 2 + late
+    if spec.coupling_n_per_m is None and k > 0:
+        most = _stiffest(device, spec, k, hold)
+        coupling = k * most / (k - most) if k > most else 0.0
+    felt = k
+    if coupling > 0:
+        felt = 1 / (1 / k + 1 / coupling) if k > 0 else 0.0
+    brake = 0.0
+    if spec.damping_n_s_per_m is None:
+        brake = max(0.0, _MARGIN * felt * hold - own - scale * medium_damping)
+    note = f"the medium's stiffest slope is {k:.0f} N/m, the device holds {own / hold:.0f} N/m by itself"
+    if spec.damping_n_s_per_m is None:
+        note += f": damping in contact {brake:.2g} N s/m"
+    if spec.coupling_n_per_m is None:
+        note += f", coupling {coupling:.0f} N/m, so that {felt:.0f} N/m are felt" if coupling else ", no coupling"
+    return Stability(brake / scale if scale else 0.0, coupling / scale if scale else 0.0, note)
+
+
+def _stiffest(device: Device, spec: RenderSpec, k: float, hold: float) -> float:
+    """Most of a field of k that a damper makes stable and the encoder's steps let be still; N/m of the device."""
+    tick, own = 1 / spec.rate_hz, device.damping_n_s_per_m or 0.0
+    share = -math.expm1(-2 * math.pi * spec.velocity_cutoff_hz * tick)
+    lag = hold + tick / 2 + tick * (1 - share) / share
+    mass = _HAND_KG + (_INERTIA_KG if device.inertia_kg is None else device.inertia_kg)
+    by_damper = min((mass / (2 * lag) + own) / (_MARGIN * hold), _TURN * mass / lag**2)
+    by_steps = math.inf
+    if device.resolution_mm:
+        steps_n = _STEP_N + 2 * (device.friction_n or 0.0)
+        by_steps = steps_n / (1e-3 * device.resolution_mm) + share * own / tick
+        by_steps /= 1 + share * _MARGIN * hold / tick
+    return max(min(by_damper, by_steps), _FELT * k if k * hold < own else 0.0)
+
+
+# -- what a field tells ----------------------------------------------------------------------------------------
+
+_SHARE: Final = 1e-3  # of the cells that push back may be stiffer: edges, corners, noise
+
+
+def stiffest_n_per_m(pools: Iterable[CellPool]) -> float:
+    """Growth of a force with a way against it, N/m: what one cell in a thousand of a field passes, at the most."""
+    from touchfield.render.kernels.points import BINS, count_slopes, slope_of_bin
+
+    stiffest = 0.0
+    for pool in pools:
+        counts = np.zeros(BINS, np.int64)
+        count_slopes(pool.cells, pool.held, 1.0 / pool.lattices[0, :3], counts)
+        beyond = np.cumsum(counts[::-1])[::-1]
+        if counts.any():
+            stiffest = max(stiffest, slope_of_bin(int(np.flatnonzero(beyond > _SHARE * beyond[0])[-1])))
+    return stiffest
+
+
+_LOOKED_AT: Final = 20_000  # samples
+_LARGE: Final = 98.0  # percentile of the forces: their limit, or near it; a few overshoot it
+_RAMP: Final = (0.1, 0.85)  # of a large force: neither at the surface nor at the limit
+_ALIKE: Final = 0.8  # cosine of forces a sample apart
+_LESS: Final = 0.97  # of a force, a sample farther out
+_LEAST: Final = 0.6  # of the samples
+_STEEPER: Final = 75.0  # percentile
+_LEVEL_N: Final = 0.05
+_STATED_N_PER_M: Final = (1.0, 5000.0)  # what a file may ask for
+_LEVEL_SHARE: Final = 0.1  # of a large force
+
+
+@dataclass(frozen=True)
+class Wall:
+    """Growth of the force behind the surface, the force at which this lies, and the spacing of the samples."""
+
+    stiffness_n_per_m: float
+    level_n: float
+    spacing_m: tuple[float, float, float]
+
+
+def wall_of(field: ForceField) -> Wall | None:
+    """The wall that a field tells of; None where most of it does not grow against its force, as a steady pull.
+
+    Where most samples are less by K for each metre farther out and point alike it is a wall's; its stiffness is that
+    of the steeper ones, as edges, thin walls and the low-pass lessen it.
+    """
+    sizes = np.linalg.norm(field.forces_n, axis=-1)
+    if not sizes.any():
+        return None
+    large = float(np.percentile(sizes[sizes > 0], _LARGE))
+    brick, *local = np.nonzero((sizes > _RAMP[0] * large) & (sizes < _RAMP[1] * large))
+    if not len(brick):
+        return None
+    some = slice(None, None, -(-len(brick) // _LOOKED_AT))
+    forces = field.forces_n[brick, *local][some].astype(np.float64)
+    size = np.linalg.norm(forces, axis=1)
+    outwards = forces / size[:, None]
+    spacing_m = np.array(field.grid.spacing_m)
+    way_m = np.linalg.norm(outwards * spacing_m, axis=1)
+    at = 8 * field.bricks[brick[some]] + np.stack(local, axis=-1)[some]
+    beyond = field.sample_n(field.grid.to_m(at) + way_m[:, None] * outwards).astype(np.float64)
+    farther = np.linalg.norm(beyond, axis=1)
+    is_wall = (np.einsum("ij,ij->i", beyond, outwards) >= _ALIKE * farther) & (farther < _LESS * size)
+    if np.mean(is_wall) < _LEAST:
+        return None
+    stiffness = float(np.percentile(((size - farther) / way_m)[is_wall], _STEEPER))
+    return Wall(stiffness, min(_LEVEL_N, _LEVEL_SHARE * large), field.grid.spacing_m)
+
+
+def stated_n_per_m(provenance: Mapping[str, str]) -> float | None:
+    """The stiffness that a medium's provenance states for its walls; None where it states none that could be."""
+    try:
+        spec = json.loads(provenance.get("spec", "{}"))
+        stated = float(spec["stiffness_n_per_m"]) if spec["law"] == "penalty" else math.nan
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+    low, high = _STATED_N_PER_M
+    return stated if low <= stated <= high else None

@@ -25,13 +25,11 @@ from touchfield.medium.field import frozen
 from touchfield.render.block import words as W
 
 if TYPE_CHECKING:
-    from touchfield.render.block.memory import Memory
+    from touchfield.render.block import Memory
 
 MOST_POINTS: Final = 100_000
 SPHERE_POINTS: Final = 1000
-NUMBERS: Final = 6
-"""float32 for each point, in rows: place and normal in the tool's axes; behind them `ROOM`."""
-
+NUMBERS: Final = 6  # float32 for each point, in rows: place and normal in the tool's axes; behind them `ROOM`
 AT_ONCE: Final = 512  # points that are added up at a time
 ROOM: Final = 9 * AT_ONCE  # float32 for their places in a field, the force there, and the sum over fields
 _LONGEST_M: Final = 10.0
@@ -42,20 +40,9 @@ _GOLDEN: Final = (1 + 5**0.5) / 2
 class Tool:
     """Points of a surface, each for the same area of it.
 
-    Parameters
-    ----------
-    points_m : float64 [n, 3]
-        Metres of the field, from the device's point; the tool's axes are the field's where the grip is not turned.
-        Neighbours in space should be neighbours in the list.
-    normals : float64 [n, 3]
-        Outward, of length 1.
-    name : str
-
-    Raises
-    ------
-    InvalidArgument
-        If there is no point or there are more than `MOST_POINTS`, the shapes differ, a number is not finite, a point
-        is farther than 10 m or a normal is not of length 1.
+    float64 [n, 3] each: places in metres from the device's point, in the tool's axes, neighbours in space near each
+    other in the list; outward normals of length 1. `InvalidArgument` if there is no point or there are more
+    than `MOST_POINTS`, shapes differ, a number is not finite, a point is farther than 10 m or a normal not unit.
     """
 
     points_m: Float64s

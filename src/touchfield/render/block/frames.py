@@ -18,8 +18,8 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.cells import CellPool
 from touchfield.medium.medium import HapticScene
+from touchfield.render.block import Memory
 from touchfield.render.block import words as W
-from touchfield.render.block.memory import Memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -43,19 +43,13 @@ _FIRST_WORDS: Final = 1 << 17
 
 @dataclass(frozen=True)
 class FramePart:
-    """One object of a frame: where its field lies in the block, and how the object lies in the scene.
+    """One object of a frame; the same field in two frames is one body that moves."""
 
-    The same field in two frames is one body that moves. `quaternion` is unit, w first, scene from body; `velocity` is
-    that of the body and then its angular velocity, both times the surface damping of the scene: N and N/m, added to
-    the object's force where it has one (`medium.placed`). `is_identity`: not turned, in this frame and wherever it is
-    shown next to it, as voxels are.
-    """
-
-    field_at: int
-    quaternion: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
+    field_at: int  # where its field lies in the block
+    quaternion: Sequence[float] = (1.0, 0.0, 0.0, 0.0)  # unit, w first, scene from body
     position_m: Sequence[float] = (0.0, 0.0, 0.0)
-    velocity: Sequence[float] = (0.0,) * 6
-    is_identity: bool = False
+    velocity: Sequence[float] = (0.0,) * 6  # and angular velocity, both times the surface damping: N and N/m
+    is_identity: bool = False  # not turned, in this frame and wherever it is shown next to it, as voxels are
 
     @classmethod
     def voxels(cls, field_at: int) -> FramePart:
@@ -110,8 +104,7 @@ def write_frame(
 ) -> None:
     """Write a frame at word `at`; part n of a frame and part n of the next are the same object.
 
-    The sum of forces is cut to `force_max_n`, as in `HapticScene`; infinite for voxels. `vibration_at` is the word of
-    a field written from ``VibrationFrame.as_field()``; 0 for none.
+    The sum of forces is cut to `force_max_n`; `vibration_at` is the word of the field of a vibration, 0 for none.
     """
     _check_place(memory, at, frame_words(len(parts)))
     i8, _, f8, _ = memory.views
@@ -167,9 +160,8 @@ def _check_place(memory: Memory, at: int, words: int) -> None:
 class FrameParts:
     """Frames of a medium or a scene as fields and poses; `words` is what a frame takes without its fields.
 
-    A `deformation` bends a medium of voxels; its tracks are those of the medium's frames, or make the frames of a
-    medium that has one. `yield_at` is the word of the displacements that it yields by, 0 for none.
-    InvalidArgument if it does not fit the medium.
+    A `deformation` bends a medium of voxels, by tracks of its frames, or that make the frames of a medium of one;
+    `yield_at` is the word of the displacements that it yields by, or 0. InvalidArgument if it does not fit.
     """
 
     def __init__(self, medium: HapticMedium | HapticScene, deformation: Deformation | None = None) -> None:
@@ -178,7 +170,12 @@ class FrameParts:
         self.words = frame_words(len(medium.objects) if isinstance(medium, HapticScene) else 1)
         self._is_still = deformation is not None and medium.frame_count == 1
         if deformation is not None:
-            self._check(medium, deformation)
+            if isinstance(medium, HapticScene):
+                mend = "Encode it with --representation voxel."
+                raise InvalidArgument("deformation", "a scene of objects", "a medium of voxels", mend)
+            if not (len(deformation) in (1, medium.frame_count) or self._is_still):
+                expected = f"1 or {medium.frame_count}, as the medium has"
+                raise InvalidArgument("deformation", f"tracks of {len(deformation)} frames", expected)
             self.words += warp_words(deformation)
             if self._is_still and len(deformation) > 1:
                 self.frame_count, self.rate_hz = len(deformation), deformation.rate_hz
@@ -191,14 +188,6 @@ class FrameParts:
                     both = np.concatenate(one.track.velocities(medium.rate_hz), axis=1)
                 with np.errstate(over="ignore"):  # the kernels cut what is beyond all bounds
                     self._motions.append(both * damping)
-
-    def _check(self, medium: HapticMedium | HapticScene, deformation: Deformation) -> None:
-        if isinstance(medium, HapticScene):
-            found, expected = "a scene of objects", "a medium of voxels"
-            raise InvalidArgument("deformation", found, expected, "Encode it with --representation voxel.")
-        if not (len(deformation) in (1, medium.frame_count) or self._is_still):
-            expected = f"1 or {medium.frame_count}, as the medium has"
-            raise InvalidArgument("deformation", f"tracks of {len(deformation)} frames", expected)
 
     def names(self, frame: int) -> list[FieldName]:
         """The fields that a frame needs."""
@@ -245,11 +234,9 @@ class FrameParts:
 class FrameStore:
     """The latest frames of a medium in one block of this process, made when asked for and kept while there is room.
 
-    Two frames can be written at a time, those between which a query lies. Behind them lie fields, those that were
-    used least recently in front; when the block is full, the older half of them goes and the rest moves forward.
-
-    Fields may take `memory_bytes` as cells, about twice the bytes of their bricks. Where `cells_of` gives cells that
-    are made for others as well, fields are kept for one instant only. `memory` is another one when it had to grow.
+    Two frames, between which a query lies, and behind them fields of `memory_bytes`, about twice those of their
+    bricks; when it is full, the older half goes and the rest moves forward. With `cells_of`, which makes cells for
+    others as well, fields are kept for one instant only. `memory` is another one when it had to grow.
     """
 
     def __init__(
@@ -288,11 +275,6 @@ class FrameStore:
                 self._parts.write(self.memory, self._slots[slot], frame, places)
                 self._written[slot] = frame
         return self._slots[first], self._slots[second]
-
-    @property
-    def kept(self) -> list[FieldName]:
-        """The fields that are there, the least recently used first."""
-        return list(self._fields)
 
     def _room(self, words: int, needed: dict[FieldName, None]) -> int:
         """A place for so many words: free, or made by growing, or by letting older fields go."""

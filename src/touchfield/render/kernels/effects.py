@@ -1,46 +1,26 @@
-"""Effects that the receiver adds to a field (paper 3.2): coupling, damping, vibration, a watch over energy; limits.
+"""Effects that the receiver adds to a field (paper 3.2): coupling, damping, vibration, materials, energy; limits.
 
-Friction is `touchfield.filters.kernels.forces.friction`. All take and give plain numbers; what they remember lies at
-its places in the block.
+**Virtual coupling.** A field that is stiffer than the loop can hold is felt through a spring K: a *proxy* is where
+F(q) + K (h - q) = 0, and the hand at h gets K (q - h). It goes there by one implicit step in each tick, with the
+field's gradient J:: (c - J) dq = F(q) + K (h - q), c = K + max(0, greatest eigenvalue of (J + J') / 2). In a linear
+field it is there after one step. Where J changes within a step it could leap to and fro for ever: when the field
+(not a hand that turned) pulls it back, the stiffness that it met on its way is added to c, and fades within some
+ticks.
 
-**Velocity** is the difference of positions through a first-order low-pass, whose share follows the true time between
-them.
+**Passivity.** The observer adds up what the hand did: a force F that acted while it went dx gave it F dx. If the
+next step would give more than was taken before, a damper takes out what is lacking, F - a v (Hannaford and Ryu 2002),
+no more than cancels what drives the hand and a hand of 50 g bears in a loop of this rate (m / 2T); the rest later.
 
-**Virtual coupling.** A field that is stiffer than a loop of 1 kHz can hold (k > 2 b / T: what a hand damps) is felt
-through a spring K: a *proxy* is where F(q) + K (h - q) = 0, and the hand at h gets K (q - h), which is the field's
-force itself, up to the stiffness of both in a row. The proxy goes there by one implicit step in each tick: with the
-field's gradient J::
+**Limits.** Heat, peak and slew are what every force passes last, and a torque with numbers of its own. |F| <= limit
+and |F - F_before| <= slew dt hold of the float64 that are handed out, because the limit itself sinks by at most half
+of what the slew limit allows: the force before is shortened to the limit of now, and the rest of the way leads
+straight towards what is wanted. Up to H = 3/4 C^2 of heat, which follows |F|^2, the peak is allowed; from there to
+C^2 the limit sinks to the continuous one, C.
 
-    (c - J) dq = F(q) + K (h - q),    c = K + max(0, greatest eigenvalue of (J + J') / 2)
-
-In a field that is linear where the proxy is it is there after one step, however stiff the field and however it turns,
-as long as it only pushes back; where it drives the proxy away (a positive eigenvalue) the step is shortened by that
-much. Where J changes within a step, as at the edge of a wall whose force is limited, a proxy could leap to and fro
-for ever: when it is pulled back by the field (not by a hand that turned: an encoder turns at each step), the
-stiffness that it met on its way is added to c, and fades within some ticks.
-
-**Damper in contact.** What sampling and delay give to a hand at a wall, -K (T / 2 + delay) v, is taken by a damper B
-along the force, never more than the force itself (`render.walls` chooses B).
-
-**Passivity.** The observer adds up what the hand did: a force F that acted while the hand went dx gave it F dx, to
-the last bit where the device's delay is told truly. If the next step would give more than was taken before, the
-controller takes out what is lacking by a damper, F - a v (Hannaford and Ryu 2002). The damper never does more than to
-cancel what drives the hand, and beside that no more than a hand of 50 g bears in a loop of this rate (m / 2T); what
-it still owes it takes later. So what comes out of the device is no more than went in, but for what could not be
-foreseen, or not be done in time: a turn of the hand within the lag of the velocity, a damper that must wait for the
-slew limit. Friction and damping pay in, too: the watch is over the whole, and a field may give what they took.
-
-**Limits.** Heat, peak and slew are what every force passes last (devices.md: "every force that leaves the program
-..."); a torque passes the same ones, with numbers of its own; below, F may be either. |F| <= limit and
-|F - F_before| <= slew dt hold of the float64 that are handed out, however a reader computes these lengths.
-
-Both always hold, because the limit itself sinks by no more than half of what the slew limit allows in that time. So
-the force before can be shortened to the limit of now, which takes half the way at most; the rest of the way leads
-straight towards the force that is wanted, and between two points of a ball one does not leave it.
-
-The continuous limit C is one of heat: H follows |F|^2 with the time constant of the motors. Up to H = 3/4 C^2 the
-peak is allowed; from there to H = C^2 the limit sinks to C, so that a force that is asked for without end comes down
-to C without a step, and stays there.
+**Materials.** A texture is a chord: four sines in each third of an octave, whose power is that of the table at the
+speed of the hand along the surface and the force that it presses with: linear between, to zero below the first, the
+last beyond. A band that the loop cannot show is left out; what the slew limit forbids makes all weaker by one factor.
+Stick-slip is a sawtooth of mu over the way, from kinetic to static; where it would go too fast, its mean.
 """
 
 from __future__ import annotations
@@ -50,8 +30,17 @@ import math
 from numba import njit
 
 from touchfield.render.block import words as W
-from touchfield.render.kernels.deformation import stored_place
-from touchfield.render.kernels.frames import force_at, gradient_at, vibration_at
+from touchfield.render.kernels.frames import (
+    arm,
+    ends,
+    force_at,
+    gradient_at,
+    is_far,
+    part_count,
+    part_force,
+    stored_place,
+    vibration_at,
+)
 from touchfield.render.kernels.vectors import along, dot, is_finite, length, less, plus, put, three, times
 
 _FORCE = (W.FORCE, W.HEAT, W.LIMIT, W.PEAK, W.CONTINUOUS, W.SLEW)
@@ -73,9 +62,6 @@ _PER_TICK = 0.02  # of the way to another damper in contact, and to another coup
 _LEAST_HAND_KG = 0.05
 _LEAST_SPEED = 1e-9  # m/s; slower than this nothing can be damped
 _LEAST_WAY = 1e-18  # m; of the proxy, m^2
-
-
-# -- limits ---------------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -139,10 +125,7 @@ def _within(f8, at, wanted, dt):
 
 @njit(cache=True, nogil=True)
 def limited(f8, wanted, dt):
-    """The force that may be handed out where one is wanted, newtons; keeps it, heat and limit in the state.
-
-    A dt that is not positive gives the force before once more.
-    """
+    """The force that may be handed out where one is wanted, newtons; keeps it, heat and limit in the state."""
     return _within(f8, _FORCE, wanted, dt)
 
 
@@ -150,9 +133,6 @@ def limited(f8, wanted, dt):
 def limited_torque(f8, wanted, dt):
     """The same of a torque, newton metres; zero for ever where the device states none."""
     return _within(f8, _TORQUE, wanted, dt)
-
-
-# -- velocity and coupling ------------------------------------------------------------------------------------------
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -209,10 +189,7 @@ def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, hand):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _turned_back(f8, pull):
-    """Stiffness added to c because the proxy went too far in this tick or in those before, N/m.
-
-    `pull` is what would pull it now had the hand stayed: a hand that turns is not met by stiffness.
-    """
+    """Stiffness added to c because the proxy went too far in this tick or in those before, N/m."""
     step = three(f8, W.PROXY_STEP)
     added = f8[W.PROXY_STIFFNESS] * _STIFFNESS_KEPT
     way, before, now = dot(step, step), dot(three(f8, W.PROXY_PULL), step), dot(pull, step)
@@ -248,11 +225,7 @@ def adapt(f8):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def braked(f8, force, velocity):
-    """A force of the field, newtons, with the damper in contact, for a hand of a velocity, m/s.
-
-    It acts along the force alone, so that nothing drags who slides, and with no more than that force: there is none
-    in free space, no step where a contact begins, and no pull where it ends.
-    """
+    """A force of the field, newtons, with the damper in contact: along it alone, and never more than it."""
     size = length(force)
     if not (f8[W.BRAKE_NOW] > 0.0 and size > 0.0):
         return force
@@ -263,11 +236,7 @@ def braked(f8, force, velocity):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt):
-    """The sine beside the force at a point of the field, newtons; its phase runs on.
-
-    Amplitudes of two frames are blended, the frequency is that of the frame that says more. A frequency that the
-    loop cannot show, half its rate or more, is not rendered.
-    """
+    """The sine beside the force at a point of the field, newtons, at the frequency of the frame that says more."""
     p = stored_place(i8, f8, frame_a, frame_b, min(max(blend, 0.0), 1.0), p)
     amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, *p)
     if frame_b != frame_a and blend > 0.0:
@@ -284,9 +253,6 @@ def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt):
     return amplitude * math.sin(f8[W.PHASE])
 
 
-# -- energy ---------------------------------------------------------------------------------------------------------
-
-
 @njit(cache=True, nogil=True, forceinline=True)
 def remember(f8):
     """Keep the force before among those that are still to act, without the steady one for the handle's weight."""
@@ -297,11 +263,7 @@ def remember(f8):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def observe(f8, way):
-    """Add up the energy of a way of the hand, metres of the device, against the force that acted then.
-
-    That is the one of `DELAY` ticks before the latest. The steady force for the weight of the handle is left out: it
-    gives back what it takes.
-    """
+    """Add up the energy of a way of the hand, metres of the device, against the force of `DELAY` ticks before."""
     whole = int(f8[W.DELAY])
     work = dot(three(f8, W.PAST_FORCES + 3 * whole), way)
     if f8[W.DELAY] > whole:
@@ -312,10 +274,7 @@ def observe(f8, way):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def passive(f8, force, velocity, dt):
-    """The force (device's axes, without gravity) with the damper of the passivity controller, newtons.
-
-    It acts when those before it have acted: what they will give or take by then is foreseen with the velocity of now.
-    """
+    """The force (device's axes) with the damper of the passivity controller; what is on its way is foreseen."""
     speed = length(velocity)
     way = speed * dt
     if f8[W.PASSIVITY] == 0.0 or not (speed > _LEAST_SPEED and way > _LEAST_WAY):
@@ -331,3 +290,117 @@ def passive(f8, force, velocity, dt):
         return force
     braking = min(lacking, max(driving, 0.0) + 0.5 * _LEAST_HAND_KG * f8[W.RATE_HZ] * speed)
     return along(force, -braking, onwards)
+
+
+_BAND_SINES = 4
+_BANDS = W.MATERIAL_SINES // _BAND_SINES
+_TO_EDGE = 10 ** (0.05 / _BAND_SINES)  # of a band, from its highest sine
+_UNKNOWN = -2
+
+
+@njit(cache=True, nogil=True)
+def material_at(i8, u8, f8, f4, frame_a, frame_b, blend, p):
+    """The word of the first material that a point is within; 0 for none. `FRICTION_NOW` becomes that of it."""
+    if f8[W.WALL] > 0.0 and f8[W.IS_COUPLED] != 0.0 and f8[W.IS_HELD] != 0.0:
+        p = three(f8, W.PROXY)  # behind a thin wall there may be none
+    part, row = _UNKNOWN, i8[W.MATERIAL] + W.MATERIAL_ROWS
+    for _ in range(i8[W.MATERIAL_COUNT]):
+        box, own = row + W.MATERIAL_BOX, i8[row + W.MATERIAL_OBJECT]
+        inside = f8[box] <= p[0] <= f8[box + 3] and f8[box + 1] <= p[1] <= f8[box + 4]
+        inside = inside and f8[box + 2] <= p[2] <= f8[box + 5]
+        if inside and own >= 0:
+            if part == _UNKNOWN:
+                part = _strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p)
+            inside = part == own
+        if inside:
+            f8[W.FRICTION_NOW] = _friction(f8, row)
+            return row
+        row += W.MATERIAL_WORDS
+    f8[W.FRICTION_NOW] = f8[W.FRICTION]
+    return 0
+
+
+@njit(cache=True, nogil=True)
+def _strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p):
+    """The part of the frame that pushes most at a point; -1 for none."""
+    a, b, blend = ends(frame_a, frame_b, blend)
+    parts = part_count(i8, a, b)
+    a, b = a + W.FRAME_WORDS, b + W.FRAME_WORDS
+    best, most = -1, 0.0
+    for part in range(parts):
+        d = arm(f8, a, b, blend, p)
+        if not is_far(i8, f8, a, b, d):
+            size = length(part_force(i8, u8, f8, f4, a, b, blend, d))
+            if size > most:
+                best, most = part, size
+        a, b = a + W.PART_WORDS, b + W.PART_WORDS
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _friction(f8, row):
+    """mu of a material, where the hand is on its way between two slips."""
+    mu, static, slip = f8[row + W.MATERIAL_FRICTION], f8[row + W.MATERIAL_STATIC], f8[row + W.MATERIAL_SLIP]
+    if math.isnan(mu):
+        return f8[W.FRICTION]
+    if not static > mu:
+        return mu
+    rate = f8[W.RATE_HZ]
+    shown = min(max((rate / 4 - length(three(f8, W.VELOCITY)) / slip) / (rate / 8), 0.0), 1.0)
+    return mu + (static - mu) * (0.5 + shown * (min(f8[W.SLID] / slip, 1.0) - 0.5))
+
+
+@njit(cache=True, nogil=True)
+def _between(f8, at, count, x):
+    """The two places of a rising row that x lies between, and its share of the way; -1 is zero, before the first."""
+    low, before = -1, 0.0
+    for n in range(count):
+        value = f8[at + n]
+        if x < value:
+            return low, n, (x - before) / (value - before)
+        low, before = n, value
+    return count - 1, count - 1, 0.0
+
+
+@njit(cache=True, nogil=True)
+def _level(f8, at, i, forces, press):
+    """Newtons rms of a band at speed i of the table, and at a force as of `_between`."""
+    if i < 0:
+        return 0.0
+    low, high, share = press
+    first = f8[at + (i * forces + low) * _BANDS] if low >= 0 else 0.0
+    return first + share * (f8[at + (i * forces + high) * _BANDS] - first)
+
+
+@njit(cache=True, nogil=True)
+def texture(i8, f8, row, force, velocity, dt):
+    """The vibration of a material at word `row`, newtons, for a force of the field and a velocity of the hand."""
+    size = length(force)
+    if not size > 0.0:
+        return 0.0
+    normal = dot(velocity, force) / size
+    slid = length(along(velocity, -normal / size, force))
+    way, slip = f8[W.SLID] + slid * dt, f8[row + W.MATERIAL_SLIP]
+    f8[W.SLID] = way - slip * math.floor(way / slip)
+    forces = i8[row + W.MATERIAL_FORCES]
+    if forces == 0:
+        return 0.0
+    speed = _between(f8, i8[row + W.MATERIAL_SPEEDS + 1], i8[row + W.MATERIAL_SPEEDS], slid)
+    press = _between(f8, i8[row + W.MATERIAL_FORCES + 1], forces, size)
+    sines, phases, levels = i8[W.MATERIAL], i8[W.MATERIAL] + W.MATERIAL_SINES, i8[row + W.MATERIAL_LEVELS]
+    total, change, fastest = 0.0, 0.0, math.pi * f8[W.RATE_HZ] / _TO_EDGE
+    for band in range(_BANDS):
+        slow = _level(f8, levels + band, speed[0], forces, press)
+        level = slow + speed[2] * (_level(f8, levels + band, speed[1], forces, press) - slow)
+        level *= math.sqrt(2.0 / _BAND_SINES)
+        first, stop = _BAND_SINES * band, _BAND_SINES * (band + 1)
+        if not (level > 0.0 and f8[sines + stop - 1] < fastest):
+            continue
+        for n in range(first, stop):
+            w = f8[sines + n]
+            turns = (f8[phases + n] + w * dt) / (2 * math.pi)
+            f8[phases + n] = 2 * math.pi * (turns - math.floor(turns))
+            total += level * math.sin(f8[phases + n])
+            change += 0.5 * (level * w) ** 2
+    wanted = W.MATERIAL_CREST * math.sqrt(change) * f8[W.FORCE_SCALE]
+    return total * min(1.0, f8[W.SLEW] / wanted) if wanted > 0.0 else 0.0

@@ -1,7 +1,9 @@
-"""Compiled: the force at a point between two frames of the block (layout: `block.frames`).
+"""Compiled: the force at a point between two frames of the block, where a deformation bends it, and how it yields.
 
 All that a tick asks of the field: force, gradient, vibration. Nothing is allocated. A coordinate that is not finite,
-or out of all bounds, fails the test of the field's box and gives zero.
+or out of all bounds, fails the test of the field's box and gives zero. The lattice of a deformation lies behind the
+parts of a frame (`block.words`, WARP), what yields apart; a query sums the 64 control points about it with the
+weights and slopes of a cubic B-spline.
 """
 
 from __future__ import annotations
@@ -14,7 +16,6 @@ from numba import njit
 from touchfield.lean import UNCOUNTED
 from touchfield.medium.kernels.placed import CELLS, GOLDEN, INSIDE, XY, XYZ, XZ, YZ, X, Y, Z, between, shortened
 from touchfield.render.block import words as W
-from touchfield.render.kernels.deformation import bends, bent, stored_place, warp_of
 from touchfield.render.kernels.vectors import (
     along,
     cross,
@@ -29,6 +30,130 @@ from touchfield.render.kernels.vectors import (
     turned_back,
 )
 
+
+@njit(**UNCOUNTED, forceinline=True)
+def warp_of(i8, frame):
+    """The word of a frame's lattice; 0 where it has none."""
+    offset = i8[np.uint64(frame + W.FRAME_WARP)]
+    return frame + offset if offset > 0 else 0
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def _weights(t, inverse):
+    """A cubic B-spline in a cell: weights of four control points, their first and second slopes."""
+    r = 1.0 - t
+    slope, second = 0.5 * inverse, inverse * inverse
+    w = r * r * r / 6, (3 * t * t * t - 6 * t * t + 4) / 6, (3 * r * r * r - 6 * r * r + 4) / 6, t * t * t / 6
+    d = -slope * r * r, slope * (3 * t * t - 4 * t), -slope * (3 * r * r - 4 * r), slope * t * t
+    return w, d, (second * r, second * (3 * t - 2), second * (3 * r - 2), second * t)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def _cell(f8, i8, warp, axis, x):
+    """First control point about x along an axis, place in the cell, and 1 / spacing; 0 beyond, where u is flat."""
+    inverse = f8[np.uint64(warp + W.WARP_INVERSE + axis)]
+    cells = i8[np.uint64(warp + axis)] - 3
+    s = (x - f8[np.uint64(warp + W.WARP_CORNER + axis)]) * inverse
+    if not 0.0 <= s <= cells:
+        inverse, s = 0.0, min(max(s, 0.0), 1.0 * cells) if s == s else 0.0
+    i = min(np.int64(s), cells - 1)
+    return i, s - i, inverse
+
+
+@njit(**UNCOUNTED, cache=True)
+def bent(i8, f8, frame_a, frame_b, blend, p):
+    """Displacement u at a point, metres, and its slopes along x, y and z: four triples."""
+    a, b = warp_of(i8, frame_a), warp_of(i8, frame_b)
+    i, tx, hx = _cell(f8, i8, a, 0, p[0])
+    j, ty, hy = _cell(f8, i8, a, 1, p[1])
+    k, tz, hz = _cell(f8, i8, a, 2, p[2])
+    (wx, dx, _), (wy, dy, _), (wz, dz, _) = _weights(tx, hx), _weights(ty, hy), _weights(tz, hz)
+    u, gx, gy, gz = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for m in range(4):
+        for n in range(4):
+            # along z first: four control points that lie one behind the other
+            c, g = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+            for o in range(4):
+                v = _control(i8, f8, a, b, blend, i + m, j + n, k + o)
+                c, g = along(c, wz[o], v), along(g, dz[o], v)
+            u, gz = along(u, wx[m] * wy[n], c), along(gz, wx[m] * wy[n], g)
+            gx, gy = along(gx, dx[m] * wy[n], c), along(gy, wx[m] * dy[n], c)
+    return u, gx, gy, gz
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def stored_place(i8, f8, frame_a, frame_b, blend, p):
+    """Where in the medium as it is stored a point is looked up."""
+    return plus(p, bent(i8, f8, frame_a, frame_b, blend, p)[0]) if warp_of(i8, frame_a) > 0 else p
+
+
+@njit(**UNCOUNTED, cache=True)
+def bends(i8, f8, frame_a, frame_b, blend, p, force):
+    """Second slopes of force . u at a point: xx, xy, xz, yy, yz, zz."""
+    a, b = warp_of(i8, frame_a), warp_of(i8, frame_b)
+    i, tx, hx = _cell(f8, i8, a, 0, p[0])
+    j, ty, hy = _cell(f8, i8, a, 1, p[1])
+    k, tz, hz = _cell(f8, i8, a, 2, p[2])
+    (wx, dx, ex), (wy, dy, ey), (wz, dz, ez) = _weights(tx, hx), _weights(ty, hy), _weights(tz, hz)
+    xx = xy = xz = yy = yz = zz = 0.0
+    for m in range(4):
+        for n in range(4):
+            for o in range(4):
+                v = dot(force, _control(i8, f8, a, b, blend, i + m, j + n, k + o))
+                xx += ex[m] * wy[n] * wz[o] * v
+                xy += dx[m] * dy[n] * wz[o] * v
+                xz += dx[m] * wy[n] * dz[o] * v
+                yy += wx[m] * ey[n] * wz[o] * v
+                yz += wx[m] * dy[n] * dz[o] * v
+                zz += wx[m] * wy[n] * ez[o] * v
+    return xx, xy, xz, yy, yz, zz
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def _control(i8, f8, a, b, blend, i, j, k):
+    """A control point of two frames, blended, and what it yields."""
+    at = 3 * ((i * i8[np.uint64(a + 1)] + j) * i8[np.uint64(a + 2)] + k)
+    v = three(f8, a + W.WARP_WORDS + at)
+    if b != a:
+        v = plus(times(1.0 - blend, v), times(blend, three(f8, b + W.WARP_WORDS + at)))
+    soft = i8[np.uint64(a + W.WARP_YIELD)]
+    return plus(v, three(f8, soft + at)) if soft > 0 else v
+
+
+@njit(**UNCOUNTED, cache=True)
+def give_way(i8, f8, frame, p, force, dt):
+    """Let the control points of what yields follow a force at a point for `dt` seconds, and all others go to rest."""
+    warp = warp_of(i8, frame)
+    soft = i8[np.uint64(warp + W.WARP_YIELD)] if warp > 0 else 0
+    if soft <= 0:
+        return
+    stay = math.exp(-dt / f8[np.uint64(warp + W.WARP_RELAX)])
+    ny, nz = i8[np.uint64(warp + 1)], i8[np.uint64(warp + 2)]
+    for n in range(soft, soft + 3 * i8[np.uint64(warp)] * ny * nz):
+        f8[np.uint64(n)] *= stay
+    i, tx, hx = _cell(f8, i8, warp, 0, p[0])
+    j, ty, hy = _cell(f8, i8, warp, 1, p[1])
+    k, tz, hz = _cell(f8, i8, warp, 2, p[2])
+    if hx == 0.0 or hy == 0.0 or hz == 0.0:
+        return  # the point is beyond the lattice
+    wx, wy, wz = _weights(tx, hx)[0], _weights(ty, hy)[0], _weights(tz, hz)[0]
+    square = _square(wx) * _square(wy) * _square(wz)
+    share = (1.0 - stay) * f8[np.uint64(warp + W.WARP_COMPLIANCE)] / square
+    most = f8[np.uint64(warp + W.WARP_MOST)]
+    for m in range(4):
+        for n in range(4):
+            for o in range(4):
+                at = soft + 3 * (((i + m) * ny + j + n) * nz + k + o)
+                w = share * wx[m] * wy[n] * wz[o]
+                for c in range(3):
+                    f8[at + c] = min(max(f8[at + c] + w * force[c], -most), most)
+
+
+@njit(**UNCOUNTED, forceinline=True)
+def _square(w):
+    return w[0] * w[0] + w[1] * w[1] + w[2] * w[2] + w[3] * w[3]
+
+
 NONE = np.uint64(0xFFFFFFFFFFFFFFFF)  # the corner of a cell that is zero
 ON_PLANE = 1e-9
 """Samples: a point so near to a plane of the lattice lies on it, whatever the rounding of its metres says."""
@@ -37,9 +162,6 @@ _1, _2 = np.uint64(1), np.uint64(2)
 _BY, _BZ = np.uint64(W.FIELD_BOX + 1), np.uint64(W.FIELD_BOX + 2)
 
 UNTURNED = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-
-
-# -- one field at a point of its own frame --------------------------------------------------------------------------
 
 
 @njit(**UNCOUNTED, forceinline=True)
@@ -108,9 +230,6 @@ def slopes(f4, o, f):
     return c + fy * (d - c) - (a + fy * (b - a)), (b - a) + fx * ((d - c) - (b - a)), low + fx * (high - low)
 
 
-# -- one part: where it lies, how it is turned, what its motion adds ------------------------------------------------
-
-
 @njit(**UNCOUNTED, forceinline=True)
 def ends(frame_a, frame_b, blend):
     """The same instant with blend 0 wherever one frame alone tells it; beyond 0 and 1 the nearer frame."""
@@ -165,9 +284,6 @@ def motion(f8, a, b, blend, d):
     return plus(mixed(f8, a + W.PART_MOTION, b + W.PART_MOTION, blend), cross(spin(f8, a, b, blend), d))
 
 
-# -- the force ------------------------------------------------------------------------------------------------------
-
-
 @njit(**UNCOUNTED, forceinline=True)
 def part_count(i8, frame_a, frame_b):
     """Bodies that both frames have."""
@@ -176,10 +292,7 @@ def part_count(i8, frame_a, frame_b):
 
 @njit(**UNCOUNTED, forceinline=True)
 def part_force(i8, u8, f8, f4, a, b, blend, d):
-    """Force of a part in the scene, its `arm` d away, without what its motion adds.
-
-    The loop goes over the field in the first frame and, if it is another one, that in the second.
-    """
+    """Force of a part in the scene, its `arm` d away, without what its motion adds; of one field or of two."""
     field, last = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
     is_turned = not i8[np.uint64(a + W.PART_IS_IDENTITY)] & i8[np.uint64(b + W.PART_IS_IDENTITY)]
     r = UNTURNED
@@ -236,13 +349,9 @@ def _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
 def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """F(x, t), newtons, between the frames at words `frame_a` (blend 0) and `frame_b` (blend 1); x in metres.
 
-    Trilinear in space. Of a part with the same field in both frames the pose alone is interpolated (its position
-    linearly, its quaternion linearly and made unit again); fields that differ are blended linearly in that pose.
+    Trilinear in space; the pose of a part is interpolated, and fields that differ are blended linearly in that pose.
     """
     return force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
-
-
-# -- its slope ------------------------------------------------------------------------------------------------------
 
 
 @njit(**UNCOUNTED, forceinline=True)
@@ -276,11 +385,9 @@ def _cut(column, share, u):
 
 @njit(**UNCOUNTED, cache=True)
 def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
-    """dF_i/dx_j of `force_at`, N/m, row by row: nine numbers.
+    """dF_i/dx_j of `force_at`, N/m, row by row; on a plane of a lattice that of the cell towards greater indices.
 
-    On a plane of a lattice, where the slope jumps, it is that of the cell towards greater indices. Where the sum is
-    cut to its limit, only the change of its direction is left. Where a deformation bends the field, it is J^T S J of
-    the slopes S there, J = I + grad u, and the force times the second slopes of u.
+    Where a deformation bends the field, it is J^T S J of the slopes S, J = I + grad u, and a term of u's second.
     """
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
     if warp_of(i8, frame_a) == 0:
@@ -328,16 +435,9 @@ def _plain_gradient(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     return p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2]
 
 
-# -- vibration ------------------------------------------------------------------------------------------------------
-
-
 @njit(**UNCOUNTED, cache=True)
 def vibration_at(i8, u8, f8, f4, frame, x, y, z):
-    """Amplitude, newtons, and frequency, Hz, of the vibration of a frame at a point, metres; (0, 0) where none is.
-
-    The amplitude is interpolated as a force is, with zero where nothing vibrates; the frequency is that of the
-    nearest of the cell's corners that vibrates.
-    """
+    """Amplitude, newtons, interpolated, and frequency, Hz, of the nearest corner that vibrates; zeros for none."""
     field = i8[np.uint64(frame + W.FRAME_VIBRATION)]
     if field == 0:
         return 0.0, 0.0

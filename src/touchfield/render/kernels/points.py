@@ -41,8 +41,7 @@ def _between(f4, o, fx, fy, fz):
 def field_at_points(begin, end, points, i8, u8, f8, f4, field, share, is_first, out):
     """`share` of one unturned field at points [m, 3], metres, written to float32 [m, 3] or, unless first, added.
 
-    The numbers of `force_at`, rounded: a point's place in its cell and what follows is float32 here, in half the
-    time. The brick of the point before is kept.
+    `force_at` with places in cells and what follows in float32, in half the time; the brick before is kept.
     """
     corner_x, corner_y, corner_z = three(f8, field + W.FIELD_CORNER)
     inv_x, inv_y, inv_z = three(f8, field + W.FIELD_INVERSE)
@@ -174,10 +173,7 @@ def _sample(i8, u8, f4, field, share, is_first, s, g):
 
 @njit(**UNCOUNTED, cache=True, fastmath=_FAST)
 def _gather(p, g, f, columns, still, swing, least):
-    """Add forces g of a part, above the square `least`, to those f of the tool's axes, with what its motion adds.
-
-    `columns`: of the matrix that turns the tool into the part; `still` + `swing` x p: velocity times damping.
-    """
+    """Add forces g of a part, above the square `least`, to those f of the tool's axes, with what its motion adds."""
     (px, py, pz), (gx, gy, gz), (fx, fy, fz) = p, g, f
     (a, b, c), (d, e, h), (i, j, k) = columns
     for n in range(px.shape[0]):
@@ -276,9 +272,6 @@ def tool_force(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz):
     return turned(t, times(share, force))
 
 
-# -- whole fields ---------------------------------------------------------------------------------------------------
-
-
 def slope_of_bin(n: int) -> float:
     """The greatest slope of a bin, N/m; from 1 to a million."""
     return float(2.0 ** ((n + 1) / _PER_DOUBLING))
@@ -286,11 +279,7 @@ def slope_of_bin(n: int) -> float:
 
 @njit(cache=True, nogil=True)
 def count_slopes(cells, held, inverse, counts):
-    """Count the cells of a pool by what their force grows with a way against it, -n J n in the middle, N/m.
-
-    `cells` float32 [n * 729 * 3], `held` uint64 [n, 8], `inverse` float64 [3], one by the spacing, 1/m; `counts`
-    int64 [BINS] are added to. Cells whose force falls with such a way are none of them.
-    """
+    """Add to `counts`, int64 [BINS], the cells of a pool by what their force grows with a way against it, N/m."""
     for slot in range(len(held)):
         for n in range(512):
             if not (held[slot, n >> 6] >> np.uint64(n & 63)) & _1:
@@ -320,11 +309,10 @@ def _middle(cells, o):
 
 @njit(cache=True, nogil=True)
 def blend_bricks(begin, end, slots, before, after, share, k, f0_n, out, held):
-    """Bricks begin to end - 1 of `out` float32 [n, 1536]: `share` of the way from `before` to `after`.
+    """Bricks of `out` float32 [n, 1536], `share` of the way from `before` to `after`; `slots` [2, n], -1: no brick.
 
-    `slots` int64 [2, n] are the bricks of both (float32 [m, 1536]), -1 where there is none. A voxel whose two forces
-    cannot be of one source, |after - before| > max(F_0, k |after|) + max(F_0, k |before|), is that of `after`. `held`
-    bool [n] tells which bricks hold a force.
+    A voxel whose two forces cannot be of one source, |after - before| > max(F_0, k |after|) + max(F_0, k |before|),
+    is that of `after`. `held` bool [n] tells which bricks hold a force.
     """
     near = 4.0 * f0_n * f0_n  # any two so near can be of one source
     zero = np.float32(0.0)

@@ -1,21 +1,12 @@
 """Compiled: the proxy, which stays outside of what the hand is pressed into (the god object of Zilles and Salisbury).
 
-The **surface** lies where the stored force reaches a level, its normal is the force's direction (as Salisbury and
-Tarr 1997 take the gradient of an implicit surface). In a tick the proxy goes towards the hand in steps of at most
-half a sample, so that no wall is stepped over; where a step ends within a surface, the place where it went in is
-sought, and the proxy slides on in what is left of the way across the normal, in a corner across two or three. The
-hand is pulled to it by a spring as stiff as the field (in a row with the coupling, where there is one),
-
-    F = K (proxy - hand), longer by K x,
-
-where x is how deep the proxy lies below the surface that the field behind it tells of: its ramp, drawn out to zero.
-So a wall that is thick is felt as the field has it, and one that is thin holds.
-
-**Friction** drags: the proxy stays where it is as long as its spring pulls along the surface by less than mu times
-the pressure, and follows so that it never pulls by more (Harwin and Melder 2002).
-
-**What moves** carries it: it is kept in the axes of the body that it touches. A surface that comes over it pushes it
-out along the normal, some steps a tick. A hand that is left by every surface is its own proxy, without a jump.
+The **surface** lies where the stored force reaches a level, its normal is the force's direction (Salisbury and Tarr
+1997). In a tick the proxy goes towards the hand in steps of half a sample; where one ends within a surface, the
+place where it went in is sought, and it slides on across the normal, in a corner across two or three. The hand is
+pulled to it by a spring, F = K (proxy - hand), longer by K x, with x the depth of the proxy below the surface of
+which the ramp behind it tells: what is thick is felt as the field has it, what is thin holds. **Friction** lets it
+stay as long as its spring pulls along the surface by less than mu times the pressure (Harwin and Melder 2002).
+**What moves** carries it, in the axes of the body; a surface that comes over it pushes it out, some steps a tick.
 """
 
 from __future__ import annotations
@@ -70,9 +61,6 @@ def _look(at, q):
     if not 0.0 < size < math.inf:
         return 0.0, (0.0, 0.0, 0.0)
     return size, times(1.0 / size, force)
-
-
-# -- onto the surface ----------------------------------------------------------------------------------------------
 
 
 @njit(**UNCOUNTED)
@@ -130,9 +118,6 @@ def _steadied(at, q, normal):
     return other if dot(other, normal) > _ALIKE else normal
 
 
-# -- along the surface ---------------------------------------------------------------------------------------------
-
-
 @njit(**UNCOUNTED, forceinline=True)
 def _is_free(d, planes, count):
     into = 0
@@ -167,11 +152,7 @@ def _allowed(d, planes, count):
 
 @njit(**UNCOUNTED)
 def _with(planes, count, normal):
-    """Planes that stop the proxy, and how many of the first ones do, once it has met another one.
-
-    Only the latest does, as the way around an edge leads on: but two that it meets in turn make a corner, and what
-    stops it along a corner is a third.
-    """
+    """Planes that stop the proxy, and how many of the first ones do, once it has met another one."""
     a, b, c = planes
     if dot(a, normal) > _ALIKE:
         return (normal, b, c), max(count, 1)
@@ -228,9 +209,6 @@ def _goal(at, q, hand):
     return q, count > 0 and dot(less(hand, q), planes[count - 1]) < 0.0
 
 
-# -- bodies that move ----------------------------------------------------------------------------------------------
-
-
 @njit(**UNCOUNTED)
 def _carried(at):
     """Where the proxy of the tick before has been carried to."""
@@ -280,16 +258,9 @@ def _dragged(at, before, goal, most):
     return q
 
 
-# -- the force -----------------------------------------------------------------------------------------------------
-
-
 @njit(**UNCOUNTED)
 def _below(at, q, inwards, depth):
-    """Depth of a proxy below the surface of which the ramp behind it tells, metres; negative above.
-
-    Less than a sample either way, as much as the low-pass moves a surface: a thin wall has no ramp to tell of. Of the
-    hand's own depth below the proxy it is half at most, so that a contact begins from nothing.
-    """
+    """Depth of a proxy below the surface of which the ramp behind it tells, metres; negative above."""
     sample = _sample(at, inwards)
     strength, _ = _look(at, along(q, _BEHIND * sample, inwards))
     return min(max(strength / at.stiffness - _BEHIND * sample, -sample), min(sample, 0.5 * depth))

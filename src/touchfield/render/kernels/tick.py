@@ -1,30 +1,30 @@
-"""One tick of the renderer, from the place of the device to its force (paper section 3.2, the last box of figure 4).
+"""One turn of the servo: time, orders and frames -> `tick` -> a force for the device, a row of the log, the counts.
 
     place -> axes, scale, clutch -> velocity -> proxy, or field, or coupling -> friction, damping -> vibration
           -> axes, force scale -> passivity -> gravity -> gain -> limits -> force
 
-`tick` and `release` are the only two that hand out forces, and both do so through `effects.limited`. They take the
-four views of the block, and leave in it what a log may want and the torque of a tool (`block.words`), whose way is
-that of the force.
+`tick` and `release` are the only two that hand out forces, and both do so through `effects.limited`. `cycle` is
+called by the Python loop of the servo and by the callback that a vendor's driver takes; it allocates nothing, waits
+for nothing, and takes nothing but views of the block. Without a frame or a place (or a turn) of the device the gain
+goes to zero in the time of the ramp, and the last force is let go.
 
-The gain goes to zero in the time that was asked for when there is no frame, or no place of the device that could be
-one, and comes back likewise: of a force that cannot be computed any more, the last one is let go. All of it follows,
-also the force for the weight of the handle.
-
-A grip that says no orientation (not finite, or no unit quaternion) is as a device that says no place: gain goes down,
-and of a torque that cannot be computed any more the last one is let go, within the limits.
+**The media clock** stands at the beginning and after a seek until the first frames are there. Where a later one is
+late there is no force, but the clock goes on; only where nothing more will come does it stand. Each word has one
+writer; a fence stands between what is told and the word that tells it.
 """
 
 from __future__ import annotations
 
-from numba import njit
+import math
+
+from numba import njit, types
+from numba.extending import intrinsic
 
 from touchfield.filters.kernels.forces import friction
 from touchfield.render.block import words as W
 from touchfield.render.kernels import effects
-from touchfield.render.kernels.deformation import give_way
-from touchfield.render.kernels.frames import force_at
-from touchfield.render.kernels.material import material_at, texture
+from touchfield.render.kernels.effects import material_at, texture
+from touchfield.render.kernels.frames import force_at, give_way
 from touchfield.render.kernels.points import tool_force
 from touchfield.render.kernels.proxy import held
 from touchfield.render.kernels.vectors import (
@@ -52,12 +52,10 @@ _LEAST, _MOST = 0.81, 1.21  # of the square of a quaternion that was meant to be
 
 @njit(cache=True, nogil=True)
 def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
-    """The force of one tick, three numbers, newtons, the device's axes.
+    """The force of one tick, three numbers, newtons, the device's axes, for a device at (x, y, z), metres.
 
-    The first four are the block. `frame_a` and `frame_b` are places of the frames before and after this time, perhaps
-    the same; 0: there is none. `blend`, 0 to 1, goes from the one to the other. (x, y, z) is the place of the device,
-    metres, its axes; any floats (others are compiled anew). A `dt`, seconds since the tick before, that is not
-    positive and finite gives the force before once more.
+    `frame_a` and `frame_b` are places of the frames before and after this time, 0: there is none; `blend` goes from
+    the one to the other. A `dt`, seconds, that is not positive and finite gives the force before once more.
     """
     if not effects.has_passed(f8, dt):
         return three(f8, W.FORCE)
@@ -85,10 +83,7 @@ def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
 
 @njit(cache=True, nogil=True)
 def release(i8, u8, f8, f4, dt):
-    """The next force on the way to zero, three numbers, newtons, the device's axes; zero in the end and ever after.
-
-    It goes down in a straight line within the time of the ramp, or as fast as the slew limit allows.
-    """
+    """The next force on the way to zero within the ramp or the slew limit, newtons; zero for ever in the end."""
     if not effects.has_passed(f8, dt):
         return three(f8, W.FORCE)
     before = f8[W.GAIN]
@@ -159,9 +154,6 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
     return plus(effects.passive(f8, force, times(1.0 / f8[W.SCALE], turned_back(axes, v)), dt), three(f8, W.GRAVITY))
 
 
-# -- torque ---------------------------------------------------------------------------------------------------------
-
-
 @njit(cache=True, nogil=True)
 def is_turned(i8, f8):
     """True if the device says how the grip is turned; keeps how that turns the tool in the field."""
@@ -185,3 +177,236 @@ def want_torque(f8):
         torque = _NOTHING
     scale = f8[W.HANDEDNESS] * f8[W.FORCE_SCALE] / f8[W.SCALE]
     put(f8, W.WANTED_TORQUE, times(scale, turned_back(rows_of(f8, W.AXES), torque)))
+
+
+ROUNDING = 1e-6
+"""Of a frame's number: a time that was meant to be a frame's own is that frame, and not the end of the one before."""
+
+_FEED_FLAGS = (0, 2, 1, 4, 8)  # of the log (`block.FLAGS`), by the state of the feed
+
+
+@intrinsic
+def _fence(context):
+    def code(backend, builder, signature, arguments):
+        builder.fence("seq_cst")
+        return backend.get_dummy_value()
+
+    return types.void(), code
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def fence():
+    """A full memory fence."""
+    _fence()  # type: ignore[call-arg]
+
+
+@njit(cache=True, nogil=True)
+def give_order(i8, f8, generation, start_s, speed, mode, stop):
+    """Write one order of the player; the servo takes it whole or not yet."""
+    i8[W.SEQUENCE] += 1
+    fence()
+    i8[W.GENERATION] = generation
+    f8[W.START_S] = start_s
+    f8[W.SPEED] = speed
+    i8[W.MODE] = mode
+    i8[W.STOP] = stop
+    fence()
+    i8[W.SEQUENCE] += 1
+
+
+@njit(cache=True, nogil=True)
+def publish(i8, generation, frame, at, now_ns):
+    """Show a frame that is written: entry of an unrolled frame in the directory."""
+    entry = i8[W.DIRECTORY] + W.DIRECTORY_WORDS * (frame % i8[W.SLOTS])
+    i8[entry] = -1
+    fence()
+    i8[entry + 1] = at
+    i8[entry + 2] = now_ns
+    fence()
+    i8[entry] = (generation << W.FRAME_BITS) | frame
+
+
+@njit(cache=True, nogil=True)
+def unrolled_frame(media_s, rate_hz):
+    """The frame that is shown at a media time."""
+    return math.floor(media_s * rate_hz + ROUNDING)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _media_now(i8, f8, clock_s):
+    if i8[W.MODE_NOW] == W.PLAYING and (i8[W.FEED] == W.RUNNING or i8[W.FEED] == W.STALLED):
+        return f8[W.ANCHOR_MEDIA_S] + (clock_s - f8[W.ANCHOR_CLOCK_S]) * f8[W.SPEED_NOW]
+    return f8[W.MEDIA_S]
+
+
+@njit(cache=True, nogil=True)
+def adopt_order(i8, f8, clock_s):
+    """Take the latest order of the player, if it is complete and new."""
+    sequence = i8[W.SEQUENCE]
+    if sequence == i8[W.SEQUENCE_SEEN] or sequence & 1:
+        return
+    fence()
+    generation, start_s, speed, mode, stop = i8[W.GENERATION], f8[W.START_S], f8[W.SPEED], i8[W.MODE], i8[W.STOP]
+    fence()
+    if i8[W.SEQUENCE] != sequence:
+        return  # written meanwhile; the next tick will have it
+    media_s = _media_now(i8, f8, clock_s)
+    if generation != i8[W.GENERATION_NOW]:
+        i8[W.GENERATION_NOW] = generation
+        media_s = start_s
+        i8[W.FEED] = W.READY
+    elif mode != i8[W.MODE_NOW] and i8[W.FEED] != W.ENDED:
+        i8[W.FEED] = W.READY
+    f8[W.MEDIA_S] = media_s
+    f8[W.ANCHOR_MEDIA_S] = media_s
+    f8[W.ANCHOR_CLOCK_S] = clock_s
+    f8[W.SPEED_NOW] = speed
+    i8[W.MODE_NOW] = mode
+    i8[W.STOP_NOW] = stop
+    fence()
+    i8[W.SEQUENCE_SEEN] = sequence  # last: who sees it sees no state of the order before
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _place(i8, frame):
+    """Where an unrolled frame lies; 0 if it is not there."""
+    entry = i8[W.DIRECTORY] + W.DIRECTORY_WORDS * (frame % i8[W.SLOTS])
+    if i8[entry] != (i8[W.GENERATION_NOW] << W.FRAME_BITS) | frame:
+        return 0
+    fence()
+    return i8[entry + 1]
+
+
+@njit(cache=True, nogil=True)
+def _count_use(i8, frame, now_ns):
+    """Count the first use of a frame, and the time since it was published (unknown where that is 0)."""
+    tag = (i8[W.GENERATION_NOW] << W.FRAME_BITS) | frame
+    if tag == i8[W.USED]:
+        return
+    i8[W.USED] = tag
+    i8[W.FRAMES_USED] += 1
+    published = i8[i8[W.DIRECTORY] + W.DIRECTORY_WORDS * (frame % i8[W.SLOTS]) + 2]
+    if published == 0:
+        return
+    latency = max(now_ns - published, 0)
+    if i8[W.LEAST_LATENCY_NS] == 0 or latency < i8[W.LEAST_LATENCY_NS]:
+        i8[W.LEAST_LATENCY_NS] = max(latency, 1)
+    i8[W.LATENCIES + min(int(W.LATENCY_STEPS * math.log2(1e-3 * latency + 1.0)), W.LATENCY_BINS - 1)] += 1
+
+
+@njit(cache=True, nogil=True)
+def frames_now(i8, f8, clock_s, now_ns, is_silent):
+    """Places of the two frames of this instant, 0: no force; share of the second; first frame still to be read."""
+    count, rate_hz = i8[W.FRAME_COUNT], f8[W.FRAME_RATE_HZ]
+    media_s = _media_now(i8, f8, clock_s)
+    wanted, following, blend = 0, 0, 0.0
+    if count > 1:
+        wanted = unrolled_frame(media_s, rate_hz)
+        if not i8[W.IS_LOOP] and wanted >= count:
+            f8[W.MEDIA_S] = count / rate_hz
+            i8[W.FEED] = W.ENDED
+            return 0, 0, 0.0, count
+        following = wanted if wanted == count - 1 and not i8[W.IS_LOOP] else wanted + 1
+        blend = min(max(media_s * rate_hz - wanted, 0.0), 1.0)
+    before_s = f8[W.MEDIA_S]
+    f8[W.MEDIA_S] = media_s
+    is_playing = i8[W.MODE_NOW] == W.PLAYING
+    i8[W.PLAYED_TICKS] += is_playing
+    if i8[W.MODE_NOW] == W.IDLE:
+        return 0, 0, 0.0, wanted
+    frame_a, frame_b = _place(i8, wanted), _place(i8, following)
+    if frame_a and frame_b and not is_silent:
+        if is_playing and i8[W.FEED] != W.RUNNING:
+            f8[W.ANCHOR_MEDIA_S] = media_s
+            f8[W.ANCHOR_CLOCK_S] = clock_s
+            i8[W.FEED] = W.RUNNING
+        _count_use(i8, wanted, now_ns)
+        return frame_a, frame_b, blend, wanted
+    if is_playing:
+        if i8[W.FEED] == W.RUNNING:
+            i8[W.FEED] = W.STALLED
+            i8[W.UNDERRUNS] += 1 if not i8[W.FEED_FAILED] and not is_silent else 0
+        elif i8[W.FEED] == W.READY:
+            i8[W.FEED] = W.WAITING
+            i8[W.WAITS] += 1
+        i8[W.STALLED_TICKS if i8[W.FEED] == W.STALLED else W.WAITING_TICKS] += 1
+        if is_silent or i8[W.FEED_FAILED]:
+            f8[W.MEDIA_S] = f8[W.ANCHOR_MEDIA_S] = before_s
+            f8[W.ANCHOR_CLOCK_S] = clock_s
+    return 0, 0, 0.0, wanted
+
+
+@njit(cache=True, nogil=True)
+def _count_time(i8, now_ns):
+    """Jitter and lateness of this tick, and the deadline of the next."""
+    tick_ns = i8[W.TICK_NS]
+    if i8[W.TICKS] == 0:
+        i8[W.FIRST_NS] = now_ns
+        i8[W.DEADLINE_NS] = now_ns
+    else:
+        period = abs(now_ns - i8[W.LAST_NS] - tick_ns)
+        i8[W.PERIODS + min(period // 1000, W.TIME_BINS)] += 1
+        i8[W.WORST_PERIOD_NS] = max(i8[W.WORST_PERIOD_NS], period)
+    late = max(now_ns - i8[W.DEADLINE_NS], 0)
+    i8[W.LATENESSES + min(late // 1000, W.TIME_BINS)] += 1
+    i8[W.WORST_LATENESS_NS] = max(i8[W.WORST_LATENESS_NS], late)
+    if 2 * late > tick_ns:
+        i8[W.LATE] += 1
+    following = (now_ns if i8[W.IS_PACED] else i8[W.DEADLINE_NS]) + tick_ns
+    if following <= now_ns:  # what is past is past: no burst of ticks to catch up
+        missed = (now_ns - following) // tick_ns + 1
+        i8[W.MISSED] += missed
+        following += missed * tick_ns
+    i8[W.DEADLINE_NS] = following
+    i8[W.LAST_NS] = now_ns
+    i8[W.TICKS] += 1
+
+
+@njit(cache=True, nogil=True)
+def _write_row(i8, f8, clock_s, force, is_silent, is_stopping):
+    at = i8[W.LOG] + W.ROW_WORDS * (i8[W.LOG_WRITTEN] % i8[W.LOG_ROWS])
+    f8[at] = clock_s
+    f8[at + 1] = f8[W.MEDIA_S]
+    put(f8, at + 2, three(f8, W.POSITION))
+    put(f8, at + 5, three(f8, W.VELOCITY))
+    put(f8, at + 8, three(f8, W.FIELD_FORCE))
+    put(f8, at + 11, three(f8, W.FRICTION_FORCE))
+    put(f8, at + 14, force)
+    i8[at + 17] = _FEED_FLAGS[i8[W.FEED]] + 16 * is_stopping + 32 * is_silent + 64 * (i8[W.MODE_NOW] == W.PAUSED)
+    for n in range(4):
+        f8[at + 18 + n] = f8[W.ORIENTATION + n]
+    put(f8, at + 22, three(f8, W.FIELD_TORQUE))
+    put(f8, at + 25, three(f8, W.TORQUE))
+    i8[at + 28] = i8[W.BUTTONS]
+    f8[at + 29] = f8[W.GRIPPER_M]
+    fence()
+    i8[W.LOG_WRITTEN] += 1
+
+
+@njit(cache=True, nogil=True)
+def cycle(i8, u8, f8, f4, x, y, z, now_ns):
+    """The force, newtons, for the device at (x, y, z), metres, at `now_ns` of the clock; torque is in the block."""
+    is_simulated, ticks = i8[W.IS_SIMULATED] != 0, i8[W.TICKS]
+    _count_time(i8, now_ns)
+    if is_simulated:
+        clock_s, dt_s = ticks / f8[W.RATE_HZ], 1.0 / f8[W.RATE_HZ]
+    else:
+        clock_s = 1e-9 * (now_ns - i8[W.FIRST_NS])
+        dt_s = max(clock_s - f8[W.CLOCK_S], 0.0) if ticks else 1.0 / f8[W.RATE_HZ]
+    f8[W.CLOCK_S] = clock_s
+    adopt_order(i8, f8, clock_s)
+    is_silent = i8[W.HEARTBEAT_NS] != 0 and now_ns - i8[W.HEARTBEAT_NS] > W.SILENCE_NS
+    is_stopping = i8[W.STOP_NOW] != 0 or i8[W.STOP_HERE] != 0
+    frame_a, frame_b, blend, wanted = frames_now(i8, f8, clock_s, now_ns, is_silent)
+    if is_stopping:
+        force = release(i8, u8, f8, f4, dt_s)
+    else:
+        force = tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt_s)
+    is_zero = force == (0.0, 0.0, 0.0) and three(f8, W.TORQUE) == (0.0, 0.0, 0.0)
+    _write_row(i8, f8, clock_s, force, is_silent, is_stopping)
+    fence()
+    i8[W.NEEDS] = (i8[W.GENERATION_NOW] << W.FRAME_BITS) | wanted
+    i8[W.RESTING] = is_zero
+    if is_stopping and is_zero:
+        i8[W.RELEASED] = 1
+    return force
