@@ -8,11 +8,12 @@ medium -> curl, work around loops                       whether its forces could
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,29 +22,23 @@ from touchfield.codec.rate import RAW_BITS_PER_VECTOR
 from touchfield.codec.registry import coder
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
-from touchfield.job.mapping import FrameRange, SymbolFrames, mapped
-from touchfield.job.prepare import prepare
+from touchfield.job.mapping import SymbolFrames, mapped
+from touchfield.job.prepare import StreamScene, is_stream, prepare
 from touchfield.job.spec import EncodeSpec
-from touchfield.job.stream_scene import StreamScene, is_stream
 from touchfield.measure.bootstrap import Interval
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
-from touchfield.measure.estimators import binary_entropy_bits
+from touchfield.measure.estimators import ESTIMATORS, binary_entropy_bits
 from touchfield.measure.field_count import shared_counts
 from touchfield.measure.field_information import FieldCounts, field_counts, field_joint
-from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.interaction import interaction_entropy
-from touchfield.measure.limits import coding_limits
-from touchfield.measure.passivity import passivity
+from touchfield.measure.limits import CodingLimits, coding_limits
+from touchfield.measure.passivity import Passivity, passivity
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.parallel import Report, silent
-
-if TYPE_CHECKING:
-    from touchfield.measure.limits import CodingLimits
-    from touchfield.measure.passivity import Passivity
-    from touchfield.sources.scene import Scene
-    from touchfield.viewer.information import Bar
+from touchfield.sources.scene import Scene
+from touchfield.viewer.information import Bar, DeviceBars, InformationView, draw_information
 
 
 @dataclass(frozen=True)
@@ -86,9 +81,7 @@ class Measurement:
         """Stable keys for people and programs."""
         return {
             "medium": self.name,
-            "quantiser": self.quantiser,
-            "alphabet": self.alphabet,
-            "frames": self.frames,
+            **{key: getattr(self, key) for key in ("quantiser", "alphabet", "frames")},
             "voxels_per_frame": self.voxels,
             "supported_voxels": self.supported_voxels,
             "occupancy": self.occupancy,
@@ -107,14 +100,10 @@ class Measurement:
 
     def draw(self, path: str | Path) -> None:
         """Write the picture, PNG: the bits of the medium beside the limits of coding it, and each device's share."""
-        from touchfield.viewer.information import DeviceBars, InformationView, draw_information
-
-        devices = [
-            DeviceBars(
-                name, c.capacity.value, c.wmr.value, c.hil.value, _ends(c.wmr) if c.rendered.interval else None
-            )
-            for name, c in self.capacities.items()
-        ]
+        devices = []
+        for name, c in self.capacities.items():
+            ends = _ends(c.wmr) if c.rendered.interval else None
+            devices.append(DeviceBars(name, c.capacity.value, c.wmr.value, c.hil.value, ends))
         title = (
             f"{self.name}: {self.frames} frame{'s' * (self.frames > 1)} of {self.voxels:,} voxels, "
             f"{self.occupancy:.2%} with a force; Q {self.quantiser}, H(W) = {self.per_frame.value:,.0f} bit/frame"
@@ -123,8 +112,6 @@ class Measurement:
 
     def _bars(self) -> list[Bar]:
         """Bits of a supported voxel, from raw numbers to the best limit; telling where it is included."""
-        from touchfield.viewer.information import Bar
-
         each = self.frames * self.voxels / self.supported_voxels
         low_high = _ends(self.voxel)
         ends = low_high and (low_high[0] * each, low_high[1] * each)
@@ -145,9 +132,6 @@ class Measurement:
 
 def _ends(quantity: Quantity) -> tuple[float, float] | None:
     return None if quantity.interval is None else (quantity.interval.low, quantity.interval.high)
-
-
-OVER = ("voxel", "object", "interaction")
 
 
 @dataclass(frozen=True)
@@ -173,10 +157,8 @@ class MeasureSpec:
     density: float | None = None
 
     def __post_init__(self) -> None:
-        from touchfield.measure.estimators import ESTIMATORS
-
         kind, _, trace = self.over.partition(":")
-        if kind not in OVER or (kind == "interaction") != bool(trace):
+        if kind not in ("voxel", "object", "interaction") or (kind == "interaction") != bool(trace):
             raise InvalidArgument("--over", repr(self.over), "voxel, object, or interaction:TRACE.csv")
         if self.estimator not in ESTIMATORS:
             raise InvalidArgument("--estimator", repr(self.estimator), f"one of {', '.join(ESTIMATORS)}")
@@ -203,16 +185,18 @@ def measure_medium(
     medium, name, notes, file_bits, is_of_codewords = _medium(source, spec)
     is_distinct = is_of_codewords and not spec.devices
     asked = FieldQuantiserSpec.parse(spec.quantiser or ("distinct" if is_distinct else DEFAULT_QUANTISER))
-    steps = _Steps(report, 3 + (len(medium) > 1) + spec.limits + len(spec.devices))
+    total = 3 + (len(medium) > 1) + spec.limits + len(spec.devices)
+    steps = count()
+    done: Callable[..., None] = lambda counts=True: report(next(steps), total) if counts else None  # noqa: E731
+    done()
     quantise = asked.fit(medium)
     frames = SymbolFrames(medium, quantise)
-    steps.done()
+    done()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
-        watched = _Supports(frames)
-        counts = field_counts(watched)
+        counts = field_counts(frames)
         voxel = counts.entropy("voxel", spec.estimator)
-        held = sum(watched.voxels)
+        held = sum(frames.object_counts.values())
         if not held:
             found, mend = "a medium without any force", "Take other frames, or look at the source."
             if quantise.top_n > 0:
@@ -222,70 +206,38 @@ def measure_medium(
         corrected = counts.entropy("voxel", "miller-madow", interval=False)
         asked_for = on_object if kind == "object" else voxel
         if probe is not None:
-            asked_for = _along(probe, frames, spec)
-        steps.done()
-        in_time = _in_time(frames, spec.estimator) if len(frames) > 1 else {}
-        steps.done(len(frames) > 1)
+            taken, rate_hz = spec.encode.frames, medium.rate_hz
+            moved = Trace(probe.times_s - (taken[0] if taken else 0) / rate_hz, probe.positions_m)  # since the source
+            # a still scene is there at all times
+            visited: Any = frames[0] if len(frames) == 1 and taken is None else frames
+            asked_for = interaction_entropy(moved, visited, spec.estimator, rate_hz=rate_hz)
+        done()
+        in_time = {}
+        if len(frames) > 1:
+            both = field_joint(frames[1:], frames[:-1], estimator=spec.estimator)  # each beside the one before
+            in_time = {
+                "conditional_entropy": both.first_given_second.of(name="H(S_t|S_t-1)"),
+                "mutual_information": both.mutual.of(name="I(S_t;S_t-1)"),
+                "normalised_mutual_information": both.normalised.of(name="NMI(S_t;S_t-1)"),
+                "variation_of_information": both.variation.of(name="VI(S_t,S_t-1)"),
+            }
+        done(len(frames) > 1)
         limits = coding_limits(frames, split=quantise.directions) if spec.limits else None
-        steps.done(spec.limits)
+        done(spec.limits)
         per_frame = voxel.times(medium.grid.voxel_count, "bit/frame", "H(W)")
         capacities = {}
         for device_name in spec.devices:
             capacities[device_name], more = _capacity(frames, counts, per_frame, device_name, asked, spec)
             notes += tuple(f"{device_name}: {note}" for note in more)
-            steps.done()
-    energy = passivity(medium[watched.voxels.index(max(watched.voxels))])
+            done()
+    energy = passivity(medium[max(sorted(frames.object_counts), key=frames.object_counts.__getitem__)])
     if quantise.words == "distinct" and spec.limits:
         notes += (f"the limits do not count the table that tells what the {quantise.alphabet - 1:,} vectors are",)
-    steps.done()
+    done()
     return Measurement(
-        name=name,
-        quantiser=quantise.words,
-        alphabet=quantise.alphabet,
-        frames=len(medium),
-        voxels=medium.grid.voxel_count,
-        supported_voxels=held,
-        entropy=asked_for,
-        voxel=voxel,
-        object=on_object,
-        corrected=corrected,
-        per_frame=per_frame,
-        in_time=in_time,
-        limits=limits,
-        capacities=capacities,
-        passivity=energy,
-        file_bits=file_bits,
-        notes=notes,
-    )
-
-
-class _Steps:
-    """Tells how far the work has come."""
-
-    def __init__(self, report: Report, total: int) -> None:
-        self._report, self._total, self._at = report, total, 0
-        report(0, total)
-
-    def done(self, counts: bool = True) -> None:
-        if counts:
-            self._at += 1
-            self._report(self._at, self._total)
-
-
-class _Supports(Sequence[FieldSymbols]):
-    """Frames, and how many voxels of each are not 0, once it was asked for."""
-
-    def __init__(self, frames: SymbolFrames) -> None:
-        self._frames = frames
-        self.voxels = [0] * len(frames)
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def __getitem__(self, index: Any) -> Any:
-        frame = self._frames[index]
-        self.voxels[index] = frame.object_count
-        return frame
+        name, quantise.words, quantise.alphabet, len(medium), medium.grid.voxel_count, held, asked_for, voxel,
+        on_object, corrected, per_frame, in_time, limits, capacities, energy, file_bits, notes,
+    )  # fmt: skip
 
 
 def _medium(
@@ -305,28 +257,6 @@ def _medium(
     return prepared.medium, name, (*prepared.notes, note), None, False
 
 
-def _along(probe: Trace, frames: SymbolFrames, spec: MeasureSpec) -> Quantity:
-    """H(S) over the visits of a probe, whose clock begins with the source, whichever frames are taken."""
-    if len(frames) == 1 and spec.encode.frames is None:
-        return interaction_entropy(probe, frames[0], spec.estimator)  # a still scene is there at all times
-    rate_hz = frames.medium.rate_hz
-    first = spec.encode.frames[0] if spec.encode.frames else 0
-    moved = Trace(probe.times_s - first / rate_hz, probe.positions_m)
-    return interaction_entropy(moved, frames, spec.estimator, rate_hz=rate_hz)
-
-
-def _in_time(frames: SymbolFrames, estimator: str) -> dict[str, Quantity]:
-    """Each frame but the first, beside the one before it."""
-    count = len(frames)
-    both = field_joint(FrameRange(frames, 1, count), FrameRange(frames, 0, count - 1), estimator=estimator)
-    return {
-        "conditional_entropy": both.first_given_second.of(name="H(S_t|S_t-1)"),
-        "mutual_information": both.mutual.of(name="I(S_t;S_t-1)"),
-        "normalised_mutual_information": both.normalised.of(name="NMI(S_t;S_t-1)"),
-        "variation_of_information": both.variation.of(name="VI(S_t,S_t-1)"),
-    }
-
-
 def _capacity(
     reference: SymbolFrames,
     counts: FieldCounts,
@@ -343,7 +273,11 @@ def _capacity(
     told = field_counts(frames, overs=("voxel",))
     rendered = told.entropy("voxel", spec.estimator).times(voxels, "bit/frame", "H(M(W))")
     most = codomain_bits(voxels, quantise.alphabet)
-    if _same_symbols(reference, frames):
+    is_same = reference.medium.grid.shape == shown.medium.grid.shape and reference.quantiser.words == quantise.words
+    if is_same and all(
+        np.array_equal(x.bricks, y.bricks) and np.array_equal(x.symbols, y.symbols)
+        for x, y in zip(reference, frames, strict=True)
+    ):  # no loss has to be estimated
         ratio: Interval | None = Interval(1.0, 1.0, 1.0, "M(W) and W have the same symbols everywhere")
     else:
         both = shared_counts(
@@ -356,12 +290,3 @@ def _capacity(
         ratio = None if both is None else paired_ratio(both, per_lattice, alphabets, most, spec.estimator)
     found = capacity(per_frame, rendered, most, ratio=ratio)
     return found, (*shown.notes, *found.notes, f"its Q is {quantise.words}")
-
-
-def _same_symbols(a: SymbolFrames, b: SymbolFrames) -> bool:
-    """True if both tell the same of every voxel, so that no loss has to be estimated."""
-    if a.medium.grid.shape != b.medium.grid.shape or a.quantiser.words != b.quantiser.words:
-        return False
-    return all(
-        np.array_equal(x.bricks, y.bricks) and np.array_equal(x.symbols, y.symbols) for x, y in zip(a, b, strict=True)
-    )

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from touchfield.errors import InvalidArgument
+from touchfield.job.editing import taken
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
-from touchfield.job.joining import taken
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
@@ -168,9 +168,10 @@ class _Tries:
             meter = FidelityMeter(head.weber_fraction, max(head.force_threshold_n, NO_FLOOR_N))
             for i, decoded in enumerate(opened.medium):
                 meter.add(medium[i], decoded)
-        self.reached[log_control] = round(size), -math.inf if meter.nmse_db is None else meter.nmse_db
-        assert self.target.nmse_db is not None and self.reached[log_control][1] is not None
-        return self.target.nmse_db - self.reached[log_control][1]
+        nmse_db = -math.inf if meter.nmse_db is None else meter.nmse_db
+        self.reached[log_control] = round(size), nmse_db
+        assert self.target.nmse_db is not None
+        return self.target.nmse_db - nmse_db
 
     def words(self, log_control: float) -> str:
         """The size or the error of a file."""
@@ -179,11 +180,7 @@ class _Tries:
 
 
 def encode_to_target(
-    source: str | Path | Scene,
-    out: str | Path,
-    spec: EncodeSpec | None,
-    target: Target,
-    report: Report = silent,
+    source: str | Path | Scene, out: str | Path, spec: EncodeSpec | None, target: Target, report: Report = silent
 ) -> Encoded:
     """Turn a source into a ``.touch`` file of a given size or error, in at most 8 encodings.
 
@@ -204,11 +201,15 @@ def encode_to_target(
 
 
 def _first_guess(tries: _Tries) -> float:
-    """The logarithm of the control to begin with: from a part of the frames, where there are enough of them."""
-    start, part = math.log(tries.asked), _part(tries.prepared)
-    if part is None:
+    """The logarithm of the control to begin with: from two whole segments, where there are enough of them."""
+    prepared, start = tries.prepared, math.log(tries.asked)
+    length = prepared.spec.segment_frames_at(prepared.medium.rate_hz)
+    count = len(prepared.medium) // length
+    if prepared.scene is not None or count < 2 * _SUBSET_SEGMENTS:  # hardly more than a part, or objects
         return start
-    of_part = replace(tries, prepared=part, whole=len(tries.prepared.medium) / len(part.medium), reached={})
+    firsts = [length * (count * (2 * i + 1) // (2 * _SUBSET_SEGMENTS)) for i in range(_SUBSET_SEGMENTS)]
+    part = replace(prepared, medium=taken(prepared.medium, [n + j for n in firsts for j in range(length)]))
+    of_part = replace(tries, prepared=part, whole=len(prepared.medium) / len(part.medium), reached={})
     search, within = of_part.search, NMSE_WITHIN_DB if tries.target.bytes is None else 1 - LEAST_SHARE
 
     def is_near(excess: float) -> bool:
@@ -246,15 +247,10 @@ def _on_all(tries: _Tries, start: float) -> float:
 
 def _wording(tries: _Tries, log_control: float) -> tuple[dict[str, Any], str]:
     """Keys of the summary that tell of the search, and a note for people."""
-    asked, chosen = tries.prepared.spec.touch, tries.spec(log_control).touch
-    told: dict[str, Any] = {
-        "target_bytes": tries.target.bytes,
-        "target_nmse_db": tries.target.nmse_db,
-        "nmse_db": tries.reached[log_control][1],
-        "encodes": tries.count,
-        "asked_k": asked.k,
-        "asked_f0_n": asked.f0_n,
-    }
+    asked, chosen, target = tries.prepared.spec.touch, tries.spec(log_control).touch, tries.target
+    told: dict[str, Any] = {"target_bytes": target.bytes, "target_nmse_db": target.nmse_db}
+    told |= {"nmse_db": tries.reached[log_control][1], "encodes": tries.count}
+    told |= {"asked_k": asked.k, "asked_f0_n": asked.f0_n}
     reached = tries.words(log_control)
     if tries.is_step:
         return told, f"{reached} with a step of {chosen.step_n:.4g} N, found in {tries.count} encodings"
@@ -262,18 +258,8 @@ def _wording(tries: _Tries, log_control: float) -> tuple[dict[str, Any], str]:
         return told, f"{reached} with the k that was asked for, {chosen.k:g}"
     way = "raised" if chosen.k > asked.k else "lowered"
     of_k, of_f0 = f"{asked.k:g} to {chosen.k:.4g}", f"{asked.f0_n:g} to {chosen.f0_n:.4g} N"
-    note = f"{reached}: k was {way} from {of_k}, and F_0 from {of_f0}"
-    return told, f"{note}; this weaker promise is the one that is kept" if way == "raised" else note
-
-
-def _part(prepared: Prepared) -> Prepared | None:
-    """Two whole segments, spread over the frames; None where there are hardly more, or objects."""
-    medium, length = prepared.medium, prepared.spec.segment_frames_at(prepared.medium.rate_hz)
-    count = len(medium) // length
-    if prepared.scene is not None or count < 2 * _SUBSET_SEGMENTS:
-        return None
-    starts = (length * (count * (2 * i + 1) // (2 * _SUBSET_SEGMENTS)) for i in range(_SUBSET_SEGMENTS))
-    return replace(prepared, medium=taken(medium, [start + j for start in starts for j in range(length)]))
+    weaker = "; this weaker promise is the one that is kept" if way == "raised" else ""
+    return told, f"{reached}: k was {way} from {of_k}, and F_0 from {of_f0}{weaker}"
 
 
 def _kept(prepared: Prepared) -> Prepared:
