@@ -1,4 +1,4 @@
-"""A stream measured against its source, filtered again in the same way; and as a hand feels it."""
+"""A stream against its source, also as a hand feels it; and a medium before and after each haptic filter (3.2)."""
 
 from __future__ import annotations
 

@@ -55,8 +55,7 @@ class Encoded:
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        medium, spec = self.prepared.medium, self.prepared.spec
-        bits = 8 * self.file_bytes
+        medium, spec, bits = self.prepared.medium, self.prepared.spec, 8 * self.file_bytes
         return {
             **self.prepared.summary(),
             "coder": spec.coder,

@@ -1,4 +1,4 @@
-"""A folder of media as a library: filed and searched (paper section 4: "indexing"; 5.1: "data indexing").
+"""Media beside media (paper section 4): a folder filed and searched, two held side by side, one beside a video.
 
 The file of a library is that of `MediumIndex` with one array more: of each file its size, time and CRC-32, and what
 is wrong with those that cannot be described.

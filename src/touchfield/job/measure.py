@@ -208,9 +208,9 @@ def measure_medium(
         if probe is not None:
             taken, rate_hz = spec.encode.frames, medium.rate_hz
             moved = Trace(probe.times_s - (taken[0] if taken else 0) / rate_hz, probe.positions_m)  # since the source
-            # a still scene is there at all times
-            visited: Any = frames[0] if len(frames) == 1 and taken is None else frames
-            asked_for = interaction_entropy(moved, visited, spec.estimator, rate_hz=rate_hz)
+            is_still = len(frames) == 1 and taken is None  # there at all times
+            visited, clock_hz = (frames[0], None) if is_still else (frames, rate_hz)
+            asked_for = interaction_entropy(moved, visited, spec.estimator, rate_hz=clock_hz)
         done()
         in_time = {}
         if len(frames) > 1:

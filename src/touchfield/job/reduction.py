@@ -2,6 +2,7 @@
 
 medium -> modes -> error, held-out frames, degrees of freedom, bits; the reduced medium as a file
 medium -> a hand, a device, a trace -> what cannot be reached; the medium without it as a file
+medium -> the fewest points that tell it, by its modes or a field without curl; where to measure next (6.2)
 """
 
 from __future__ import annotations

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections import deque
-from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import product
@@ -113,18 +111,13 @@ def encode_tiles(
         finished = _Finished(store, name_of(sent, asked.to_json(), medium.grid.words) or "")
         if not finished.counts:
             create(store, medium, prepared.placement.told(), codec)
-        before, waiting = len(finished.counts), deque[Tile]()
-
-        def tiles() -> Iterator[Tile]:
-            for frame in range(len(medium)):
-                for low, shape in parts:
-                    tile = Tile(sent, asked, str(store.resolve()), frame, low, shape)
-                    if tile.place not in finished.counts:
-                        waiting.append(tile)
-                        yield tile
-
-        for count in map(make_tile, tiles()) if executor is None else in_order(make_tile, tiles(), executor=executor):
-            finished.add(waiting.popleft().place, count)
+        before = len(finished.counts)
+        root, places = str(store.resolve()), product(range(len(medium)), parts)
+        every = (Tile(sent, asked, root, frame, *part) for frame, part in places)
+        left = [tile for tile in every if tile.place not in finished.counts]
+        counts = map(make_tile, left) if executor is None else in_order(make_tile, left, executor=executor)
+        for tile, count in zip(left, counts, strict=True):
+            finished.add(tile.place, count)
             report(len(finished.counts) * len(medium) // total, len(medium))
         supported = sum(finished.counts.values())
         finished.forget()

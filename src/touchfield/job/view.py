@@ -157,19 +157,15 @@ def draw_preview(prepared: Prepared, path: str | Path) -> None:
     """
     medium, placement = prepared.medium, prepared.placement
     frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
-    told = ", ".join(str(i) for i in frames)
-    which = f"frame{'s' if len(frames) > 1 else ''} {told} of {len(medium)}"
+    which = f"frame{'s' * (len(frames) > 1)} {', '.join(map(str, frames))} of {len(medium)}"
     x, y, z = placement.offset_m
     up = "lattice" if prepared.device.is_array else "auto"  # as `play` lays it
     turn = axes_matrix(BOX_AXES, medium.axes, up)
     if (turn != axes_matrix(BOX_AXES, medium.axes)).any():
         which += f", {'xyz'[int(np.argmax(np.abs(turn[:, 1])))]} up for the hand"
     caption = f"{placement.wording}; the middle is the scene's ({x:.4g}, {y:.4g}, {z:.4g}) m; {medium.axes}"
-    draw_shadows(
-        Path(path),
-        [medium[i] for i in frames],
-        PreviewSpec(f"{which}, in the workspace of {prepared.device.name}", caption, turn),
-    )
+    spec = PreviewSpec(f"{which}, in the workspace of {prepared.device.name}", caption, turn)
+    draw_shadows(Path(path), [medium[i] for i in frames], spec)
 
 
 def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
