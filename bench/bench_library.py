@@ -23,8 +23,7 @@ from touchfield.container.wire import encode_record
 from touchfield.job.encode import encode_prepared
 from touchfield.job.executors import in_order
 from touchfield.job.library import Library, index_folder, library_path
-from touchfield.job.prepare import prepare
-from touchfield.job.stream_scene import decode
+from touchfield.job.prepare import decode, prepare
 from touchfield.measure.descriptors import Descriptor
 from touchfield.medium import ForceField, Grid, HapticMedium
 

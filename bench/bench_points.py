@@ -24,8 +24,8 @@ import numpy as np
 
 import touchfield as tf
 from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figure
-from touchfield.job.points import _Domain, _kept
 from touchfield.job.prepare import prepare
+from touchfield.job.reduction import _Domain, _kept
 from touchfield.job.spec import EncodeSpec
 from touchfield.reduction.kernel_points import _LENGTHS, _NOISES, Kernel, most_candidates, variance_points
 from touchfield.reduction.modes import ModePoints, Modes, mode_points, pod

@@ -12,8 +12,18 @@ from numpy.typing import NDArray
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
-from touchfield.job.editing import edit, levels_of_detail, operator_of, region_of, resample_file, splice
-from touchfield.job.joining import joined, read_medium, resampled, retimed
+from touchfield.job.editing import (
+    edit,
+    joined,
+    levels_of_detail,
+    operator_of,
+    read_medium,
+    region_of,
+    resample_file,
+    resampled,
+    retimed,
+    splice,
+)
 
 AXES = "x right, y up, z towards the viewer"
 GRID = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (32, 32, 32))

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
-from touchfield.job.mapping import FrameRange, SymbolFrames
+from touchfield.job.mapping import SymbolFrames
 from touchfield.measure import information as info
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import binary_entropy_bits
@@ -258,7 +258,7 @@ def test_a_frame_and_the_one_before_are_made_once_a_pass() -> None:
         return fields[n]
 
     frames = SymbolFrames(range(6), quantise)  # type: ignore[arg-type]
-    found = joint(FrameRange(frames, 1, 6), FrameRange(frames, 0, 5), interval=False)
+    found = joint(frames[1:], frames[:-1], interval=False)
     plain = joint(fields[1:], fields[:-1], interval=False)
     assert info.mutual_information(found) == info.mutual_information(plain) and sorted(asked) == list(range(6))
 

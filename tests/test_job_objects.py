@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -141,7 +142,8 @@ def test_a_body_farther_from_its_place_than_is_tolerated_excuses_nothing(stream:
 
 def test_the_picture_of_a_long_stream_tells_its_rate(stream: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[PictureSpec] = []
-    monkeypatch.setattr("touchfield.viewer.picture.draw_comparison", lambda *rest: drawn.append(rest[-1]))
+    module = sys.modules["touchfield.job.compare"]
+    monkeypatch.setattr(module, "draw_comparison", lambda *rest: drawn.append(rest[-1]))
     compared = job.compare(falling(), stream)
     compared.stream["cr_full"] = 3.7e-6
     compared.draw("unused.png")

@@ -19,8 +19,7 @@ from medium_corpus import GRID, PROFILE, shape
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.job import library as room
-from touchfield.job.library import Library, index_folder, library_path, search
-from touchfield.job.likeness import correlate, similar
+from touchfield.job.library import Library, correlate, index_folder, library_path, search, similar
 from touchfield.measure.retrieval import ANY_POSE, MediumIndex
 from touchfield.sources.analytic_scene import AnalyticScene
 

@@ -11,7 +11,7 @@ import pytest
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
-from touchfield.job.points import fewest_points, next_points
+from touchfield.job.reduction import fewest_points, next_points
 from touchfield.medium.trace import read_contacts
 from touchfield.reduction.kernel_points import Kernel, best_kernel, error_points, variance_points
 from touchfield.reduction.modes import ModePoints, mode_points, pod

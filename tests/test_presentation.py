@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -170,7 +171,8 @@ def test_the_picture_of_a_filter_shows_what_the_filtered_medium_holds(
 ) -> None:
     spec = EncodeSpec(nw=5, filters=(("gaussian", "5mm"), ("gaussian", "2mm")))
     drawn: list[ForceField] = []
-    monkeypatch.setattr("touchfield.viewer.picture.draw_comparison", lambda path, x, y, view: drawn.extend((x, y)))
+    module = sys.modules["touchfield.job.compare"]
+    monkeypatch.setattr(module, "draw_comparison", lambda path, x, y, view: drawn.extend((x, y)))
     job.draw_filtered(tiny_scenes()[0], spec, tmp_path / "x.png")
     before, after = (job.prepare(tiny_scenes()[0], s).medium for s in (replace(spec, filters=()), spec))
     middle = len(before) // 2

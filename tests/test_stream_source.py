@@ -9,7 +9,7 @@ import pytest
 from touchfield import job
 from touchfield.errors import FormatError
 from touchfield.job import EncodeSpec
-from touchfield.job.stream_scene import StreamScene
+from touchfield.job.prepare import StreamScene
 from touchfield.sources.tiny_scenes import tiny_scenes
 
 

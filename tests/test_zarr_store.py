@@ -18,7 +18,7 @@ from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
 from touchfield.filters import pyramid
 from touchfield.job import tiles
-from touchfield.job.stream_scene import decode
+from touchfield.job.prepare import decode
 from touchfield.job.tiles import encode_tiles
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.zarr_store import boxes, read_zarr, write_zarr

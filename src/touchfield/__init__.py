@@ -53,7 +53,7 @@ if TYPE_CHECKING:
         write_field,
     )
     from touchfield.job.play import PlaySpec, play
-    from touchfield.job.stream_scene import decode
+    from touchfield.job.prepare import decode
     from touchfield.job.view import view
     from touchfield.render.player import Player
     from touchfield.render.sampler import FieldSampler
@@ -116,7 +116,7 @@ _ROOM = {
     "SourceOptions": "touchfield.sources.options",
     "TouchSpec": "touchfield.codec.touch.spec",
     "compare": "touchfield.job",
-    "decode": "touchfield.job.stream_scene",
+    "decode": "touchfield.job.prepare",
     "device": "touchfield.devices",
     "encode": "touchfield.job",
     "filter_of": "touchfield.filters.registry",

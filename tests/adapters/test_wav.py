@@ -11,7 +11,7 @@ import pytest
 from touchfield.adapters.effect_files import RATE_HZ, write_wav, write_wav_array
 from touchfield.adapters.symbolic import ArrayEffect
 from touchfield.errors import InvalidArgument
-from touchfield.job.play_files import TONE_HZ, sound_of
+from touchfield.job.play import TONE_HZ, sound_of
 
 
 def heard(path: Path) -> np.ndarray:

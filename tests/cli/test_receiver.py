@@ -12,7 +12,7 @@ from PIL import Image
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.job import EncodeSpec, encode
-from touchfield.job.play_files import COLUMNS
+from touchfield.job.play import COLUMNS
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.trace import read_trace
 from touchfield.sources.stored import StoredScene

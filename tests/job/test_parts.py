@@ -18,10 +18,10 @@ import pytest
 
 from touchfield import EncodeSpec, Grid, TouchSpec, encode
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
-from touchfield.job import coding, parts
+from touchfield.job import coding
+from touchfield.job.coding import Sent, Task, code_part
 from touchfield.job.executors import executor_of
 from touchfield.job.library import index_folder
-from touchfield.job.parts import Sent, Task, code_part
 from touchfield.job.plan import PlanGrid, plan
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.npz import write_npz
@@ -181,7 +181,7 @@ def test_parts_that_are_damaged_or_of_another_job_are_made_again(source: Path, a
 def test_a_part_that_is_damaged_before_the_join_is_named(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = parts._Parts.write
+    write = coding._Parts.write
 
     def damaged(self: Any, stretch: Any, part: Any) -> None:
         write(self, stretch, part)
@@ -190,7 +190,7 @@ def test_a_part_that_is_damaged_before_the_join_is_named(
         data[len(data) // 2] ^= 1
         path.write_bytes(data)
 
-    monkeypatch.setattr(parts._Parts, "write", damaged)
+    monkeypatch.setattr(coding._Parts, "write", damaged)
     with pytest.raises(TouchfieldError, match="parts"):
         encode(source, tmp_path / "a.touch", SPEC, executor=Shuffled())
     assert not (tmp_path / "a.touch").exists()
@@ -200,7 +200,7 @@ def test_what_cannot_be_is_said(source: Path, tmp_path: Path, monkeypatch: pytes
     medium = HapticMedium.from_array(moving(4), GRID)
     with pytest.raises(InvalidArgument, match="path, an array"):
         encode(medium, tmp_path / "a.touch", SPEC, executor=Shuffled())
-    task = Task("job", Sent.of(source, None), SPEC, parts.Stretch(0, 3, 0), "0.0.1")
+    task = Task("job", Sent.of(source, None), SPEC, coding.Stretch(0, 3, 0), "0.0.1")
     with pytest.raises(InvalidArgument, match=r"a worker: found touchfield .*; expected 0\.0\.1"):
         code_part(task)
     for words in ("", "processes", "processes:0", "processes:x", "dask:", "slurm:4"):

@@ -20,7 +20,7 @@ from touchfield.container import TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.job import EncodeSpec, Target
-from touchfield.job.stream_scene import StreamScene
+from touchfield.job.prepare import StreamScene
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.sources.stored import StoredScene

@@ -154,7 +154,7 @@ def partition(
     as_json: Json = False,
 ) -> None:
     """Divide the workspace of MEDIUM into boxes that each fill a coarse device, with the least loss."""
-    from touchfield.job.joining import read_medium
+    from touchfield.job.editing import read_medium
     from touchfield.job.mapping import partition_workspace
 
     given = read_medium(medium).medium

@@ -89,7 +89,7 @@ def similar(
     asked: dict[str, Any],
 ) -> None:
     """Tell how alike two media are: voxel by voxel, as histograms, to a compressor, and as `search` ranks them."""
-    from touchfield.job.likeness import similar as run
+    from touchfield.job.library import similar as run
 
     with progress("similar", "step") as report:
         done = run(first, second, encode_spec(asked), quantiser=quantiser, over=over, frames=looks, report=report)
@@ -115,7 +115,7 @@ def correlate(
     as_json: Json = False,
 ) -> None:
     """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and whether by chance."""
-    from touchfield.job.likeness import correlate as run
+    from touchfield.job.library import correlate as run
 
     camera = None if intrinsics is None else numbers_of("--intrinsics", intrinsics, 4, "fx,fy,cx,cy")
     with progress("correlate") as report:

@@ -36,7 +36,7 @@ def points(
     asked: dict[str, Any],
 ) -> None:
     """Find the fewest points of IN that tell the rest, or where to measure next."""
-    from touchfield.job.points import fewest_points, next_points
+    from touchfield.job.reduction import fewest_points, next_points
     from touchfield.job.spec import EncodeSpec
 
     check_picture(source, plot)

@@ -13,9 +13,8 @@ scene -> a huge lattice, as tiles of a zarr store                        encode_
 scene, budget -> lattice and settings that spend it best                plan
 """
 
-from touchfield.job.compare import Comparison, compare, hand_motion
+from touchfield.job.compare import Comparison, FilterReport, compare, draw_filtered, filter_report, hand_motion
 from touchfield.job.encode import Encoded, encode
-from touchfield.job.filtering import FilterReport, draw_filtered, filter_report
 from touchfield.job.mapping import partition_workspace
 from touchfield.job.measure import Measurement, MeasureSpec, measure_medium
 from touchfield.job.plan import Budget, Plan, PlanGrid, Trial, parse_budget, plan

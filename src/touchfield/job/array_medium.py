@@ -1,37 +1,32 @@
 """A stream on an array of actuators (type 2, paper section 5.1): its medium there, and the drives.
 
-A stream that was made for an array of the same columns and rows goes through as it is. Any other, a field in space
-or an array of another size, is pooled onto the actuators as the device filter does it for any stored field, the
-placement being "fit".
-
-The drive of an actuator is |F| over the force that drives it fully, cut to 0 to 1. Where the medium carries a
-vibration band, the greater of |F| and the band's amplitude is taken: an actuator has one drive for both, and their
-sum would count a band that was made from the force twice. The frequencies are handed on for devices that take them.
-
-Departure from the paper: its array has one panel. Of a device with several the medium fills one, in front by default.
+A stream that was made for an array of the same columns and rows goes through as it is. Any other, a field in space or
+an array of another size, is pooled onto the actuators as the device filter does it for any stored field, the
+placement being "fit". The drive of an actuator is |F| over the force that drives it fully, cut to 0 to 1. Where the
+medium carries a vibration band, the greater of |F| and the band's amplitude is taken: an actuator has one drive for
+both, and their sum would count a band that was made from the force twice. The frequencies are handed on for devices
+that take them. Departure from the paper: its array has one panel. Of a device with several the medium fills one, in
+front by default.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from touchfield.arrays import Float32s, Int64s
+from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
 from touchfield.job.placing import law_of, mapping_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid, HapticMedium
+from touchfield.medium.grid import Placement
 from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.sources.laws import profile_of
 from touchfield.sources.stored import StoredScene
-
-if TYPE_CHECKING:
-    from touchfield.devices import Device
-    from touchfield.medium.grid import Placement
-    from touchfield.stream.opened import OpenStream
-
+from touchfield.stream.opened import OpenStream
 
 PANELS: Final = ("front", "back")
 """Names of the panels of an array, in their order."""
@@ -119,7 +114,13 @@ def array_medium(stream: OpenStream, device: Device) -> ArrayMedium:
     medium, head = stream.medium, stream.reader.head
     if head.device_type == 2 and medium.grid.shape == device.lattice:
         return ArrayMedium(medium, device, head.force_max_n)
-    return ArrayMedium(_pooled(medium, device), device, device.force_max_n)
+    scene, spec = StoredScene(replace(medium, vibration=None)), EncodeSpec()  # as `encode --device` maps it
+    law = law_of(spec, device)  # a stored field ignores it but for the depth around the field
+    mapping = mapping_of(scene, device, spec, profile_of(law, law.saturation_m))
+    pooled, band = mapping.medium(scene), medium.vibration
+    if band is not None:
+        pooled = replace(pooled, vibration=_pooled_band(band, mapping.placement, mapping.grid))
+    return ArrayMedium(pooled, device, device.force_max_n)
 
 
 def is_top_first(axes: str) -> bool:
@@ -129,15 +130,6 @@ def is_top_first(axes: str) -> bool:
     """
     words = axes.lower().split(",")
     return len(words) > 1 and "down" in words[1].split()
-
-
-def _pooled(medium: HapticMedium, device: Device) -> HapticMedium:
-    """The medium as `encode --device` maps a stored field onto this device."""
-    scene, spec = StoredScene(replace(medium, vibration=None)), EncodeSpec()
-    law = law_of(spec, device)  # a stored field ignores it but for the depth around the field
-    mapping = mapping_of(scene, device, spec, profile_of(law, law.saturation_m))
-    pooled, band = mapping.medium(scene), medium.vibration
-    return pooled if band is None else replace(pooled, vibration=_pooled_band(band, mapping.placement, mapping.grid))
 
 
 def _pooled_band(band: VibrationBand, placement: Placement, grid: Grid) -> VibrationBand:
@@ -152,13 +144,11 @@ def _pooled_band(band: VibrationBand, placement: Placement, grid: Grid) -> Vibra
             for axis, (first, stop) in enumerate(reached)
         )
         wide, high = stop_x - first_x, stop_y - first_y
-        which = np.repeat(order, wide * high)
-        begins = np.cumsum(wide * high) - wide * high
-        nth = np.arange(len(which)) - np.repeat(begins, wide * high)
-        column, row = np.divmod(nth, np.repeat(np.maximum(high, 1), wide * high))
-        at = (np.repeat(first_x, wide * high) + column, np.repeat(first_y, wide * high) + row)
+        each = wide * high
+        nth = np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each)
+        column, row = np.divmod(nth, np.repeat(np.maximum(high, 1), each))
         strongest = np.full(grid.shape[:2], -1, np.int64)
-        strongest[at] = which
+        strongest[np.repeat(first_x, each) + column, np.repeat(first_y, each) + row] = np.repeat(order, each)
         driven = np.argwhere(strongest >= 0).astype(np.int32)
         chosen = strongest[driven[:, 0], driven[:, 1]]
         positions = np.concatenate([driven, np.zeros((len(driven), 1), np.int32)], axis=1)

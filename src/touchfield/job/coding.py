@@ -7,32 +7,41 @@ others, in this process or another, to the same bytes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import hashlib
+import json
+import secrets
+import shutil
+import tempfile
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Executor
+from contextlib import ExitStack, suppress
+from dataclasses import replace
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from threading import Lock
+from typing import Any, Final, NamedTuple
 
-from touchfield.codec.registry import AnchoringEncoder, FieldEncoder
+from numpy.typing import ArrayLike
+
+from touchfield._version import __version__
+from touchfield.codec.objects.encoder import ObjectsEncoder
+from touchfield.codec.registry import AnchoringEncoder, FieldEncoder, coder, field_encoder
 from touchfield.codec.vibration import encode_vibration
-from touchfield.container import Head
+from touchfield.container import Head, TouchReader, TouchWriter
+from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
 from touchfield.job.executors import in_order
-from touchfield.job.prepare import Prepared
+from touchfield.job.prepare import Prepared, as_source, prepare
+from touchfield.job.spec import EncodeSpec
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.medium import VibrationFrame
+from touchfield.parallel import Report
 
-if TYPE_CHECKING:
-    from touchfield.codec.objects.encoder import ObjectsEncoder
-    from touchfield.job.spec import EncodeSpec
-    from touchfield.medium import ForceField, HapticMedium
-    from touchfield.medium.medium import VibrationFrame
+Group = tuple[list[ForceField], list["VibrationFrame"], ForceField | None]
+"""The frames of one segment; what vibrates in each, none where the medium does not vibrate; and an anchor."""
 
-    """The frames of one segment; what vibrates in each, none where the medium does not vibrate; and an anchor."""
-    Group = tuple[list[ForceField], list[VibrationFrame], ForceField | None]
-
-
-MOST_BYTES_HELD = 1 << 27
-"""A segment ends once its fields take more memory than this: eight of the largest are coded at a time."""
-
-MOST_BYTES_UNDER_WAY = 1 << 30
-"""No further segment is begun while the fields of those that are being coded take more."""
-
+MOST_BYTES_HELD = 1 << 27  # a segment ends once its fields take more: eight of the largest are coded at a time
+MOST_BYTES_UNDER_WAY = 1 << 30  # no further segment is begun while the fields of those being coded take more
 
 STRETCH = 4
 """Of the longest segments: where a stretch ends, one may end early."""
@@ -134,26 +143,200 @@ def coded_segments(encoder: FieldEncoder, vibrates: bool, groups: Iterable[Group
     return in_order(coded, groups, weight, MOST_BYTES_UNDER_WAY)
 
 
+def written(writer: TouchWriter, segments: Iterable[Coded]) -> Iterator[Coded]:
+    """Each segment once it is written behind those before it."""
+    at = 0
+    for one in segments:
+        if one.vibration is not None:
+            writer.write_vibration(at, one.frames, one.vibration)
+        writer.write_segment(at, one.frames, one.body)
+        at += one.frames
+        yield one
+
+
 def head_of(prepared: Prepared, encoder: FieldEncoder | ObjectsEncoder) -> Head:
     """The head of what was prepared, as it is coded."""
-    medium, grid = prepared.medium, prepared.medium.grid
+    medium, grid, device, place = prepared.medium, prepared.medium.grid, prepared.device, prepared.placement
     return Head(
-        grid_shape=grid.shape,
-        spacing_m=grid.spacing_m,
-        origin_m=grid.origin_m,
-        rate_hz=medium.rate_hz,
-        frame_count=len(medium),
-        axes=medium.axes,
-        device_name=prepared.device.name,
-        device_type=prepared.device.type,
-        force_max_n=prepared.device.force_max_n,
-        mapping_scale=prepared.placement.scale,
-        mapping_offset_m=prepared.placement.offset_m,
-        weber_fraction=prepared.spec.k,
-        force_threshold_n=prepared.spec.f0_n,
-        friction=medium.friction,
-        damping_n_s_per_m=medium.damping_n_s_per_m,
-        tags=medium.tags,
-        coder=encoder.name,
+        grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, rate_hz=medium.rate_hz,
+        frame_count=len(medium), axes=medium.axes, device_name=device.name, device_type=device.type,
+        force_max_n=device.force_max_n, mapping_scale=place.scale, mapping_offset_m=place.offset_m,
+        weber_fraction=prepared.spec.k, force_threshold_n=prepared.spec.f0_n, friction=medium.friction,
+        damping_n_s_per_m=medium.damping_n_s_per_m, tags=medium.tags, coder=encoder.name,
         coder_parameters=encoder.parameters,
-    )
+    )  # fmt: skip
+
+
+ALONE: Final = Lock()
+"""A process makes and codes one stretch at a time, on all of its threads: sources are not made for more."""
+
+
+class Sent(NamedTuple):
+    """A source that can be sent to a worker: a path, an array with its grid, or a field."""
+
+    source: str | ArrayLike | ForceField
+    grid: Grid | None
+
+    @classmethod
+    def of(cls, source: object, grid: Grid | None) -> Sent:
+        """A path as any folder knows it; InvalidArgument for what cannot be sent."""
+        if isinstance(source, str | Path):
+            path = Path(source)
+            return cls(str(path.resolve()) if path.exists() else str(source), grid)
+        if isinstance(source, ForceField) or (grid is not None and not hasattr(source, "make_frame")):
+            return cls(source, grid)  # type: ignore[arg-type]
+        found = f"a {type(source).__name__}, which stays in its process"
+        raise InvalidArgument("source", found, "what workers can open: a path, an array and grid=, or a ForceField")
+
+
+class Task(NamedTuple):
+    """A stretch to be coded; `job` tells the tasks of one file from those of others."""
+
+    job: str
+    sent: Sent
+    spec: EncodeSpec
+    stretch: Stretch
+    version: str = __version__
+
+
+class Part(NamedTuple):
+    """Segments of a stretch, and what was learnt while its frames were made."""
+
+    segments: tuple[Coded, ...]
+    notes: tuple[str, ...]
+
+
+_prepared: dict[str, Prepared] = {}
+"""By the name of its job, the medium that this process codes."""
+
+
+def code_part(task: Task) -> Part:
+    """Code a stretch, in whichever process this is; the source of a job is prepared once in each.
+
+    At most the source, a frame and 1 GiB of fields are held. InvalidArgument if another version sent the task.
+    """
+    if task.version != __version__:
+        raise InvalidArgument("a worker", f"touchfield {__version__}", f"{task.version}, as where the job was begun")
+    with ALONE:
+        if task.job not in _prepared:
+            _prepared.clear()
+            _prepared[task.job] = prepare(as_source(task.sent.source, task.spec.device, task.sent.grid), task.spec)
+        prepared = _prepared[task.job]
+        medium = prepared.medium
+        encoder = field_encoder(medium.grid, prepared.coding)
+        groups = groups_of(medium, task.spec, encoder, task.stretch)
+        return Part(tuple(coded_segments(encoder, medium.vibration is not None, groups)), prepared.learnt)
+
+
+def spread_voxels(
+    out: Path, sent: Sent, prepared: Prepared, provenance: Mapping[str, str], executor: Executor, report: Report
+) -> tuple[int, tuple[str, ...]]:
+    """Write the voxel representation with the workers of an executor; samples with a force, and notes.
+
+    Parts lie in ``OUT.parts`` until the file is whole, and stay there if anything is at fault.
+    """
+    medium = prepared.medium
+    encoder = field_encoder(medium.grid, prepared.coding)
+    head = head_of(prepared, encoder)
+    with ExitStack() as stack:
+        job = name_of(sent, repr(head), dict(provenance))
+        if job is None:  # nobody could tell that it is the same source another time
+            folder, job = Path(stack.enter_context(tempfile.TemporaryDirectory())), secrets.token_hex(32)
+        else:
+            folder = Path(f"{out}.parts")
+            try:
+                folder.mkdir(exist_ok=True)
+            except OSError as error:
+                raise SourceError(str(folder), error.strerror or "an error", "a folder that can be made") from None
+        parts = _Parts(folder, head, job)
+        waiting: deque[Stretch] = deque()
+        every: list[Stretch] = []
+
+        def tasks() -> Iterator[Task]:
+            cut = stretches(medium, prepared.spec, encoder)
+            while True:
+                with ALONE:  # this process may be a worker, too
+                    stretch = next(cut, (None,))[0]
+                if stretch is None:
+                    return
+                every.append(stretch)
+                if not parts.has(stretch):
+                    waiting.append(stretch)
+                    yield Task(job, sent, prepared.spec, stretch)
+
+        notes: dict[str, None] = {}
+        for part in in_order(code_part, tasks(), executor=executor):
+            stretch = waiting.popleft()
+            parts.write(stretch, part)
+            notes.update(dict.fromkeys(part.notes))
+            report(stretch.stop, len(medium))
+        supported = parts.join(out, every, provenance)
+        shutil.rmtree(folder, ignore_errors=True)
+    if parts.found:
+        notes[f"{parts.found} of {len(every)} parts were there from an earlier run"] = None
+    return supported, tuple(notes)
+
+
+class _Parts:
+    """The folder of the parts of one job."""
+
+    def __init__(self, folder: Path, head: Head, job: str) -> None:
+        self._folder, self._head, self._job = folder, head, job
+        self.found = 0
+
+    def part(self, stretch: Stretch) -> tuple[Path, Head, dict[str, str]]:
+        """The file of a stretch, its head, and the least of its provenance."""
+        first, story = stretch.start, {"job": self._job, "first_frame": str(stretch.start)}
+        return self._folder / f"{first:010d}.touch", replace(self._head, frame_count=stretch.stop - first), story
+
+    def has(self, stretch: Stretch) -> bool:
+        """True if the part is there, of this job, and whole; one that is not is made again."""
+        if not self.part(stretch)[0].exists():
+            return False
+        with suppress(TouchfieldError):
+            for _ in self.read(stretch):
+                pass
+            self.found += 1
+            return True
+        return False
+
+    def write(self, stretch: Stretch, part: Part) -> None:
+        path, head, story = self.part(stretch)
+        with TouchWriter(path) as writer:
+            writer.write_head(head, {**story, "supported": str(sum(one.supported for one in part.segments))})
+            for _ in written(writer, part.segments):
+                pass
+
+    def read(self, stretch: Stretch) -> Iterator[Coded]:
+        """The segments of a part, whose checksums and promises hold; CorruptFile if one does not."""
+        (path, head, story), kind = self.part(stretch), coder(self._head.coder)
+        grid = Grid(self._head.grid_shape, self._head.spacing_m, self._head.origin_m)
+        with TouchReader(path) as reader:
+            if reader.head != head or not story.items() <= reader.provenance.items():
+                raise CorruptFile(str(path), "another part, or one of another job", "this one", "Delete it.")
+            decoder = kind.decoder_class(grid, reader.head.coder_parameters, str(path))
+            left = int(reader.provenance["supported"])
+            for i, entry in enumerate(reader.segments):
+                body = reader.read_segment(i)
+                worst = decoder.promise(body).worst_ratio if kind.has_promise else None
+                if worst is not None and worst > 1:
+                    raise CorruptFile(f"{path} segment {i}", f"a promise that is broken ({worst:g})", "at most 1")
+                yield Coded(body, reader.read_vibration(i), entry.frame_count, 0 if i else left)
+
+    def join(self, out: Path, every: list[Stretch], provenance: Mapping[str, str]) -> int:
+        """All parts as one file; how many samples hold a force."""
+        with TouchWriter(out) as writer:
+            writer.write_head(self._head, provenance)
+            return sum(one.supported for one in written(writer, chain.from_iterable(map(self.read, every))))
+
+
+def name_of(sent: Sent, *asked: Any) -> str | None:
+    """A name for a job: what is asked, of which source, and how that is now; None where nobody could tell."""
+    if not isinstance(sent.source, str):
+        return None
+    path, state = Path(sent.source), []
+    files = sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() else []
+    for file in files:
+        told = file.stat()
+        state.append((str(file), told.st_size, told.st_mtime_ns))
+    return hashlib.sha256(json.dumps([__version__, sent.source, state, *asked]).encode()).hexdigest()

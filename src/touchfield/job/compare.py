@@ -1,34 +1,35 @@
-"""A stream measured against its source, filtered again in the same way; and as a hand feels it."""
+"""A stream against its source, also as a hand feels it; and a medium before and after each haptic filter (3.2)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.codec.objects.promise import Found, compare_scenes
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.rate import BitAccount
 from touchfield.errors import InvalidArgument
-from touchfield.job.joining import spread
-from touchfield.job.prepare import open_scene, prepare
-from touchfield.job.spec import NO_FLOOR_N, EncodeSpec
-from touchfield.job.stream_scene import Source
+from touchfield.filters.device_filter import limited
+from touchfield.filters.registry import FieldFilter
+from touchfield.job.editing import spread
+from touchfield.job.placing import felt_objects
+from touchfield.job.prepare import Prepared, Source, open_scene, prepare
+from touchfield.job.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec
 from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+from touchfield.medium import ForceField, HapticMedium, HapticScene
 from touchfield.parallel import Report, silent
-from touchfield.perception.hand_motion import HandMotion, HoldMeter, SlideMeter, SlideSpec
+from touchfield.perception.hand_motion import Forces, HandMotion, HoldMeter, SlideMeter, SlideSpec
 from touchfield.perception.human import vibration_threshold
 from touchfield.render.segment_blend import with_blends
+from touchfield.sources.scene import Scene
 from touchfield.stream.opened import OpenStream, open_stream
-
-if TYPE_CHECKING:
-    from touchfield.job.prepare import Prepared
-    from touchfield.perception.hand_motion import Forces
-
+from touchfield.viewer.picture import PictureSpec, draw_comparison
 
 _SLIDE_FRAMES: Final = 4
 
@@ -71,26 +72,17 @@ class Comparison:
             if 1e6 * away_m <= s["place_tolerance_um"] * (1 + 1e-6):
                 beyond, worst = in_mask.beyond, in_mask.worst[0]
         return {
-            "file_bytes": s["file_bytes"],
-            "frames": s["frames"],
-            "grid_shape": s["grid_shape"],
-            "device": s["device"],
+            **{key: s[key] for key in ("file_bytes", "frames", "grid_shape", "device")},
             "supported_voxels": m.supported_voxels,
             "cr_full": s["cr_full"],
             "cr_literal": s["cr_literal"],
-            "nmse_db": m.nmse_db,
-            "nmse_literal_db": m.nmse_literal_db,
-            "nmse_forensic_db": m.nmse_forensic_db,
-            "k": m.k,
-            "f0_n": m.f0_n,
+            **{key: getattr(m, key) for key in ("nmse_db", "nmse_literal_db", "nmse_forensic_db", "k", "f0_n")},
             "mask_violations": beyond,
             "mask_violation_share": beyond / max(1, m.compared_voxels),
             "worst_mask_ratio": worst,
             **in_place,
             **self.voxels,
-            "bits_support": b.support,
-            "bits_amplitude": b.amplitude,
-            "bits_direction": b.direction,
+            **{f"bits_{key}": getattr(b, key) for key in ("support", "amplitude", "direction")},
             "bits_side": b.side + b.models,
             "bits_poses": b.poses,
             "bits_per_frame_by_kind": self.bits_by_kind,
@@ -102,8 +94,6 @@ class Comparison:
 
     def draw(self, path: str | Path) -> None:
         """Write the picture of one frame, PNG: source, decoded, error in units of the mask."""
-        from touchfield.viewer.picture import PictureSpec, draw_comparison
-
         frame, original, decoded = self.drawn
         values = self.summary()
         each = values["bits_per_supported_voxel"] or 0.0
@@ -141,18 +131,23 @@ def compare(
         if not 0 <= drawn_frame < len(decoded):
             raise InvalidArgument("frame", repr(frame), f"0 to {len(decoded) - 1}")
         if len(original) != len(decoded):
-            raise InvalidArgument(
-                str(stream),
-                f"{len(decoded)} frames",
-                f"the source's {len(original)}",
-                "Name the source it came from.",
-            )
+            found, expected = f"{len(decoded)} frames", f"the source's {len(original)}"
+            raise InvalidArgument(str(stream), found, expected, "Name the source it came from.")
         # a stream that promises no floor is measured without one: the least that a meter takes
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         masking = opened.masking if k is None and f0_n is None else None
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
-        hand = HandMeter(opened, scene, exact)
-        counter, drawn, supported = _measured(opened, original, (meter, hand), drawn_frame, report)
+        hand, counter, supported = HandMeter(opened, scene, exact), SymbolCounter(), 0
+        quantise = opened.quantiser()  # the entropies are of one random variable
+        for i in range(len(decoded)):
+            x, y = original[i], decoded[i]
+            meter.add(x, y)
+            hand.add(i, x, y)
+            counter.add(quantise(x), x.grid.voxel_count)
+            supported += y.support_count
+            if i == drawn_frame:
+                drawn = (i, x, y)
+            report(i + 1, len(decoded))
         voxels = opened.bits_of_voxels(supported)
         composed = None
         if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
@@ -165,29 +160,6 @@ def compare(
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
     return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, hand.motion(), voxels, composed)
-
-
-def _measured(
-    opened: OpenStream,
-    original: HapticMedium,
-    meters: tuple[FidelityMeter, HandMeter],
-    drawn_frame: int,
-    report: Report,
-) -> tuple[SymbolCounter, tuple[int, ForceField, ForceField], int]:
-    """Every frame through the meters and the counter; the frame to draw, and the decoded voxels with a force."""
-    decoded, (meter, hand) = opened.medium, meters
-    counter, supported = SymbolCounter(), 0
-    quantise = opened.quantiser()  # the entropies are of one random variable
-    for i in range(len(decoded)):
-        x, y = original[i], decoded[i]
-        meter.add(x, y)
-        hand.add(i, x, y)
-        counter.add(quantise(x), x.grid.voxel_count)
-        supported += y.support_count
-        if i == drawn_frame:
-            drawn = (i, x, y)
-        report(i + 1, len(decoded))
-    return counter, drawn, supported
 
 
 class Original(NamedTuple):
@@ -203,9 +175,8 @@ def source_medium(source: Source, opened: OpenStream, allow_outside: bool = Fals
     """The source of a stream, filtered again as its provenance says; InvalidArgument if it lies elsewhere."""
     head, provenance = opened.reader.head, opened.reader.provenance
     if "spec" not in provenance:
-        raise InvalidArgument(
-            "stream", "no provenance to filter the source by", mend="Compare it with its field, FIELD.npz."
-        )
+        mend = "Compare it with its field, FIELD.npz."
+        raise InvalidArgument("stream", "no provenance to filter the source by", mend=mend)
     form = "voxel" if opened.scene is None else "object"
     spec = replace(EncodeSpec.from_json(provenance["spec"]), representation=form)
     spec = replace(spec, source=replace(spec.source, allow_outside=allow_outside))
@@ -213,27 +184,18 @@ def source_medium(source: Source, opened: OpenStream, allow_outside: bool = Fals
         scene = open_scene(source, replace(spec.source, kind=None))
         stored = getattr(scene, "medium", None)
         if isinstance(stored, HapticMedium) and stored.grid == opened.grid:
-            return Original(_same_frames(stored, spec, head.frame_count), scene.notes)
+            if len(stored) != head.frame_count and spec.frames is not None:  # the range that was asked of `encode`
+                stored = stored.between(spec.frames[0], spec.frames[0] + head.frame_count)
+            return Original(stored, scene.notes)
     prepared = prepare(source, spec)
-    ours, theirs = (_lattice_of(g) for g in (prepared.medium.grid, opened.grid))
-    places = [prepared.placement.scale, *prepared.placement.offset_m], [head.mapping_scale, *head.mapping_offset_m]
-    if len(ours) != len(theirs) or not np.allclose([*ours, *places[0]], [*theirs, *places[1]], rtol=1e-6, atol=1e-9):
-        raise InvalidArgument(
-            str(source), "a scene that lies elsewhere in the workspace than the stream's", mend="Name its own source."
-        )
+    (ours, theirs), place = (prepared.medium.grid, opened.grid), prepared.placement
+    mine = [*ours.shape, *ours.spacing_m, *ours.origin_m, place.scale, *place.offset_m]
+    own = [*theirs.shape, *theirs.spacing_m, *theirs.origin_m, head.mapping_scale, *head.mapping_offset_m]
+    if not np.allclose(mine, own, rtol=1e-6, atol=1e-9):
+        found = "a scene that lies elsewhere in the workspace than the stream's"
+        raise InvalidArgument(str(source), found, mend="Name its own source.")
     told = ("compared with the objects before coding, not with the voxel representation",) if prepared.scene else ()
     return Original(prepared.medium, (*prepared.notes, *told), prepared.scene, prepared.exact)
-
-
-def _lattice_of(grid: Grid) -> list[float]:
-    return [*grid.shape, *grid.spacing_m, *grid.origin_m]
-
-
-def _same_frames(stored: HapticMedium, spec: EncodeSpec, frame_count: int) -> HapticMedium:
-    """The frames of a stored field that the stream holds: all, or the range that was asked of `encode`."""
-    if len(stored) == frame_count or spec.frames is None:
-        return stored
-    return stored.between(spec.frames[0], spec.frames[0] + frame_count)
 
 
 class HandMeter:
@@ -272,12 +234,10 @@ class HandMeter:
         if frame in self._slid:
             self._slides.add(source, ours, theirs, self._exact)
         if self._hold is not None:
-            played = self._forces_played(frame) if self._blends else None
+            felt, played = self._played, None
+            if self._blends:
+                played = partial(felt.sample_n, frame) if isinstance(felt, HapticScene) else felt[frame].sample_n
             self._hold.add(source, ours, theirs, frame in self._starts, played)
-
-    def _forces_played(self, frame: int) -> Forces:
-        played = self._played
-        return partial(played.sample_n, frame) if isinstance(played, HapticScene) else played[frame].sample_n
 
     def motion(self) -> HandMotion:
         """Slides and holds of the frames so far."""
@@ -295,3 +255,112 @@ def hand_motion(
             meter.add(i, prepared.medium[i], decoded[i])
             report(i + 1, len(decoded))
     return meter.motion()
+
+
+@dataclass(frozen=True)
+class FilterReport:
+    """The medium before the chain and after each filter of it; `quantiser` is the Q of the entropies.
+
+    Each of `stages` tells its name, support, greatest and root-mean-square force, entropies, and what changed against
+    the medium before the chain: NMSE in dB, and the share of voxels beyond the mask.
+    """
+
+    quantiser: str
+    stages: tuple[dict[str, Any], ...]
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        return {"quantiser": self.quantiser, "stages": list(self.stages)}
+
+
+def filter_report(
+    source: str | Path | Scene, spec: EncodeSpec, quantiser: FieldQuantiserSpec | None = None, report: Report = silent
+) -> FilterReport:
+    """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
+
+    ``spec.paper.k`` is the Weber fraction of the mask; `quantiser`, the Q of the entropies, is by default fitted to
+    the device's F_max and kept for all stages.
+    """
+    prepared = prepare(source, replace(spec, filters=()))
+    medium = prepared.medium
+    asked = quantiser or FieldQuantiserSpec()
+    if asked.form == "distinct":
+        expected = "one that also knows filtered forces, such as weber:0.1"
+        raise InvalidArgument("quantiser of the report", "distinct", expected)
+    quantise = asked.fit(medium, prepared.device.force_max_n)
+    chain, stages_of = spec.chain, _stages(prepared, spec.chain)
+    gauges = [_Gauge(name, spec) for name in ("device filter", *(step.name for step in chain))]
+    for i in range(len(medium)):
+        stages = stages_of(i)
+        for gauge, field in zip(gauges, stages, strict=True):
+            gauge.add(stages[0], field, quantise(field).object_symbols)
+        report(i + 1, len(medium))
+    return FilterReport(quantise.words, tuple(gauge.row() for gauge in gauges))
+
+
+def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int], list[ForceField]]:
+    """A frame as the device would render it, and after each filter; of objects, each filtered alone."""
+    force_max_n, medium, scene = prepared.device.force_max_n, prepared.medium, prepared.scene
+    if scene is not None:
+        media = [felt_objects(scene, chain[:n]).voxelise() for n in range(len(chain) + 1)]
+        return lambda i: [one[i] for one in media]
+
+    def of_voxels(i: int) -> list[ForceField]:
+        field = medium[i]
+        stages = [limited(field, force_max_n)]
+        for step in chain:
+            field = step(field)
+            stages.append(limited(field, force_max_n))
+        return stages
+
+    return of_voxels
+
+
+def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path) -> None:
+    """Write the picture of the middle frame before and after the chain of ``spec.filters``, PNG.
+
+    MissingExtra if matplotlib is not installed.
+    """
+    before = prepare(source, replace(spec, filters=()))
+    middle = len(before.medium) // 2
+    stages = _stages(before, spec.chain)(middle)
+    x, y = stages[0], stages[-1]
+    meter = FidelityMeter(spec.paper.k, DEFAULT_F0_N)
+    meter.add(x, y)
+    chain = ", ".join(step.name for step in spec.chain)
+    title = f"frame {middle + 1} of {len(before.medium)} for {before.device.name}, before and after {chain}"
+    changed = f"{100 * meter.mask_violation_share:.1f} % of voxels changed by more than a hand can feel"
+    view = PictureSpec(title, changed, before.medium.axes, meter.k, meter.f0_n, ("before", "after"))
+    draw_comparison(Path(path), x, y, view)
+
+
+class _Gauge:
+    """Adds up one stage over the frames."""
+
+    def __init__(self, name: str, spec: EncodeSpec) -> None:
+        self.name, self.meter, self.counter = name, FidelityMeter(spec.paper.k, DEFAULT_F0_N), SymbolCounter()
+        self.support = self.voxels = 0
+        self.energy, self.top_n = 0.0, 0.0
+
+    def add(self, before: ForceField, field: ForceField, symbols: Any) -> None:
+        self.meter.add(before, field)
+        self.counter.add(symbols, field.grid.voxel_count)
+        squares = np.einsum("...c,...c->...", field.forces_n, field.forces_n, dtype=np.float64)
+        self.energy += float(squares.sum())
+        self.top_n = max(self.top_n, float(np.sqrt(squares.max(initial=0.0))))
+        self.support += field.support_count
+        self.voxels = field.grid.voxel_count
+
+    def row(self) -> dict[str, Any]:
+        bits = self.counter.voxel_bits
+        return {
+            "stage": self.name,
+            "supported_voxels": self.support,
+            "rms_n": float(np.sqrt(self.energy / max(1, self.support))),
+            "greatest_n": self.top_n,
+            "entropy_voxel_bits": bits,
+            "entropy_object_bits": self.counter.object_bits,
+            "entropy_bits_per_frame": bits * self.voxels,
+            "nmse_db": self.meter.nmse_db,
+            "mask_violation_share": self.meter.mask_violation_share,
+        }

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.deformation import Deformation, fitted
+from touchfield.parallel import Report, silent
+from touchfield.sources.animated_mesh import AnimatedMeshScene
 from touchfield.stream.opened import open_stream
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from touchfield.sources.animated_mesh import AnimatedMeshScene
-
-    Report = Callable[[int, int], None]
-
 
 _MARGIN: Final = 0.05  # of the lattice beyond what it bends, of its longest side
 _BEHIND: Final = 2.0  # mean spacings below the surface, where a second layer of points is held
@@ -35,15 +29,15 @@ class Tracks:
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        made = self.deformation
+        made, size = self.deformation, self.file_bytes
         return {
             "frames": len(made),
             "control_points": list(made.displacement_m.shape[1:4]),
             "rms_mm": 1e3 * self.rms_m,
             "least_determinant": made.least_determinant()[0],
             "compliance_m_per_n": made.compliance_m_per_n,
-            "file_bytes": self.file_bytes,
-            "bytes_per_frame": self.file_bytes / len(made),
+            "file_bytes": size,
+            "bytes_per_frame": size / len(made),
         }
 
 
@@ -83,7 +77,7 @@ def tracks_of(
     controls: int = 8,
     compliance_m_per_n: float = 0.0,
     relax_s: float = 0.05,
-    report: Report = lambda done, total: None,
+    report: Report = silent,
 ) -> Tracks:
     """Write the deformation of a stream: the motion of a model, which it shows at rest, and what it yields.
 
@@ -92,9 +86,8 @@ def tracks_of(
     is given, or the stream holds objects; SourceError if the model has no animation.
     """
     if motion is None and not compliance_m_per_n:
-        raise InvalidArgument(
-            "deform", "no model and no compliance", "one of both", "Name MODEL.glb, or --yield-m-per-n."
-        )
+        mend = "Name MODEL.glb, or --yield-m-per-n."
+        raise InvalidArgument("deform", "no model and no compliance", "one of both", mend)
     with open_stream(stream) as opened:
         if opened.scene is not None:
             mend = "Encode it with --representation voxel."
@@ -108,8 +101,6 @@ def tracks_of(
         yields = {"compliance_m_per_n": compliance_m_per_n, "relax_s": relax_s}
         made, rms = lattice_of(at.min(axis=0), at.max(axis=0), controls, **yields), 0.0
     else:
-        from touchfield.sources.animated_mesh import AnimatedMeshScene
-
         scene = AnimatedMeshScene(Path(motion.model), motion.animation, rate_hz=motion.rate_hz)
         behind = _BEHIND * float(spacing.mean()) / opened.reader.head.mapping_scale
 

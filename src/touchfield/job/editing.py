@@ -10,12 +10,15 @@ import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import lru_cache, partial, reduce
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import limited
+from touchfield.filters.device_filter import NW_RANGE, limited
 from touchfield.filters.edit import (
     COMPOSITIONS,
     Composed,
@@ -29,16 +32,126 @@ from touchfield.filters.edit import (
 )
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, RigidMotion
 from touchfield.filters.registry import field_filters, filter_of, length_m
-from touchfield.filters.resample import halved, most_levels, pyramid, rebuilt
+from touchfield.filters.resample import LOW_PASSES, halved, interpolated, most_levels, pyramid, rebuilt, resample
 from touchfield.job.encode import encode_prepared, provenance_of
-from touchfield.job.joining import joined, lattice_of, read_medium, resampled, retimed, spread, with_history
-from touchfield.job.prepare import Prepared
+from touchfield.job.prepare import Prepared, is_stream, prepare
 from touchfield.job.spec import EncodeSpec
-from touchfield.job.stream_scene import is_stream
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.parallel import Report, silent
+from touchfield.render.point_device import axes_matrix
+from touchfield.sources.registry import open_source
 from touchfield.stream.opened import FILTERED, write_field
+
+KERNELS: Final = (*LOW_PASSES, "trilinear")
+
+
+def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
+    """A .touch file, or a stored field on its own lattice; InvalidArgument if the source is no medium yet."""
+    if is_stream(path):
+        return prepare(path, spec)
+    stored = getattr(open_source(path), "medium", None)
+    if not isinstance(stored, HapticMedium):
+        mend = "Make it a medium: touchfield encode."
+        raise InvalidArgument(str(path), "a scene", "a .touch file or a stored field", mend)
+    return prepare(stored, spec)
+
+
+def spread(count: int, most: int) -> list[int]:
+    """At most so many of the numbers below `count`, evenly spaced."""
+    places: list[int] = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
+    return places
+
+
+def taken(medium: HapticMedium, places: Sequence[int]) -> HapticMedium:
+    """Some of the frames of a medium, one after the other."""
+    count, band = len(places), medium.vibration
+    if band is not None:
+        band = replace(band, frame_count=count, make_frame=[band[i] for i in places].__getitem__)
+    return replace(medium, frame_count=count, make_frame=lambda i: medium[places[i]], vibration=band, segments=None)
+
+
+def with_history(medium: HapticMedium, key: str, words: str) -> Mapping[str, str]:
+    """The provenance of a medium with what is done to it now."""
+    before = medium.provenance.get(key)
+    return MappingProxyType({**medium.provenance, key: f"{before}; {words}" if before else words})
+
+
+def retimed(medium: HapticMedium, rate_hz: float) -> HapticMedium:
+    """The medium at another rate, linear between its frames; its duration stays to within half a frame."""
+    if medium.rate_hz == rate_hz:
+        return medium
+    if not 0 < rate_hz < math.inf:
+        raise InvalidArgument("rate_hz", repr(rate_hz), "frames a second, more than 0")
+    near = replace(medium, make_frame=lru_cache(2)(medium.__getitem__))  # a frame serves several that are asked for
+    count = max(1, round(len(medium) * rate_hz / medium.rate_hz))
+    words = with_history(medium, "resampled", f"{medium.rate_hz:g} Hz to {rate_hz:g} Hz")
+    timed = replace(medium, rate_hz=rate_hz, frame_count=count, vibration=None, segments=None, provenance=words)
+    return replace(timed, make_frame=lambda i: near.at(i / rate_hz))
+
+
+def resampled(medium: HapticMedium, grid: Grid, kernel: str = "spline") -> HapticMedium:
+    """The medium on another lattice through a low-pass, or "trilinear" between its samples."""
+    if kernel not in KERNELS:
+        raise InvalidArgument("kernel", repr(kernel), f"one of {', '.join(KERNELS)}")
+    if grid == medium.grid:
+        return medium
+
+    def make(i: int) -> ForceField:
+        return interpolated(medium[i], grid) if kernel == "trilinear" else resample(medium[i], grid, kernel)
+
+    words = with_history(medium, "resampled", f"{medium.grid.words} to {grid.words}, {kernel}")
+    return replace(medium, grid=grid, make_frame=make, vibration=None, segments=None, provenance=words)
+
+
+def joined(
+    medium: HapticMedium, like: HapticMedium, kernel: str = "spline", name: str = "the medium"
+) -> tuple[HapticMedium, tuple[str, ...]]:
+    """A medium in the axes, on the lattice and at the rate of another one, and notes on what that took."""
+    notes: list[str] = []
+    made = medium
+    turn = axes_matrix(medium.axes, like.axes)
+    if (turn != np.eye(3)).any():
+        motion, before = RigidMotion(tuple(map(tuple, turn.tolist()))), made  # type: ignore[arg-type]
+        box = np.sort(motion.points_m(np.stack(medium.grid.box_m)), axis=0)
+        shape = tuple(np.abs(turn @ np.array(medium.grid.shape)).astype(int).tolist())
+        grid = Grid.over_box(box[0], box[1], shape)
+        made = replace(
+            made, grid=grid, axes=like.axes, make_frame=lambda i: interpolated(before[i], grid, motion),
+            vibration=None, segments=None,
+        )  # fmt: skip
+        notes.append(f"{name}: turned from {medium.axes} to {like.axes}")
+    if made.grid != like.grid:
+        notes.append(f"{name}: {made.grid.words} resampled to {like.grid.words}")
+        places, (low, high) = made.grid.to_m(made[len(made) // 2].positions()), like.grid.box_m
+        is_outside = ((places < low) | (places > high)).any(axis=1)
+        if is_outside.any():
+            notes.append(f"{name}: {100 * is_outside.mean():.3g} % of its samples lie outside, and are left out")
+        made = resampled(made, like.grid, kernel)
+    if made.rate_hz != like.rate_hz:
+        notes.append(f"{name}: {made.rate_hz:g} Hz to {like.rate_hz:g} Hz")
+        made = retimed(made, like.rate_hz)
+    return replace(made, axes=like.axes), tuple(notes)
+
+
+def lattice_of(grid: Grid, nw: int | None, shape: Sequence[int] | None, spacing_m: float | None) -> Grid:
+    """Another lattice over the box of one: 2^nw samples an axis, so many, or at such a spacing."""
+    if sum(asked is not None for asked in (nw, shape, spacing_m)) > 1:
+        raise InvalidArgument("lattice", "more than one of nw, shape and spacing", "one of them")
+    low, high = grid.box_m
+    if nw is not None:
+        if not NW_RANGE[0] <= nw <= NW_RANGE[1]:
+            raise InvalidArgument("--nw", f"{nw}", f"{NW_RANGE[0]} to {NW_RANGE[1]}")
+        return Grid.over_box(low, high, (1 << nw,) * 3)
+    if shape is not None:
+        return Grid.over_box(low, high, tuple(shape))  # type: ignore[arg-type]
+    if spacing_m is not None:
+        if not 0 < spacing_m < math.inf:
+            raise InvalidArgument("--spacing", repr(spacing_m), "a length of more than 0")
+        x, y, z = np.maximum(1, np.rint((high - low) / spacing_m)).astype(int).tolist()
+        return Grid.over_box(low, high, (x, y, z))
+    return grid
+
 
 _TOLD: Final = ("edits", "splices", "resampled")
 _MOST_TOLD: Final = 1000  # characters of a history that a file keeps
@@ -57,29 +170,26 @@ class Written:
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         told = {"file": str(self.path), "frames": len(self.medium), "rate_hz": self.medium.rate_hz}
-        return {**told, "grid_shape": list(self.medium.grid.shape), **self.shown, "file_bytes": _size(self.path)}
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size if path.is_file() else 0
+        size = self.path.stat().st_size if self.path.is_file() else 0
+        return {**told, "grid_shape": list(self.medium.grid.shape), **self.shown, "file_bytes": size}
 
 
 def _write(
-    given: Prepared, sources: Sequence[str | Path], medium: HapticMedium, out: str | Path, report: Report
-) -> tuple[Path, tuple[str, ...]]:
-    """Write a medium that was made of one, coded as its spec says; the file and the notes of the coder."""
-    out = Path(out)
+    given: Prepared, sources: Sequence[str | Path], medium: HapticMedium, to: str | Path, report: Report, **shown: Any
+) -> Written:
+    """Write a medium that was made of one, coded as its spec says; with the notes of the coder."""
+    out = Path(to)
     for source in sources:
         if out.exists() and Path(source).exists() and out.samefile(source):
             raise InvalidArgument(str(out), "a file that is read", "another name", "Name a new file for the result.")
     if out.suffix in (".npz", ".vti"):
-        return write_field(out, medium, report, given.placement), ()
+        return Written(write_field(out, medium, report, given.placement), medium, shown)
     if out.suffix != ".touch":
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, FIELD.npz or FIELD.vti")
     made = replace(given, medium=medium, scene=None, exact=None, source=None, reference=FILTERED, notes=())
     history = {key: medium.provenance[key][:_MOST_TOLD] for key in _TOLD if key in medium.provenance}
     done = encode_prepared(made, out, {**provenance_of(sources[0], made), **history}, report)
-    return out, done.notes
+    return Written(out, medium, shown, done.notes)
 
 
 def edit(
@@ -96,7 +206,6 @@ def edit(
 
     `region` and `operators` are in the words of `region_of` and `operator_of`; `feather_m` is the width of the
     transition outside the region, metres, `frames` the (start, stop) of those to be edited, `spec` the coder's.
-
     TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     if not operators:
@@ -108,24 +217,17 @@ def edit(
     start, stop = frames or (0, None)
     middle = (start + (len(medium) if stop is None else stop)) // 2
     before, after = given.medium[middle], medium[middle]
-    shown = {
-        "region": where.words,
-        "operators": list(operators),
-        "looked_at_frame": middle,
-        "samples_changed": (before.scaled(-1.0) + after).support_count,
-        "samples_felt_before": before.support_count,
-        "samples_felt_after": after.support_count,
-        "greatest_n_before": _greatest_n(before),
-        "greatest_n_after": _greatest_n(after),
-    }
-    path, notes = _write(given, [source], medium, out, report)
-    if path.suffix == ".touch" and given.spec.coder == "touch" and given.spec.touch.mode != "lossless":
-        notes = (*notes, "outside the region the field is as it was, but coded again: --mode lossless keeps its bits")
-    return Written(path, medium, shown, notes)
-
-
-def _greatest_n(field: ForceField) -> float:
-    return float(field.support().amplitudes_n.max(initial=0.0))
+    done = _write(
+        given, [source], medium, out, report, region=where.words, operators=list(operators), looked_at_frame=middle,
+        samples_changed=(before.scaled(-1.0) + after).support_count,
+        samples_felt_before=before.support_count, samples_felt_after=after.support_count,
+        greatest_n_before=float(before.support().amplitudes_n.max(initial=0.0)),
+        greatest_n_after=float(after.support().amplitudes_n.max(initial=0.0)),
+    )  # fmt: skip
+    if done.path.suffix == ".touch" and given.spec.coder == "touch" and given.spec.touch.mode != "lossless":
+        note = "outside the region the field is as it was, but coded again: --mode lossless keeps its bits"
+        return replace(done, notes=(*done.notes, note))
+    return done
 
 
 def splice(
@@ -140,12 +242,20 @@ def splice(
 
     Each source is FILE, or FILE@START:STOP for some of its frames; `fade_s` are the seconds in which one fades into
     the next, `kernel` is the resampler's, and `spec` the coder's, whose friction and damping are those of all.
-
     TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     if not sources:
         raise InvalidArgument("media to splice", "none", "at least one")
-    parts = [_part(text) for text in sources]
+    parts: list[tuple[Path, tuple[int, int | None] | None]] = []
+    for text in sources:
+        name, at, words = text.rpartition("@")
+        start, colon, stop = words.partition(":")
+        if not at or Path(text).exists():
+            parts.append((Path(text), None))
+        elif colon and all(n.isdecimal() or not n for n in (start, stop)):
+            parts.append((Path(name), (int(start or 0), int(stop) if stop else None)))
+        else:
+            raise InvalidArgument(text, f"frames {words!r}", "FILE@START:STOP, such as room.touch@0:30")
     media: list[HapticMedium] = []
     notes: tuple[str, ...] = ()
     for path, frames in parts:
@@ -159,8 +269,9 @@ def splice(
             medium, more = joined(medium, media[0], kernel, path.name)
             notes += more
             if one.device.force_max_n > given.device.force_max_n:
-                medium = _limited(medium, given.device.force_max_n)
-                notes += (f"{path.name}: forces beyond {given.device.force_max_n:g} N are shortened to that",)
+                most_n = given.device.force_max_n
+                medium = replace(medium, make_frame=partial(_limited, medium, most_n))
+                notes += (f"{path.name}: forces beyond {most_n:g} N are shortened to that",)
         if medium.vibration is not None and len(parts) > 1:
             notes += (f"{path.name}: the vibration is left out",)
         media.append(medium)
@@ -168,23 +279,12 @@ def splice(
         raise InvalidArgument("--fade-s", repr(fade_s), "seconds, 0 or more")
     whole = reduce(lambda a, b: cross_faded(a, b, round(fade_s * a.rate_hz)), media)
     shown = {"parts": [len(m) for m in media], "seconds": len(whole) / whole.rate_hz}
-    done, more = _write(given, [path for path, _ in parts], whole, out, report)
-    return Written(done, whole, shown, (*notes, *more))
+    done = _write(given, [path for path, _ in parts], whole, out, report, **shown)
+    return replace(done, notes=(*notes, *done.notes))
 
 
-def _part(text: str) -> tuple[Path, tuple[int, int | None] | None]:
-    """FILE or FILE@START:STOP."""
-    name, at, frames = text.rpartition("@")
-    if not at or Path(text).exists():
-        return Path(text), None
-    start, colon, stop = frames.partition(":")
-    if not colon or not all(n.isdecimal() or not n for n in (start, stop)):
-        raise InvalidArgument(text, f"frames {frames!r}", "FILE@START:STOP, such as room.touch@0:30")
-    return Path(name), (int(start or 0), int(stop) if stop else None)
-
-
-def _limited(medium: HapticMedium, force_max_n: float) -> HapticMedium:
-    return replace(medium, make_frame=lambda i: limited(medium[i], force_max_n))
+def _limited(medium: HapticMedium, force_max_n: float, frame: int) -> ForceField:
+    return limited(medium[frame], force_max_n)
 
 
 def resample_file(
@@ -206,24 +306,16 @@ def resample_file(
         raise InvalidArgument("touchfield resample", "the lattice and the rate it has", "another lattice or rate")
     on_grid = resampled(given.medium, grid, kernel)
     medium = retimed(on_grid, rate_hz or given.medium.rate_hz)
-    meter = _meter(given.spec)
+    meter = FidelityMeter(given.spec.k, given.spec.f0_n or EncodeSpec().f0_n)
     for n in spread(len(given.medium), _LOOKED_AT):
         back = on_grid[n] if grid == given.medium.grid else rebuilt(on_grid[n], given.medium.grid)
         meter.add(given.medium[n], back)
-    path, notes = _write(given, [source], medium, out, report)
-    if given.medium.vibration is not None:
-        notes = (*notes, "the vibration is left out")
-    shown = {
-        "spacing_mm": [1e3 * h for h in grid.spacing_m],
-        "kernel": kernel,
-        "nmse_db": meter.nmse_db,
-        "mask_violation_share": meter.mask_violation_share,
-    }
-    return Written(path, medium, shown, notes)
-
-
-def _meter(spec: EncodeSpec) -> FidelityMeter:
-    return FidelityMeter(spec.k, spec.f0_n or EncodeSpec().f0_n)
+    spacing, lost = [1e3 * h for h in grid.spacing_m], meter.mask_violation_share
+    shown = {"spacing_mm": spacing, "kernel": kernel, "nmse_db": meter.nmse_db, "mask_violation_share": lost}
+    done = _write(given, [source], medium, out, report, **shown)
+    if given.medium.vibration is None:
+        return done
+    return replace(done, notes=(*done.notes, "the vibration is left out"))
 
 
 class Detail(NamedTuple):
@@ -262,27 +354,20 @@ def levels_of_detail(
     try:
         for level in range(wanted + 1):
             one = _level(medium, level)
-            path, _ = _write(given, [source], one, folder / f"level-{level}.touch", silent)
-            meter = _meter(given.spec)
+            path = _write(given, [source], one, folder / f"level-{level}.touch", silent).path
+            meter = FidelityMeter(given.spec.k, given.spec.f0_n or EncodeSpec().f0_n)
             for n in spread(len(medium), _LOOKED_AT):
                 meter.add(medium[n], rebuilt(one[n], medium.grid) if level else one[n])
-            rows.append(
-                {
-                    "level": level,
-                    "grid_shape": list(one.grid.shape),
-                    "file_bytes": _size(path),
-                    "nmse_db": meter.nmse_db,
-                    "mask_violations_per_supported_voxel": meter.mask_violations / max(1, meter.supported_voxels),
-                    **({"file": str(path)} if is_kept else {}),
-                }
-            )
+            row = {"level": level, "grid_shape": list(one.grid.shape), "file_bytes": path.stat().st_size}
+            beyond = meter.mask_violations / max(1, meter.supported_voxels)
+            row |= {"nmse_db": meter.nmse_db, "mask_violations_per_supported_voxel": beyond}
+            rows.append(row | ({"file": str(path)} if is_kept else {}))
             report(level + 1, wanted + 1)
         if store is not None:
             from touchfield.medium.zarr_store import write_zarr
 
-            write_zarr(
-                store, medium, told=given.placement.told(), levels=[_level(medium, n) for n in range(1, wanted + 1)]
-            )
+            coarser = [_level(medium, n) for n in range(1, wanted + 1)]
+            write_zarr(store, medium, told=given.placement.told(), levels=coarser)
     finally:
         if not is_kept:
             shutil.rmtree(folder, ignore_errors=True)
@@ -304,8 +389,7 @@ REGIONS: Final[Mapping[str, tuple[str, Callable[..., Region]]]] = {
     "box": ("LLLLLL", lambda *v: Box(v[:3], v[3:])),
     "ball": ("LLLL", lambda *v: Ball(v[:3], v[3])),
     "half-space": ("NNNLLL", lambda *v: HalfSpace(v[:3], v[3:])),
-}
-"""Of each region the form of its numbers, as `_numbers` reads them, and what it is made of them."""
+}  # the form of its numbers, as `_numbers` reads them, and what it is made of them
 
 
 def region_of(text: str) -> Region:
@@ -334,16 +418,13 @@ def region_of(text: str) -> Region:
     raise InvalidArgument("--region", repr(text), "everywhere, box:, ball:, half-space: or force:, with | & ~")
 
 
-_ORIGIN: Final = (0.0, 0.0, 0.0)
-
 OPERATORS: Final[Mapping[str, tuple[tuple[str, ...], Callable[..., EditOperator]]]] = {
     "gain": (("N",), Gain),
     "limit": (("N",), Limited),
     "move": (("LLL",), lambda *v: Moved(RigidMotion.move(v))),
-    "turn": (("NNNN", "NNNNLLL"), lambda *v: Moved(RigidMotion.turn(v[:3], v[3], v[4:] or _ORIGIN))),
-    "mirror": (("NNN", "NNNLLL"), lambda *v: Moved(RigidMotion.mirror(v[:3], v[3:] or _ORIGIN))),
-}
-"""Likewise of the operators that are numbers alone."""
+    "turn": (("NNNN", "NNNNLLL"), lambda *v: Moved(RigidMotion.turn(v[:3], v[3], v[4:] or (0.0, 0.0, 0.0)))),
+    "mirror": (("NNN", "NNNLLL"), lambda *v: Moved(RigidMotion.mirror(v[:3], v[3:] or (0.0, 0.0, 0.0)))),
+}  # likewise of the operators that are numbers alone
 
 
 def operator_of(text: str, like: Prepared) -> EditOperator:
@@ -352,7 +433,6 @@ def operator_of(text: str, like: Prepared) -> EditOperator:
     ``gain:2``; ``erase``; ``limit:1.5`` newtons; ``move:DX,DY,DZ``; ``turn:AX,AY,AZ,DEGREES`` and
     ``mirror:NX,NY,NZ``, each with a point ``,X,Y,Z`` that stays; ``over:FILE``, ``add:FILE``, ``max:FILE`` or
     ``replace:FILE``, another medium, frame by frame or a still one; or a haptic filter, ``gaussian:sigma=2mm``.
-
     `like` is the medium to be edited: another one is brought onto its lattice. InvalidArgument if the words make no
     sense.
     """
@@ -381,11 +461,9 @@ def _numbers(where: str, text: str, *forms: str) -> list[float]:
         raise InvalidArgument(where, repr(text), f"{expected} numbers between commas")
     numbers = []
     for part, kind in zip(parts, form, strict=True):
-        if kind == "L" and part.lstrip("+-") not in ("inf", "0"):
-            numbers.append(length_m(part, where))
-            continue
         try:
-            numbers.append(float(part))
+            is_length = kind == "L" and part.lstrip("+-") not in ("inf", "0")
+            numbers.append(length_m(part, where) if is_length else float(part))
         except ValueError:
             raise InvalidArgument(where, repr(part), "a number") from None
     return numbers

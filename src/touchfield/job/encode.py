@@ -18,11 +18,9 @@ from touchfield.codec.rate import compression_ratio
 from touchfield.codec.registry import coder, field_encoder
 from touchfield.container import TouchWriter
 from touchfield.container.remote import is_remote, sender
-from touchfield.job.coding import coded_segments, groups_of, head_of, stretches
-from touchfield.job.parts import Sent, spread_voxels
-from touchfield.job.prepare import Prepared, prepare
+from touchfield.job.coding import Sent, coded_segments, groups_of, head_of, spread_voxels, stretches, written
+from touchfield.job.prepare import Prepared, Source, as_source, is_stream, prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec
-from touchfield.job.stream_scene import Source, as_source, is_stream
 from touchfield.medium import Grid
 from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene
@@ -57,8 +55,7 @@ class Encoded:
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        medium, spec = self.prepared.medium, self.prepared.spec
-        bits = 8 * self.file_bytes
+        medium, spec, bits = self.prepared.medium, self.prepared.spec, 8 * self.file_bytes
         return {
             **self.prepared.summary(),
             "coder": spec.coder,
@@ -87,15 +84,12 @@ def encode(
     """Turn a source into a ``.touch`` file.
 
     A path, a scene, a medium, a field or an array: a medium and a field keep their lattice and forces; an array of
-    newtons [nx, ny, nz, 3] or, at 30 frames a second, [frame, nx, ny, nz, 3] is one on `grid`. `report` gets
-    ``(done, total)`` in frames. With `executor`, any of `concurrent.futures`, its workers code a path, an array or a
-    field, each a stretch of the frames; the bytes are the same. What they finished before an error stays in
-    ``OUT.parts``, and the same call goes on from there.
-
-    `out` may lie in a store of objects (``s3://...``, extra ``remote``): the file is made as ``NAME.unsent`` in the
-    working folder, sent as a whole, and removed; it stays there if it cannot be sent.
-
-    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
+    newtons [nx, ny, nz, 3] or, at 30 frames a second, [frame, nx, ny, nz, 3] is one on `grid`. `report` gets ``(done,
+    total)`` in frames. With `executor`, any of `concurrent.futures`, its workers code a path, an array or a field,
+    each a stretch of the frames; the bytes are the same. What they finished before an error stays in ``OUT.parts``,
+    and the same call goes on from there. `out` may lie in a store of objects (``s3://...``, extra ``remote``): the
+    file is made as ``NAME.unsent`` in the working folder, sent as a whole, and removed; it stays there if it cannot
+    be sent. TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     if is_remote(out):
         send = sender(str(out))
@@ -130,37 +124,28 @@ def encode_prepared(
     if prepared.source is not None:
         prepared.source.report = report
     with TouchWriter(Path(out)) as writer:
-        if prepared.scene is None:
-            supported = _write_voxels(writer, prepared, provenance, report)
-        else:
+        if prepared.scene is not None:
             floor_n = prepared.spec.f0_n or DEFAULT_F0_N  # poses need some
-            encoder = ObjectsEncoder(prepared.scene, prepared.coding, floor_n)
+            objects = ObjectsEncoder(prepared.scene, prepared.coding, floor_n)
+            writer.write_head(head_of(prepared, objects), provenance)
+            write_objects(writer, objects, len(prepared.scene), report)
+            supported = objects.supported
+        else:
+            medium, spec, ready, done, supported = prepared.medium, prepared.spec, 0, 0, 0
+
+            def tell(count: int) -> None:
+                nonlocal ready
+                ready = count
+                report((ready + done) // 2, len(medium))  # a frame is done half when made, and half when coded
+
+            encoder = field_encoder(medium.grid, prepared.coding)
             writer.write_head(head_of(prepared, encoder), provenance)
-            write_objects(writer, encoder, len(prepared.scene), report)
-            supported = encoder.supported
+            groups = (groups_of(medium, spec, encoder, *one, tell) for one in stretches(medium, spec, encoder))
+            coded = coded_segments(encoder, medium.vibration is not None, chain.from_iterable(groups))
+            for one in written(writer, coded):
+                done, supported = done + one.frames, supported + one.supported
+                tell(ready)
     return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported)
-
-
-def _write_voxels(writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Report) -> int:
-    """The voxel representation, head and segments; how many samples hold a force."""
-    medium, spec = prepared.medium, prepared.spec
-    encoder = field_encoder(medium.grid, prepared.coding)
-    writer.write_head(head_of(prepared, encoder), provenance)
-    ready = written = supported = 0
-
-    def tell(count: int) -> None:
-        nonlocal ready
-        ready = count
-        report((ready + written) // 2, len(medium))  # a frame is done half when it is made, and half when it is coded
-
-    groups = (groups_of(medium, spec, encoder, *one, tell) for one in stretches(medium, spec, encoder))
-    for coded in coded_segments(encoder, medium.vibration is not None, chain.from_iterable(groups)):
-        if coded.vibration is not None:
-            writer.write_vibration(written, coded.frames, coded.vibration)
-        writer.write_segment(written, coded.frames, coded.body)
-        written, supported = written + coded.frames, supported + coded.supported
-        tell(ready)
-    return supported
 
 
 def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, str]:

@@ -16,25 +16,31 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchfield.adapters.ahap import read_ahap
 from touchfield.adapters.effect_files import RATE_HZ as WAV_RATE_HZ
-from touchfield.adapters.effect_files import write_wav
+from touchfield.adapters.effect_files import (
+    fits_vest,
+    write_ahap,
+    write_haptic,
+    write_tact,
+    write_wav,
+    write_wav_array,
+)
+from touchfield.adapters.hjif_import import read_hjif_array
 from touchfield.adapters.hjif_read import MAX_TIMESCALE
-from touchfield.adapters.hjif_write import MAX_SPAN_TICKS
+from touchfield.adapters.hjif_write import MAX_SPAN_TICKS, write_hjif_array, write_hjif_force
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
     MAX_MEDIUM_VALUES,
     ArrayEffect,
-    ImportedEffect,
     checked_frames,
     effect_device,
     effect_medium,
 )
-from touchfield.arrays import Float32s
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
@@ -42,25 +48,17 @@ from touchfield.filters.device_filter import device_grid
 from touchfield.filters.registry import felt_medium
 from touchfield.job.array_medium import PANELS, array_medium
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
-from touchfield.job.prepare import Prepared
+from touchfield.job.prepare import Prepared, Source
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.view import view
 from touchfield.medium.grid import Placement
-from touchfield.medium.trace import HAPTIC_RATE_HZ, read_trace
+from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace, read_trace
 from touchfield.parallel import Report, silent
+from touchfield.render.sampler import FieldSampler
 from touchfield.stream.opened import OpenStream, open_stream
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from touchfield.job.stream_scene import Source
-    from touchfield.medium.trace import Trace
-
-
 EXPORTS: Final = (".hjif", ".tact", ".wav", ".haptic", ".ahap", ".html")
-_FORCES: Final = (".hjif", ".wav")
-"""Of these, what holds a force over time."""
-
+_FORCES: Final = (".hjif", ".wav")  # of these, what holds a force over time
 IMPORTS: Final = (".hjif", ".hmpg", ".ahap")
 _MOST_SAMPLES: Final = 1 << 23
 _VEST: Final = "tactsuit-x40"
@@ -95,14 +93,13 @@ def export(
     """Write a stream in another format, by the ending of `out`.
 
     ``.hjif`` (ISO/IEC 23090-31) and ``.wav`` (a channel an actuator) hold the drives of an array, or with
-    `trajectory`, where the probe is over time (`touchfield.medium.trace.read_trace`), a force over time; ``.tact``
-    is for a vest of bHaptics; ``.haptic`` (Meta) and ``.ahap`` (Apple) have one track; ``.html`` is the page, with
-    the stream within. `device_name` is a profile, of an array or with `trajectory` of a point: by default the
-    device that the stream was made for, and for ``.tact`` a TactSuit X40 where it was made for another. `panel` is
-    that of an array, "front" or "back"; `against`, of the page, what was encoded; `full_scale_n`, of a force as
-    ``.hjif``, are the newtons that are told as 1; 1 tells newtons.
-
-    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
+    `trajectory`, where the probe is over time (`touchfield.medium.trace.read_trace`), a force over time; ``.tact`` is
+    for a vest of bHaptics; ``.haptic`` (Meta) and ``.ahap`` (Apple) have one track; ``.html`` is the page, with the
+    stream within. `device_name` is a profile, of an array or with `trajectory` of a point: by default the device that
+    the stream was made for, and for ``.tact`` a TactSuit X40 where it was made for another. `panel` is that of an
+    array, "front" or "back"; `against`, of the page, what was encoded; `full_scale_n`, of a force as ``.hjif``, are
+    the newtons that are told as 1; 1 tells newtons. TouchfieldError if anything is at fault; nothing is then left
+    under the name `out`.
     """
     path = Path(out)
     kind = path.suffix.lower()
@@ -117,7 +114,11 @@ def export(
         raise InvalidArgument("--source", f"one for {kind}", "one for .html only")
     with open_stream(stream) as opened:
         if kind == ".html":
-            return _export_page(opened, Path(stream), path, against, report)
+            head, page = opened.reader.head, view(stream, against, report)
+            page.save(path)
+            told = {"frames": head.frame_count}
+            told |= {key: page.figures[key] for key in ("source_bytes",) if key in page.figures}
+            return Exported(path, head.device_name, head.frame_count / head.rate_hz, told)
         if trajectory is not None:
             return _export_force(opened, path, kind, device_name, trajectory, full_scale_n)
         return _export_array(opened, path, kind, device_name, panel, report)
@@ -135,24 +136,22 @@ def import_effect(
 
     A stream keeps a drive as exactly as its coder is asked to keep the force, and beside it the frequency in whole
     hertz with the drive to within a ninth (`touchfield.codec.vibration`); what is shown is the greater of the two.
-
     `source` is ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``; of `spec` are taken the coder, its haptic
     filters, frames and vibration in place of the effect's own; the device is that of the effect. `rate_hz` are the
     frames a second, and `force_max_n` the force that a full drive stands for: None takes what the file tells, or else
-    3.3 N.
-
-    TouchfieldError if anything is at fault; nothing is then left under the name `out`.
+    3.3 N. TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
     asked = spec or EncodeSpec()
     if force_max_n is not None and not 0 < force_max_n <= 1e6:
         raise InvalidArgument("force_max_n", repr(force_max_n), "newtons above 0, up to a million")
-    found = _reader(Path(source))(source, rate_hz)
+    kind = Path(source).suffix.lower()
+    if kind not in IMPORTS:
+        raise InvalidArgument(str(source), f"the ending {Path(source).suffix!r}", " or ".join(IMPORTS))
+    found = (read_ahap if kind == ".ahap" else read_hjif_array)(source, rate_hz)
     told_n = found.force_max_n if force_max_n is None else force_max_n
     own = effect_device(found.effect.lattice, found.device_name, told_n)
-    story = {"format": Path(source).suffix[1:].lower()}
-    medium = felt_medium(
-        effect_medium(found.effect, device_grid(own), own.force_max_n, story), asked.chain, own.force_max_n
-    )
+    symbolic = effect_medium(found.effect, device_grid(own), own.force_max_n, {"format": kind[1:]})
+    medium = felt_medium(symbolic, asked.chain, own.force_max_n)
     if asked.vibration is not None:
         medium = vibrating(medium, VibrationRule.parse(asked.vibration), own.force_max_n)
     if asked.frames is not None:
@@ -162,33 +161,6 @@ def import_effect(
     return encode_prepared(prepared, out, provenance_of(source, prepared), report)
 
 
-def _reader(path: Path) -> Callable[[str | Path, float], ImportedEffect]:
-    kind = path.suffix.lower()
-    if kind in (".hjif", ".hmpg"):
-        from touchfield.adapters.hjif_import import read_hjif_array
-
-        return read_hjif_array
-    if kind == ".ahap":
-        from touchfield.adapters.ahap import read_ahap
-
-        return read_ahap
-    raise InvalidArgument(str(path), f"the ending {path.suffix!r}", " or ".join(IMPORTS))
-
-
-# -- arrays ---------------------------------------------------------------------------------------------------------
-
-
-def _export_page(opened: OpenStream, stream: Path, path: Path, against: Source | None, report: Report) -> Exported:
-    """The page of a stream, one file."""
-    head = opened.reader.head
-    page = view(stream, against, report)
-    page.save(path)
-    told = {"frames": head.frame_count}
-    if "source_bytes" in page.figures:
-        told["source_bytes"] = page.figures["source_bytes"]
-    return Exported(path, head.device_name, head.frame_count / head.rate_hz, told)
-
-
 def _export_array(
     stream: OpenStream, path: Path, kind: str, device_name: str | None, panel: str, report: Report
 ) -> Exported:
@@ -196,28 +168,31 @@ def _export_array(
         raise InvalidArgument("panel", repr(panel), " or ".join(PANELS))
     chosen = _array(stream, kind, device_name)
     # a back that the profile does not count is a front worn behind
-    effect = _effect(stream, chosen, panel if chosen.panels > 1 else PANELS[0], report)
+    drives = array_medium(stream, chosen).drives(panel if chosen.panels > 1 else PANELS[0])
+    columns, rows, _ = chosen.lattice
+    checked_frames("stream", len(drives), columns * rows, MAX_MEDIUM_VALUES)
+    nth = PANELS.index(panel) if chosen.panels > 1 else 0
+    shown, hertz = np.zeros((len(drives), rows, columns), np.float32), None
+    for i in range(len(drives)):
+        shown[i] = drives.drives(i)[nth]
+        own = drives.frequencies(i)
+        if own is not None:
+            hertz = np.zeros_like(shown) if hertz is None else hertz
+            hertz[i] = own[nth]
+        report(i + 1, len(drives))
+    effect = ArrayEffect(drives.rate_hz, shown, hertz)
     notes: tuple[str, ...] = ()
     title = f"{Path(stream.reader.provenance.get('source', '')).name or 'a stream'} for {chosen.name}"
     if kind == ".tact":
-        from touchfield.adapters.effect_files import write_tact
-
         write_tact(path, effect, panel=panel)
         if effect.frequencies_hz is not None:
             notes = ("The frequencies are left out: a vest of bHaptics has none.",)
     elif kind == ".wav":
-        from touchfield.adapters.effect_files import write_wav_array
-
         notes = write_wav_array(path, effect)
     elif kind == ".hjif":
-        from touchfield.adapters.hjif_write import write_hjif_array
-
         write_hjif_array(path, effect, chosen.name, panel=panel, description=title)
     else:
-        from touchfield.adapters.effect_files import write_ahap, write_haptic
-
         notes = (write_ahap if kind == ".ahap" else write_haptic)(path, effect, path.stem, title)
-    columns, rows, _ = effect.lattice
     told = {"columns": columns, "rows": rows, "panel": panel, "frames": len(effect), "rate_hz": effect.rate_hz}
     if not effect.drives.any():
         notes = (*notes, "Nothing can be felt: no actuator is driven.")
@@ -232,8 +207,6 @@ def _array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
     columns, rows, depth = head.grid_shape
     own = effect_device((columns, rows, depth), head.device_name, head.force_max_n) if head.device_type == 2 else None
     if kind == ".tact":
-        from touchfield.adapters.effect_files import fits_vest
-
         return own if own is not None and fits_vest(own.lattice) else device(_VEST)
     if own is None:
         mend = "Name an array with --device, or a trajectory for the force along it."
@@ -241,30 +214,9 @@ def _array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
     return own
 
 
-def _effect(stream: OpenStream, chosen: Device, panel: str, report: Report) -> ArrayEffect:
-    drives = array_medium(stream, chosen).drives(panel)
-    columns, rows, _ = chosen.lattice
-    checked_frames("stream", len(drives), columns * rows, MAX_MEDIUM_VALUES)
-    shown, nth = np.zeros((len(drives), rows, columns), np.float32), PANELS.index(panel)
-    hertz: Float32s | None = None
-    for i in range(len(drives)):
-        shown[i] = drives.drives(i)[nth]
-        own = drives.frequencies(i)
-        if own is not None:
-            hertz = np.zeros_like(shown) if hertz is None else hertz
-            hertz[i] = own[nth]
-        report(i + 1, len(drives))
-    return ArrayEffect(drives.rate_hz, shown, hertz)
-
-
-# -- forces ---------------------------------------------------------------------------------------------------------
-
-
 def _export_force(
     stream: OpenStream, path: Path, kind: str, device_name: str | None, trajectory: str | Path, full_scale_n: float
 ) -> Exported:
-    from touchfield.render.sampler import FieldSampler
-
     head = stream.reader.head
     name, peak_n = head.device_name, head.force_max_n
     if device_name is not None:
@@ -282,37 +234,32 @@ def _export_force(
     field_n = FieldSampler(stream.scene or stream.medium).force_n(times_s, places_m).astype(np.float64)
     magnitude_n = np.linalg.norm(field_n, axis=1, keepdims=True)
     forces_n = field_n * np.minimum(1, peak_n / np.maximum(magnitude_n, peak_n))
-    notes = _write_force(path, kind, forces_n, timescale, (name, full_scale_n, Path(trajectory).name))
+    along_n = float(np.abs(forces_n).max())
+    notes: tuple[str, ...] = ()
+    if kind == ".wav":
+        write_wav(path, [forces_n / (along_n or 1.0)], 3, len(forces_n))
+        notes = (f"Full scale is {along_n:.6g} N, the greatest force along an axis: a sound has no newtons.",)
+    else:
+        told = f"force along {Path(trajectory).name}"
+        write_hjif_force(path, forces_n, timescale, device_name=name, full_scale_n=full_scale_n, description=told)
+        if along_n > full_scale_n:
+            notes = (
+                "Readers that put it out as sound, such as the reference synthesiser, clip above "
+                f"{full_scale_n:g} N; --full-scale-n {along_n:.3g} tells shares of that instead.",
+            )
     if (magnitude_n > peak_n).any():
         share = float(np.mean(magnitude_n > peak_n))
         notes = (f"{100 * share:.3g} % of the samples exceed {peak_n:g} N and are shortened to it.", *notes)
     if not forces_n.any():
         notes = ("Nothing can be felt: the trajectory meets no force.",)
     greatest_n = float(np.linalg.norm(forces_n, axis=1).max())
-    told = {"samples": len(times_s), "ticks_per_second": timescale, "force_max_n": peak_n, "greatest_n": greatest_n}
-    return Exported(path, name, float(times_s[-1]), told, notes)
-
-
-def _write_force(
-    path: Path, kind: str, forces_n: NDArray[Any], timescale: int, told: tuple[str, float, str]
-) -> tuple[str, ...]:
-    """Write forces at equal distances in time; what is lost on the way."""
-    from touchfield.adapters.hjif_write import write_hjif_force
-
-    name, full_scale_n, along = told
-    greatest_n = float(np.abs(forces_n).max())
-    if kind == ".wav":
-        write_wav(path, [forces_n / (greatest_n or 1.0)], 3, len(forces_n))
-        return (f"Full scale is {greatest_n:.6g} N, the greatest force along an axis: a sound has no newtons.",)
-    write_hjif_force(
-        path, forces_n, timescale, device_name=name, full_scale_n=full_scale_n, description=f"force along {along}",
-    )  # fmt: skip
-    if greatest_n > full_scale_n:
-        return (
-            f"Readers that put it out as sound, such as the reference synthesiser, clip above {full_scale_n:g} N; "
-            f"--full-scale-n {greatest_n:.3g} tells shares of that instead.",
-        )
-    return ()
+    figures = {
+        "samples": len(times_s),
+        "ticks_per_second": timescale,
+        "force_max_n": peak_n,
+        "greatest_n": greatest_n,
+    }
+    return Exported(path, name, float(times_s[-1]), figures, notes)
 
 
 def _ticks_per_second(trace: Trace) -> int:

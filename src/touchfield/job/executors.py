@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from typing import Any, Final, TypeVar
 
@@ -20,12 +21,9 @@ from touchfield.parallel import worker_count
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_MOST_SUBMITTED: Final = 256
-"""Tasks that an executor is given before the first of their results is waited for."""
-
+_MOST_SUBMITTED: Final = 256  # tasks that an executor is given before the first of their results is waited for
 _MOST_PROCESSES: Final = 1024
-_PATIENCE_S: Final = 5
-"""For a scheduler that does not answer."""
+_PATIENCE_S: Final = 5  # for a scheduler that does not answer
 
 
 @contextmanager
@@ -70,9 +68,8 @@ def in_order(
     are threads is under way, and no second one while their weights, for example their bytes, exceed `most_weight` (0:
     any). With one thread everything happens in the caller's. The first error, in the order of the items, ends it;
     what was not begun is left. In threads `work` gains where it releases the interpreter's lock. Work and items are
-    sent to the workers of an `executor`, and weights are not looked at.
-
-    SourceError if a worker is lost and its executor cannot go on without it.
+    sent to the workers of an `executor`, and weights are not looked at. SourceError if a worker is lost and its
+    executor cannot go on without it.
     """
     if executor is not None:
         yield from _elsewhere(executor, work, items)
@@ -111,35 +108,24 @@ def _elsewhere(executor: Executor, work: Callable[[Item], Result], items: Iterab
     try:
         for item in items:
             while len(waiting) >= _MOST_SUBMITTED or (waiting and waiting[0].done()):
-                yield _result(waiting.popleft())
-            waiting.append(_submitted(executor, work, item))
+                yield _result(waiting.popleft().result)
+            waiting.append(_result(partial(executor.submit, work, item)))
         while waiting:
-            yield _result(waiting.popleft())
+            yield _result(waiting.popleft().result)
     finally:
         for future in waiting:
             future.cancel()
 
 
-def _submitted(executor: Executor, work: Callable[[Item], Result], item: Item) -> Future[Result]:
+def _result(attempt: Callable[[], Result]) -> Result:
+    """A result; what ends in a worker and is no error of ours (it was killed, or cannot read its task) is told."""
     try:
-        return executor.submit(work, item)
-    except RuntimeError as error:  # of a pool whose worker was lost meanwhile
-        raise _lost(error) from None
-
-
-def _result(future: Future[Result]) -> Result:
-    try:
-        return future.result()
+        return attempt()
     except (TouchfieldError, MemoryError):
         raise
     except Exception as error:
-        raise _lost(error) from error
-
-
-def _lost(error: Exception) -> SourceError:
-    """The error for what ends in a worker and is no error of ours: it was killed, or cannot read what it was sent."""
-    found = f"that one ended before its work was done ({type(error).__name__}: {str(error)[:300]})"
-    return SourceError("a worker", found, mend="The same command goes on from what is finished.")
+        found = f"that one ended before its work was done ({type(error).__name__}: {str(error)[:300]})"
+        raise SourceError("a worker", found, mend="The same command goes on from what is finished.") from error
 
 
 def _use_threads(count: int) -> None:

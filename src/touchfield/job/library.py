@@ -1,4 +1,4 @@
-"""A folder of media as a library: filed and searched (paper section 4: "indexing"; 5.1: "data indexing").
+"""Media beside media (paper section 4): a folder filed and searched, two held side by side, one beside a video.
 
 The file of a library is that of `MediumIndex` with one array more: of each file its size, time and CRC-32, and what
 is wrong with those that cannot be described.
@@ -6,36 +6,52 @@ is wrong with those that cannot be described.
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 import time
+import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.arrays import Float64s
+from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.job.editing import joined, spread, taken
 from touchfield.job.executors import in_order
-from touchfield.job.stream_scene import decode
-from touchfield.measure.descriptors import Descriptor, descriptor
+from touchfield.job.mapping import SymbolFrames
+from touchfield.job.prepare import Source, StreamScene, decode, prepare
+from touchfield.job.spec import EncodeSpec
+from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, Descriptor, descriptor, part_slots
+from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.measure.retrieval import Match, MediumIndex
+from touchfield.measure.similarity import (
+    Correlation,
+    Similarity,
+    contact_along_axis,
+    contact_along_rays,
+    picture_correlation,
+    similarity,
+)
 from touchfield.medium import HapticMedium
 from touchfield.medium.atomic import atomic_path
+from touchfield.medium.grid import Placement
 from touchfield.medium.npz import NpzArchive
 from touchfield.parallel import Report, silent
+from touchfield.render.point_device import BOX_AXES, axes_matrix
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import open_source
+from touchfield.sources.scene import CAMERA_AXES
 
-MOST_BYTES_UNDER_WAY: Final = 1 << 24
-"""No further file is begun while those under way take more, packed."""
-
-SAVE_EVERY_S: Final = 5.0
-"""So much work at most is lost by a kill; more where saving itself takes a twentieth of it."""
-
-_READ_BYTES: Final = 1 << 20
+MOST_BYTES_UNDER_WAY: Final = 1 << 24  # no further file is begun while those under way take more, packed
+SAVE_EVERY_S: Final = 5.0  # so much work at most is lost by a kill; more where saving takes a twentieth of it
 _UNREAD: Final = -1
 _MOST_STATE_BYTES: Final = 1 << 29
 
@@ -79,8 +95,7 @@ class Library:
         """Keep a file, and its descriptor if it has one, in place of what was known of it."""
         self.forget(name)
         self.entries[name] = entry
-        if row is not None:
-            self.rows[name] = row
+        self.rows |= {} if row is None else {name: row}
 
     def forget(self, name: str) -> None:
         """Keep nothing of a file."""
@@ -100,10 +115,8 @@ class Library:
         with atomic_path(path) as temporary:
             self.index().save(temporary)
             array = np.frombuffer(json.dumps(told).encode(), np.uint8)
-            with (
-                zipfile.ZipFile(temporary, "a") as archive,
-                archive.open(zipfile.ZipInfo("files.npy"), "w") as stream,
-            ):
+            info = zipfile.ZipInfo("files.npy")
+            with zipfile.ZipFile(temporary, "a") as archive, archive.open(info, "w") as stream:
                 np.lib.format.write_array(stream, array, version=(1, 0), allow_pickle=False)
 
 
@@ -133,15 +146,8 @@ class Indexed:
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        return {
-            "index": str(self.path),
-            "media": len(self.library.rows),
-            "described": self.described,
-            "kept": self.kept,
-            "gone": self.gone,
-            "left_out": len(self.faults),
-            "seconds": self.seconds,
-        }
+        counts = {"described": self.described, "kept": self.kept, "gone": self.gone, "left_out": len(self.faults)}
+        return {"index": str(self.path), "media": len(self.library.rows), **counts, "seconds": self.seconds}
 
 
 def index_folder(
@@ -151,17 +157,14 @@ def index_folder(
 
     A file of the same size and time is kept as it is, and one of the same bytes takes over its descriptor, whatever
     it is called now. What was described is saved every few seconds and after an error, so that the next run goes on.
-
     `path` is the file to write, FOLDER.index.npz beside the folder unless another is named; `report` counts files;
-    with `executor` its workers read them.
-
-    TouchfieldError if there is no such folder, or the file cannot be read or written. A damaged .touch file is told
-    in `faults`.
+    with `executor` its workers read them. TouchfieldError if there is no such folder, or the file cannot be read or
+    written. A damaged .touch file is told in `faults`.
     """
     began, folder = time.perf_counter(), Path(folder)
     target = library_path(folder, path)
     before = Library.load(target) if target.exists() else Library()
-    files = {name: (size, mtime) for name, size, mtime in _files(folder)}
+    files = _files(folder)
     changed = sorted(name for name, told in files.items() if not _same(before.entries.get(name), told))
     checks = {name: _crc(folder / name) for name in changed}
     known = {(e.size, e.crc): name for name, e in before.entries.items() if e.crc != _UNREAD}
@@ -173,9 +176,9 @@ def index_folder(
     done, saved, pause = len(files) - len(fresh), time.perf_counter(), SAVE_EVERY_S
     report(done, len(files))
     try:
-        results = in_order(
-            described, [folder.resolve() / name for name in fresh], _bytes_of, MOST_BYTES_UNDER_WAY, executor
-        )
+        whole = folder.resolve()
+        sizes = {whole / name: files[name][0] for name in fresh}
+        results = in_order(described, sizes, sizes.__getitem__, MOST_BYTES_UNDER_WAY, executor)
         for name, (values, fault) in zip(fresh, results, strict=True):
             kept.file(name, Entry(*files[name], checks[name], fault), values)
             done += 1
@@ -204,16 +207,10 @@ def described(path: Path) -> tuple[Float64s | None, str]:
         return None, str(error) or type(error).__name__
 
 
-def _bytes_of(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0
-
-
-def _files(folder: Path) -> Iterator[tuple[str, int, int]]:
-    """Name, size and time of every .touch file."""
-    for path in folder.rglob("*.touch"):
-        if path.is_file():
-            told = path.stat()
-            yield path.relative_to(folder).as_posix(), told.st_size, told.st_mtime_ns
+def _files(folder: Path) -> dict[str, tuple[int, int]]:
+    """Size and time of every .touch file, by name."""
+    paths = (path for path in folder.rglob("*.touch") if path.is_file())
+    return {path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns) for path in paths}
 
 
 def _same(entry: Entry | None, told: tuple[int, int]) -> bool:
@@ -225,14 +222,11 @@ def _crc(path: Path) -> int:
     crc = 0
     try:
         with path.open("rb") as stream:
-            while part := stream.read(_READ_BYTES):
+            while part := stream.read(1 << 20):
                 crc = zlib.crc32(part, crc)
     except OSError:
         return _UNREAD
     return crc
-
-
-# -- search ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -261,7 +255,6 @@ def search(
 
     `like` is a .touch file, in the folder or not, or a medium; `weights` are those of the parts of the descriptor
     (`MediumIndex.query`; `touchfield.measure.retrieval.ANY_POSE` for any pose), and `path` is the library's file.
-
     TouchfieldError if the folder was not indexed, or `like` cannot be described.
     """
     folder, target = Path(folder), library_path(Path(folder), path)
@@ -270,11 +263,13 @@ def search(
     if not target.exists():
         raise SourceError(str(target), "no such file", "the folder's index", f"Make it: touchfield index {folder}")
     library = Library.load(target)
-    files = {name: (size, mtime) for name, size, mtime in _files(folder)}
+    files = _files(folder)
     stale = sum(not _same(library.entries.get(name), told) for name, told in files.items())
     stale += len(library.entries.keys() - files.keys())
     notes = (f"{stale} files changed since: touchfield index {folder}",) if stale else ()
-    own = _name_in(folder, like)
+    own, whole = "", folder.resolve()  # the name of a file in the folder
+    if not isinstance(like, HapticMedium) and Path(like).resolve().is_relative_to(whole):
+        own = Path(like).resolve().relative_to(whole).as_posix()
     if own in library.rows and _same(library.entries[own], files.get(own, (-1, -1))):
         entry = Descriptor(library.rows[own])
     else:
@@ -286,11 +281,157 @@ def search(
     return Retrieved(matches, len(index), 1e3 * (time.perf_counter() - began), notes)
 
 
-def _name_in(folder: Path, like: str | Path | HapticMedium) -> str:
-    """The name of a file in the library of a folder; "" for one that lies elsewhere, and for a medium."""
-    if isinstance(like, HapticMedium):
-        return ""
-    try:
-        return Path(like).resolve().relative_to(folder.resolve()).as_posix()
-    except ValueError:
-        return ""
+@dataclass(frozen=True)
+class Alike:
+    """How alike two media are: by their symbols where they lie, and by their descriptors wherever they lie."""
+
+    symbols: Similarity
+    parts: dict[str, float]
+    frames: int
+    notes: tuple[str, ...]
+
+    @property
+    def distance(self) -> float:
+        """Between the descriptors, as `search` ranks; 0 for equal ones."""
+        return math.sqrt(sum(d * d for d in self.parts.values()))
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        told = {"descriptor_distance": self.distance, "descriptor_parts": self.parts, "frames": self.frames}
+        return {**self.symbols.summary(), **told}
+
+
+def similar(
+    first: Source,
+    second: Source,
+    spec: EncodeSpec | None = None,
+    *,
+    quantiser: str = "weber:0.25/ico1",
+    over: str = "object",
+    frames: int = 8,
+    report: Report = silent,
+) -> Alike:
+    """Compare two media, the second on the lattice and at the rate of the first.
+
+    Each is a path, a scene, a medium or a field; `spec` tells how a scene becomes a medium. `quantiser` is Q in
+    words, fitted to both at once, and coarse so that a small error of a coder is none; `over` ("voxel" or "object")
+    is mu of NMI and VI, and `frames` how many of those that both have are compared, evenly spaced. InvalidArgument if
+    one of them has no force, or an option is unknown.
+    """
+    if frames < 1:
+        raise InvalidArgument("frames", f"{frames}", "1 or more")
+    one, other = (prepare(source, spec).medium for source in (first, second))
+    told = [np.zeros(DESCRIPTOR_LENGTH)] * 2
+    for n, medium in enumerate((one, other)):
+        told[n] = descriptor(medium, frames).values
+        report(n + 1, 3)
+    beside, notes = joined(other, one, name="the second")
+    count = min(len(one), len(beside))
+    places = spread(count, frames)
+    media = [taken(m, places) for m in (one, beside)]
+    quantise = FieldQuantiserSpec.parse(quantiser).fit(itertools.chain(*media))
+    mine, theirs = (SymbolFrames(m, quantise) for m in media)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
+        try:
+            measured = similarity(mine, theirs, over)
+        except InvalidArgument as error:
+            if error.where != "symbols to compress":
+                raise
+            measured = similarity(mine, theirs, over, compressed=False)
+            notes = (*notes, f"no NCD: {error}")
+    report(3, 3)
+    parts = {name: float(np.linalg.norm(told[0][slot] - told[1][slot])) for name, slot in part_slots()}
+    return Alike(measured, parts, len(places), notes)
+
+
+class Looked(NamedTuple):
+    """A frame of a medium beside the picture of the same time."""
+
+    frame: int
+    picture: int
+    found: Correlation
+
+
+def correlate(
+    video: str | Path,
+    stream: str | Path,
+    *,
+    frames: int = 4,
+    reading: str = "peak",
+    intrinsics: tuple[float, float, float, float] | None = None,
+    source_rate_hz: float | None = None,
+    report: Report = silent,
+) -> tuple[Looked, ...]:
+    """I(V;A) of the luma of a video and the |F| behind each pixel, at a few times, each with its test against chance.
+
+    The picture covers the lattice as one sees it from the front. With `intrinsics` it is that of a camera at the
+    origin of the scene, and |F| is met along the ray of each pixel. `video` is a video, a GIF, a picture or a folder
+    of pictures, `source_rate_hz` its rate where it does not say; `frames` are the times that are looked at, evenly
+    spaced over what both have, `reading` is "first" or "peak" (`touchfield.measure.correlation`), and `intrinsics`
+    are fx, fy, cx, cy, pixels of the video. InvalidArgument or SourceError if a file cannot be read, nothing is felt
+    within the picture, or the camera does not fit the medium.
+    """
+    if frames < 1:
+        raise InvalidArgument("frames", f"{frames}", "1 or more")
+    opened = StreamScene(stream)
+    medium = opened.medium
+    rate = source_rate_hz or (medium.rate_hz if len(medium) else None)
+    scene: Any = open_source(video, SourceOptions(kind="saliency", source_rate_hz=rate))
+    pictures, rate_hz = scene.maps.pictures, scene.rate_hz
+    last = len(medium) - 1
+    if pictures.frame_count > 1:
+        last = min(last, math.floor((pictures.frame_count - 1) / rate_hz * medium.rate_hz + 1e-9))
+    places = spread(last + 1, frames)
+    done: list[Looked] = []
+    for n in places:
+        at = min(round(n / medium.rate_hz * rate_hz), pictures.frame_count - 1)
+        luma = pictures.picture(at).astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
+        if intrinsics is None:
+            luma, touched = _from_the_front(luma, medium, n, reading)
+        else:
+            touched = _from_the_camera(luma.shape, pictures, medium, n, opened.placement, intrinsics, reading)
+        done.append(Looked(n, at, picture_correlation(luma, touched)))
+        report(len(done), len(places))
+    return tuple(done)
+
+
+def _from_the_front(luma: Float64s, medium: HapticMedium, frame: int, reading: str) -> tuple[Float64s, Float64s]:
+    """The picture as means over the columns of the lattice, and |F| of these, rows downwards."""
+    from PIL import Image
+
+    turn = axes_matrix(BOX_AXES, medium.axes)
+    (right, is_left), (up, is_down), (sight, is_away) = (
+        (int(np.argmax(np.abs(turn[:, n]))), bool(turn[:, n].sum() < 0)) for n in range(3)
+    )
+    met = contact_along_axis(medium[frame], sight, from_low=is_away, reading=reading).amplitudes_n
+    seen = met if right > up else met.T  # rows along `up`, columns along `right`
+    seen = seen if is_down else seen[::-1]
+    seen = seen[:, ::-1] if is_left else seen
+    scaled = Image.fromarray(luma.astype(np.float32)).resize(seen.shape[::-1], Image.Resampling.BOX)
+    return np.asarray(scaled, np.float64), np.ascontiguousarray(seen)
+
+
+def _from_the_camera(
+    shape: tuple[int, ...],
+    pictures: Any,
+    medium: HapticMedium,
+    frame: int,
+    placement: Placement,
+    intrinsics: tuple[float, float, float, float],
+    reading: str,
+) -> Float64s:
+    """|F| along the ray of each pixel of the reduced picture."""
+    if medium.axes != CAMERA_AXES:
+        raise InvalidArgument("intrinsics", f"a medium whose axes are {medium.axes}", f"one whose are {CAMERA_AXES}")
+    (fx, fy, cx, cy), (height, width) = intrinsics, shape
+    v, u = np.mgrid[:height, :width]
+    x = ((u + 0.5) * pictures.size[0] / width - 0.5 - cx) / fx
+    y = ((v + 0.5) * pictures.size[1] / height - 0.5 - cy) / fy
+    low, high = (placement.to_scene(corner) for corner in medium.grid.box_m)
+    near_m, far_m = max(float(low[2]), 0.0), float(high[2])
+    if not far_m > 0:
+        raise InvalidArgument("intrinsics", "a workspace behind the camera", "one before it")
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1)
+    ends = placement.to_hand(near_m * rays), placement.to_hand(far_m * rays)
+    return contact_along_rays(medium[frame], *ends, reading).amplitudes_n

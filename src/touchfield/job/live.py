@@ -1,11 +1,10 @@
 """A source, live: frames are made as their time comes, coded in segments, and sent to whoever is there.
 
 What a segment takes until it can be felt is its own length, and the coding of its last frame beside it. Where making
-or coding frames cannot keep up, frames are left out and told; time goes on.
-
-A coarse layer is a stream of its own beside: the same frames on half the lattice, within a mask twice as wide. Of a
-rendered room and of a photograph's depth it takes a seventh of the bytes; what the fine one is beyond it, coded as a
-difference, would take half as many again as the fine one alone.
+or coding frames cannot keep up, frames are left out and told; time goes on. A coarse layer is a stream of its own
+beside: the same frames on half the lattice, within a mask twice as wide. Of a rendered room and of a photograph's
+depth it takes a seventh of the bytes; what the fine one is beyond it, coded as a difference, would take half as many
+again as the fine one alone.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -27,19 +26,13 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import halved, pyramid, rebuilt
 from touchfield.job.coding import head_of
 from touchfield.job.encode import provenance_of
-from touchfield.job.prepare import prepare
+from touchfield.job.prepare import Prepared, Source, as_source, prepare
 from touchfield.job.spec import EncodeSpec
-from touchfield.job.stream_scene import as_source
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
+from touchfield.medium.medium import VibrationFrame
 from touchfield.sources.capture import CaptureEnd, captured
 from touchfield.stream.live import ENDLESS, LiveSegment, LiveSender
-
-if TYPE_CHECKING:
-    from touchfield.job.prepare import Prepared
-    from touchfield.job.stream_scene import Source
-    from touchfield.medium.medium import VibrationFrame
-
 
 Send = Callable[[LiveSegment], bytes | None]
 
@@ -96,13 +89,15 @@ def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSende
     if spec.coder == "touch":  # what is live has no time for a search
         spec = replace(spec, touch=replace(spec.touch, effort="fast"))
     spec = replace(spec, representation="voxel")
-    given = captured(source, spec.source) or as_source(source, spec.device)
-    prepared = prepare(given, spec)
-    encoder = field_encoder(prepared.medium.grid, prepared.coding)
-    sender = LiveSender()
+    prepared = prepare(captured(source, spec.source) or as_source(source, spec.device), spec)
+    return prepared, _sender(source, prepared)
+
+
+def _sender(source: Source, prepared: Prepared, **told: str) -> LiveSender:
+    sender, encoder = LiveSender(), field_encoder(prepared.medium.grid, prepared.coding)
     name = source if isinstance(source, str | Path) else "scene"
-    sender.open(head_of(prepared, encoder), provenance_of(name, prepared))
-    return prepared, sender
+    sender.open(head_of(prepared, encoder), {**provenance_of(name, prepared), **told})
+    return sender
 
 
 def coarse_layer(source: Source, prepared: Prepared) -> tuple[Prepared, LiveSender]:
@@ -114,6 +109,8 @@ def coarse_layer(source: Source, prepared: Prepared) -> tuple[Prepared, LiveSend
     fine, spec = prepared.medium, prepared.spec
     if max(fine.grid.shape) < 2:
         raise InvalidArgument("--coarse", f"a lattice of {fine.grid.shape} samples", "one that can be halved")
+    meter, first = FidelityMeter(spec.k, spec.f0_n or EncodeSpec().f0_n), fine[0]
+    meter.add(first, rebuilt(_coarse(first), fine.grid))
     if spec.coder == "touch":
         k, f0_n = min(2 * spec.touch.k, 0.5), 2 * spec.touch.f0_n
         spec = replace(spec, touch=replace(spec.touch, k=k, f0_n=f0_n, mode="mask"))
@@ -121,14 +118,8 @@ def coarse_layer(source: Source, prepared: Prepared) -> tuple[Prepared, LiveSend
         fine, grid=halved(fine.grid), make_frame=lambda i: _coarse(fine[i]), vibration=None, segments=None
     )
     coarse = replace(prepared, medium=medium, spec=spec, scene=None, exact=None, source=None)
-    encoder, first = field_encoder(medium.grid, coarse.coding), fine[0]
-    meter = FidelityMeter(prepared.spec.k, prepared.spec.f0_n or EncodeSpec().f0_n)
-    meter.add(first, rebuilt(_coarse(first), fine.grid))
-    name = source if isinstance(source, str | Path) else "scene"
-    told = f"half of {fine.grid.words}; NMSE of the first frame {meter.nmse_db:.1f} dB"
-    sender = LiveSender()
-    sender.open(head_of(coarse, encoder), {**provenance_of(name, coarse), "layer": told})
-    return coarse, sender
+    layer = f"half of {fine.grid.words}; NMSE of the first frame {meter.nmse_db:.1f} dB"
+    return coarse, _sender(source, coarse, layer=layer)
 
 
 def _coarse(field: ForceField) -> ForceField:
@@ -196,9 +187,10 @@ class _Lane:
         make: Callable[[ForceField], ForceField] = lambda frame: frame,
     ) -> None:
         self.sent, self.is_late = Sent(), False
-        self._send, self._make = send, make
-        self._encoder = field_encoder(prepared.medium.grid, prepared.coding)
-        self._coded = _SegmentCoder(self._encoder, prepared.device.force_max_n, self.sent, clock_s)
+        self._send, self._clock_s, self._make = send, clock_s, make
+        self._encoder: Any = field_encoder(prepared.medium.grid, prepared.coding)
+        self._force_max_n = prepared.device.force_max_n
+        self._anchor: ForceField | None = None
         self._under_way: deque[Future[None]] = deque()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="touchfield-live")
 
@@ -217,34 +209,12 @@ class _Lane:
         return coming
 
     def _deliver(self, first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> None:
-        segment = self._coded(first, map(self._make, iter(coming.get, None)), band)
-        if segment is not None:
-            self._send(segment)
-            sent = self.sent
-            sent.sent_bytes += len(segment.body) + len(segment.vibration or b"")
-            sent.segments, sent.frames = sent.segments + 1, sent.frames + segment.frame_count
-
-    def close(self) -> None:
-        """Wait for what is under way; raises what has failed."""
-        with self._pool:
-            while self._under_way:
-                self._under_way.popleft().result()
-
-
-class _SegmentCoder:
-    """Codes segments of frames as they come, one after the other."""
-
-    def __init__(self, encoder: Any, force_max_n: float, sent: Sent, clock_s: Callable[[], float]) -> None:
-        self._encoder, self._force_max_n, self._sent, self._clock_s = encoder, force_max_n, sent, clock_s
-        self._anchor: ForceField | None = None
-
-    def __call__(self, first: int, coming: Iterator[ForceField], band: list[VibrationFrame]) -> LiveSegment | None:
-        """Code the frames that come; no segment where there are none."""
+        """Code and send the frames that come; nothing where there are none, as the source ended before."""
         count, spent = 0, 0.0
 
         def next_frames() -> Iterator[ForceField]:
             nonlocal count, spent
-            for frame in coming:
+            for frame in map(self._make, iter(coming.get, None)):
                 count += 1
                 began = self._clock_s()
                 yield frame
@@ -252,8 +222,8 @@ class _SegmentCoder:
 
         frames = next_frames()
         start = next(frames, None)
-        if start is None:  # the source ended before it
-            return None
+        if start is None:
+            return
         every = chain([start], frames)
         if isinstance(self._encoder, TouchEncoder):  # codes a frame while the next one is made
             self._anchor = self._encoder.anchor(start, self._anchor)  # of a world that stands
@@ -263,8 +233,17 @@ class _SegmentCoder:
             began = self._clock_s()
             body = self._encoder.encode_segment(came).body
             spent = self._clock_s() - began
-        self._sent.slowest_encode_s = max(self._sent.slowest_encode_s, spent)
-        return LiveSegment(first, count, body, encode_vibration(band) if band else None)
+        segment, sent = LiveSegment(first, count, body, encode_vibration(band) if band else None), self.sent
+        sent.slowest_encode_s = max(sent.slowest_encode_s, spent)
+        self._send(segment)
+        sent.sent_bytes += len(segment.body) + len(segment.vibration or b"")
+        sent.segments, sent.frames = sent.segments + 1, sent.frames + count
+
+    def close(self) -> None:
+        """Wait for what is under way; raises what has failed."""
+        with self._pool:
+            while self._under_way:
+                self._under_way.popleft().result()
 
 
 def _groups(

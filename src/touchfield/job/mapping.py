@@ -1,24 +1,23 @@
 """A medium as a device can render it, in bits: the mapping M of the paper's section 3.1 applied to a stored W.
 
 W is a medium on its own lattice, the reference space. For each device it is scaled into the workspace, low-passed and
-resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then compare the two.
-
-A point device is given the lattice over as much of W's own box as its workspace holds, and where its lattice is finer
-than W's, W's own: more samples of the same field would not be more information (the "active mappings" that the
-paper's min() excludes), nor would the empty rest of a larger workspace. An array has its actuators and no others.
+resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then compare the two. A point
+device is given the lattice over as much of W's own box as its workspace holds, and where its lattice is finer than
+W's, W's own: more samples of the same field would not be more information (the "active mappings" that the paper's
+min() excludes), nor would the empty rest of a larger workspace. An array has its actuators and no others.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiser, FieldQuantiserSpec
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
@@ -32,12 +31,7 @@ from touchfield.parallel import Report, silent
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.stored import StoredScene
 
-if TYPE_CHECKING:
-    from touchfield.codec.paper.field_quantiser import FieldQuantiser
-
-
-_COARSE_QUANTISER: Final = "weber:0.25/ico1"
-"""Ten amplitudes by twelve directions: few enough symbols that a box holds many samples of each."""
+_COARSE_QUANTISER: Final = "weber:0.25/ico1"  # ten amplitudes by twelve directions: a box holds many of each
 
 
 @dataclass(frozen=True)
@@ -77,7 +71,13 @@ def mapped(
     clipped = replace(shown, make_frame=lambda i: limited(shown[i], chosen.force_max_n))
     scale_note = f"1 mm of the device's hand is {1 / mapping.placement.scale:.4g} mm of the medium"
     own = mapping.placement.to_hand(medium.grid)
-    return Mapped(chosen, clipped, own, _levels(chosen, asked), (*notes, scale_note))
+    if asked.form == "distinct":
+        asked = FieldQuantiserSpec.parse(DEFAULT_QUANTISER)
+    if chosen.levels is not None and chosen.levels > 1:  # its own levels
+        asked = FieldQuantiserSpec("uniform", chosen.force_max_n / (chosen.levels - 1), "none")
+    elif chosen.is_array:  # renders magnitudes, and has no directions to tell
+        asked = replace(asked, directions="none")
+    return Mapped(chosen, clipped, own, asked, (*notes, scale_note))
 
 
 def _shown(scene: StoredScene, mapping: Mapping, density: float | None) -> tuple[HapticMedium, tuple[str, ...]]:
@@ -85,7 +85,9 @@ def _shown(scene: StoredScene, mapping: Mapping, density: float | None) -> tuple
     if mapping.device.is_array:
         return mapping.medium(scene), ()
     nominal, own = mapping.grid, mapping.placement.to_hand(scene.medium.grid)
-    low, high = _window(own, nominal)
+    first, last = (own.to_index(corner) for corner in nominal.box_m)
+    low = np.clip(np.ceil(first - 1e-6), 0, np.subtract(own.shape, 1)).astype(np.int64)
+    high = np.clip(np.floor(last + 1e-6) + 1, low + 1, own.shape).astype(np.int64)  # one sample at least
     each = np.asarray(nominal.spacing_m) / own.spacing_m if density is None else density
     counts = np.minimum(np.maximum(1, np.round((high - low) / each)), high - low)
     if (counts < high - low).any():
@@ -97,14 +99,6 @@ def _shown(scene: StoredScene, mapping: Mapping, density: float | None) -> tuple
     note = f"its {was} samples are finer than the medium's, whose own are taken: its lattice loses nothing"
     note += "" if density else " (--density 5 sets it as far below the medium's as the paper does)"
     return _cropped(scene.medium, own, low, high), (note,)
-
-
-def _window(own: Grid, nominal: Grid) -> tuple[Int64s, Int64s]:
-    """The samples of `own` that lie in the workspace, from and to, int64 [3] each; one at least."""
-    first, last = (own.to_index(corner) for corner in nominal.box_m)
-    low = np.clip(np.ceil(first - 1e-6), 0, np.subtract(own.shape, 1))
-    high = np.clip(np.floor(last + 1e-6) + 1, low + 1, own.shape)
-    return low.astype(np.int64), high.astype(np.int64)
 
 
 def _cropped(medium: HapticMedium, own: Grid, low: Int64s, high: Int64s) -> HapticMedium:
@@ -123,22 +117,15 @@ def _cropped(medium: HapticMedium, own: Grid, low: Int64s, high: Int64s) -> Hapt
     return replace(medium, grid=grid, make_frame=frame, vibration=None)
 
 
-def _levels(chosen: Device, asked: FieldQuantiserSpec) -> FieldQuantiserSpec:
-    """Q of the device: its own levels; an array renders magnitudes, and has no directions to tell."""
-    if asked.form == "distinct":
-        asked = FieldQuantiserSpec.parse(DEFAULT_QUANTISER)
-    if chosen.levels is not None and chosen.levels > 1:
-        return FieldQuantiserSpec("uniform", chosen.force_max_n / (chosen.levels - 1), "none")
-    if chosen.is_array:
-        return replace(asked, directions="none")
-    return asked
-
-
 class SymbolFrames(Sequence[FieldSymbols]):
-    """The frames of a medium through Q, each made when it is asked for; the last two are kept."""
+    """The frames of a medium through Q, each made when it is asked for; the last two are kept.
+
+    `object_counts` tells how many voxels of each that was made are not 0. A slice makes nothing yet.
+    """
 
     def __init__(self, medium: HapticMedium, quantiser: FieldQuantiser) -> None:
         self.medium, self.quantiser = medium, quantiser
+        self.object_counts: dict[int, int] = {}
         self._kept: dict[int, FieldSymbols] = {}
 
     def __len__(self) -> int:
@@ -146,31 +133,27 @@ class SymbolFrames(Sequence[FieldSymbols]):
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        i = index + len(self) if index < 0 else index
-        if not 0 <= i < len(self):
-            raise IndexError(index)
+            return FrameRange(self, range(len(self))[index])
+        i = range(len(self))[index]
         if i not in self._kept:
             while len(self._kept) > 1:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[i] = self.quantiser(self.medium[i])
+            self.object_counts[i] = self._kept[i].object_count
         return self._kept[i]
-
-    def __iter__(self) -> Iterator[FieldSymbols]:
-        return (self[i] for i in range(len(self)))
 
 
 class FrameRange(Sequence[FieldSymbols]):
     """Some of the frames, without making them twice."""
 
-    def __init__(self, frames: SymbolFrames, begin: int, end: int) -> None:
-        self._frames, self._range = frames, range(begin, end)
+    def __init__(self, frames: SymbolFrames, numbers: range) -> None:
+        self._frames, self._numbers = frames, numbers
 
     def __len__(self) -> int:
-        return len(self._range)
+        return len(self._numbers)
 
     def __getitem__(self, index: Any) -> Any:
-        return self._frames[self._range[index]]
+        return self._frames[self._numbers[index]]
 
 
 def partition_workspace(
@@ -184,10 +167,8 @@ def partition_workspace(
 
     The medium lies on 2^D times the samples that the device shows at once, `device_shape`
     (`touchfield.measure.partition`). `penalty_bits` is lambda, bits a frame that another box must save; what a box is
-    told of a cell is Q of its mean force.
-
-    InvalidArgument if the lattice does not fit, lambda is negative or the quantiser knows no forces but those of the
-    medium.
+    told of a cell is Q of its mean force. InvalidArgument if the lattice does not fit, lambda is negative or the
+    quantiser knows no forces but those of the medium.
     """
     asked = FieldQuantiserSpec.parse(quantiser) if isinstance(quantiser, str) else quantiser
     if asked.form == "distinct":

@@ -8,11 +8,12 @@ medium -> curl, work around loops                       whether its forces could
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,15 +22,13 @@ from touchfield.codec.rate import RAW_BITS_PER_VECTOR
 from touchfield.codec.registry import coder
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
-from touchfield.job.mapping import FrameRange, SymbolFrames, mapped
-from touchfield.job.prepare import prepare
+from touchfield.job.mapping import SymbolFrames, mapped
+from touchfield.job.prepare import StreamScene, is_stream, prepare
 from touchfield.job.spec import EncodeSpec
-from touchfield.job.stream_scene import StreamScene, is_stream
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
 from touchfield.measure.counts import Counts
-from touchfield.measure.estimators import binary_entropy_bits
+from touchfield.measure.estimators import ESTIMATORS, binary_entropy_bits
 from touchfield.measure.field_count import field_counts, shared_counts
-from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.information import (
     conditional_entropy,
     entropy,
@@ -38,18 +37,14 @@ from touchfield.measure.information import (
     variation_of_information,
 )
 from touchfield.measure.interaction import interaction_entropy
-from touchfield.measure.limits import coding_limits
-from touchfield.measure.passivity import passivity
+from touchfield.measure.limits import CodingLimits, coding_limits
+from touchfield.measure.passivity import Passivity, passivity
 from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
 from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.parallel import Report, silent
-
-if TYPE_CHECKING:
-    from touchfield.measure.limits import CodingLimits
-    from touchfield.measure.passivity import Passivity
-    from touchfield.sources.scene import Scene
-    from touchfield.viewer.information import Bar
+from touchfield.sources.scene import Scene
+from touchfield.viewer.information import Bar, DeviceBars, InformationView, draw_information
 
 
 @dataclass(frozen=True)
@@ -92,9 +87,7 @@ class Measurement:
         """Stable keys for people and programs."""
         return {
             "medium": self.name,
-            "quantiser": self.quantiser,
-            "alphabet": self.alphabet,
-            "frames": self.frames,
+            **{key: getattr(self, key) for key in ("quantiser", "alphabet", "frames")},
             "voxels_per_frame": self.voxels,
             "supported_voxels": self.supported_voxels,
             "occupancy": self.occupancy,
@@ -113,14 +106,10 @@ class Measurement:
 
     def draw(self, path: str | Path) -> None:
         """Write the picture, PNG: the bits of the medium beside the limits of coding it, and each device's share."""
-        from touchfield.viewer.information import DeviceBars, InformationView, draw_information
-
-        devices = [
-            DeviceBars(
-                name, c.capacity.value, c.wmr.value, c.hil.value, _ends(c.wmr) if c.rendered.interval else None
-            )
-            for name, c in self.capacities.items()
-        ]
+        devices = []
+        for name, c in self.capacities.items():
+            ends = _ends(c.wmr) if c.rendered.interval else None
+            devices.append(DeviceBars(name, c.capacity.value, c.wmr.value, c.hil.value, ends))
         title = (
             f"{self.name}: {self.frames} frame{'s' * (self.frames > 1)} of {self.voxels:,} voxels, "
             f"{self.occupancy:.2%} with a force; Q {self.quantiser}, H(W) = {self.per_frame.value:,.0f} bit/frame"
@@ -129,8 +118,6 @@ class Measurement:
 
     def _bars(self) -> list[Bar]:
         """Bits of a supported voxel, from raw numbers to the best limit; telling where it is included."""
-        from touchfield.viewer.information import Bar
-
         each = self.frames * self.voxels / self.supported_voxels
         low_high = _ends(self.voxel)
         ends = low_high and (low_high[0] * each, low_high[1] * each)
@@ -149,9 +136,6 @@ class Measurement:
 
 def _ends(quantity: Quantity) -> tuple[float, float] | None:
     return None if quantity.interval is None else (quantity.interval.low, quantity.interval.high)
-
-
-OVER = ("voxel", "object", "interaction")
 
 
 @dataclass(frozen=True)
@@ -177,10 +161,8 @@ class MeasureSpec:
     density: float | None = None
 
     def __post_init__(self) -> None:
-        from touchfield.measure.estimators import ESTIMATORS
-
         kind, _, trace = self.over.partition(":")
-        if kind not in OVER or (kind == "interaction") != bool(trace):
+        if kind not in ("voxel", "object", "interaction") or (kind == "interaction") != bool(trace):
             raise InvalidArgument("--over", repr(self.over), "voxel, object, or interaction:TRACE.csv")
         if self.estimator not in ESTIMATORS:
             raise InvalidArgument("--estimator", repr(self.estimator), f"one of {', '.join(ESTIMATORS)}")
@@ -207,16 +189,18 @@ def measure_medium(
     medium, name, notes, file_bits, is_of_codewords = _medium(source, spec)
     is_distinct = is_of_codewords and not spec.devices
     asked = FieldQuantiserSpec.parse(spec.quantiser or ("distinct" if is_distinct else DEFAULT_QUANTISER))
-    steps = _Steps(report, 3 + (len(medium) > 1) + spec.limits + len(spec.devices))
+    total = 3 + (len(medium) > 1) + spec.limits + len(spec.devices)
+    steps = count()
+    done: Callable[..., None] = lambda counts=True: report(next(steps), total) if counts else None  # noqa: E731
+    done()
     quantise = asked.fit(medium)
     frames = SymbolFrames(medium, quantise)
-    steps.done()
+    done()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
-        watched = _Supports(frames)
-        counts = field_counts(watched)
+        counts = field_counts(frames)
         voxel = entropy(counts["voxel"], estimator=spec.estimator)
-        held = sum(watched.voxels)
+        held = sum(frames.object_counts.values())
         if not held:
             found, mend = "a medium without any force", "Take other frames, or look at the source."
             if quantise.top_n > 0:
@@ -226,70 +210,42 @@ def measure_medium(
         corrected = entropy(counts["voxel"], estimator="miller-madow", interval=False)
         asked_for = on_object if kind == "object" else voxel
         if probe is not None:
-            asked_for = _along(probe, frames, spec)
-        steps.done()
-        in_time = _in_time(frames, spec.estimator) if len(frames) > 1 else {}
-        steps.done(len(frames) > 1)
+            taken, rate_hz = spec.encode.frames, medium.rate_hz
+            moved = Trace(probe.times_s - (taken[0] if taken else 0) / rate_hz, probe.positions_m)  # since the source
+            is_still = len(frames) == 1 and taken is None  # there at all times
+            visited, clock_hz = (frames[0], None) if is_still else (frames, rate_hz)
+            asked_for = interaction_entropy(moved, visited, spec.estimator, rate_hz=clock_hz)
+        done()
+        in_time = {}
+        if len(frames) > 1:
+            both = field_counts(frames[1:], frames[:-1], ("voxel",))["voxel"]  # each beside the one before
+            in_time = {
+                "conditional_entropy": conditional_entropy(both, estimator=spec.estimator).of(name="H(S_t|S_t-1)"),
+                "mutual_information": mutual_information(both, estimator=spec.estimator).of(name="I(S_t;S_t-1)"),
+                "normalised_mutual_information": normalised_mutual_information(both, estimator=spec.estimator).of(
+                    name="NMI(S_t;S_t-1)"
+                ),
+                "variation_of_information": variation_of_information(both, estimator=spec.estimator).of(
+                    name="VI(S_t,S_t-1)"
+                ),
+            }
+        done(len(frames) > 1)
         limits = coding_limits(frames) if spec.limits else None
-        steps.done(spec.limits)
+        done(spec.limits)
         per_frame = voxel.times(medium.grid.voxel_count, "bit/frame", "H(W)")
         capacities = {}
         for device_name in spec.devices:
             capacities[device_name], more = _capacity(frames, counts["voxel"], per_frame, device_name, asked, spec)
             notes += tuple(f"{device_name}: {note}" for note in more)
-            steps.done()
-    energy = passivity(medium[watched.voxels.index(max(watched.voxels))])
+            done()
+    energy = passivity(medium[max(sorted(frames.object_counts), key=frames.object_counts.__getitem__)])
     if quantise.words == "distinct" and spec.limits:
         notes += (f"the limits do not count the table that tells what the {quantise.alphabet - 1:,} vectors are",)
-    steps.done()
+    done()
     return Measurement(
-        name=name,
-        quantiser=quantise.words,
-        alphabet=quantise.alphabet,
-        frames=len(medium),
-        voxels=medium.grid.voxel_count,
-        supported_voxels=held,
-        entropy=asked_for,
-        voxel=voxel,
-        object=on_object,
-        corrected=corrected,
-        per_frame=per_frame,
-        in_time=in_time,
-        limits=limits,
-        capacities=capacities,
-        passivity=energy,
-        file_bits=file_bits,
-        notes=notes,
-    )
-
-
-class _Steps:
-    """Tells how far the work has come."""
-
-    def __init__(self, report: Report, total: int) -> None:
-        self._report, self._total, self._at = report, total, 0
-        report(0, total)
-
-    def done(self, counts: bool = True) -> None:
-        if counts:
-            self._at += 1
-            self._report(self._at, self._total)
-
-
-class _Supports(Sequence[FieldSymbols]):
-    """Frames, and how many voxels of each are not 0, once it was asked for."""
-
-    def __init__(self, frames: SymbolFrames) -> None:
-        self._frames = frames
-        self.voxels = [0] * len(frames)
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def __getitem__(self, index: Any) -> Any:
-        frame = self._frames[index]
-        self.voxels[index] = frame.object_count
-        return frame
+        name, quantise.words, quantise.alphabet, len(medium), medium.grid.voxel_count, held, asked_for, voxel,
+        on_object, corrected, per_frame, in_time, limits, capacities, energy, file_bits, notes,
+    )  # fmt: skip
 
 
 def _medium(
@@ -309,30 +265,6 @@ def _medium(
     return prepared.medium, name, (*prepared.notes, note), None, False
 
 
-def _along(probe: Trace, frames: SymbolFrames, spec: MeasureSpec) -> Quantity:
-    """H(S) over the visits of a probe, whose clock begins with the source, whichever frames are taken."""
-    if len(frames) == 1 and spec.encode.frames is None:
-        return interaction_entropy(probe, frames[0], spec.estimator)  # a still scene is there at all times
-    rate_hz = frames.medium.rate_hz
-    first = spec.encode.frames[0] if spec.encode.frames else 0
-    moved = Trace(probe.times_s - first / rate_hz, probe.positions_m)
-    return interaction_entropy(moved, frames, spec.estimator, rate_hz=rate_hz)
-
-
-def _in_time(frames: SymbolFrames, estimator: str) -> dict[str, Quantity]:
-    """Each frame but the first, beside the one before it."""
-    count = len(frames)
-    both = field_counts(FrameRange(frames, 1, count), FrameRange(frames, 0, count - 1), ("voxel",))["voxel"]
-    found = {
-        "conditional_entropy": conditional_entropy(both, estimator=estimator),
-        "mutual_information": mutual_information(both, estimator=estimator),
-        "normalised_mutual_information": normalised_mutual_information(both, estimator=estimator),
-        "variation_of_information": variation_of_information(both, estimator=estimator),
-    }
-    names = ("H(S_t|S_t-1)", "I(S_t;S_t-1)", "NMI(S_t;S_t-1)", "VI(S_t,S_t-1)")
-    return {key: q.of(name=name) for (key, q), name in zip(found.items(), names, strict=True)}
-
-
 def _capacity(
     reference: SymbolFrames,
     counts: Counts,
@@ -349,7 +281,11 @@ def _capacity(
     told = field_counts(frames, overs=("voxel",))["voxel"]
     rendered = entropy(told, estimator=spec.estimator).times(voxels, "bit/frame", "H(M(W))")
     most = codomain_bits(voxels, quantise.alphabet)
-    if _same_symbols(reference, frames):
+    is_same = reference.medium.grid.shape == shown.medium.grid.shape and reference.quantiser.words == quantise.words
+    if is_same and all(
+        np.array_equal(x.bricks, y.bricks) and np.array_equal(x.symbols, y.symbols)
+        for x, y in zip(reference, frames, strict=True)
+    ):  # no loss has to be estimated
         ratio: Interval | None = Interval(1.0, 1.0, 1.0, "M(W) and W have the same symbols everywhere")
     else:
         both = shared_counts((reference, frames), (shown.own_grid, shown.medium.grid), (counts, told))
@@ -357,12 +293,3 @@ def _capacity(
         ratio = None if both is None else paired_ratio(both, per_lattice, most, spec.estimator)
     found = capacity(per_frame, rendered, most, ratio=ratio)
     return found, (*shown.notes, *found.notes, f"its Q is {quantise.words}")
-
-
-def _same_symbols(a: SymbolFrames, b: SymbolFrames) -> bool:
-    """True if both tell the same of every voxel, so that no loss has to be estimated."""
-    if a.medium.grid.shape != b.medium.grid.shape or a.quantiser.words != b.quantiser.words:
-        return False
-    return all(
-        np.array_equal(x.bricks, y.bricks) and np.array_equal(x.symbols, y.symbols) for x, y in zip(a, b, strict=True)
-    )

@@ -2,10 +2,9 @@
 
 A medium that moves has a bit rate: R is that of a long stream, from a few pairs of frames that follow each other,
 spread over the scene; the first of a pair tells what a frame alone takes, the second what one that follows takes. A
-still medium is sent once, and has a size in bytes.
-
-D is the NMSE on one lattice, that of the greatest n_w: a coarser stream is decoded and interpolated there as a
-receiver does, so that what a coarse lattice leaves out counts. The mask is the same for all, whatever k a coder took.
+still medium is sent once, and has a size in bytes. D is the NMSE on one lattice, that of the greatest n_w: a coarser
+stream is decoded and interpolated there as a receiver does, so that what a coarse lattice leaves out counts. The mask
+is the same for all, whatever k a coder took.
 """
 
 from __future__ import annotations
@@ -16,9 +15,9 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise, product
+from itertools import chain, pairwise, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import coder, field_decoder, field_encoder
@@ -26,26 +25,28 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters.resample import interpolated
 from touchfield.job.executors import in_order
-from touchfield.job.prepare import Prepared, open_scene, prepare
+from touchfield.job.prepare import open_scene, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene
-
-if TYPE_CHECKING:
-    from touchfield.codec.segment import CodedSegment
-
+from touchfield.viewer.page import titled_figure, write_png
 
 _BITS: Final = {"bit": 1, "kbit": 1_000, "Mbit": 1_000_000, "B": 8, "kB": 8_000, "MB": 8_000_000}
+_COLOURS: Final = {
+    "touch mask": "#0072b2",
+    "touch mask-direction": "#009e73",
+    "touch nmse": "#e69f00",
+    "paper": "0.45",
+}
+_SHAPES: Final = "os^Dv<>p"
+_SIZE_INCH: Final = (9.5, 5.6)
 _BUDGET: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(?:(bit|kbit|Mbit|B|kB)/s|(B|kB|MB))")
 _PLACES: Final = 3
-_SEGMENT_BYTES: Final = 60
-"""Frame, checksum and index entry of a segment."""
-_FILE_BYTES: Final = 1200
-"""Head, provenance and end of a file, about."""
-_MASK_KEPT: Final = 0.95
-"""Where fewer of the voxels are within the mask, the choice is offered with a word on it."""
+_SEGMENT_BYTES: Final = 60  # frame, checksum and index entry of a segment
+_FILE_BYTES: Final = 1200  # head, provenance and end of a file, about
+_MASK_KEPT: Final = 0.95  # where fewer of the voxels are within the mask, the choice is offered with a word on it
 
 
 @dataclass(frozen=True)
@@ -116,12 +117,6 @@ class PlanGrid:
             *(replace(asked, coder="paper", touch=TouchSpec(), paper=one) for one in papers),
         ]
 
-    @property
-    def coarsest(self) -> PlanGrid:
-        """Of these the settings that take least: the coarsest lattice, the weakest promise, the greatest step."""
-        greatest = {name: (max(axis),) for name in ("k", "step_n", "paper_k") if (axis := getattr(self, name))}
-        return replace(self, nw=(min(self.nw),), nq=self.nq and (min(self.nq),), **greatest)
-
 
 @dataclass(frozen=True)
 class Trial:
@@ -152,6 +147,11 @@ class Trial:
         return self.bits_per_frame * self.rate_hz
 
     @property
+    def nmse_db(self) -> float:
+        """The NMSE in decibels; -inf of no error."""
+        return 10 * math.log10(self.nmse) if self.nmse > 0 else -math.inf
+
+    @property
     def kind(self) -> str:
         """The coder, and its mode."""
         return "paper" if self.spec.coder == "paper" else f"touch {self.spec.touch.mode}"
@@ -172,7 +172,7 @@ class Trial:
             "file_bytes": self.file_bytes,
             "bits_per_frame": self.bits_per_frame,
             "nmse": self.nmse,
-            "nmse_db": 10 * math.log10(self.nmse) if self.nmse > 0 else None,
+            "nmse_db": self.nmse_db if self.nmse > 0 else None,
             "beyond_mask": self.beyond_mask,
             "mask_kept": self.mask_kept,
         }
@@ -210,7 +210,8 @@ class Plan:
     def __post_init__(self) -> None:
         if not any(map(self.is_within, self.trials)):
             least = min(self.trials, key=self.cost)
-            raise _too_little(self.budget, self.unit, self.cost(least), least.options)
+            nearest = f"it takes at least {self.cost(least):.0f} {self.unit}, the nearest ({least.options})"
+            raise InvalidArgument(f"--budget of {self.budget:g} {self.unit} is too small: {nearest}")
 
     def cost(self, trial: Trial) -> float:
         """Bits a second of a trial, or its bytes, as the budget has it."""
@@ -238,9 +239,8 @@ class Plan:
         """A word on a choice that a hand tells from the source, and on what would keep the mask."""
         if self.chosen.mask_kept >= _MASK_KEPT:
             return ()
-        note = (
-            f"a hand feels the difference: only {100 * self.chosen.mask_kept:.3g} % of the voxels are within the mask"
-        )
+        share = f"only {100 * self.chosen.mask_kept:.3g} % of the voxels are within the mask"
+        note = f"a hand feels the difference: {share}"
         keeping = [t for t in self.trials if t.mask_kept >= _MASK_KEPT]
         if not keeping:
             return (f"{note}; no setting that was tried keeps it (more --nw, a smaller --k)",)
@@ -253,22 +253,18 @@ class Plan:
 
         The slope of the frontier's convex hull there: with it, R + lambda D is least at both ends of that edge.
         """
+
+        def slope(a: Trial, b: Trial) -> float:
+            return (a.nmse - b.nmse) / (self.cost(b) - self.cost(a))
+
         hull: list[Trial] = []
         for t in self.front():
-            while len(hull) > 1 and self._is_above(hull[-2], hull[-1], t):
+            while len(hull) > 1 and slope(hull[-2], hull[-1]) <= slope(hull[-2], t):
                 hull.pop()
             hull.append(t)
         at = self.cost(self.chosen)
         edges = [(a, b) for a, b in pairwise(hull) if self.cost(a) <= at <= self.cost(b)]
-        if not edges:
-            return None
-        a, b = edges[-1]
-        return (self.cost(b) - self.cost(a)) / (a.nmse - b.nmse)
-
-    def _is_above(self, a: Trial, b: Trial, c: Trial) -> bool:
-        """True where `b` lies on or above the line from `a` to `c`."""
-        run, rise = self.cost(c) - self.cost(a), c.nmse - a.nmse
-        return (b.nmse - a.nmse) * run >= rise * (self.cost(b) - self.cost(a))
+        return 1 / slope(*edges[-1]) if edges else None
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; of a still medium bytes in place of bits a second."""
@@ -288,9 +284,36 @@ class Plan:
 
     def draw(self, path: str | Path) -> None:
         """Write the picture, PNG: NMSE over the cost, the frontier, the budget and the choice."""
-        from touchfield.job.view import draw_plan
-
-        draw_plan(Path(path), self)
+        chosen = self.chosen
+        title = f"{self.source}: {chosen.options} for {amount(self.budget, self.unit)}"
+        figure = titled_figure("the picture of a plan", title, *_SIZE_INCH)
+        panel = figure.subplots()
+        nws = sorted({t.spec.nw or 0 for t in self.trials})
+        drawn = [t for t in self.trials if t.nmse > 0]
+        for trial in drawn:
+            shape = _SHAPES[nws.index(trial.spec.nw or 0) % len(_SHAPES)]
+            panel.plot(self.cost(trial), trial.nmse_db, shape, ms=6, color=_COLOURS[trial.kind], zorder=2)
+        front = [t for t in self.front() if t.nmse > 0]
+        panel.plot([self.cost(t) for t in front], [t.nmse_db for t in front], color="black", lw=1, zorder=1)
+        panel.axvline(self.budget, color="0.3", lw=1, ls="--", zorder=0)
+        if chosen.nmse > 0:
+            at = self.cost(chosen), chosen.nmse_db
+            panel.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6)
+            cost = f"{amount(at[0], self.unit)}, {100 * chosen.mask_kept:.1f} % in the mask"
+            panel.annotate(f"{chosen.kind}, {chosen.options}\n{cost}", at, (12, 12), textcoords="offset points",
+                           fontsize=8, parse_math=False)  # fmt: skip
+        panel.set_xscale("log")
+        panel.set_xlabel(f"{self.unit} (dashed: the budget; line: the frontier; ring: the choice)", fontsize=8)
+        panel.set_ylabel("NMSE, dB, against the finest lattice", fontsize=8)
+        panel.tick_params(labelsize=8)
+        panel.grid(color="0.92")
+        panel.spines[["top", "right"]].set_visible(False)
+        for kind in dict.fromkeys(t.kind for t in drawn):
+            panel.plot([], [], "o", ms=6, color=_COLOURS[kind], label=kind)
+        for i, nw in enumerate(nws):
+            panel.plot([], [], _SHAPES[i % len(_SHAPES)], ms=6, color="0.2", mfc="none", label=f"nw {nw}")
+        panel.legend(fontsize=8, frameon=False)
+        write_png(figure, Path(path))
 
 
 def plan(
@@ -305,9 +328,8 @@ def plan(
 
     A number as `budget` is bits a second; `spec` is of coder `touch`: its k and F_0 are the mask that is reported,
     its effort that of every trial. `report` gets ``(done, total)`` in settings; with `executor` its workers try them.
-
     TouchfieldError if a setting is not possible, the frames hold no force, or nothing is within the budget; the
-    message then names what takes least. The cheapest settings are tried first, so that this is told soon.
+    message then names what takes least.
     """
     spec, search = spec or EncodeSpec(), search or PlanGrid()
     budget = budget if isinstance(budget, Budget) else Budget(bits_per_s=budget)
@@ -315,13 +337,12 @@ def plan(
         raise InvalidArgument("plan", f"coder {spec.coder}", "coder touch; the paper's is tried, too")
     asked = replace(spec, representation="voxel", touch=replace(spec.touch, mode="mask"))
     scene = open_scene(source, spec.source)
-    _check_possible(scene, asked, search.coarsest, budget)
     mask, total = (spec.touch.k, spec.touch.f0_n), 0
     lattice = None
 
     def tries() -> Iterator[tuple[Lattice, EncodeSpec]]:
         nonlocal total, lattice
-        for lattice in lattices(scene, asked, sorted(search.nw)):
+        for lattice in _lattices(scene, asked, sorted(search.nw)):
             specs = search.specs(lattice.spec)
             total = len(specs) * (1 if lattice.is_array else len(search.nw))
             yield from ((lattice, one) for one in specs)
@@ -332,20 +353,7 @@ def plan(
         report(len(trials), total)
     assert lattice is not None
     amount, unit = budget.of(lattice.frames, lattice.rate_hz)
-    return Plan(tuple(trials), *mask, amount, str(source), len(_numbers(lattice.frames)), unit)
-
-
-def _trial(mask: tuple[float, float], setting: tuple[Lattice, EncodeSpec]) -> Trial:
-    """A setting coded, decoded and measured by the mask of k and F_0."""
-    lattice, spec = setting
-    size, frames, decoded = _in_memory(lattice, spec)
-    meter = FidelityMeter(mask[0], max(mask[1], NO_FLOOR_N))
-    for original, field in zip(lattice.reference, decoded, strict=True):
-        same = field.grid.shape == original.grid.shape
-        meter.add(original, field if same else interpolated(field, original.grid, border="cell"))
-    nmse = 0.0 if meter.nmse_db is None else 10 ** (meter.nmse_db / 10)
-    beyond = meter.mask_violations / max(1, meter.supported_voxels)
-    return Trial(spec, size, frames, nmse, beyond, lattice.rate_hz, 1 - meter.mask_violation_share)
+    return Plan(tuple(trials), *mask, amount, str(source), len(lattice.reference), unit)
 
 
 class Lattice(NamedTuple):
@@ -359,61 +367,20 @@ class Lattice(NamedTuple):
     reference: tuple[ForceField, ...]
 
 
-def lattices(scene: Scene, base: EncodeSpec, nws: Sequence[int]) -> Iterator[Lattice]:
-    """The lattices of several n_w, each made once.
-
-    An array has its own lattice: of several n_w the first is taken. InvalidArgument if no frame holds a force.
-    """
+def _lattices(scene: Scene, base: EncodeSpec, nws: Sequence[int]) -> Iterator[Lattice]:
+    """The lattices of several n_w, each made once; an array has its own alone. InvalidArgument if nothing is felt."""
     finest = prepare(scene, replace(base, nw=max(nws)))
-    wanted = _numbers(len(finest.medium))
-    reference = tuple(finest.medium[i] for i in wanted)
+    reference = tuple(finest.medium[i] for i in chain.from_iterable(_pairs(len(finest.medium))))
     if not any(f.support_count for f in reference):
         raise InvalidArgument("source of a search", f"{len(reference)} frames without a force", "a force")
-    for nw in nws[:1] if finest.device.is_array else nws:
+    is_array = finest.device.is_array
+    for nw in nws[:1] if is_array else nws:
         asked = replace(base, nw=nw)
-        is_finest = nw == max(nws) or finest.device.is_array
-        prepared = replace(finest, spec=asked) if is_finest else prepare(scene, asked)
-        fields = reference if is_finest else tuple(prepared.medium[i] for i in wanted)
-        yield _lattice(prepared, fields, reference)
-
-
-def _lattice(prepared: Prepared, fields: tuple[ForceField, ...], reference: tuple[ForceField, ...]) -> Lattice:
-    medium = prepared.medium
-    return Lattice(prepared.spec, prepared.device.is_array, len(medium), medium.rate_hz, fields, reference)
-
-
-def _check_possible(scene: Scene, asked: EncodeSpec, search: PlanGrid, budget: Budget) -> None:
-    """Refuse a budget that even the settings that take least exceed, before any other is tried."""
-    prepared = prepare(scene, replace(asked, nw=search.nw[0]))
-    count, rate_hz = len(prepared.medium), prepared.medium.rate_hz
-    amount, unit = budget.of(count, rate_hz)
-    fields = tuple(prepared.medium[i] for i in _numbers(count))
-    if not any(field.support_count for field in fields):
-        return  # the search tells it
-    least = math.inf, ""
-    for spec in search.specs(prepared.spec):
-        size, frames, _ = _in_memory(_lattice(prepared, fields, fields), spec, is_decoded=False)
-        own = Trial(spec, size, frames, 0.0, 0.0, rate_hz)
-        least = min(least, (own.bits_per_s if unit == "bit/s" else float(size), own.options))
-        if least[0] <= amount:
-            return
-    raise _too_little(amount, unit, *least)
-
-
-def _too_little(budget: float, unit: str, least: float, options: str) -> InvalidArgument:
-    return InvalidArgument(
-        f"--budget of {budget:g} {unit} is too small: it takes at least {least:.0f} {unit}, the nearest ({options})"
-    )
-
-
-def amount(cost: float, unit: str) -> str:
-    """A cost in words."""
-    if unit == "bytes":
-        return f"{cost:,.0f} bytes"
-    for name, size in (("Mbit/s", 1e6), ("kbit/s", 1e3)):
-        if cost >= size:
-            return f"{cost / size:.4g} {name}"
-    return f"{cost:.4g} bit/s"
+        is_finest = nw == max(nws) or is_array
+        medium = finest.medium if is_finest else prepare(scene, asked).medium
+        count = len(medium)
+        fields = reference if is_finest else tuple(medium[i] for i in chain.from_iterable(_pairs(count)))
+        yield Lattice(asked, is_array, count, medium.rate_hz, fields, reference)
 
 
 def _pairs(count: int) -> tuple[tuple[int, ...], ...]:
@@ -425,29 +392,34 @@ def _pairs(count: int) -> tuple[tuple[int, ...], ...]:
     return tuple((start, start + 1) for start in starts)
 
 
-def _numbers(count: int) -> list[int]:
-    return [i for pair in _pairs(count) for i in pair]
+def _trial(mask: tuple[float, float], setting: tuple[Lattice, EncodeSpec]) -> Trial:
+    """A setting coded, decoded and measured by the mask of k and F_0.
 
-
-def _in_memory(lattice: Lattice, spec: EncodeSpec, is_decoded: bool = True) -> tuple[int, int, list[ForceField]]:
-    """The bytes of a segment in a long stream, or of the file of a still medium; and the decoded pairs."""
-    fields, coding = iter(lattice.fields), coder(spec.coder).resolve(spec.coding, lattice.is_array)
-    encoder = field_encoder(lattice.fields[0].grid, coding)
-    decoder = field_decoder(spec.coder, lattice.fields[0].grid, encoder.parameters)
-    coded: list[CodedSegment] = []
-    decoded: list[ForceField] = []
-    for pair in _pairs(lattice.frames):
-        coded.append(encoder.encode_segment([next(fields) for _ in pair]))
-        decoded += decoder.frames(coded[-1].body, len(pair)) if is_decoded else ()
+    Of a medium that moves the size is that of a segment in a long stream: a frame alone, as the first of each pair,
+    and others as costly as the second.
+    """
+    lattice, spec = setting
+    grid, fields, reference = lattice.fields[0].grid, iter(lattice.fields), iter(lattice.reference)
+    encoder = field_encoder(grid, coder(spec.coder).resolve(spec.coding, lattice.is_array))
+    decoder = field_decoder(spec.coder, grid, encoder.parameters)
     length = min(spec.segment_frames_at(lattice.rate_hz), lattice.frames)
-    size = _SEGMENT_BYTES + _FILE_BYTES * length / lattice.frames + _segment_bytes(coded, length)
-    return round(size), length, decoded
+    meter, bits, pairs = FidelityMeter(mask[0], max(mask[1], NO_FLOOR_N)), 0.0, _pairs(lattice.frames)
+    for pair in pairs:
+        coded = encoder.encode_segment([next(fields) for _ in pair])
+        bits += 8 * len(coded.body) + (length - len(pair)) * sum(frame.bits.total for frame in coded.frames[1:])
+        for field in decoder.frames(coded.body, len(pair)):
+            original = next(reference)
+            same = field.grid.shape == original.grid.shape
+            meter.add(original, field if same else interpolated(field, original.grid, border="cell"))
+    size = round(_SEGMENT_BYTES + _FILE_BYTES * length / lattice.frames + bits / 8 / len(pairs))
+    nmse = 0.0 if meter.nmse_db is None else 10 ** (meter.nmse_db / 10)
+    beyond = meter.mask_violations / max(1, meter.supported_voxels)
+    return Trial(spec, size, length, nmse, beyond, lattice.rate_hz, 1 - meter.mask_violation_share)
 
 
-def _segment_bytes(coded: Sequence[CodedSegment], length: int) -> float:
-    """The body of a segment of `length` frames: one alone, and the others as costly as the second of a pair."""
-    total = 0.0
-    for one in coded:
-        first = 8 * len(one.body) - sum(frame.bits.total for frame in one.frames[1:])
-        total += first + (length - 1) * sum(frame.bits.total for frame in one.frames[1:])
-    return total / 8 / len(coded)
+def amount(cost: float, unit: str) -> str:
+    """A cost in words."""
+    if unit == "bytes":
+        return f"{cost:,.0f} bytes"
+    size, name = next(((s, n) for s, n in ((1e6, "Mbit/s"), (1e3, "kbit/s")) if cost >= s), (1.0, "bit/s"))
+    return f"{cost / size:.4g} {name}"

@@ -9,21 +9,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.adapters.effect_files import RATE_HZ, write_wav
 from touchfield.adapters.registry import array_device, array_kinds, is_array_device, point_device, point_kinds
 from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
+from touchfield.arrays import Float64s
 from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
 from touchfield.job.array_medium import array_medium
-from touchfield.job.play_files import write_log, write_sound
+from touchfield.medium import HapticMedium, HapticScene
+from touchfield.medium.atomic import atomic_path
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.parallel import Report, silent
 from touchfield.render.array_player import ArrayPlayer
@@ -36,29 +38,22 @@ from touchfield.stream.live_medium import LiveEnd, LiveStream
 from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
-if TYPE_CHECKING:
-    from touchfield.medium import HapticMedium, HapticScene
-
 Tell = Callable[[str], None]
 
 
 _LOOK_S: Final = 0.1
-MOST_NOTHING: Final = 0.01
-"""Of the ticks of play: where more had nothing, because frames came too late, the play has failed."""
+MOST_NOTHING: Final = 0.01  # of the ticks of a play: where more had nothing, as frames came too late, it has failed
 _FASTEST: Final = 100.0
 _LEAST_S: Final = 0.1
 _LONGEST_S: Final = 24 * 3600.0
 _LEAST_PRESS_N: Final = 0.01
-_SHARE_HELD: Final = 0.8
-"""Of the continuous limit, so that friction has room."""
-
+_SHARE_HELD: Final = 0.8  # of the continuous limit, so that friction has room
 _MOST_ROWS: Final = 1 << 22  # 70 minutes at 1 kHz, 1 GB
 _FEW_ROWS: Final = 1 << 16
 
 _CHECKED_SEGMENTS: Final = 8
 _LONGEST_CHECK_S: Final = 20.0
-_SPARE: Final = 1.2
-"""So much quicker than needed the decoder must be, as the servo wants its share of the processor too."""
+_SPARE: Final = 1.2  # so much quicker than needed the decoder must be: the servo wants its share of the processor
 
 
 @dataclass(frozen=True)
@@ -129,21 +124,20 @@ class Played:
 
     def write_log(self, path: Path) -> None:
         """The log as comma-separated text."""
-        if self.rows is None:
-            raise _for_points("log")
-        write_log(path, self.rows)
+        write_log(path, self._felt(self.rows, "log"))
 
     def write_wav(self, path: Path) -> str:
         """The play as sound; what was written."""
-        if self.rows is None:
-            raise _for_points("wav")
-        return write_sound(path, self.rows)
+        return write_sound(path, self._felt(self.rows, "wav"))
 
     def draw(self, path: Path) -> None:
         """The picture of the interaction."""
-        if self.view is None:
-            raise _for_points("plot")
-        draw_interaction(path, self.view)
+        draw_interaction(path, self._felt(self.view, "plot"))
+
+    def _felt(self, found: Any, option: str) -> Any:
+        if found is None:
+            raise _for_points(option)
+        return found
 
 
 def play(
@@ -156,10 +150,8 @@ def play(
     """Play a ``.touch`` file on a device until it is over, `seconds` are, or an interrupt comes.
 
     An error half way is in `Played.error`, beside what was felt until then; `tell` gets notes while it plays, `watch`
-    the player of a point device once it is there.
-
-    InvalidArgument or DeviceError or FormatError if the device is unknown or not there, the trajectory is unusable,
-    or the file or its first frame cannot be read.
+    the player of a point device once it is there. InvalidArgument or DeviceError or FormatError if the device is
+    unknown or not there, the trajectory is unusable, or the file or its first frame cannot be read.
     """
     spec = spec or PlaySpec()
     with open_stream(path, tell, spec.coarse) as stream:
@@ -172,7 +164,7 @@ def play(
 
 
 def stream_device(stream: OpenStream) -> Device:
-    """The profile that a stream was made for; one that is not known is what the stream tells of it."""
+    """The profile that a stream was made for, or what it tells of one that is not known."""
     told = stream.told_device
     if told.name not in device_names():  # nor is a file looked for whose path a stream names
         return told
@@ -206,37 +198,50 @@ def _play_point(
         seconds = max(float(given.times_s[-1]), _LEAST_S)
     times: dict[str, Any] = {"loop": spec.loop, "speed": spec.speed, "start_s": spec.start_s}
     if spec.offline:
+        error: Exception | None
         run = run_offline(field_of, profile, choice.opener, spec.render, seconds=seconds, keeps_error=True, **times)
         statistics, rows, notes, error = run.statistics, run.log, run.notes, run.error
     else:
         log_rows = _MOST_ROWS if spec.is_logged else _FEW_ROWS
         player = Player(field_of, profile, choice.opener, spec.render, log_rows=log_rows, **times)
         watch(player)
-        keep_up = partial(stream.keep_up, player) if isinstance(stream, LiveStream) else None
-        error = _wait_playing(player, seconds, report, tell, keep_up)
-        statistics, rows, notes = player.statistics(), _since_play(player.log()), player.notes
+        error = None
+        with player:
+            player.play()
+            try:
+                _wait(player, seconds, report, tell, stream)
+            except Exception as failed:
+                if failed is not player.error:
+                    raise
+                error = failed
+        error = error or player.error
+        statistics, rows, notes = player.statistics(), player.log(), player.notes
+        rows = rows[np.append(np.flatnonzero(rows["flags"]), len(rows))[0] :].copy()  # from the first that ran
+        rows["time_s"] -= rows["time_s"][:1]
         if isinstance(error, LiveEnd) and statistics["frames_used"]:
             notes, error, statistics = (*notes, str(error)), None, _before_end(statistics, rows)
     friction = spec.render.friction if spec.render.friction is not None else field_of.friction
-    told = {"device": spec.device, "profile": profile.name, "friction": friction, **_felt(rows), **statistics}
-    view = _view(name, stream, profile, spec, rows) if error is None else None
-    return Played(told, rows, view, notes, error)
-
-
-def _wait_playing(
-    player: Player, seconds: float | None, report: Report, tell: Tell, keep_up: Callable[[], object] | None
-) -> Exception | None:
-    """Play to the end; the error that ended it half way."""
-    error: Exception | None = None
-    with player:
-        player.play()
-        try:
-            _wait(player, seconds, report, tell, keep_up)
-        except Exception as failed:
-            if failed is not player.error:
-                raise
-            error = failed
-    return error or player.error
+    put, touched = np.linalg.norm(rows["force_n"], axis=1), rows["field_force_n"].any(axis=1)
+    told = {
+        "device": spec.device,
+        "profile": profile.name,
+        "friction": friction,
+        "contact_share": float(touched.mean()) if len(rows) else 0.0,
+        "greatest_force_n": float(put.max(initial=0.0)),
+        "last_force_n": float(put[-1]) if len(rows) else 0.0,
+        **statistics,
+    }
+    if error is not None:
+        return Played(told, rows, None, notes, error)
+    render, medium = spec.render, stream.medium
+    drawn = medium[0 if stream.is_live else len(medium) // 2] if spec.is_drawn else None
+    caption = f"{spec.device} with the limits of {profile.name}, {len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
+    view = InteractionView(
+        name, caption, medium.axes, rows["time_s"], rows["position_m"], rows["field_force_n"],
+        rows["friction_n"], rows["force_n"], render.peak_n or profile.force_max_n,
+        render.continuous_n or profile.force_continuous_n, drawn,
+    )  # fmt: skip
+    return Played(told, rows, view, notes)
 
 
 def _before_end(statistics: dict[str, Any], rows: NDArray[Any]) -> dict[str, Any]:
@@ -250,32 +255,17 @@ def _before_end(statistics: dict[str, Any], rows: NDArray[Any]) -> dict[str, Any
     return {**statistics, "stalled_ticks": left, "stalled_share": left / max(stalled / share - behind, 1)}
 
 
-def _since_play(rows: NDArray[Any]) -> NDArray[Any]:
-    """The rows from the first in which the medium ran, and their time since then."""
-    begun = np.flatnonzero(rows["flags"] != 0)
-    own = rows[begun[0] :].copy() if len(begun) else rows[:0]
-    if len(own):
-        own["time_s"] -= own["time_s"][0]
-    return own
-
-
 def _probe(spec: PlaySpec, profile: Device, field_of: HapticMedium | HapticScene) -> Trace:
     """A trajectory for a hand that was given none; it presses no harder than the device can hold for long."""
     held_n = spec.render.continuous_n or profile.force_continuous_n or math.inf
     most_n = max(_SHARE_HELD * held_n / max(spec.render.force_scale, 1e-3), _LEAST_PRESS_N)
-    is_spring = spec.device.strip().lower().endswith(":spring")
-    stiffness_n_per_m = STIFFNESS_N_PER_M if is_spring else math.inf
-    return touch_down(
-        field_of, stiffness_n_per_m=stiffness_n_per_m, force_max_n=most_n, start_s=spec.start_s, speed=spec.speed
-    )
+    stiffness = STIFFNESS_N_PER_M if spec.device.strip().lower().endswith(":spring") else math.inf
+    times = {"start_s": spec.start_s, "speed": spec.speed}
+    return touch_down(field_of, stiffness_n_per_m=stiffness, force_max_n=most_n, **times)
 
 
 def _wait(
-    player: Player | ArrayPlayer,
-    seconds: float | None,
-    report: Report,
-    tell: Tell,
-    keep_up: Callable[[], object] | None = None,
+    player: Player | ArrayPlayer, seconds: float | None, report: Report, tell: Tell, stream: OpenStream
 ) -> None:
     """Until the time is over, the medium has ended, or the user interrupts: what was felt until then is kept."""
     ends = math.inf if seconds is None else seconds
@@ -283,8 +273,8 @@ def _wait(
     try:
         while waited < ends and not player.wait(min(_LOOK_S, ends - waited)):
             waited += _LOOK_S
-            if keep_up is not None:
-                keep_up()
+            if isinstance(stream, LiveStream) and isinstance(player, Player):
+                stream.keep_up(player)
             for note in player.notes:
                 if note not in told:
                     told.add(note)
@@ -293,28 +283,6 @@ def _wait(
                 report(int(waited), math.ceil(seconds))
     except KeyboardInterrupt:
         return
-
-
-def _felt(rows: NDArray[Any]) -> dict[str, Any]:
-    """Stable keys: how much the hand met, and how strongly."""
-    put = np.linalg.norm(rows["force_n"], axis=1)
-    touched = np.linalg.norm(rows["field_force_n"], axis=1) > 0
-    return {
-        "contact_share": float(touched.mean()) if len(rows) else 0.0,
-        "greatest_force_n": float(put.max(initial=0.0)),
-        "last_force_n": float(put[-1]) if len(rows) else 0.0,
-    }
-
-
-def _view(name: str, stream: OpenStream, profile: Device, spec: PlaySpec, rows: NDArray[Any]) -> InteractionView:
-    render, medium = spec.render, stream.medium
-    middle = 0 if stream.is_live else len(medium) // 2
-    caption = f"{spec.device} with the limits of {profile.name}, {len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
-    return InteractionView(
-        name, caption, medium.axes, rows["time_s"], rows["position_m"], rows["field_force_n"],
-        rows["friction_n"], rows["force_n"], render.peak_n or profile.force_max_n,
-        render.continuous_n or profile.force_continuous_n, medium[middle] if spec.is_drawn else None,
-    )  # fmt: skip
 
 
 def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) -> Played:
@@ -328,7 +296,7 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
         try:
             while not player.wait_begun(_LOOK_S):  # preparation is no playing time
                 pass
-            _wait(player, spec.seconds, report, tell)
+            _wait(player, spec.seconds, report, tell, stream)
         except KeyboardInterrupt:
             pass
     if player.error is not None:
@@ -354,9 +322,8 @@ def check_play(path: str | Path, speed: float = 1.0, clock_s: Callable[[], float
         source = FrameSource(stream.scene or stream.medium)
         count = source.frame_count
         starts = [*(source.starts or range(0, count, max(1, count // _CHECKED_SEGMENTS)))]
-        chosen = sorted(
-            {starts[i * len(starts) // _CHECKED_SEGMENTS] for i in range(min(_CHECKED_SEGMENTS, len(starts)))}
-        )
+        checked = range(min(_CHECKED_SEGMENTS, len(starts)))
+        chosen = sorted({starts[i * len(starts) // _CHECKED_SEGMENTS] for i in checked})
         source.prepare(chosen[-1])  # code is loaded or compiled first, and is no part of it
         begun, frames = clock_s(), 0
         for first in chosen:
@@ -377,3 +344,73 @@ def check_play(path: str | Path, speed: float = 1.0, clock_s: Callable[[], float
         "greatest_speed": greatest,
         "can_play": count == 1 or greatest >= speed,
     }
+
+
+COLUMNS: Final = (
+    "t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s",
+    "field_x_n", "field_y_n", "field_z_n", "friction_x_n", "friction_y_n", "friction_z_n",
+    "force_x_n", "force_y_n", "force_z_n",
+    "qw", "qx", "qy", "qz", "field_torque_x_nm", "field_torque_y_nm", "field_torque_z_nm",
+    "torque_x_nm", "torque_y_nm", "torque_z_nm", "gripper_m", "media_s", "buttons", "state",
+)  # fmt: skip
+"""Seconds since the first tick; the hand, the field's force and friction in the field's axes; the force that the
+device got, in its own; how the grip was turned, in the device's axes; the torque of the field and that which the
+device got, likewise; how far the gripper was open; the time of the medium; the buttons (bit n is button n); and what
+was going on, words joined by +."""
+
+_ROWS_AT_ONCE: Final = 1 << 14
+TONE_HZ: Final = 220.0
+BAND_HZ: Final = (30.0, 3000.0)
+
+
+def write_log(path: Path, rows: NDArray[Any]) -> None:
+    """Write rows of `touchfield.render.block.record.COLUMNS` as comma-separated text, whole or not at all."""
+    words = {
+        flags: "+".join(name for name, bit in FLAGS.items() if flags & bit) or "idle"
+        for flags in np.unique(rows["flags"]).tolist()
+    }
+    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.write(",".join(COLUMNS) + "\n")
+        for first in range(0, len(rows), _ROWS_AT_ONCE):
+            some = rows[first : first + _ROWS_AT_ONCE]
+            numbers = np.column_stack(
+                [some["time_s"], some["position_m"], some["velocity_m_s"], some["field_force_n"],
+                 some["friction_n"], some["force_n"], some["orientation"], some["field_torque_nm"], some["torque_nm"],
+                 some["gripper_m"], some["media_s"]]
+            )  # fmt: skip
+            for row, buttons, flags in zip(
+                (numbers + 0.0).tolist(), some["buttons"].tolist(), some["flags"].tolist()
+            ):
+                file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{words[flags]}\n")
+
+
+def sound_of(times_s: Float64s, forces_n: Float64s) -> tuple[Float64s, tuple[float, float]]:
+    """The sound of forces over time, float64 [m, 2] from -1 to 1 at `RATE_HZ`, and the newtons at 1 in each channel.
+
+    times_s : float64 [n], ascending, n at least 2. forces_n : float64 [n, 3].
+    """
+    from scipy.signal import butter, sosfilt
+
+    at = np.arange(int((times_s[-1] - times_s[0]) * RATE_HZ) + 1) / RATE_HZ
+    forces = np.stack([np.interp(at, times_s - times_s[0], of) for of in forces_n.T], axis=1)
+    magnitude = np.linalg.norm(forces, axis=1)
+    principal = np.linalg.eigh(forces.T @ forces)[1][:, -1]
+    fast = sosfilt(butter(2, BAND_HZ, "bandpass", fs=RATE_HZ, output="sos"), forces @ principal)
+    both = np.stack([magnitude * np.sin(2 * np.pi * TONE_HZ * at), fast], axis=1)
+    scales = float(magnitude.max()), float(np.abs(fast).max())
+    return both / [scale or 1.0 for scale in scales], scales
+
+
+def write_sound(path: Path, rows: NDArray[Any]) -> str:
+    """Write rows of `touchfield.render.block.record.COLUMNS` as ``.wav``; a note on what it holds.
+
+    InvalidArgument if there are fewer than two rows, or too many for a WAV; SourceError if the system refuses.
+    """
+    if len(rows) < 2:
+        raise InvalidArgument("--wav", f"a play of {len(rows)} ticks", "at least 2", "Play longer.")
+    samples, (full_n, fast_n) = sound_of(rows["time_s"].astype(np.float64), rows["force_n"].astype(np.float64))
+    write_wav(path, [samples], 2, len(samples))
+    return (
+        f"the sound is {path}: left a tone as loud as |F| (1 is {full_n:.3g} N), right the force from {BAND_HZ[0]:g} "
+        f"Hz on (1 is {fast_n:.3g} N)"
+    )

@@ -2,34 +2,110 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from touchfield.arrays import Float64s
 from touchfield.codec.registry import coder
+from touchfield.container import TouchReader
+from touchfield.container.remote import is_remote
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.filters.device_filter import exact_forces, same_lattice
 from touchfield.filters.registry import felt_medium
-from touchfield.job.objects import felt_objects, haptic_scene, takes_objects
-from touchfield.job.placing import Mapping, mapping_of, stored_medium
-from touchfield.job.spec import OWN_FORCES, EncodeSpec
-from touchfield.job.stream_scene import Source, StreamScene, as_source, is_stream
-from touchfield.medium import HapticMedium, HapticScene
+from touchfield.job.placing import Mapping, felt_objects, haptic_scene, mapping_of, stored_medium
+from touchfield.job.spec import COEFFICIENTS, OWN_FORCES, EncodeSpec
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.grid import Placement
 from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
 from touchfield.sources.stored import StoredScene
-from touchfield.stream.opened import FILTERED
+from touchfield.stream.opened import FILTERED, opened
+
+Source = str | Path | Scene | HapticMedium | ForceField
+"""Sources of an encoding: a path or "sample:NAME", a scene, a medium, or a field, which is a medium of one frame."""
+
+
+def is_stream(source: Source) -> bool:
+    """True if a source is a ``.touch`` file, by its name; a scene is none."""
+    if is_remote(source):
+        return True
+    return isinstance(source, str | Path) and Path(source).suffix.lower() == ".touch" and Path(source).is_file()
+
+
+class StreamScene(StoredScene):
+    """A stream's decoded medium, its objects if it has any, and the device, lattice and placement it was made for.
+
+    The file is closed when the scene and its medium are no longer used. FormatError if it cannot be read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        reader = TouchReader(path)
+        stream = opened(reader, reader.size)
+        weakref.finalize(stream.held, reader.close)
+        super().__init__(stream.medium)
+        self.objects: HapticScene | None = stream.scene
+        head = reader.head
+        self.head, self._device, self.file_bytes = head, stream.told_device, reader.size
+        self.placement: Placement = stream.placement
+        self.notes = ("A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",)
+
+    def device(self) -> Device:
+        """The device that the stream was made for, as far as the stream tells; no profile is looked up."""
+        return self._device
+
+
+class MediumScene(StreamScene):
+    """A medium of the user's, on its own lattice in the metres of the hand: neither scaled nor resampled nor clipped.
+
+    It is for a device of that name, whose F_max holds for what haptic filters add.
+    """
+
+    def __init__(self, medium: HapticMedium, device_name: str) -> None:
+        StoredScene.__init__(self, medium)
+        x, y, z = (1e3 * np.ptp(medium.grid.box_m, axis=0)).tolist()
+        known = device(device_name)
+        self._device = replace(known, workspace_mm=(x, y, z), lattice=medium.grid.shape)
+        self.objects, self.placement, self.tags = None, Placement(), medium.tags
+        self.notes = ("The medium keeps its own lattice and its forces; options of the scene do nothing.",)
+
+
+def as_source(source: object, device_name: str, grid: Grid | None = None) -> str | Path | Scene:
+    """A path or a scene as it is, a medium as a `MediumScene`; newtons [.., nx, ny, nz, 3] are one with their grid.
+
+    InvalidArgument if it is none of these, or an array without its grid.
+    """
+    if grid is not None and not isinstance(source, str | Path | Scene | HapticMedium | ForceField):
+        source = HapticMedium.from_array(np.asarray(source), grid)
+    if isinstance(source, ForceField):
+        source = HapticMedium.from_frames([source], 30.0)
+    if isinstance(source, HapticMedium):
+        return MediumScene(source, device_name)
+    if isinstance(source, str | Path | Scene):
+        return source
+    found = f"an array {source.shape} without its grid" if isinstance(source, np.ndarray) else type(source).__name__
+    expected = "a path, a scene, a HapticMedium, a ForceField, or an array of newtons and grid="
+    raise InvalidArgument("source", found, expected)
+
+
+def decode(path: str | Path) -> HapticMedium:
+    """The medium of a ``.touch`` file, whose frames are decoded when asked for; FormatError if it cannot be read."""
+    return StreamScene(path).medium
+
 
 Forces = Callable[[Float64s], Float64s]
 
 
+REPRESENTATIONS: Final = ("auto", "voxel", "object")
 _MOST_NAMES: Final = 8
 
 
@@ -69,12 +145,11 @@ class Prepared:
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        grid = self.medium.grid
         return {
             "frames": len(self.medium),
             "rate_hz": self.medium.rate_hz,
-            "grid_shape": list(grid.shape),
-            "spacing_mm": [1e3 * h for h in grid.spacing_m],
+            "grid_shape": list(self.medium.grid.shape),
+            "spacing_mm": [1e3 * h for h in self.medium.grid.spacing_m],
             "device": self.device.name,
             "force_max_n": self.device.force_max_n,
             "mapping_scale": self.placement.scale,
@@ -125,46 +200,46 @@ def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
     objects = _objects(origin, chosen, mapping, spec)
     if objects is not None:
         medium = objects.voxelise()
-    elif isinstance(origin, StreamScene):
-        medium = felt_medium(origin.medium, spec.chain, chosen.force_max_n)
     else:
-        assert mapping is not None
-        medium = felt_medium(mapping.medium(origin), spec.chain, chosen.force_max_n)
+        lattice = mapping.medium(origin) if mapping else origin.medium  # type: ignore[attr-defined]
+        medium = felt_medium(lattice, spec.chain, chosen.force_max_n)
     notes = (*origin.notes, *(mapping.notes if mapping else ()), *_notes_of(objects, spec))
 
-    beside = {name: getattr(spec, name) for name in ("friction", "damping_n_s_per_m")}
-    beside = {name: value for name, value in beside.items() if value is not None}
+    beside = {name: value for name in COEFFICIENTS if (value := getattr(spec, name)) is not None}
     medium, objects = replace(medium, **beside), objects and replace(objects, **beside)
     if spec.vibration is not None:
         medium = vibrating(medium, VibrationRule.parse(spec.vibration), chosen.force_max_n)
-    elif _vibrates(scene) and medium.vibration is None:
+    elif medium.vibration is None and getattr(stored_medium(scene), "vibration", None) is not None:
         notes += ("The vibration of the source is left out: it lies on another lattice, or beside objects",)
 
     if spec.frames is not None:
         stop = len(medium) if stop is None else stop
         medium, objects = medium.between(start, stop), objects and objects.between(start, stop)
-    is_voxel = objects is None
-    return Prepared(
-        medium,
-        chosen,
-        placement,
-        spec,
-        notes,
-        objects,
-        _exact(origin, mapping, spec) if is_voxel else None,
-        origin if is_voxel and mapping else None,
-        OWN_FORCES if is_voxel and _keeps_forces(origin, mapping, spec) else FILTERED,
-    )
+    if objects is not None:
+        return Prepared(medium, chosen, placement, spec, notes, objects)
+    exact, stored, reference = None, stored_medium(origin), FILTERED
+    if mapping and isinstance(origin, AnalyticScene) and not (spec.chain or chosen.is_array):
+        exact = exact_forces(origin, mapping.placement, mapping.profile, chosen.force_max_n)
+    if stored is not None and not spec.chain:
+        is_own = mapping is None or same_lattice(mapping.placement.to_scene(mapping.grid), stored.grid)
+        reference = OWN_FORCES if is_own else FILTERED
+    return Prepared(medium, chosen, placement, spec, notes, None, exact, origin if mapping else None, reference)
 
 
 def _objects(scene: Scene, chosen: Device, mapping: Mapping | None, spec: EncodeSpec) -> HapticScene | None:
     """The object representation behind the haptic filters; None where the voxel representation is to be coded."""
-    if spec.vibration is not None and spec.representation == "auto":
-        return None  # objects have no samples that could vibrate
-    if not takes_objects(scene, chosen, spec):
-        return None
+    if spec.representation not in REPRESENTATIONS:
+        raise InvalidArgument("representation", repr(spec.representation), f"one of {', '.join(REPRESENTATIONS)}")
+    is_asked = spec.representation == "object"
+    if is_asked and chosen.is_array:
+        said = f"representation object works with a point device, not with {chosen.name}"
+        raise InvalidArgument(f"{said}: an array pools the depth of the whole scene; take voxel or auto")
+    if not is_asked:  # objects have no samples that could vibrate
+        is_of_bodies = isinstance(scene, BodyScene | StreamScene) or getattr(scene, "is_of_bodies", False)
+        if spec.representation == "voxel" or chosen.is_array or spec.vibration is not None or not is_of_bodies:
+            return None
     objects = scene.objects if isinstance(scene, StreamScene) else haptic_scene(scene, mapping) if mapping else None
-    if objects is None and spec.representation == "object":
+    if objects is None and is_asked:
         raise InvalidArgument("representation", "object for a stream of voxels", "voxel or auto")
     return objects and felt_objects(objects, spec.chain)
 
@@ -182,22 +257,3 @@ def _notes_of(objects: HapticScene | None, spec: EncodeSpec) -> tuple[str, ...]:
         return (note,)
     names = ", ".join(lost[:_MOST_NAMES]) + (", ..." if len(lost) > _MOST_NAMES else "")
     return note, f"Not felt, as too small for the lattice or outside the workspace: {names} (--nw, --mapping)"
-
-
-def _vibrates(scene: Scene) -> bool:
-    stored = stored_medium(scene)
-    return stored is not None and stored.vibration is not None
-
-
-def _exact(scene: Scene, mapping: Mapping | None, spec: EncodeSpec) -> Forces | None:
-    if mapping is None or not isinstance(scene, AnalyticScene) or spec.chain or mapping.device.is_array:
-        return None
-    return exact_forces(scene, mapping.placement, mapping.profile, mapping.device.force_max_n)
-
-
-def _keeps_forces(scene: Scene, mapping: Mapping | None, spec: EncodeSpec) -> bool:
-    """True where the medium has the very forces of a stored one."""
-    stored = stored_medium(scene)
-    if spec.chain or stored is None:
-        return False
-    return mapping is None or same_lattice(mapping.placement.to_scene(mapping.grid), stored.grid)

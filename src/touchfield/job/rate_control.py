@@ -1,7 +1,5 @@
 """A size or an error to reach: the control of coder `touch` is searched, on a few segments first.
 
-The search is for the zero of a falling curve from as few values of it as possible, as each costs an encoding.
-
 In mode "nmse" the control is the step of the lattice; in the other modes it is k, with F_0 in proportion. Bytes are
 those of the whole file and a budget, of which at least 97 % are used where the control allows; the NMSE is reached
 within 0.13 dB, which is 3 % of the error's energy. With a promise and a size, k is only ever raised.
@@ -18,33 +16,28 @@ from pathlib import Path
 from typing import Any, Final
 
 from touchfield.errors import InvalidArgument
+from touchfield.job.editing import taken
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
-from touchfield.job.joining import taken
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import NO_FLOOR_N, EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium import ForceField
 from touchfield.medium.atomic import atomic_path
 from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene
 from touchfield.stream.opened import open_stream
 
 MOST_ENCODES: Final = 8
-NMSE_WITHIN_DB: Final = 0.13
-"""3 % of the error's energy."""
+NMSE_WITHIN_DB: Final = 0.13  # 3 % of the error's energy
 LEAST_SHARE: Final = 0.97
-_AIM: Final = 0.985
-"""Of the bytes asked for: the least that is used, and what is aimed at between that and all of them."""
+_AIM: Final = 0.985  # of the bytes asked for: what is aimed at, between the least share and all of them
 _SUBSET_ENCODES: Final = 4
 _SUBSET_SEGMENTS: Final = 2
 _K_BOUNDS: Final = (0.001, 0.99)
-_STEPS: Final = 1 << 15
-"""The finest step of mode "nmse" is the device's F_max over this."""
+_STEPS: Final = 1 << 15  # the finest step of mode "nmse" is the device's F_max over this
 _MOST_BYTES_KEPT: Final = 1 << 30
-_LARGEST_MOVE: Final = 2.1
-"""Logarithms of the control move at most so far beyond what is known: a factor of 8."""
-_WITHIN: Final = 0.05
-"""A guess keeps this share of a bracket away from its ends."""
+_LARGEST_MOVE: Final = 2.1  # of a logarithm, beyond what is known: a factor of 8
+_WITHIN: Final = 0.05  # a guess keeps this share of a bracket away from its ends
 
 
 @dataclass(frozen=True)
@@ -67,29 +60,18 @@ class Target:
         """Its option on the command line."""
         return "--target-bytes" if self.bytes is not None else "--target-nmse-db"
 
-    def excess(self, file_bytes: float, nmse_db: float) -> float:
-        """Distance of a file from what is aimed at: above 0 where the control must be raised."""
-        if self.bytes is not None:
-            return math.log(file_bytes / (_AIM * self.bytes))
-        assert self.nmse_db is not None
-        return self.nmse_db - nmse_db
-
     def is_reached(self, excess: float, fits: bool = False) -> bool:
-        """If that is near enough; with `fits` any size within the target is."""
+        """If a file is near enough to what is aimed at; with `fits` any size within the target is."""
         if self.bytes is None:
             return abs(excess) <= NMSE_WITHIN_DB
         return excess <= math.log(1 / _AIM) and (fits or excess >= math.log(LEAST_SHARE / _AIM))
 
-    def reached(self, file_bytes: int, nmse_db: float) -> str:
-        """The size or the error of a file, in words."""
-        return f"{file_bytes} bytes" if self.bytes is not None else f"{nmse_db:.2f} dB"
-
 
 @dataclass
 class RootSearch:
-    """Search for the x in `low` to `high` where a falling y(x) is zero.
+    """Search for the x in `low` to `high` where a falling y(x) is zero, each value of which is dear.
 
-    `slope` is dy/dx where nothing better is known, negative; `points` are x and y known so far.
+    `slope` is dy/dx where nothing better is known, negative; `points` are x and y known so far, the last the latest.
     """
 
     low: float
@@ -98,15 +80,11 @@ class RootSearch:
     points: list[tuple[float, float]] = field(default_factory=list)
 
     def run(self, value: Callable[[float], float], start: float, is_near: Callable[[float], bool], most: int) -> bool:
-        """Evaluate from `start` on until `is_near(y)`, no guess is left or `most` values are known; if it is near.
-
-        The last of `points` is the last that was evaluated.
-        """
+        """Evaluate from `start` on until `is_near(y)`, no guess is left or `most` values are known; if it is near."""
         x: float | None = min(max(start, self.low), self.high)
         while x is not None and len(self.points) < most:
-            y = value(x)
-            self.points.append((x, y))
-            if is_near(y):
+            self.points.append((x, value(x)))
+            if is_near(self.points[-1][1]):
                 return True
             x = self.guess()
         return False
@@ -117,13 +95,10 @@ class RootSearch:
         below = min((p for p in self.points if p[1] <= 0), default=None)
         if above is not None and below is not None:
             (a, up), (b, down) = above, below
-            share = min(max(up / (up - down), _WITHIN), 1 - _WITHIN)
-            x = a + share * (b - a)
+            x = a + min(max(up / (up - down), _WITHIN), 1 - _WITHIN) * (b - a)
         else:
-            near = above or below  # the last on that side, also where the curve is flat
-            assert near is not None
-            move = -near[1] / self.measured_slope()
-            x = near[0] + min(max(move, -_LARGEST_MOVE), _LARGEST_MOVE)
+            near, y = above or below or self.points[-1]  # the last on that side, also where the curve is flat
+            x = near + min(max(-y / self.measured_slope(), -_LARGEST_MOVE), _LARGEST_MOVE)
         x = min(max(x, self.low), self.high)
         return None if any(abs(x - known) < 1e-6 for known, _ in self.points) else x
 
@@ -148,71 +123,64 @@ class _Tries:
     count: int = 0
     whole: float = 1.0
     last: Encoded | None = None
-    by_control: dict[float, tuple[int, float]] = field(default_factory=dict)
+    reached: dict[float, tuple[int, float | None]] = field(default_factory=dict)
 
-    @property
-    def name(self) -> str:
-        """The control: the field of a `TouchSpec` that is searched."""
-        return "step_n" if self.prepared.spec.touch.mode == "nmse" else "k"
-
-    @property
-    def asked(self) -> float:
-        """The control that was asked for."""
-        value: float = getattr(self.prepared.spec.touch, self.name)
-        return value
-
-    @property
-    def only_up(self) -> bool:
-        """A promise that was asked for is not made sharper to fill a file."""
-        return self.target.bytes is not None and self.name == "k"
-
-    def control(self, log_control: float) -> float:
-        """The control of a logarithm; exactly what was asked for where the search begins."""
-        return self.asked if log_control == math.log(self.asked) else math.exp(log_control)
-
-    def spec(self, control: float) -> EncodeSpec:
-        """The spec with its control set; F_0 goes with k."""
-        spec, touch = self.prepared.spec, self.prepared.spec.touch
-        if self.name == "step_n":
-            return replace(spec, touch=replace(touch, step_n=control))
-        return replace(spec, touch=replace(touch, k=control, f0_n=touch.f0_n * control / touch.k))
-
-    def encode(self, log_control: float) -> None:
-        """Encode with a control."""
-        self.count += 1
-        prepared = replace(self.prepared, spec=self.spec(self.control(log_control)))
-        self.last = encode_prepared(prepared, self.temporary, provenance_of(self.source, prepared), self.report)
-
-    def excess(self, log_control: float) -> float:
-        """Encode with a control; how far that is from the target."""
-        self.encode(log_control)
-        assert self.last is not None
-        if not self.last.supported_voxels and self.target.bytes is None:
-            raise InvalidArgument(self.target.option, "frames without a force", "a force to measure the error by")
-        with open_stream(self.temporary) as opened:
-            reader = opened.reader
-            coded = sum(e.length + len(reader.read_vibration(i) or b"") for i, e in enumerate(reader.segments))
-        size = self.last.file_bytes + (self.whole - 1) * coded
-        nmse_db = _nmse_db(self.temporary, self.prepared.medium) if self.target.bytes is None else math.nan
-        self.by_control[log_control] = (round(size), nmse_db)
-        return self.target.excess(size, nmse_db)
-
-    def search(self, slope: float | None = None) -> RootSearch:
-        """A search between the bounds of the control."""
+    def __post_init__(self) -> None:
+        touch = self.prepared.spec.touch
+        self.is_step = touch.mode == "nmse"
+        self.asked = touch.step_n if self.is_step else touch.k
+        # a promise that was asked for is not made sharper to fill a file
+        self.only_up = self.target.bytes is not None and not self.is_step
         top = self.prepared.device.force_max_n
-        low, high = (top / _STEPS, top) if self.name == "step_n" else _K_BOUNDS
+        low, high = (top / _STEPS, top) if self.is_step else _K_BOUNDS
         if self.only_up:
             low, high = self.asked, max(self.asked, high)
         usual = -0.6 if self.target.bytes is not None else -8.7  # bytes fall slower than the step; 20 dB a decade
-        return RootSearch(math.log(low), math.log(high), usual if slope is None else slope)
+        self.search = RootSearch(math.log(low), math.log(high), usual)
+
+    def spec(self, log_control: float) -> EncodeSpec:
+        """The spec with its control set, exactly as it was asked for where the search begins; F_0 goes with k."""
+        spec, touch = self.prepared.spec, self.prepared.spec.touch
+        control = self.asked if log_control == math.log(self.asked) else math.exp(log_control)
+        if self.is_step:
+            return replace(spec, touch=replace(touch, step_n=control))
+        return replace(spec, touch=replace(touch, k=control, f0_n=touch.f0_n * control / touch.k))
+
+    def encode(self, log_control: float) -> Encoded:
+        """Encode with a control."""
+        self.count += 1
+        prepared = replace(self.prepared, spec=self.spec(log_control))
+        self.last = encode_prepared(prepared, self.temporary, provenance_of(self.source, prepared), self.report)
+        return self.last
+
+    def excess(self, log_control: float) -> float:
+        """Encode with a control; how far that is from what is aimed at, above 0 where it must be raised."""
+        done, medium = self.encode(log_control), self.prepared.medium
+        if not done.supported_voxels and self.target.bytes is None:
+            raise InvalidArgument(self.target.option, "frames without a force", "a force to measure the error by")
+        with open_stream(self.temporary) as opened:
+            reader, head = opened.reader, opened.reader.head
+            coded = sum(e.length + len(reader.read_vibration(i) or b"") for i, e in enumerate(reader.segments))
+            size = done.file_bytes + (self.whole - 1) * coded
+            if self.target.bytes is not None:
+                self.reached[log_control] = round(size), None
+                return math.log(size / (_AIM * self.target.bytes))
+            meter = FidelityMeter(head.weber_fraction, max(head.force_threshold_n, NO_FLOOR_N))
+            for i, decoded in enumerate(opened.medium):
+                meter.add(medium[i], decoded)
+        nmse_db = -math.inf if meter.nmse_db is None else meter.nmse_db
+        self.reached[log_control] = round(size), nmse_db
+        assert self.target.nmse_db is not None
+        return self.target.nmse_db - nmse_db
+
+    def words(self, log_control: float) -> str:
+        """The size or the error of a file."""
+        size, nmse_db = self.reached[log_control]
+        return f"{size} bytes" if nmse_db is None else f"{nmse_db:.2f} dB"
 
 
 def encode_to_target(
-    source: str | Path | Scene,
-    out: str | Path,
-    spec: EncodeSpec | None,
-    target: Target,
-    report: Report = silent,
+    source: str | Path | Scene, out: str | Path, spec: EncodeSpec | None, target: Target, report: Report = silent
 ) -> Encoded:
     """Turn a source into a ``.touch`` file of a given size or error, in at most 8 encodings.
 
@@ -224,37 +192,39 @@ def encode_to_target(
     if spec.coder != "touch" or spec.touch.mode == "lossless":
         asked = f"coder {spec.coder}" + (", lossless" if spec.coder == "touch" else "")
         raise InvalidArgument(target.option, asked, "coder touch in mode mask, mask-direction or nmse")
-    prepared = _kept(prepare(source, spec))
     with atomic_path(Path(out)) as temporary:
-        tries = _Tries(source, prepared, target, temporary, report)
-        control = _on_all(tries, *_first_guess(tries))
-    assert tries.last is not None
+        tries = _Tries(source, _kept(prepare(source, spec)), target, temporary, report)
+        control = _on_all(tries, _first_guess(tries))
+        assert tries.last is not None
     told, note = _wording(tries, control)
     return replace(tries.last, encode_s=time.perf_counter() - began, told=(*tries.last.told, note), search=told)
 
 
-def _first_guess(tries: _Tries) -> tuple[float, float | None]:
-    """The logarithm of the control to begin with, and how the target goes with it where a part of the frames told."""
-    start, part = math.log(tries.asked), _part(tries.prepared)
-    if part is None:
-        return start, None
-    of_part = replace(tries, prepared=part, whole=len(tries.prepared.medium) / len(part.medium), by_control={})
-    search, within = of_part.search(), 0.25
+def _first_guess(tries: _Tries) -> float:
+    """The logarithm of the control to begin with: from two whole segments, where there are enough of them."""
+    prepared, start = tries.prepared, math.log(tries.asked)
+    length = prepared.spec.segment_frames_at(prepared.medium.rate_hz)
+    count = len(prepared.medium) // length
+    if prepared.scene is not None or count < 2 * _SUBSET_SEGMENTS:  # hardly more than a part, or objects
+        return start
+    firsts = [length * (count * (2 * i + 1) // (2 * _SUBSET_SEGMENTS)) for i in range(_SUBSET_SEGMENTS)]
+    part = replace(prepared, medium=taken(prepared.medium, [n + j for n in firsts for j in range(length)]))
+    of_part = replace(tries, prepared=part, whole=len(prepared.medium) / len(part.medium), reached={})
+    search, within = of_part.search, NMSE_WITHIN_DB if tries.target.bytes is None else 1 - LEAST_SHARE
 
     def is_near(excess: float) -> bool:
-        fits = tries.only_up and len(search.points) == 1 and excess <= 0
-        return fits or abs(excess) <= within * (NMSE_WITHIN_DB if tries.target.bytes is None else 1 - LEAST_SHARE)
+        return (tries.only_up and len(search.points) == 1 and excess <= 0) or abs(excess) <= within / 4
 
     search.run(of_part.excess, start, is_near, _SUBSET_ENCODES)
-    tries.count = of_part.count
+    tries.count, tries.search.slope = of_part.count, search.measured_slope()
     best = min(search.points, key=lambda p: abs(p[1]))
-    following = search.guess() if not is_near(best[1]) else None
-    return following if following is not None else best[0], search.measured_slope()
+    following = None if is_near(best[1]) else search.guess()
+    return best[0] if following is None else following
 
 
-def _on_all(tries: _Tries, start: float, slope: float | None) -> float:
+def _on_all(tries: _Tries, start: float) -> float:
     """All frames, coded until the target is reached; the logarithm of the control of the temporary file."""
-    search, target = tries.search(slope), tries.target
+    search, target = tries.search, tries.target
 
     def is_near(excess: float) -> bool:
         return target.is_reached(excess, fits=tries.only_up and search.points[-1][0] <= search.low)
@@ -265,10 +235,10 @@ def _on_all(tries: _Tries, start: float, slope: float | None) -> float:
     nearest = min(search.points, key=lambda p: abs(p[1]))
     is_finest = nearest[0] <= search.low and target.bytes is not None
     if not fitting or (is_finest and nearest[1] < 0):
-        mend = f"Ask for that, or change the mode, --effort or --nw ({tries.name} was {math.exp(nearest[0]):.4g})."
+        control = f"{'step_n' if tries.is_step else 'k'} was {math.exp(nearest[0]):.4g}"
+        mend = f"Ask for that, or change the mode, --effort or --nw ({control})."
         wanted = target.bytes if target.bytes is not None else target.nmse_db
-        reached = target.reached(*tries.by_control[nearest[0]])
-        raise InvalidArgument(target.option, f"{wanted:g}", f"{reached}, the nearest", mend)
+        raise InvalidArgument(target.option, f"{wanted:g}", f"{tries.words(nearest[0])}, the nearest", mend)
     best = max(fitting, key=lambda p: p[1])
     if best is not search.points[-1]:
         tries.encode(best[0])
@@ -277,67 +247,36 @@ def _on_all(tries: _Tries, start: float, slope: float | None) -> float:
 
 def _wording(tries: _Tries, log_control: float) -> tuple[dict[str, Any], str]:
     """Keys of the summary that tell of the search, and a note for people."""
-    target, asked = tries.target, tries.prepared.spec.touch
-    taken, (size, nmse_db) = tries.spec(tries.control(log_control)).touch, tries.by_control[log_control]
-    told: dict[str, Any] = {
-        "target_bytes": target.bytes,
-        "target_nmse_db": target.nmse_db,
-        "nmse_db": None if math.isnan(nmse_db) else nmse_db,
-        "encodes": tries.count,
-        "asked_k": asked.k,
-        "asked_f0_n": asked.f0_n,
-    }
-    reached = target.reached(size, nmse_db)
-    if tries.name == "step_n":
-        return told, f"{reached} with a step of {taken.step_n:.4g} N, found in {tries.count} encodings"
-    if taken.k == asked.k:
-        return told, f"{reached} with the k that was asked for, {taken.k:g}"
-    way = "raised" if taken.k > asked.k else "lowered"
-    of_k, of_f0 = f"{asked.k:g} to {taken.k:.4g}", f"{asked.f0_n:g} to {taken.f0_n:.4g} N"
-    note = f"{reached}: k was {way} from {of_k}, and F_0 from {of_f0}"
-    return told, f"{note}; this weaker promise is the one that is kept" if way == "raised" else note
-
-
-def _nmse_db(path: Path, originals: HapticMedium) -> float:
-    with open_stream(path) as opened:
-        head = opened.reader.head
-        meter = FidelityMeter(head.weber_fraction, max(head.force_threshold_n, NO_FLOOR_N))
-        for i, decoded in enumerate(opened.medium):
-            meter.add(originals[i], decoded)
-    return -math.inf if meter.nmse_db is None else meter.nmse_db
-
-
-def _part(prepared: Prepared) -> Prepared | None:
-    """A few whole segments, spread over the frames; None where there are hardly more, or objects."""
-    medium, length = prepared.medium, prepared.spec.segment_frames_at(prepared.medium.rate_hz)
-    count = len(medium) // length
-    if prepared.scene is not None or count < 2 * _SUBSET_SEGMENTS:
-        return None
-    numbers = [
-        length * (count * (2 * i + 1) // (2 * _SUBSET_SEGMENTS)) + j
-        for i in range(_SUBSET_SEGMENTS)
-        for j in range(length)
-    ]
-    return replace(prepared, medium=taken(medium, numbers))
+    asked, chosen, target = tries.prepared.spec.touch, tries.spec(log_control).touch, tries.target
+    told: dict[str, Any] = {"target_bytes": target.bytes, "target_nmse_db": target.nmse_db}
+    told |= {"nmse_db": tries.reached[log_control][1], "encodes": tries.count}
+    told |= {"asked_k": asked.k, "asked_f0_n": asked.f0_n}
+    reached = tries.words(log_control)
+    if tries.is_step:
+        return told, f"{reached} with a step of {chosen.step_n:.4g} N, found in {tries.count} encodings"
+    if chosen.k == asked.k:
+        return told, f"{reached} with the k that was asked for, {chosen.k:g}"
+    way = "raised" if chosen.k > asked.k else "lowered"
+    of_k, of_f0 = f"{asked.k:g} to {chosen.k:.4g}", f"{asked.f0_n:g} to {chosen.f0_n:.4g} N"
+    weaker = "; this weaker promise is the one that is kept" if way == "raised" else ""
+    return told, f"{reached}: k was {way} from {of_k}, and F_0 from {of_f0}{weaker}"
 
 
 def _kept(prepared: Prepared) -> Prepared:
     """The same, whose frames are kept once they are made, as far as memory allows; all of a vibration's."""
     kept: dict[int, ForceField] = {}
-    size = 0
+    room = _MOST_BYTES_KEPT
     make, band = prepared.medium.make_frame, prepared.medium.vibration
 
     def frame(i: int) -> ForceField:
-        nonlocal size
+        nonlocal room
         if i in kept:
             return kept[i]
         fresh = make(i)
-        if size + fresh.forces_n.nbytes <= _MOST_BYTES_KEPT:
+        if fresh.forces_n.nbytes <= room:
             kept[i] = fresh
-            size += fresh.forces_n.nbytes
+            room -= fresh.forces_n.nbytes
         return fresh
 
-    medium = replace(prepared.medium, make_frame=frame)
-    if band is not None:
-        medium = replace(medium, vibration=replace(band, make_frame=cache(band.make_frame)))
-    return replace(prepared, medium=medium)
+    band = band and replace(band, make_frame=cache(band.make_frame))
+    return replace(prepared, medium=replace(prepared.medium, make_frame=frame, vibration=band))

@@ -28,7 +28,9 @@ from touchfield.job.spec import EncodeSpec
 from touchfield.medium import HapticMedium
 from touchfield.parallel import Report, silent, worker_count
 from touchfield.render.sampler import FieldSampler
+from touchfield.sources.tiny_scenes import tiny_scenes
 
+_LEAST_SHARED_BYTES: Final = 1 << 28
 LIBRARIES: Final = (
     ("numpy", "numpy", "", "everything"),
     ("scipy", "scipy", "", "sources and measures"),
@@ -42,10 +44,6 @@ LIBRARIES: Final = (
     ("pyserial", "serial", "devices", "pin displays on a serial line"),
 )
 """Distribution, module, extra (none: the core), what it is for."""
-
-_LEAST_SHARED_BYTES: Final = 1 << 28
-_SLEEPS: Final = 200
-_TICK_S: Final = 1e-3
 
 
 def examine(name: str | None = None) -> dict[str, list[Check]]:
@@ -75,22 +73,60 @@ def host_checks() -> list[Check]:
     checks = [
         Check("two cores, one of them for the servo", cores > 1, f"{cores}", "Allow the process a second core.")
     ]
-    checks += [_realtime(), _awake(), _locked_memory(), _shared_memory(), _kernel_cache()]
+    checks.append(_realtime())
+
+    what, latency = "processors that stay awake while the servo runs", Path("/dev/cpu_dma_latency")
+    if latency.exists():
+        is_allowed = os.access(latency, os.W_OK)
+        mend = f"It works without; to have it, let your user write to {latency} (a udev rule)."
+        checks.append(Check(what, is_allowed, "allowed" if is_allowed else "not allowed", mend))
+    else:
+        checks.append(Check(what, False, f"no {latency}", "The servo runs without it."))
+
+    what = "locked memory, so that no tick waits for a page"
+    try:
+        import resource
+    except ImportError:
+        found = f"{platform.system()} has no such limit to ask"
+        checks.append(Check(what, False, found, "The servo runs without it."))
+    else:
+        soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+        is_endless = soft == resource.RLIM_INFINITY
+        enough = is_endless or soft >= _LEAST_SHARED_BYTES or os.geteuid() == 0
+        found = "no limit" if is_endless else f"up to {soft / 2**20:.0f} MiB"
+        checks.append(Check(what, enough, found, "Add '@realtime - memlock unlimited' to /etc/security/limits.conf."))
+
+    what, folder = "shared memory of 256 MiB for decoded frames", Path("/dev/shm")
+    if folder.is_dir():
+        free = shutil.disk_usage(folder).free
+        mend = "Free some of /dev/shm, or enlarge it (mount -o remount,size=1G /dev/shm)."
+        checks.append(Check(what, free >= _LEAST_SHARED_BYTES, f"{free / 2**20:.0f} MiB free", mend))
+    else:
+        checks.append(Check(what, True, "managed by the system"))
+
+    what, named = "a folder in which compiled kernels are kept", os.environ.get("NUMBA_CACHE_DIR")
+    is_kept = os.access(Path(named) if named else Path(__file__).parent, os.W_OK)
+    fallback = Path.home() / ".cache"
+    if not is_kept and not named and os.access(fallback if fallback.exists() else Path.home(), os.W_OK):
+        checks.append(Check(what, True, "in the user's cache folder"))
+    else:
+        mend = "Set NUMBA_CACHE_DIR to a folder of yours."
+        checks.append(Check(what, is_kept, "writeable" if is_kept else "not writeable", mend))
+
     late = sleep_lateness_us()
     mend = "Close other programs, or take a machine that is not shared; see also SCHED_FIFO above."
     what = "sleeps at normal priority end in time (99 % within 0.5 ms)"
-    checks.append(Check(what, late <= 500, f"{late:.0f} us late", mend))
-    return checks
+    return [*checks, Check(what, late <= 500, f"{late:.0f} us late", mend)]
 
 
 def sleep_lateness_us() -> float:
     """By how much the worst but 1 % of 200 sleeps of 1 ms end late, microseconds."""
     late = []
-    for _ in range(_SLEEPS):
+    for _ in range(200):
         began = time.perf_counter()
-        time.sleep(_TICK_S)
-        late.append(time.perf_counter() - began - _TICK_S)
-    return 1e6 * sorted(late)[int(0.99 * _SLEEPS)]
+        time.sleep(1e-3)
+        late.append(time.perf_counter() - began - 1e-3)
+    return 1e6 * sorted(late)[198]
 
 
 def _realtime() -> Check:
@@ -101,56 +137,10 @@ def _realtime() -> Check:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     except OSError as error:
-        mend = (
-            "Add '@realtime - rtprio 80' to /etc/security/limits.conf and yourself to that group; it works without."
-        )
-        return Check(what, False, error.strerror or str(error), mend)
+        mend = "Add '@realtime - rtprio 80' to /etc/security/limits.conf and yourself to that group"
+        return Check(what, False, error.strerror or str(error), f"{mend}; it works without.")
     os.sched_setscheduler(0, before, beside)
     return Check(what, True, "allowed")
-
-
-def _awake() -> Check:
-    what = "processors that stay awake while the servo runs"
-    latency = Path("/dev/cpu_dma_latency")
-    if not latency.exists():
-        return Check(what, False, f"no {latency}", "The servo runs without it.")
-    mend = f"It works without; to have it, let your user write to {latency} (a udev rule)."
-    return Check(what, os.access(latency, os.W_OK), "allowed" if os.access(latency, os.W_OK) else "not allowed", mend)
-
-
-def _locked_memory() -> Check:
-    what = "locked memory, so that no tick waits for a page"
-    try:
-        import resource
-    except ImportError:
-        return Check(what, False, f"{platform.system()} has no such limit to ask", "The servo runs without it.")
-    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    enough = soft == resource.RLIM_INFINITY or soft >= _LEAST_SHARED_BYTES or os.geteuid() == 0
-    told = "no limit" if soft == resource.RLIM_INFINITY else f"up to {soft / 2**20:.0f} MiB"
-    return Check(what, enough, told, "Add '@realtime - memlock unlimited' to /etc/security/limits.conf.")
-
-
-def _shared_memory() -> Check:
-    what = "shared memory of 256 MiB for decoded frames"
-    folder = Path("/dev/shm")
-    if not folder.is_dir():
-        return Check(what, True, "managed by the system")
-    free = shutil.disk_usage(folder).free
-    mend = "Free some of /dev/shm, or enlarge it (mount -o remount,size=1G /dev/shm)."
-    return Check(what, free >= _LEAST_SHARED_BYTES, f"{free / 2**20:.0f} MiB free", mend)
-
-
-def _kernel_cache() -> Check:
-    what = "a folder in which compiled kernels are kept"
-    named = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(named) if named else Path(__file__).parent
-    is_kept = os.access(folder, os.W_OK)
-    fallback = Path.home() / ".cache"
-    if not is_kept and not named and os.access(fallback if fallback.exists() else Path.home(), os.W_OK):
-        return Check(what, True, "in the user's cache folder")
-    return Check(
-        what, is_kept, "writeable" if is_kept else "not writeable", "Set NUMBA_CACHE_DIR to a folder of yours."
-    )
 
 
 def _filters() -> None:
@@ -170,8 +160,6 @@ GROUPS: Final[Mapping[str, Callable[[], None]]] = {**TOUCH, "filters": _filters,
 
 def warm_up(report: Report = silent) -> None:
     """Compile and cache every kernel by running what there is on tiny scenes."""
-    from touchfield.sources.tiny_scenes import tiny_scenes
-
     scenes = tiny_scenes()
     jobs = [(scene, EncodeSpec(nw=3)) for scene in scenes]
     jobs += [(scenes[0], EncodeSpec(device="tshirt-32x32"))]

@@ -18,18 +18,13 @@ from touchfield.filters.registry import FieldFilter, filter_of
 from touchfield.perception.human import figure
 from touchfield.sources.options import SourceOptions
 
-CODERS: Final = tuple(field_coders())
-"""Coders of fields; the first is the default."""
-
+CODERS: Final = tuple(field_coders())  # of fields; the first is the default
 DEFAULT_F0_N = figure("force_threshold_n")
 """F_0, the absolute force threshold of the mask of coder `paper`, newtons; its source is in perception/human.toml."""
 
-_COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
-_OPTIONAL: Final = ("vibration", "fit_frames", *_COEFFICIENTS)
-
-NO_FLOOR_N: Final = 1e-30
-"""In place of F_0 = 0 where a measure takes none: less than any force."""
-
+COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
+_OPTIONAL: Final = ("vibration", "fit_frames", *COEFFICIENTS)
+NO_FLOOR_N: Final = 1e-30  # in place of F_0 = 0 where a measure takes none: less than any force
 OWN_FORCES: Final = "the source's own forces, sample by sample"
 """Likewise where the source is a stored field on the lattice of the file, and no haptic filter is asked for."""
 
@@ -48,13 +43,11 @@ class EncodeSpec:
     Lengths and stiffness are in the metres that the hand moves. `nw` None means the device's nominal lattice;
     `representation` is "voxel", "object", or "auto" (object where the scene is of rigid bodies that move and the
     device is a point); `frames` is (start, stop), stop None meaning the end, and `fit_frames` those whose surface is
-    fitted into the workspace, by default the same; `mapping` is "fit" (a margin is left), "fill" (none
-    is), "crop" or a factor;
-    `coder` is one of `CODERS`, and `touch` or `paper` what is asked of it; `filters` are the haptic filters that
-    follow the device filter, each its name and its words (`touchfield.filters.registry`); `vibration` are the words
-    of what vibrates beside the force (`touchfield.filters.contact`), which takes the voxel representation;
+    fitted into the workspace, by default the same; `mapping` is "fit" (a margin is left), "fill" (none is), "crop" or
+    a factor; `coder` is one of `CODERS`, and `touch` or `paper` what is asked of it; `filters` are the haptic filters
+    that follow the device filter, each its name and its words (`touchfield.filters.registry`); `vibration` are the
+    words of what vibrates beside the force (`touchfield.filters.contact`), which takes the voxel representation;
     `friction` and `damping_n_s_per_m` are mu and b of paper 3.2, which the receiver renders; None: the source's.
-
     InvalidArgument if there is no such coder, or something is asked of the coder that is not taken.
     """
 
@@ -82,7 +75,7 @@ class EncodeSpec:
     damping_n_s_per_m: float | None = None
 
     def __post_init__(self) -> None:
-        for name in _COEFFICIENTS:
+        for name in COEFFICIENTS:
             value = getattr(self, name)
             if value is not None and not 0 <= value < math.inf:
                 raise InvalidArgument(f"--{name.replace('_', '-')}", repr(value), "a finite number, 0 or more")
@@ -143,19 +136,12 @@ class EncodeSpec:
 
     def asked(self) -> dict[str, Any]:
         """All that differs from the defaults, by the names of the options."""
-        told: dict[str, Any] = {}
-        parts: tuple[tuple[Any, Any], ...] = (
-            (self, EncodeSpec()),
-            (self.source, SourceOptions()),
-            *((getattr(self, name), _usual(name)) for name in CODERS),
-        )
-        for mine, usual in parts:
-            told |= {
-                f.name: getattr(mine, f.name)
-                for f in fields(mine)
-                if f.name not in ("source", *CODERS) and getattr(mine, f.name) != getattr(usual, f.name)
-            }
-        return told
+        pairs: list[tuple[Any, Any]] = [(self, EncodeSpec()), (self.source, SourceOptions())]
+        pairs += [(getattr(self, name), _usual(name)) for name in CODERS]
+        rows = [
+            (f.name, getattr(mine, f.name), getattr(usual, f.name)) for mine, usual in pairs for f in fields(mine)
+        ]
+        return {name: own for name, own, usual in rows if name not in ("source", *CODERS) and own != usual}
 
     @classmethod
     def from_json(cls, text: str) -> EncodeSpec:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import InvalidArgument
+from touchfield.perception.human import VibrationThreshold
 from touchfield.perception.vibrotactile import band_rms, dft321, handle_force_n
 from touchfield.render.material import KEY, Material, stored_json
-
-if TYPE_CHECKING:
-    from touchfield.perception.human import VibrationThreshold
-    from touchfield.sources.recording import Recording
+from touchfield.sources.recording import Recording
 
 
 def texture_of(

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections import deque
-from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import product
@@ -22,19 +20,17 @@ import numpy as np
 
 from touchfield._version import __version__
 from touchfield.errors import InvalidArgument
+from touchfield.job.coding import ALONE, Sent, name_of
 from touchfield.job.executors import in_order
-from touchfield.job.parts import ALONE, Sent, name_of
 from touchfield.job.placing import Mapping, mapping_of
-from touchfield.job.prepare import Prepared, prepare
+from touchfield.job.prepare import Prepared, as_source, prepare
 from touchfield.job.spec import EncodeSpec
-from touchfield.job.stream_scene import as_source
 from touchfield.medium import Grid
 from touchfield.medium.zarr_store import boxes, create, whole_folder, write_box
 from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene
 
-_MADE: Final = 128
-"""Samples an axis of what is made at once: the lattice before the low-pass is finer, and may be full."""
+_MADE: Final = 128  # samples an axis of what is made at once: the lattice before the low-pass is finer
 
 
 class Tile(NamedTuple):
@@ -78,10 +74,7 @@ class Tiled:
             "coder": "touch, a codec of zarr",
             "k": spec.k,
             "f0_n": spec.f0_n,
-            "tiles": self.tiles,
-            "file_bytes": self.file_bytes,
-            "supported_voxels": self.supported_voxels,
-            "encode_s": self.encode_s,
+            **{key: getattr(self, key) for key in ("tiles", "file_bytes", "supported_voxels", "encode_s")},
         }
 
 
@@ -91,41 +84,40 @@ def encode_tiles(
     """Write a source as a zarr store whose chunks are of coder `touch`, tile by tile.
 
     The folder appears when it is whole; after an error the tiles that are written stay in ``OUT.parts``, and the same
-    call goes on from there.
-
-    InvalidArgument if what is asked needs more than a tile knows: haptic filters, vibration, another coder, an array
-    of actuators.
+    call goes on from there. InvalidArgument if what is asked needs more than a tile knows: haptic filters, vibration,
+    another coder, an array of actuators.
     """
     began = time.perf_counter()
     asked = replace(spec, representation="voxel")
     prepared = prepare(as_source(source, spec.device), asked)
-    _check(prepared, str(out))
+    for found, is_asked in (
+        ("a haptic filter", bool(spec.chain)),
+        ("a vibration", spec.vibration is not None),
+        (f"coder {spec.coder}", spec.coder != "touch"),
+        ("spatial masking", spec.touch.masking > 0),
+        (f"mode {spec.touch.mode}", spec.touch.mode == "lossless"),
+        ("an array of actuators", prepared.device.is_array),
+        ("a source that is a stream", prepared.source is None),
+    ):
+        if is_asked:
+            raise InvalidArgument(str(out), found, "a scene for a point device, as it is", "Write OUT.touch.")
     medium, sent = prepared.medium, Sent.of(source, None)
-    codec = {
-        "name": "touchfield.touch",
-        "configuration": {
-            "k": spec.touch.k, "f0_n": spec.touch.f0_n, "mode": spec.touch.mode, "effort": spec.touch.effort,
-            "spacing_m": list(medium.grid.spacing_m),
-        },
-    }  # fmt: skip
+    settings = {key: getattr(spec.touch, key) for key in ("k", "f0_n", "mode", "effort")}
+    settings["spacing_m"] = list(medium.grid.spacing_m)
+    codec = {"name": "touchfield.touch", "configuration": settings}
     parts = list(boxes(medium.grid))
     total = len(medium) * len(parts)
     with whole_folder(out, is_kept=True) as store:
         finished = _Finished(store, name_of(sent, asked.to_json(), medium.grid.words) or "")
         if not finished.counts:
             create(store, medium, prepared.placement.told(), codec)
-        before, waiting = len(finished.counts), deque[Tile]()
-
-        def tiles() -> Iterator[Tile]:
-            for frame in range(len(medium)):
-                for low, shape in parts:
-                    tile = Tile(sent, asked, str(store.resolve()), frame, low, shape)
-                    if tile.place not in finished.counts:
-                        waiting.append(tile)
-                        yield tile
-
-        for count in map(make_tile, tiles()) if executor is None else in_order(make_tile, tiles(), executor=executor):
-            finished.add(waiting.popleft().place, count)
+        before = len(finished.counts)
+        root, places = str(store.resolve()), product(range(len(medium)), parts)
+        every = (Tile(sent, asked, root, frame, *part) for frame, part in places)
+        left = [tile for tile in every if tile.place not in finished.counts]
+        counts = map(make_tile, left) if executor is None else in_order(make_tile, left, executor=executor)
+        for tile, count in zip(left, counts, strict=True):
+            finished.add(tile.place, count)
             report(len(finished.counts) * len(medium) // total, len(medium))
         supported = sum(finished.counts.values())
         finished.forget()
@@ -144,11 +136,10 @@ class _Finished:
         self._file = store.with_name(f"{store.name}.txt")
         self.counts: dict[str, int] = {}
         lines = self._file.read_text("utf-8").splitlines() if self._file.is_file() and store.is_dir() else []
-        if job and lines[:1] == [job]:
-            for line in lines[1:]:
-                place, _, count = line.partition(" ")
-                if count.isdigit():  # the last line of a run that was killed may be cut
-                    self.counts[place] = int(count)
+        for line in lines[1:] if job and lines[:1] == [job] else ():
+            place, _, count = line.partition(" ")
+            if count.isdigit():  # the last line of a run that was killed may be cut
+                self.counts[place] = int(count)
         if not self.counts:
             shutil.rmtree(store, ignore_errors=True)
         self._file.write_text("".join(f"{line}\n" for line in (job, *(f"{p} {n}" for p, n in self.counts.items()))))
@@ -189,18 +180,3 @@ def make_tile(tile: Tile) -> int:
                 supported += field.support_count
         write_box(tile.store, tile.frame, tile.low, forces)
         return supported
-
-
-def _check(prepared: Prepared, out: str) -> None:
-    spec = prepared.spec
-    for found, is_asked in (
-        ("a haptic filter", bool(spec.chain)),
-        ("a vibration", spec.vibration is not None),
-        (f"coder {spec.coder}", spec.coder != "touch"),
-        ("spatial masking", spec.touch.masking > 0),
-        (f"mode {spec.touch.mode}", spec.touch.mode == "lossless"),
-        ("an array of actuators", prepared.device.is_array),
-        ("a source that is a stream", prepared.source is None),
-    ):
-        if is_asked:
-            raise InvalidArgument(out, found, "a scene for a point device, as it is", "Write OUT.touch.")

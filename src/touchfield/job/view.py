@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import html
-import math
 import tempfile
 import webbrowser
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.devices import device_names
 from touchfield.errors import InvalidArgument
-from touchfield.job.compare import compare
-from touchfield.job.encode import encode
-from touchfield.job.fine_source import fine_source
+from touchfield.job.compare import compare, source_medium
+from touchfield.job.encode import encode, encode_prepared
+from touchfield.job.measure import MeasureSpec, measure_medium
+from touchfield.job.prepare import Prepared, Source
 from touchfield.job.spec import EncodeSpec
-from touchfield.job.stream_scene import Source
 from touchfield.medium import HapticMedium
 from touchfield.medium.atomic import atomic_path
 from touchfield.parallel import Report, silent
@@ -28,19 +27,16 @@ from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.stream.mux import demux
 from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.browser import page_of
-from touchfield.viewer.page import titled_figure, write_png
+from touchfield.viewer.page import write_png
 from touchfield.viewer.preview import PreviewSpec, draw_shadows, shadows
 
-if TYPE_CHECKING:
-    from touchfield.job.plan import Plan, Trial
-    from touchfield.job.prepare import Prepared
-
-
-_MOST_FRAMES: Final = 30
-"""Of a medium in memory, which is coded for the page."""
-
+_MOST_FRAMES: Final = 30  # of a medium in memory, which is coded for the page
 _HEIGHT_PX: Final = 640
 _MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
+_DRAWN_FRAMES: Final = 3  # the first, the middle one and the last
+MOST_BYTES: Final = 1 << 25  # of the source within a page
+_SHARES: Final = (0.1, 0.3)
+_LEAST_K: Final = 1e-3
 _FIGURES: Final = ("mode", "masking", "promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
 _COMPARED: Final = (
     "nmse_db", "worst_mask_ratio", "bits_per_supported_voxel", "hand_vibration_mn",
@@ -109,16 +105,27 @@ def _page(
     movie: tuple[bytes, str, float] | None = None,
 ) -> Page:
     with open_stream(path) as opened:
-        coders = {opened.reader.head.coder, *_field_coders(opened)}
+        reader = opened.reader
+        coders = [reader.head.coder, *(reader.read_object(i).field_coder for i in range(reader.object_count))]
         if "paper" in coders:
             found, mend = "a file of coder paper", f"Code it again: touchfield encode {path} NEW.touch."
             raise InvalidArgument(str(path), found, "coder touch, or objects of it, for the page", mend)
-        figures, data, name = _figures(opened), opened.reader.read_all(), PurePath(opened.reader.name).name
+        promises, data, name = opened.summary(), reader.read_all(), PurePath(reader.name).name
+        figures = {key: promises[key] for key in _FIGURES if promises.get(key) is not None}
         fine = None if against is None else fine_source(against, opened, report)
-        own = _own_device(opened) if fine else ()
+        device = reader.head.device_name
+        own = (device,) if fine and device in device_names() else ()
     try:
         if devices or own:
-            figures |= _measured(path, devices or own)
+            measured = measure_medium(path, MeasureSpec(devices=devices or own, limits=False))
+            figures |= {
+                "entropy_voxel_bits": measured.voxel.value,
+                "entropy_frame_bits": measured.per_frame.value,
+                "capacity": {
+                    name: {"capacity_bits": c.capacity.value, "wmr": c.wmr.value, "hil": c.hil.value}
+                    for name, c in measured.capacities.items()
+                },
+            }
     except InvalidArgument:  # such as a medium without any force
         if devices:
             raise
@@ -143,53 +150,6 @@ def page_of_medium(medium: HapticMedium, devices: tuple[str, ...] = ()) -> Page:
     return replace(page, figures={**page.figures, "frames_of": len(medium)})
 
 
-def _figures(opened: OpenStream) -> dict[str, Any]:
-    """Promises of the stream itself, without decoding it."""
-    told = opened.summary()
-    return {key: told[key] for key in _FIGURES if told.get(key) is not None}
-
-
-def _own_device(opened: OpenStream) -> tuple[str, ...]:
-    """The profile that the stream was made for, where it is known here."""
-    name = opened.reader.head.device_name
-    return (name,) if name in device_names() else ()
-
-
-def _measured(path: str | Path, devices: tuple[str, ...]) -> dict[str, Any]:
-    """Entropy, and capacity by device, as `touchfield measure` tells them."""
-    from touchfield.job.measure import MeasureSpec, measure_medium
-
-    found = measure_medium(path, MeasureSpec(devices=devices, limits=False))
-    rendered = {
-        name: {"capacity_bits": c.capacity.value, "wmr": c.wmr.value, "hil": c.hil.value}
-        for name, c in found.capacities.items()
-    }
-    return {
-        "entropy_voxel_bits": found.voxel.value, "entropy_frame_bits": found.per_frame.value, "capacity": rendered
-    }  # fmt: skip
-
-
-def _field_coders(opened: OpenStream) -> set[str]:
-    """Coders of the fields of objects."""
-    reader = opened.reader
-    return {reader.read_object(i).field_coder for i in range(reader.object_count)}
-
-
-# -- pictures --------------------------------------------------------------------------------------------------------
-
-_DRAWN_FRAMES: Final = 3
-"""Frames that are looked at: the first, the middle one and the last."""
-
-_COLOURS: Final = {
-    "touch mask": "#0072b2",
-    "touch mask-direction": "#009e73",
-    "touch nmse": "#e69f00",
-    "paper": "0.45",
-}
-_SHAPES: Final = "os^Dv<>p"
-_SIZE_INCH: Final = (9.5, 5.6)
-
-
 def draw_preview(prepared: Prepared, path: str | Path) -> None:
     """Write a PNG of the forces in the workspace, seen from the viewer, from the side and from above.
 
@@ -197,63 +157,15 @@ def draw_preview(prepared: Prepared, path: str | Path) -> None:
     """
     medium, placement = prepared.medium, prepared.placement
     frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
-    told = ", ".join(str(i) for i in frames)
-    which = f"frame{'s' if len(frames) > 1 else ''} {told} of {len(medium)}"
+    which = f"frame{'s' * (len(frames) > 1)} {', '.join(map(str, frames))} of {len(medium)}"
     x, y, z = placement.offset_m
     up = "lattice" if prepared.device.is_array else "auto"  # as `play` lays it
     turn = axes_matrix(BOX_AXES, medium.axes, up)
     if (turn != axes_matrix(BOX_AXES, medium.axes)).any():
         which += f", {'xyz'[int(np.argmax(np.abs(turn[:, 1])))]} up for the hand"
     caption = f"{placement.wording}; the middle is the scene's ({x:.4g}, {y:.4g}, {z:.4g}) m; {medium.axes}"
-    draw_shadows(
-        Path(path),
-        [medium[i] for i in frames],
-        PreviewSpec(f"{which}, in the workspace of {prepared.device.name}", caption, turn),
-    )
-
-
-def draw_plan(path: Path, plan: Plan) -> None:
-    """Write the picture of a plan as PNG: NMSE over the cost, a colour for each coder and mode, a shape a lattice.
-
-    MissingExtra if matplotlib is not installed.
-    """
-    from touchfield.job.plan import amount
-
-    chosen = plan.chosen
-    title = f"{plan.source}: {chosen.options} for {amount(plan.budget, plan.unit)}"
-    figure = titled_figure("the picture of a plan", title, *_SIZE_INCH)
-    panel = figure.subplots()
-    nws = sorted({t.spec.nw or 0 for t in plan.trials})
-    drawn = [t for t in plan.trials if t.nmse > 0]
-    for trial in drawn:
-        shape = _SHAPES[nws.index(trial.spec.nw or 0) % len(_SHAPES)]
-        panel.plot(plan.cost(trial), _db(trial), shape, ms=6, color=_COLOURS[trial.kind], zorder=2)
-    front = [t for t in plan.front() if t.nmse > 0]
-    panel.plot([plan.cost(t) for t in front], [_db(t) for t in front], color="black", lw=1, zorder=1)
-    panel.axvline(plan.budget, color="0.3", lw=1, ls="--", zorder=0)
-    if chosen.nmse > 0:
-        at = plan.cost(chosen), _db(chosen)
-        panel.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6)
-        cost = f"{amount(at[0], plan.unit)}, {100 * chosen.mask_kept:.1f} % in the mask"
-        panel.annotate(f"{chosen.kind}, {chosen.options}\n{cost}", at, (12, 12), textcoords="offset points",
-                       fontsize=8, parse_math=False)  # fmt: skip
-    panel.set_xscale("log")
-    panel.set_xlabel(f"{plan.unit} (dashed: the budget; line: the frontier; ring: the choice)", fontsize=8)
-    panel.set_ylabel("NMSE, dB, against the finest lattice", fontsize=8)
-    panel.tick_params(labelsize=8)
-    panel.grid(color="0.92")
-    for side in ("top", "right"):
-        panel.spines[side].set_visible(False)
-    for kind in dict.fromkeys(t.kind for t in drawn):
-        panel.plot([], [], "o", ms=6, color=_COLOURS[kind], label=kind)
-    for i, nw in enumerate(nws):
-        panel.plot([], [], _SHAPES[i % len(_SHAPES)], ms=6, color="0.2", mfc="none", label=f"nw {nw}")
-    panel.legend(fontsize=8, frameon=False)
-    write_png(figure, path)
-
-
-def _db(trial: Trial) -> float:
-    return 10 * math.log10(trial.nmse)
+    spec = PreviewSpec(f"{which}, in the workspace of {prepared.device.name}", caption, turn)
+    draw_shadows(Path(path), [medium[i] for i in frames], spec)
 
 
 def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
@@ -268,3 +180,35 @@ def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
     if path is not None:
         write_png(figure, Path(path))
     return figure
+
+
+class FineSource(NamedTuple):
+    """A source as the bytes of a ``.touch`` file; `share`: its error, of what the promise of the stream allows."""
+
+    data: bytes
+    share: float
+
+
+def fine_source(source: Source, opened: OpenStream, report: Report = silent) -> FineSource:
+    """Code the source of a stream on the stream's lattice, to a tenth of its mask, or three where that is too large.
+
+    InvalidArgument if the source lies elsewhere, has other frames, or takes more than `MOST_BYTES`.
+    """
+    head, original = opened.reader.head, source_medium(source, opened)
+    if len(original.medium) != head.frame_count:
+        found, expected = f"{len(original.medium)} frames", f"the stream's {head.frame_count}"
+        raise InvalidArgument("the source", found, expected, "Name the source it came from.")
+    size = 0
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "source.touch"
+        for share in _SHARES:
+            k = min(max(share * head.weber_fraction, _LEAST_K), 0.999)
+            spec = EncodeSpec(touch=TouchSpec(k=k, f0_n=share * head.force_threshold_n, effort="fast"))
+            prepared = Prepared(
+                original.medium, opened.told_device, opened.placement, spec, original.notes, original.scene
+            )
+            size = encode_prepared(prepared, out, {}, report).file_bytes
+            if size <= MOST_BYTES:
+                return FineSource(out.read_bytes(), max(share, k / max(head.weber_fraction, k)))
+    mend = "Leave it out, or take fewer frames."
+    raise InvalidArgument("the source", f"{size:,} bytes, coded finely", f"at most {MOST_BYTES:,} in a page", mend)
