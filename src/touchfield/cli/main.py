@@ -32,16 +32,14 @@ COMMANDS: Final = {
     "decode": "reading",
     **dict.fromkeys(("export", "import"), "make"),
     **dict.fromkeys(("edit", "splice", "resample", "lod", "partition"), "editing"),
-    "texture": "texture",
-    "deform": "deformation",
+    **dict.fromkeys(("texture", "deform"), "editing"),
     "info": "reading",
     **dict.fromkeys(("view", "compare"), "look"),
     "play": "feel",
     **dict.fromkeys(("serve", "live", "mux", "demux"), "broadcast"),
     "measure": "look",
     "reduce": "editing",
-    **dict.fromkeys(("index", "search", "similar", "correlate"), "library"),
-    "points": "points",
+    **dict.fromkeys(("index", "search", "similar", "correlate", "points"), "library"),
     **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "machine"),
 }
 """Module of each command, which registers it when it is imported; in the order of the help."""
