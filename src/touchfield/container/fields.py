@@ -22,8 +22,6 @@ from touchfield.medium.grid import BRICK
 
 _CODES: Final = {"u8": "<B", "u16": "<H", "u32": "<I", "u64": "<Q"}
 WHOLE: Final = {name: struct.Struct(code) for name, code in _CODES.items()}
-    name: struct.Struct(code) for name, code in (("u8", "<B"), ("u16", "<H"), ("u32", "<I"), ("u64", "<Q"))
-}
 REAL: Final = struct.Struct("<d")
 
 
