@@ -10,7 +10,7 @@ from reproduction.experiment import Experiment, Finding, Inputs, markdown_table
 from touchfield.job import EncodeSpec, prepare
 from touchfield.perception.weber import WeberLadder, jnd_gain, mask_kept_from_n, quantise_fixed_step, quantise_literal
 from touchfield.sources.options import SourceOptions
-from touchfield.viewer.masked_signal import draw_masked_signal
+from touchfield.viewer.plots import draw_masked_signal
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -20,7 +20,7 @@ import numpy as np
 
 import touchfield as tf
 from touchfield.perception.weber import WeberLadder, jnd_gain, mask_kept_from_n, quantise_fixed_step
-from touchfield.viewer.masked_signal import draw_masked_signal
+from touchfield.viewer.plots import draw_masked_signal
 
 prepared = tf.prepare("sample:terrain", tf.EncodeSpec(mapping="fill", source=tf.SourceOptions(exaggeration=5.0)))
 field = prepared.medium[0]

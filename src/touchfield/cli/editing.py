@@ -230,7 +230,7 @@ def _numbers(option: str, text: str | None, count: int) -> list[float]:
 def _draw(path: Path, materials: tuple[Material, ...]) -> None:
     from touchfield.perception.human import vibration_threshold
     from touchfield.perception.vibrotactile import BANDS_HZ
-    from touchfield.viewer.texture import draw_textures
+    from touchfield.viewer.plots import draw_textures
 
     rows = {
         f"{one.name}, {1e3 * speed:g} mm/s, {force:g} N": one.levels_n[i, j]
@@ -307,7 +307,7 @@ def reduce(
     with progress("reduce") as report:
         done = reduce_medium(medium, out, cull, spec, coder_spec(asked), report)
     if plot is not None:
-        from touchfield.viewer.reduction import draw_reduction
+        from touchfield.viewer.plots import draw_reduction
 
         draw_reduction(plot, done.values, done.field, done.felt, done.shown["hand"])
     told = dict(done.shown)

@@ -57,7 +57,7 @@ class FewestPoints:
 
     def draw(self, path: Path, mask: tuple[float, float]) -> None:
         """Write the picture, PNG: the field, the field rebuilt and the error in units of the mask (k, F_0)."""
-        from touchfield.viewer.points import draw_points
+        from touchfield.viewer.plots import draw_points
 
         draw_points(path, self.points_m, self.places_m, self.forces_n, self.rebuilt_n, mask)
 

@@ -29,7 +29,7 @@ from touchfield.stream.mux import demux
 from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.browser import page_of
 from touchfield.viewer.page import titled_figure, write_png
-from touchfield.viewer.preview import PreviewSpec, draw_shadows, shadows
+from touchfield.viewer.picture import PreviewSpec, draw_shadows, shadows
 
 if TYPE_CHECKING:
     from touchfield.job.plan import Plan, Trial

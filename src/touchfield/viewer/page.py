@@ -16,33 +16,26 @@ if TYPE_CHECKING:
 
 _DOTS_PER_INCH = 110
 _HEAD_BYTES = 1 << 12
+_SIZE_PT = 11.0
+_MARGIN_PT = 24.0
+_LINE_INCH = 1.3 * _SIZE_PT / 72
 
 
 def titled_figure(purpose: str, title: str, width_inch: float, height_inch: float) -> Figure:
-    """An empty figure below its title.
+    """An empty figure below its title; more lines than one make it higher than `height_inch`.
 
-    Parameters
-    ----------
-    purpose : str
-        What it is for, as an error says it: "the picture of a comparison".
-    title : str
-    width_inch, height_inch : float
-        The height is that with a title of one line; more lines make the figure higher.
-
-    Raises
-    ------
-    MissingExtra
-        If matplotlib is not installed.
+    `purpose` as an error says it, "the picture of a comparison": `MissingExtra` if matplotlib is not installed.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
         raise MissingExtra(purpose, "matplotlib", "report") from None
-    height = height_inch + title_height_inch(title, width_inch)
+    lines = lines_that_fit(title, 72 * width_inch)
+    height = height_inch + _LINE_INCH * (len(lines) - 1)
     figure = Figure(figsize=(width_inch, height), dpi=_DOTS_PER_INCH, layout="constrained")
     FigureCanvasAgg(figure)
-    add_title(figure, title)
+    figure.suptitle("\n".join(lines), fontsize=_SIZE_PT, parse_math=False)
     return figure
 
 
@@ -58,35 +51,8 @@ def is_our_picture(path: Path) -> bool:
         return b"Creator\0touchfield" in file.read(_HEAD_BYTES)
 
 
-_SIZE_PT = 11.0
-_MARGIN_PT = 24.0
-_LINE_INCH = 1.3 * _SIZE_PT / 72
-
-
-def add_title(figure: Figure, text: str) -> None:
-    """Put a title on a figure, in as many lines as its width asks for."""
-    width_pt = 72 * float(figure.get_figwidth())
-    figure.suptitle("\n".join(lines_that_fit(text, width_pt)), fontsize=_SIZE_PT, parse_math=False)
-
-
-def title_height_inch(text: str, width_inch: float) -> float:
-    """Height of the lines of a title beyond its first."""
-    return _LINE_INCH * (len(lines_that_fit(text, 72 * width_inch)) - 1)
-
-
 def lines_that_fit(text: str, width_pt: float) -> list[str]:
-    """Break a title at its blanks, and inside a word only where the word alone is wider than the page.
-
-    Parameters
-    ----------
-    text : str
-    width_pt : float
-        Width of the page with its margins, points.
-
-    Returns
-    -------
-    list of str
-    """
+    """Break a title at its blanks, and inside a word only where it alone is wider than the page with its margins."""
     room = width_pt - _MARGIN_PT
     lines = []
     for given in text.split("\n"):
