@@ -103,9 +103,7 @@ def _name_contacts(axis: Any, spans: list[tuple[float, float]]) -> None:
         free = end + width
 
 
-def _draw_axes(
-    axis: Any, times_s: Float64s, values: Float64s, names: Sequence[str], label: str, **legend: Any
-) -> None:
+def _draw_axes(axis: Any, times_s: Float64s, rows: Float64s, names: Sequence[str], label: str, **legend: Any) -> None:
     for name, hue, line in zip(names, _HUES, rows.T):
         axis.plot(times_s, line, color=hue, lw=1.2, label=name)
     axis.set_ylabel(label)
