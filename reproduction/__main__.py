@@ -17,8 +17,7 @@ import typer
 from reproduction.experiment import Experiment, Inputs, experiment, experiments
 from reproduction.page import Made, command, plain, write_finding, write_page
 from reproduction.scenes import user_inputs
-from touchfield.cli.app import Json
-from touchfield.cli.main import run
+from touchfield.cli.main import Json, run
 from touchfield.cli.show import progress, show
 from touchfield.errors import InvalidArgument, TouchfieldError
 

@@ -26,16 +26,8 @@ from typing import Any
 class TouchfieldError(Exception):
     """The root of all errors that touchfield raises on purpose.
 
-    Parameters
-    ----------
-    where : str
-        The file, field or option at fault; or, alone, a sentence.
-    found : str, optional
-        What was there.
-    expected : str, optional
-        What should have been there.
-    mend : str, optional
-        One sentence that tells how to mend it.
+    `where`: the file, field or option at fault, or alone a sentence; `found` and `expected`: what was there and what
+    should have been; `mend`: one sentence that tells how to mend it.
     """
 
     exit_code = 1

@@ -19,11 +19,7 @@ from touchfield.errors import SourceError
 def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: bool = False) -> None:
     """Refuse what is there and is no plain file: a pipe, a socket, a device, and a folder unless that is taken.
 
-    Nothing is opened; that nothing is there is for who opens it to tell.
-
-    Raises
-    ------
-    SourceError
+    Nothing is opened; that nothing is there is for who opens it to tell. Raises `SourceError`.
     """
     try:
         mode = os.stat(path).st_mode
@@ -51,23 +47,10 @@ def plain_size(path: Path, expected: str) -> int:
 
 
 def require_beside(folder: Path, name: str | os.PathLike[str], where: str, *, anywhere: bool = False) -> Path:
-    """The path of a file that a scene file in `folder` names.
+    """The path of a file that a scene file in `folder` names, relative to it or absolute; `where` names file and key.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the file that names it.
-    name : str or path
-        Relative to `folder`, or absolute.
-    where : str
-        File and key, for the message.
-    anywhere : bool
-        Whether the user allows files elsewhere, as ``--allow-outside`` does.
-
-    Raises
-    ------
-    SourceError
-        If it lies outside `folder`, by its name or through a link, and that is not allowed.
+    `SourceError` if it lies outside `folder`, by its name or through a link, unless the user allows files `anywhere`,
+    as ``--allow-outside`` does.
     """
     path = folder / name
     if not anywhere:
@@ -76,11 +59,8 @@ def require_beside(folder: Path, name: str | os.PathLike[str], where: str, *, an
         except (OSError, ValueError, RuntimeError):  # a name that is none, or links in a ring
             is_beside = False
         if not is_beside:
-            found, mend = (
-                f"{os.fspath(name)!r}"[:100],
-                "Copy it there; for models and scene files --allow-outside allows it.",
-            )
-            raise SourceError(where, found, f"a file in the folder {folder} or below it", mend)
+            mend = "Copy it there; for models and scene files --allow-outside allows it."
+            raise SourceError(where, repr(os.fspath(name))[:100], f"a file in the folder {folder} or below it", mend)
     return path
 
 

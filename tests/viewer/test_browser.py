@@ -11,7 +11,7 @@ import pytest
 from browser import ROOT, drive, hour_played, needs_browser
 
 import touchfield as tf
-from touchfield.cli.app import app
+from touchfield.cli.main import app
 from touchfield.cli.main import run as run_cli
 from touchfield.job.texture import store_materials
 from touchfield.perception.vibrotactile import BANDS_HZ

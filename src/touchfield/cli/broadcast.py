@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from touchfield.cli.app import Json, Stream, command
+from touchfield.cli.main import Asked, Json, Stream, command
 from touchfield.cli.options import SCENE, address_rows, asks, encode_spec
 from touchfield.cli.show import progress, show
 
@@ -29,9 +29,8 @@ _LIVE: Final = (
 @command("Broadcast", "serve streams", "serve streams --host 0.0.0.0 --token a-long-word")
 @asks(address_rows(8075, "read"))
 def serve(
-    folder: Annotated[Path, typer.Argument(help="Folder of .touch files, and of pages and videos beside them.")],
-    *,
-    asked: dict[str, Any],
+    asked: Asked,
+    folder: Annotated[Path, "Folder of .touch files, and of pages and videos beside them."],
 ) -> None:
     """Serve a folder of streams: anyone plays them by their address, and fetches only what is felt."""
     from touchfield.stream.access import Pages
@@ -50,21 +49,17 @@ def _access(asked: dict[str, Any]) -> Access:
 @command("Broadcast", "live sample:falling-4 --loop", "live watch:pictures --world causal --depth-scale 1000")
 @asks(address_rows(8076, "receive"), SCENE)
 def live(
+    asked: Asked,
     source: Annotated[str, typer.Argument(help=_LIVE)],
     out: Annotated[
         str | None, typer.Argument(help="-: to standard output, for `touchfield play -` behind a pipe; no server.")
     ] = None,
-    segment_s: Annotated[float, typer.Option("--segment-s", help="Seconds of a segment, which is the delay.")] = 0.25,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
-    udp: Annotated[str | None, typer.Option(help="HOST:PORT that gets datagrams with parity, too.")] = None,
-    coarse: Annotated[
-        bool,
-        typer.Option("--coarse", help="A coarse layer beside it, at /coarse/live and at the next port of --udp."),
-    ] = False,
-    on_air_s: Annotated[float | None, typer.Option("--on-air-s", help="How long; default: to the end.")] = None,
+    segment_s: Annotated[float, "Seconds of a segment, which is the delay."] = 0.25,
+    loop: Annotated[bool, "Begin again at the end."] = False,
+    udp: Annotated[str | None, "HOST:PORT that gets datagrams with parity, too."] = None,
+    coarse: Annotated[bool, "A coarse layer beside it, at /coarse/live and at the next port of --udp."] = False,
+    on_air_s: Annotated[float | None, "How long; default: to the end."] = None,
     as_json: Json = False,
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Send SOURCE live: coded as its frames come, for any number of receivers (touchfield play ws://...)."""
     from touchfield.errors import InvalidArgument
@@ -129,10 +124,10 @@ def _sending(
 
 @command("Broadcast", "mux movie.mp4 room.touch with-touch.mp4", "mux movie.mp4 room.touch with-touch.ts --at-s 12.5")
 def mux(
-    movie: Annotated[Path, typer.Argument(help="A movie; its tracks are copied as they are.")],
+    movie: Annotated[Path, "A movie; its tracks are copied as they are."],
     stream: Stream,
-    out: Annotated[Path, typer.Argument(help="The movie with touch: .mp4, .mov or .ts; or .mpd, a DASH manifest.")],
-    at_s: Annotated[float, typer.Option("--at-s", help="Second of the movie at which the touch begins.")] = 0.0,
+    out: Annotated[Path, "The movie with touch: .mp4, .mov or .ts; or .mpd, a DASH manifest."],
+    at_s: Annotated[float, "Second of the movie at which the touch begins."] = 0.0,
     as_json: Json = False,
 ) -> None:
     """Put STREAM beside sound and picture, as a timed track that other players pass over."""
@@ -145,8 +140,8 @@ def mux(
 
 @command("Broadcast", "demux with-touch.mp4 room.touch")
 def demux(
-    movie: Annotated[Path, typer.Argument(help="A movie that `mux` made.")],
-    out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
+    movie: Annotated[Path, "A movie that `mux` made."],
+    out: Annotated[Path, "The .touch file to write."],
     as_json: Json = False,
 ) -> None:
     """Take the touch out of a movie: the file that was put in, byte for byte."""

@@ -1,16 +1,20 @@
-"""The commands that change stored media (paper section 4): edit, splice, resample, lod, partition; reduce (6.1)."""
+"""Commands that change stored media (paper section 4): edit to partition, texture, deform; reduce (6.1)."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from touchfield.cli.app import Json, command
+from touchfield.cli.main import Asked, Json, command
 from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, frames_of
 from touchfield.cli.show import check_picture, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
+from touchfield.sources.recording import STANDARD_GRAVITY_M_S2
+
+if TYPE_CHECKING:
+    from touchfield.render.material import Material
 
 RUBBED = tuple(row for row in BESIDE if row[0] != "vibration")
 
@@ -30,6 +34,7 @@ def counts_of(option: str, text: str) -> list[int]:
 @command("Make")
 @asks(CODER)
 def edit(
+    asked: Asked,
     medium: Medium,
     out: Out,
     operator: Annotated[
@@ -41,16 +46,12 @@ def edit(
     ],
     region: Annotated[
         str,
-        typer.Option(
-            help="everywhere, box:X,Y,Z,X,Y,Z, ball:X,Y,Z,R, half-space:NX,NY,NZ,X,Y,Z (lengths as 2mm) or "
-            "force:LOW..HIGH (N); with | (or), & (and), ~ (not)."
-        ),
+        "everywhere, box:X,Y,Z,X,Y,Z, ball:X,Y,Z,R, half-space:NX,NY,NZ,X,Y,Z (lengths as 2mm) or "
+        "force:LOW..HIGH (N); with | (or), & (and), ~ (not).",
     ] = "everywhere",
-    feather: Annotated[str, typer.Option(help="Width of the transition outside the region, such as 2mm.")] = "0mm",
-    frames: Annotated[str | None, typer.Option(help="Frames to edit, START:STOP; default: all.")] = None,
+    feather: Annotated[str, "Width of the transition outside the region, such as 2mm."] = "0mm",
+    frames: Annotated[str | None, "Frames to edit, START:STOP; default: all."] = None,
     as_json: Json = False,
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Change MEDIUM within a region; outside it every sample stays as it was."""
     from touchfield.filters.registry import length_m
@@ -69,12 +70,11 @@ def edit(
 @command("Make", "splice first.touch second.touch both.touch")
 @asks(RUBBED, CODER)
 def splice(
-    media: Annotated[list[str], typer.Argument(help="FILE or FILE@START:STOP, in order; the last one is OUT.touch.")],
-    fade_s: Annotated[float, typer.Option("--fade-s", help="Seconds in which one fades into the next.")] = 0.0,
+    asked: Asked,
+    media: Annotated[list[str], "FILE or FILE@START:STOP, in order; the last one is OUT.touch."],
+    fade_s: Annotated[float, "Seconds in which one fades into the next."] = 0.0,
     kernel: Kernel = "spline",
     as_json: Json = False,
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Join media one after the other, all on the lattice and at the rate of the first."""
     from touchfield.job import editing
@@ -89,16 +89,15 @@ def splice(
 @command("Make")
 @asks(CODER)
 def resample(
+    asked: Asked,
     medium: Medium,
     out: Out,
-    nw: Annotated[int | None, typer.Option(help="2^nw samples per axis over the same box.")] = None,
-    shape: Annotated[str | None, typer.Option(help="NX,NY,NZ samples over the same box.")] = None,
-    spacing: Annotated[str | None, typer.Option(help="Distance between samples, such as 1.5mm.")] = None,
-    rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Frames a second.")] = None,
+    nw: Annotated[int | None, "2^nw samples per axis over the same box."] = None,
+    shape: Annotated[str | None, "NX,NY,NZ samples over the same box."] = None,
+    spacing: Annotated[str | None, "Distance between samples, such as 1.5mm."] = None,
+    rate_hz: Annotated[float | None, "Frames a second."] = None,
     kernel: Kernel = "spline",
     as_json: Json = False,
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Bring MEDIUM onto another lattice or to another rate, and tell what a receiver then lacks."""
     from touchfield.filters.registry import length_m
@@ -114,20 +113,15 @@ def resample(
 @command("Make")
 @asks(CODER)
 def lod(
+    asked: Asked,
     medium: Medium,
     folder: Annotated[
         Path | None,
         typer.Argument(help="Folder for level-0.touch, ..., or OUT.zarr with all levels; without it, figures only."),
     ] = None,
-    levels: Annotated[
-        int | None, typer.Option(help="How often the lattice is halved; default: to 8 samples.")
-    ] = None,
-    most_bytes: Annotated[
-        int | None, typer.Option("--most-bytes", help="Name the finest level that takes no more.")
-    ] = None,
+    levels: Annotated[int | None, "How often the lattice is halved; default: to 8 samples."] = None,
+    most_bytes: Annotated[int | None, "Name the finest level that takes no more."] = None,
     as_json: Json = False,
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Make levels of detail of MEDIUM, each a file with its bytes and its error."""
     from touchfield.job import editing
@@ -145,12 +139,10 @@ def lod(
 @command("Make")
 def partition(
     medium: Medium,
-    depth: Annotated[int, typer.Option(help="The device has 2^-depth of the lattice's samples along each axis.")] = 2,
-    shape: Annotated[str | None, typer.Option(help="Samples of the device, NX,NY,NZ, in place of --depth.")] = None,
-    penalty_bits: Annotated[
-        float, typer.Option("--penalty-bits", help="lambda: bits a frame that another box must save.")
-    ] = 1000.0,
-    quantiser: Annotated[str, typer.Option(help="Q of the losses.")] = "weber:0.25/ico1",
+    depth: Annotated[int, "The device has 2^-depth of the lattice's samples along each axis."] = 2,
+    shape: Annotated[str | None, "Samples of the device, NX,NY,NZ, in place of --depth."] = None,
+    penalty_bits: Annotated[float, "lambda: bits a frame that another box must save."] = 1000.0,
+    quantiser: Annotated[str, "Q of the losses."] = "weber:0.25/ico1",
     as_json: Json = False,
 ) -> None:
     """Divide the workspace of MEDIUM into boxes that each fill a coarse device, with the least loss."""
@@ -172,6 +164,116 @@ def partition(
 
 
 @command(
+    "Make",
+    "texture drag-50.wav drag-100.wav -o oak.json --speed-m-s 0.05,0.1 --force-n 1 --plot oak.png",
+    "texture oak.json --into table.touch -o oak-table.touch",
+    "play oak-table.touch --offline --plot forces.png",
+)
+def texture(
+    sources: Annotated[list[Path], "Recordings (.wav, .csv), or tables (.json)."],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Table to write, .json; with --into OUT.touch.")],
+    speed_m_s: Annotated[str | None, "Speed of each recording, or one for all: 0.05,0.1."] = None,
+    force_n: Annotated[str | None, "Force of each recording, or one for all: 1."] = None,
+    name: Annotated[str | None, "Name of the material; default: that of the table."] = None,
+    friction: Annotated[float | None, "mu of the material; default: the medium's."] = None,
+    full_scale_m_s2: Annotated[float, "Of a .wav: acceleration of its full scale."] = STANDARD_GRAVITY_M_S2,
+    into: Annotated[Path | None, "Stream that is written anew with the materials in it."] = None,
+    plot: Annotated[Path | None, "PNG to draw: the spectra, and what a hand feels."] = None,
+    as_json: Json = False,
+) -> None:
+    """Make a material of recorded accelerations; put materials into a stream."""
+    from touchfield.job.texture import merged, store_materials, texture_of
+    from touchfield.render.material import read_materials, write_table
+    from touchfield.sources.recording import read_recording
+
+    for source in (*sources, *([into] if into else [])):
+        check_picture(source, out)
+        check_picture(source, plot)
+    tables = [read_materials(path) for path in sources if path.suffix.lower() == ".json"]
+    recorded = [path for path in sources if path.suffix.lower() != ".json"]
+    if recorded:
+        speeds, forces = (_numbers(*pair, len(recorded)) for pair in (("speed-m-s", speed_m_s), ("force-n", force_n)))
+        recordings = [read_recording(path, full_scale_m_s2) for path in recorded]
+        tables.append((texture_of(recordings, speeds, forces, name or out.stem, friction),))
+    elif speed_m_s or force_n or name or friction is not None:
+        raise InvalidArgument(
+            "--speed-m-s, --force-n, --name and --friction are those of recordings; a table has its own"
+        )
+    materials = merged(*tables)
+    if into is None:
+        write_table(out, materials)
+    else:
+        store_materials(into, materials, out)
+    if plot is not None:
+        _draw(plot, materials)
+    show(
+        {"file": str(out), "file_bytes": out.stat().st_size, "materials": [m.name for m in materials]},
+        str(out),
+        as_json,
+    )
+
+
+def _numbers(option: str, text: str | None, count: int) -> list[float]:
+    """One number for each recording."""
+    try:
+        values = [float(part) for part in (text or "").split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in (1, count):
+        found = "nothing" if text is None else repr(text)
+        raise InvalidArgument(f"--{option}", found, f"one number, or one for each of {count} recordings: 0.05,0.1")
+    return values * (count if len(values) == 1 else 1)
+
+
+def _draw(path: Path, materials: tuple[Material, ...]) -> None:
+    from touchfield.perception.human import vibration_threshold
+    from touchfield.perception.vibrotactile import BANDS_HZ
+    from touchfield.viewer.plots import draw_textures
+
+    rows = {
+        f"{one.name}, {1e3 * speed:g} mm/s, {force:g} N": one.levels_n[i, j]
+        for one in materials
+        for i, speed in enumerate(one.speeds_m_s)
+        for j, force in enumerate(one.forces_n)
+    }
+    draw_textures(path, BANDS_HZ, rows, 1e-3 * vibration_threshold().force_rms_mn(BANDS_HZ))
+
+
+@command(
+    "Make",
+    "encode fox.glb fox.touch --frames 60:61 --representation voxel",
+    "deform fox.touch fox.glb -o walk.npz --frames 52:68 --rest-frame 60",
+    "play fox.touch --deformation walk.npz --offline --seconds 2",
+    "deform fox.touch -o soft.npz --yield-m-per-n 0.002 --relax-s 0.1",
+)
+def deform(
+    stream: Annotated[Path, "Stream of voxels, .touch."],
+    model: Annotated[Path | None, typer.Argument(help="Animated glTF that STREAM shows at rest.")] = None,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Deformation to write, .npz.")] = Path("deformation.npz"),
+    controls: Annotated[int, "Control points along each axis, 4 to 32."] = 8,
+    animation: Annotated[str | None, "Name or number of MODEL's animation; default: the first."] = None,
+    frames: Annotated[str | None, "Frames of the animation to take, START:STOP."] = None,
+    rest_frame: Annotated[int | None, "Frame of MODEL that STREAM shows; default: the first that is taken."] = None,
+    rate_hz: Annotated[float, "Frames a second of the tracks."] = 60.0,
+    yield_m_per_n: Annotated[float, "Metres that the medium gives way for a newton."] = 0.0,
+    relax_s: Annotated[float, "Time constant with which it does, seconds."] = 0.05,
+    as_json: Json = False,
+) -> None:
+    """Bend STREAM at the receiver: by the motion of a model, or under the finger."""
+    from touchfield.job.deformation import Motion, tracks_of
+
+    check_picture(stream, out)
+    if model is not None:
+        check_picture(model, out)
+    motion = Motion(model, animation, frames_of("--frames", frames), rest_frame, rate_hz) if model else None
+    with progress("deform", "frame") as report:
+        done = tracks_of(
+            stream, out, motion, controls=controls, compliance_m_per_n=yield_m_per_n, relax_s=relax_s, report=report
+        )
+    show({"file": str(out), **done.summary()}, str(out), as_json)
+
+
+@command(
     "Study",
     "reduce fox.touch",
     "reduce ground.touch --cull shell.touch --mode lossless --plot reduced.png",
@@ -179,21 +281,20 @@ def partition(
 )
 @asks(CODER)
 def reduce(
+    asked: Asked,
     medium: Medium,
     out: Annotated[Path | None, typer.Argument(help="OUT.touch of the modes that are kept; none without it.")] = None,
-    modes: Annotated[str, typer.Option(help="global: of whole frames; bricks: of bricks of 8^3 samples.")] = "global",
-    rank: Annotated[int | None, typer.Option(help="Modes to keep; default: as many as --nmse-db needs.")] = None,
-    nmse_db: Annotated[float, typer.Option(help="Error that modes are counted for.")] = -30.0,
-    cull: Annotated[Path | None, typer.Option(help="OUT.touch without what the hand can never feel.")] = None,
-    push_n: Annotated[float | None, typer.Option(help="Of the hand, at most; default: the device's.")] = None,
-    mass_kg: Annotated[float | None, typer.Option(help="Of hand and device; default: 50 g and its own.")] = None,
-    speed_m_s: Annotated[float | None, typer.Option(help="Of the hand, at most; default: 0.2.")] = None,
-    device: Annotated[str | None, typer.Option(help="Device in the hand; default: that of MEDIUM.")] = None,
-    trace: Annotated[Path | None, typer.Option(help="Where a hand was: t_s,x_m,y_m,z_m, as a play's --log.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="PNG to draw: the spectrum, and a section.")] = None,
+    modes: Annotated[str, "global: of whole frames; bricks: of bricks of 8^3 samples."] = "global",
+    rank: Annotated[int | None, "Modes to keep; default: as many as --nmse-db needs."] = None,
+    nmse_db: Annotated[float, "Error that modes are counted for."] = -30.0,
+    cull: Annotated[Path | None, "OUT.touch without what the hand can never feel."] = None,
+    push_n: Annotated[float | None, "Of the hand, at most; default: the device's."] = None,
+    mass_kg: Annotated[float | None, "Of hand and device; default: 50 g and its own."] = None,
+    speed_m_s: Annotated[float | None, "Of the hand, at most; default: 0.2."] = None,
+    device: Annotated[str | None, "Device in the hand; default: that of MEDIUM."] = None,
+    trace: Annotated[Path | None, "Where a hand was: t_s,x_m,y_m,z_m, as a play's --log."] = None,
+    plot: Annotated[Path | None, "PNG to draw: the spectrum, and a section."] = None,
     as_json: Json = False,
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Tell in how few numbers MEDIUM varies, how many bits a degree of freedom has, and what no hand can feel."""
     from touchfield.job.reduction import ReductionSpec, reduce_medium

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from touchfield.cli.app import Json, Stream, command
+from touchfield.cli.main import Asked, Json, Stream, command
 from touchfield.cli.options import Row, asks, numbers_of
 from touchfield.cli.show import check_picture, progress, show
 from touchfield.errors import InvalidArgument
@@ -79,19 +79,14 @@ _FORMS: Final = "point, sphere:RADIUS_M or MESH.obj, with ,points=N behind the l
 )
 @asks(PLAY, RENDER, panel=lambda name: "Renderer" if name in _RENDERER else None)
 def play(
+    asked: Asked,
     stream: Stream,
-    log: Annotated[Path | None, typer.Option(help="CSV to write: every tick.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="PNG to draw: the hand, the field, the forces.")] = None,
-    wav: Annotated[Path | None, typer.Option(help="WAV to write: the play as sound.")] = None,
-    check: Annotated[
-        bool, typer.Option("--check", help="Play nothing; tell whether this machine can decode it in time.")
-    ] = False,
-    bridge: Annotated[
-        bool, typer.Option("--bridge", help="Show the hand in a browser while it plays (extra broadcast).")
-    ] = False,
+    log: Annotated[Path | None, "CSV to write: every tick."] = None,
+    plot: Annotated[Path | None, "PNG to draw: the hand, the field, the forces."] = None,
+    wav: Annotated[Path | None, "WAV to write: the play as sound."] = None,
+    check: Annotated[bool, "Play nothing; tell whether this machine can decode it in time."] = False,
+    bridge: Annotated[bool, "Show the hand in a browser while it plays (extra broadcast)."] = False,
     as_json: Json = False,
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Feel STREAM on a device, or on a simulated hand."""
     from touchfield.job.play import PlaySpec

@@ -1,15 +1,15 @@
-"""The commands of a library of media (paper section 4): index, search, similar, correlate."""
+"""Commands of a library of media (paper section 4): index to correlate; of the fewest points (6.2): points."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from touchfield.cli.app import Json, Stream, command
-from touchfield.cli.options import SCENE, Workers, asks, encode_spec, numbers_of, workers_of
-from touchfield.cli.show import progress, show, show_notes, show_rows
+from touchfield.cli.main import Asked, Json, Stream, command
+from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, encode_spec, numbers_of, workers_of
+from touchfield.cli.show import check_picture, is_same_file, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 
 Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
@@ -42,14 +42,10 @@ def index(folder: Folder, index_file: IndexFile = None, workers: Workers = None,
 @command("Study", "search recordings like.touch")
 def search(
     folder: Folder,
-    like: Annotated[Path, typer.Argument(help="A .touch file, in FOLDER or not.")],
-    count: Annotated[int, typer.Option(help="How many are wanted.")] = 10,
-    any_pose: Annotated[
-        bool, typer.Option("--any-pose", help="Leave out the directions, which turn with a body.")
-    ] = False,
-    weight: Annotated[
-        list[str] | None, typer.Option(help="PART=NUMBER, such as amplitude=2 or change=0; may be repeated.")
-    ] = None,
+    like: Annotated[Path, "A .touch file, in FOLDER or not."],
+    count: Annotated[int, "How many are wanted."] = 10,
+    any_pose: Annotated[bool, "Leave out the directions, which turn with a body."] = False,
+    weight: Annotated[list[str] | None, "PART=NUMBER, such as amplitude=2 or change=0; may be repeated."] = None,
     index_file: IndexFile = None,
     as_json: Json = False,
 ) -> None:
@@ -77,16 +73,13 @@ def search(
 @command("Study", "similar one.touch other.touch")
 @asks(SCENE)
 def similar(
-    first: Annotated[str, typer.Argument(help="A .touch file, or any SOURCE.")],
-    second: Annotated[str, typer.Argument(help="Another; it is brought onto the lattice of the first.")],
-    quantiser: Annotated[str, typer.Option(help="Q, the same for both; coarse, lest a coder's error counts.")] = (
-        "weber:0.25/ico1"
-    ),
-    over: Annotated[str, typer.Option(help="mu of NMI and VI: voxel, or object (where one has a force).")] = "object",
-    looks: Annotated[int, typer.Option(help="Frames that are compared, evenly spaced.")] = 8,
+    asked: Asked,
+    first: Annotated[str, "A .touch file, or any SOURCE."],
+    second: Annotated[str, "Another; it is brought onto the lattice of the first."],
+    quantiser: Annotated[str, "Q, the same for both; coarse, lest a coder's error counts."] = ("weber:0.25/ico1"),
+    over: Annotated[str, "mu of NMI and VI: voxel, or object (where one has a force)."] = "object",
+    looks: Annotated[int, "Frames that are compared, evenly spaced."] = 8,
     as_json: Json = False,
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Tell how alike two media are: voxel by voxel, as histograms, to a compressor, and as `search` ranks them."""
     from touchfield.job.library import similar as run
@@ -102,16 +95,12 @@ def similar(
 
 @command("Study", "correlate video.mp4 room.touch")
 def correlate(
-    video: Annotated[Path, typer.Argument(help="A video, a GIF, a picture, or a folder of pictures.")],
+    video: Annotated[Path, "A video, a GIF, a picture, or a folder of pictures."],
     stream: Stream,
-    looks: Annotated[int, typer.Option(help="Times that are looked at, evenly spaced.")] = 4,
-    reading: Annotated[str, typer.Option(help="|F| along the sight: peak (how hard it can push) or first.")] = "peak",
-    intrinsics: Annotated[
-        str | None, typer.Option(help="fx,fy,cx,cy of the camera, pixels; default: seen from the front.")
-    ] = None,
-    source_rate_hz: Annotated[
-        float | None, typer.Option("--source-rate-hz", help="Pictures a second, where the video does not say.")
-    ] = None,
+    looks: Annotated[int, "Times that are looked at, evenly spaced."] = 4,
+    reading: Annotated[str, "|F| along the sight: peak (how hard it can push) or first."] = "peak",
+    intrinsics: Annotated[str | None, "fx,fy,cx,cy of the camera, pixels; default: seen from the front."] = None,
+    source_rate_hz: Annotated[float | None, "Pictures a second, where the video does not say."] = None,
     as_json: Json = False,
 ) -> None:
     """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and whether by chance."""
@@ -134,3 +123,49 @@ def correlate(
         return
     show_rows(rows, f"I(luma; |F|) of {video} and {stream}, bits a pixel")
     show_notes(notes)
+
+
+@command("Study", "points 15 fox.touch rebuilt.touch --plot points.png", "points 5 felt.csv --next")
+@asks(CODER)
+def points(
+    asked: Asked,
+    count: Annotated[int, "How many points."],
+    source: Annotated[
+        str, typer.Argument(help="A .touch file, a stored field, or a recording of contacts.", metavar="IN")
+    ],
+    out: Annotated[
+        Path | None, typer.Argument(help="The medium rebuilt (.touch, .npz, .vti), or the points (.csv).")
+    ] = None,
+    modes: Annotated[int | None, "Modes of a medium that moves; default: COUNT."] = None,
+    is_next: Annotated[bool, typer.Option("--next", help="Where to record next, and how little is known there.")] = (
+        False
+    ),
+    measured: Annotated[Path | None, "With --next: a recording of what was measured of IN."] = None,
+    plot: Annotated[Path | None, "PNG to draw."] = None,
+    as_json: Json = False,
+) -> None:
+    """Find the fewest points of IN that tell the rest, or where to measure next."""
+    from touchfield.job.reduction import fewest_points, next_points
+    from touchfield.job.spec import EncodeSpec
+
+    check_picture(source, plot)
+    if out is not None and is_same_file(source, out):
+        raise InvalidArgument(str(out), "the file that is read", "another name")
+    if is_next and (out is not None or modes is not None):
+        raise InvalidArgument("--next", "OUT or --modes beside it", "neither: nothing is rebuilt yet")
+    if measured is not None and not is_next:
+        raise InvalidArgument("--measured", "no --next", "both, or neither")
+    spec = coder_spec(asked)
+    if is_next:
+        done = next_points(source, count, measured)
+    else:
+        with progress("points") as report:
+            done = fewest_points(source, count, out, modes, spec, report)
+    if plot is not None:
+        done.draw(plot, (spec.k, spec.f0_n or EncodeSpec().f0_n or 0.0))
+    rows = done.shown.get("next", ())
+    if as_json or not rows:
+        show(done.summary(), f"{count} points of {source}", as_json, done.notes)
+        return
+    show({key: value for key, value in done.summary().items() if key != "next"}, f"where next: {source}", False)
+    show_rows(rows, "places, the first one first")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 from urllib.parse import urlsplit
 
 import typer
 
-from touchfield.cli.app import Json, Source, Stream, command
+from touchfield.cli.main import Asked, Json, Source, Stream, command
 from touchfield.cli.options import ALLOW_OUTSIDE, SCENE, asks, encode_spec
 from touchfield.cli.show import (
     check_picture,
@@ -43,11 +43,9 @@ def view(
             "--source", "--against", help="SOURCE of the file: shown too, and the difference; NMSE, vibration."
         ),
     ] = None,
-    device: Annotated[
-        list[str] | None, typer.Option(help="Tell its capacity, WMR and HIL, and the entropy; may be repeated.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option(help="HTML file to write; default: a temporary one.")] = None,
-    no_open: Annotated[bool, typer.Option("--no-open", help="Open no browser.")] = False,
+    device: Annotated[list[str] | None, "Tell its capacity, WMR and HIL, and the entropy; may be repeated."] = None,
+    out: Annotated[Path | None, "HTML file to write; default: a temporary one."] = None,
+    no_open: Annotated[bool, "Open no browser."] = False,
     as_json: Json = False,
 ) -> None:
     """Open STREAM in the browser: seen, played, probed and heard, without any network."""
@@ -70,11 +68,11 @@ def compare(
     source: Source,
     stream: Stream,
     as_json: Json = False,
-    picture: Annotated[Path | None, typer.Option(help="PNG to write; default: beside the stream.")] = None,
-    no_picture: Annotated[bool, typer.Option("--no-picture", help="Write no picture.")] = False,
-    frame: Annotated[int | None, typer.Option(help="Frame to draw; default: the middle one.")] = None,
-    k: Annotated[float | None, typer.Option(help="Weber fraction of the mask; default: the stream's.")] = None,
-    f0_n: Annotated[float | None, typer.Option(help="F_0 of the mask, newtons.")] = None,
+    picture: Annotated[Path | None, "PNG to write; default: beside the stream."] = None,
+    no_picture: Annotated[bool, "Write no picture."] = False,
+    frame: Annotated[int | None, "Frame to draw; default: the middle one."] = None,
+    k: Annotated[float | None, "Weber fraction of the mask; default: the stream's."] = None,
+    f0_n: Annotated[float | None, "F_0 of the mask, newtons."] = None,
     allow_outside: Annotated[bool, typer.Option("--allow-outside", help=ALLOW_OUTSIDE)] = False,
 ) -> None:
     """Measure a stream against its source, and draw both."""
@@ -113,34 +111,21 @@ def _free_name(source: str, stream: str) -> Path:
 @command("Study", "measure room.touch", "measure scan.ply --device phantom-omni --device tshirt-32x32")
 @asks(tuple(row for row in SCENE if row[0] != "device"))
 def measure(
+    asked: Asked,
     medium: Annotated[str, typer.Argument(help="A .touch file, or any SOURCE.", metavar="MEDIUM")],
-    device: Annotated[
-        list[str] | None, typer.Option(help="Device whose capacity, WMR and HIL are wanted; may be repeated.")
-    ] = None,
+    device: Annotated[list[str] | None, "Device whose capacity, WMR and HIL are wanted; may be repeated."] = None,
     quantiser: Annotated[
-        str | None,
-        typer.Option(
-            help="Q: weber:K, uniform:NEWTONS or lloyd-max:BITS, each with /DIRECTIONS; components:NEWTONS."
-        ),
+        str | None, "Q: weber:K, uniform:NEWTONS or lloyd-max:BITS, each with /DIRECTIONS; components:NEWTONS."
     ] = None,
-    over: Annotated[
-        str, typer.Option(help="mu: voxel, object, or interaction:TRACE.csv (t_s,x_m,y_m,z_m).")
-    ] = "voxel",
-    estimator: Annotated[str, typer.Option(help=f"Estimator of entropy: {', '.join(ESTIMATORS)}.")] = "plug-in",
-    reference: Annotated[
-        str, typer.Option(help="Device in whose workspace a SOURCE is sampled as W.")
-    ] = "phantom-omni",
+    over: Annotated[str, "mu: voxel, object, or interaction:TRACE.csv (t_s,x_m,y_m,z_m)."] = "voxel",
+    estimator: Annotated[str, f"Estimator of entropy: {', '.join(ESTIMATORS)}."] = "plug-in",
+    reference: Annotated[str, "Device in whose workspace a SOURCE is sampled as W."] = "phantom-omni",
     density: Annotated[
-        float | None,
-        typer.Option(
-            help="Samples of W per axis for one of a point device; the paper's has 5. [default: data sheet]"
-        ),
+        float | None, "Samples of W per axis for one of a point device; the paper's has 5. [default: data sheet]"
     ] = None,
-    no_limits: Annotated[bool, typer.Option("--no-limits", help="Leave out the coding limits.")] = False,
-    plot: Annotated[Path | None, typer.Option(help="PNG to draw.")] = None,
+    no_limits: Annotated[bool, "Leave out the coding limits."] = False,
+    plot: Annotated[Path | None, "PNG to draw."] = None,
     as_json: Json = False,
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Measure a medium in bits: entropies, coding limits, capacity of devices, energy."""
     from touchfield import job

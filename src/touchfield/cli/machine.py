@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from touchfield.adapters.registry import Check
-from touchfield.cli.app import Json, command
+from touchfield.cli.main import Json, command
 from touchfield.cli.show import literal_console, progress, show
 from touchfield.devices import devices as profiles
 
@@ -84,7 +84,7 @@ def sources(as_json: Json = False) -> None:
 
 @command("Set up", "doctor --device haply")
 def doctor(
-    device: Annotated[str | None, typer.Option(help="Only what this device needs: haply, bhaptics, ...")] = None,
+    device: Annotated[str | None, "Only what this device needs: haply, bhaptics, ..."] = None,
     as_json: Json = False,
 ) -> None:
     """Say what is installed, what is missing, and how to mend it."""

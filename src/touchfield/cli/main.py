@@ -6,19 +6,62 @@ with ``--json`` one object.
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
 
 from touchfield._version import __version__
-from touchfield.cli.app import app
 from touchfield.errors import TouchfieldError
+from touchfield.sources.samples import SAMPLES
+
+app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
+
+_SAMPLES = ", ".join(f"sample:{name}" for name in SAMPLES)
+
+Asked = dict[str, Any]
+"""What was asked for by the options of `touchfield.cli.options.asks`."""
+
+Json = Annotated[bool, typer.Option("--json", help="Print one machine-readable object; an error, too, as one.")]
+Source = Annotated[str, typer.Argument(help=f"File or folder, or {_SAMPLES}.")]
+Stream = Annotated[str, typer.Argument(help="A .touch file, or the address of one: https://...")]
+Trajectory = Annotated[Path | None, typer.Option(help="Where the probe goes: CSV of t_s,x_m,y_m,z_m.")]
+FieldFile = Annotated[Path, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")]
+
+
+def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Callable[..., Any]], Any]:
+    """Make a function a command, in a panel of the help, with examples at the end of its own help.
+
+    A parameter ``Annotated[TYPE, "words"]`` is an argument, or with a default an option of its name.
+    """
+    epilog = "\n\n".join(["Examples:", *(f"touchfield {example}" for example in examples)]) if examples else None
+
+    def register(function: Callable[..., Any]) -> Any:
+        signature = inspect.signature(function, eval_str=True)
+        parameters = [_described(p) for p in signature.parameters.values()]
+        function.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        function.__annotations__ = {p.name: p.annotation for p in parameters}
+        return app.command(name=name, rich_help_panel=panel, epilog=epilog)(function)
+
+    return register
+
+
+def _described(parameter: inspect.Parameter) -> inspect.Parameter:
+    words = getattr(parameter.annotation, "__metadata__", (None,))[0]
+    if not isinstance(words, str):
+        return parameter
+    flag = f"--{parameter.name.replace('_', '-')}"
+    is_argument = parameter.default is parameter.empty
+    told = typer.Argument(help=words) if is_argument else typer.Option(flag, help=words)
+    return parameter.replace(annotation=Annotated[parameter.annotation.__origin__, told])
+
 
 # typer carries a click of its own in some versions and imports it in others; its errors' base is found either way
 USAGE_ERROR: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
@@ -32,16 +75,14 @@ COMMANDS: Final = {
     "decode": "reading",
     **dict.fromkeys(("export", "import"), "make"),
     **dict.fromkeys(("edit", "splice", "resample", "lod", "partition"), "editing"),
-    "texture": "texture",
-    "deform": "deformation",
+    **dict.fromkeys(("texture", "deform"), "editing"),
     "info": "reading",
     **dict.fromkeys(("view", "compare"), "look"),
     "play": "feel",
     **dict.fromkeys(("serve", "live", "mux", "demux"), "broadcast"),
     "measure": "look",
     "reduce": "editing",
-    **dict.fromkeys(("index", "search", "similar", "correlate"), "library"),
-    "points": "points",
+    **dict.fromkeys(("index", "search", "similar", "correlate", "points"), "library"),
     **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "machine"),
 }
 """Module of each command, which registers it when it is imported; in the order of the help."""
@@ -60,7 +101,7 @@ def open_rooms(arguments: Sequence[str] = ()) -> typer.Typer:
 @app.callback(invoke_without_command=True)
 def root(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
+    version: Annotated[bool, "Show the version and exit."] = False,
 ) -> None:
     """Touch as a medium: a scene becomes a force field, a stream, and a field again."""
     if version:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from touchfield.cli.app import Json, Source, Stream, Trajectory, command
+from touchfield.cli.main import Asked, Json, Source, Stream, Trajectory, command
 from touchfield.cli.options import (
     BESIDE,
     CODER,
@@ -49,6 +49,7 @@ LATER = {"touch": ("passes", "columns")}
 )
 @asks(SCENE, BESIDE, CODER, TARGET)
 def encode(
+    asked: Asked,
     source: Source,
     to: Annotated[
         str,
@@ -61,8 +62,6 @@ def encode(
     ] = False,
     workers: Workers = None,
     device_compute: DeviceCompute = "cpu",
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Turn SOURCE into a .touch file."""
     from touchfield import job
@@ -96,17 +95,16 @@ def encode(
 @command("Make", "filter room.touch soft.touch --gaussian sigma=2mm --report", name="filter")
 @asks(filter_rows(), BESIDE, SCENE, CODER)
 def filter_(
+    asked: Asked,
     source: Source,
-    out: Annotated[Path, typer.Argument(help="OUT.touch, or the filtered field: FIELD.npz, FIELD.vti.")],
+    out: Annotated[Path, "OUT.touch, or the filtered field: FIELD.npz, FIELD.vti."],
     as_json: Json = False,
     with_report: Annotated[
         bool, typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels.")
     ] = False,
-    quantiser: Annotated[str, typer.Option(help="Q of the report's entropies.")] = "weber:0.1",
-    plot: Annotated[Path | None, typer.Option(help="PNG to draw: the middle frame before and after.")] = None,
+    quantiser: Annotated[str, "Q of the report's entropies."] = "weber:0.1",
+    plot: Annotated[Path | None, "PNG to draw: the middle frame before and after."] = None,
     workers: Workers = None,
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
     from touchfield import job
@@ -156,13 +154,12 @@ def filter_(
 @command("Make", "field scan.ply --preview look.png", "field scan.ply field.npz --nw 6")
 @asks(SCENE)
 def field(
+    asked: Asked,
     source: Source,
     out: Annotated[Path | None, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")] = None,
-    preview: Annotated[Path | None, typer.Option(help="PNG to draw: where the scene lies in the workspace.")] = None,
+    preview: Annotated[Path | None, "PNG to draw: where the scene lies in the workspace."] = None,
     as_json: Json = False,
     device_compute: DeviceCompute = "cpu",
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Write the device-filtered force field before coding, what `encode` starts from; or draw it, with --preview."""
     from touchfield import job
@@ -186,19 +183,18 @@ def field(
 @command("Make", "plan depth-folder --budget 64kbit/s --plot plan.png", "plan scan.ply --budget 60kB")
 @asks(SCENE)
 def plan(
+    asked: Asked,
     source: Source,
     budget: Annotated[
         str, typer.Option(help="What to keep to: a rate such as 64kbit/s, or bytes of the file, such as 60kB.")
     ],
-    k: Annotated[list[float] | None, typer.Option(help="Weber fraction to try; may be repeated.")] = None,
-    effort: Annotated[str, typer.Option(help="fast, default or max.")] = "fast",
+    k: Annotated[list[float] | None, "Weber fraction to try; may be repeated."] = None,
+    effort: Annotated[str, "fast, default or max."] = "fast",
     out: Annotated[
         Path | None, typer.Option("--plot", "--out", help="PNG to draw: the frontier and the choice.")
     ] = None,
     workers: Workers = None,
     as_json: Json = False,
-    *,
-    asked: dict[str, Any],
 ) -> None:
     """Find the lattice and the settings that spend a budget best; --nw is the finest of three lattices."""
     from touchfield import job
@@ -265,22 +261,12 @@ def _cells(plan: Plan, trial: Trial) -> tuple[str, ...]:
 )
 def export(
     stream: Stream,
-    out: Annotated[
-        Path,
-        typer.Argument(help="OUT.hjif (ISO/IEC 23090-31), .tact (bHaptics), .wav, .haptic (Meta), .ahap or .html."),
-    ],
-    device: Annotated[
-        str | None, typer.Option(help="Profile: the array whose drives are written; default: the stream's.")
-    ] = None,
+    out: Annotated[Path, "OUT.hjif (ISO/IEC 23090-31), .tact (bHaptics), .wav, .haptic (Meta), .ahap or .html."],
+    device: Annotated[str | None, "Profile: the array whose drives are written; default: the stream's."] = None,
     trajectory: Trajectory = None,
-    panel: Annotated[str, typer.Option(help="Of an array with two panels: front or back.")] = "front",
-    full_scale_n: Annotated[
-        float,
-        typer.Option("--full-scale-n", help="A force as .hjif: newtons told as 1, for readers that clip there."),
-    ] = 1.0,
-    source: Annotated[
-        str | None, typer.Option(help="SOURCE of the file: the page shows it, and the difference, too.")
-    ] = None,
+    panel: Annotated[str, "Of an array with two panels: front or back."] = "front",
+    full_scale_n: Annotated[float, "A force as .hjif: newtons told as 1, for readers that clip there."] = 1.0,
+    source: Annotated[str | None, "SOURCE of the file: the page shows it, and the difference, too."] = None,
     as_json: Json = False,
 ) -> None:
     """Write STREAM in another format: drives of an array, the force along --trajectory, or a page for any browser."""
@@ -297,12 +283,10 @@ def export(
 
 @command("Make", "import effect.hjif effect.touch", name="import")
 def import_(
-    effect: Annotated[Path, typer.Argument(help="EFFECT.hjif, its binary form EFFECT.hmpg, or EFFECT.ahap.")],
-    out: Annotated[Path, typer.Argument(help="The .touch file to write.")],
-    rate_hz: Annotated[float, typer.Option("--rate-hz", help="Frames a second of the medium.")] = 100.0,
-    force_max_n: Annotated[
-        float | None, typer.Option("--force-max-n", help="Force of a full drive; default: the file's, or 3.3.")
-    ] = None,
+    effect: Annotated[Path, "EFFECT.hjif, its binary form EFFECT.hmpg, or EFFECT.ahap."],
+    out: Annotated[Path, "The .touch file to write."],
+    rate_hz: Annotated[float, "Frames a second of the medium."] = 100.0,
+    force_max_n: Annotated[float | None, "Force of a full drive; default: the file's, or 3.3."] = None,
     as_json: Json = False,
 ) -> None:
     """Turn an effect into a .touch file: a symbolic medium for an array of actuators."""

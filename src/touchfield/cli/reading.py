@@ -5,9 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Annotated, Any
 
-import typer
-
-from touchfield.cli.app import FieldFile, Json, Stream, command
+from touchfield.cli.main import FieldFile, Json, Stream, command
 from touchfield.cli.show import keep_source, progress, show
 from touchfield.errors import CorruptFile
 
@@ -16,9 +14,7 @@ from touchfield.errors import CorruptFile
 def info(
     stream: Stream,
     as_json: Json = False,
-    voxels: Annotated[
-        bool, typer.Option("--voxels", help="Also decode all of it: supported voxels, and the bits that each takes.")
-    ] = False,
+    voxels: Annotated[bool, "Also decode all of it: supported voxels, and the bits that each takes."] = False,
 ) -> None:
     """Say what a .touch file holds."""
     from touchfield.stream.opened import open_stream

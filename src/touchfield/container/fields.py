@@ -20,30 +20,20 @@ from typing import Any, Final
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium.grid import BRICK
 
+_CODES: Final = {"u8": "<B", "u16": "<H", "u32": "<I", "u64": "<Q"}
+WHOLE: Final = {name: struct.Struct(code) for name, code in _CODES.items()}
+REAL: Final = struct.Struct("<d")
+
 
 class Cursor:
-    """How far the reading of a run of bytes has come.
+    """How far the reading of bytes `begin` to `end` of `data` has come, as in a slice, but without a copy.
 
-    Parameters
-    ----------
-    data : bytes
-        Bytes of a file.
-    where : str
-        What to call the file in messages.
-    offset : int
-        Position of the first of `data` in the file.
-    begin, end : int, optional
-        Which of `data` may be read, as in a slice, but without a copy.
+    `where` is the file's name in messages, `offset` the position of the first of `data` in the file.
     """
 
     def __init__(self, data: bytes, where: str, offset: int = 0, begin: int = 0, end: int | None = None) -> None:
         self._data, self._where, self._offset = data, where, offset
         self._place, self._end, _ = slice(begin, end).indices(len(data))
-
-    @property
-    def place(self) -> int:
-        """Position of the next byte in the file."""
-        return self._offset + self._place
 
     @property
     def remaining(self) -> int:
@@ -57,32 +47,20 @@ class Cursor:
         self._place += size
         return self._data[self._place - size : self._place]
 
+    def number(self, packing: struct.Struct, field: str) -> Any:
+        """The next number."""
+        return packing.unpack(self.take(packing.size, field))[0]
+
     def corrupt(self, field: str, found: str, expected: str, back: int = 0) -> CorruptFile:
         """The error of a field that begins `back` bytes before the place."""
-        return CorruptFile(f"{self._where}: {field} at byte {self.place - back}", found, expected)
-
-
-WHOLE_CODES: Final = {"u8": "<B", "u16": "<H", "u32": "<I", "u64": "<Q"}
+        return CorruptFile(f"{self._where}: {field} at byte {self._offset + self._place - back}", found, expected)
 
 
 class FieldType(ABC):
     """One kind of field: its bytes and its bounds in words, and its `smallest` and `largest` size in bytes."""
 
-    @property
-    @abstractmethod
-    def wire(self) -> str: ...
-
-    @property
-    @abstractmethod
-    def bounds(self) -> str: ...
-
-    @property
-    @abstractmethod
-    def smallest(self) -> int: ...
-
-    @property
-    @abstractmethod
-    def largest(self) -> int: ...
+    def __init__(self, wire: str, bounds: str, smallest: int, largest: int) -> None:
+        self.wire, self.bounds, self.smallest, self.largest = wire, bounds, smallest, largest
 
     @abstractmethod
     def encode(self, value: Any, where: str) -> bytes:
@@ -93,32 +71,13 @@ class FieldType(ABC):
         """The value at the cursor; CorruptFile, naming `where`, if the bytes run out or it is out of bounds."""
 
 
-@dataclass(frozen=True)
 class Whole(FieldType):
     """A whole number without sign: u8, u16, u32 or u64."""
 
-    code: str
-    low: int = 0
-    high: int | None = None
-
-    @property
-    def top(self) -> int:
-        """The largest value."""
-        return (1 << 8 * self.smallest) - 1 if self.high is None else self.high
-
-    @property
-    def wire(self) -> str:
-        return self.code
-
-    @property
-    def bounds(self) -> str:
-        return f"{self.low} to {self.top}" if self.low < self.top else str(self.low)
-
-    @property
-    def smallest(self) -> int:
-        return struct.calcsize(WHOLE_CODES[self.code])
-
-    largest = smallest
+    def __init__(self, code: str, low: int = 0, high: int | None = None) -> None:
+        self.packing, size = WHOLE[code], WHOLE[code].size
+        self.low, self.top = low, (1 << 8 * size) - 1 if high is None else high
+        super().__init__(code, f"{low} to {self.top}" if low < self.top else str(low), size, size)
 
     def encode(self, value: Any, where: str) -> bytes:
         try:
@@ -127,40 +86,26 @@ class Whole(FieldType):
             number = -1
         if not self.low <= number <= self.top:
             raise InvalidArgument(where, shown(value), f"a whole number, {self.bounds}")
-        return struct.pack(WHOLE_CODES[self.code], number)
+        return self.packing.pack(number)
 
     def decode(self, cursor: Cursor, where: str) -> int:
-        value: int = struct.unpack(WHOLE_CODES[self.code], cursor.take(self.smallest, where))[0]
+        value: int = cursor.number(self.packing, where)
         if not self.low <= value <= self.top:
             raise cursor.corrupt(where, str(value), self.bounds, self.smallest)
         return value
 
 
-@dataclass(frozen=True)
 class Real(FieldType):
     """A finite number from `low` to `high`, f64 of IEEE 754."""
 
-    low: float
-    high: float
-
-    @property
-    def wire(self) -> str:
-        return "f64"
-
-    @property
-    def bounds(self) -> str:
-        return f"{self.low:.15g} to {self.high:.15g}"
-
-    @property
-    def smallest(self) -> int:
-        return 8
-
-    largest = smallest
+    def __init__(self, low: float, high: float) -> None:
+        self.low, self.high = low, high
+        super().__init__("f64", f"{low:.15g} to {high:.15g}", REAL.size, REAL.size)
 
     def encode(self, value: Any, where: str) -> bytes:
         try:
             # float() would take a string too, struct takes numbers only
-            packed = struct.pack("<d", value)
+            packed = REAL.pack(value)
         except (struct.error, TypeError, ValueError, OverflowError):
             packed = b""
         if not packed or not self.low <= value <= self.high:
@@ -168,34 +113,18 @@ class Real(FieldType):
         return packed
 
     def decode(self, cursor: Cursor, where: str) -> float:
-        value: float = struct.unpack("<d", cursor.take(self.smallest, where))[0]
+        value: float = cursor.number(REAL, where)
         if not self.low <= value <= self.high:
             raise cursor.corrupt(where, repr(value), self.bounds, self.smallest)
         return value
 
 
-@dataclass(frozen=True)
 class Array(FieldType):
     """A fixed number of scalars, one after the other; a tuple in Python."""
 
-    of: FieldType
-    count: int
-
-    @property
-    def wire(self) -> str:
-        return f"{self.count} × {self.of.wire}"
-
-    @property
-    def bounds(self) -> str:
-        return f"each {self.of.bounds}"
-
-    @property
-    def smallest(self) -> int:
-        return self.count * self.of.smallest
-
-    @property
-    def largest(self) -> int:
-        return self.count * self.of.largest
+    def __init__(self, of: FieldType, count: int) -> None:
+        self.of, self.count = of, count
+        super().__init__(f"{count} × {of.wire}", f"each {of.bounds}", count * of.smallest, count * of.largest)
 
     def encode(self, value: Any, where: str) -> bytes:
         members = tuple(value) if isinstance(value, Sized) and isinstance(value, Iterable) else ()
@@ -207,15 +136,13 @@ class Array(FieldType):
         return tuple(self.of.decode(cursor, f"{where}[{i}]") for i in range(self.count))
 
 
-@dataclass(frozen=True)
 class Shape(Array):
     """Samples of a lattice along each axis, of so many bricks at most: time and memory go with those."""
 
-    most_bricks: int
-
-    @property
-    def bounds(self) -> str:
-        return f"each {self.of.bounds}; at most {self.most_bricks} bricks"
+    def __init__(self, of: FieldType, count: int, most_bricks: int) -> None:
+        super().__init__(of, count)
+        self.most_bricks = most_bricks
+        self.bounds = f"each {of.bounds}; at most {most_bricks} bricks"
 
     def holds(self, shape: tuple[int, ...]) -> bool:
         """True for a shape of no more bricks."""
@@ -252,30 +179,13 @@ LINES: Final = Pattern(r"[^\x00-\x08\x0b-\x1f\x7f-\x9f]*", "no control character
 NAME: Final = Pattern(r"[a-z][a-z0-9._-]*", "a small letter, then small letters, digits, `.`, `_`, `-`")
 
 
-@dataclass(frozen=True)
 class Text(FieldType):
     """A string: its length in bytes as u16, then UTF-8."""
 
-    limit: int
-    pattern: Pattern = TEXT
-    least: int = 0
-
-    @property
-    def wire(self) -> str:
-        return "str"
-
-    @property
-    def bounds(self) -> str:
-        least = f"{self.least} to " if self.least else "at most "
-        return f"{least}{self.limit} bytes, {self.pattern.words}"
-
-    @property
-    def smallest(self) -> int:
-        return 2 + self.least
-
-    @property
-    def largest(self) -> int:
-        return 2 + self.limit
+    def __init__(self, limit: int, pattern: Pattern = TEXT, least: int = 0) -> None:
+        self.limit, self.pattern, self.least = limit, pattern, least
+        sizes = f"{least} to" if least else "at most"
+        super().__init__("str", f"{sizes} {limit} bytes, {pattern.words}", 2 + least, 2 + limit)
 
     def encode(self, value: Any, where: str) -> bytes:
         try:
@@ -284,10 +194,10 @@ class Text(FieldType):
             data = None
         if data is None or not self.least <= len(data) <= self.limit or not self.pattern.holds(value):
             raise InvalidArgument(where, shown(value), f"a string, {self.bounds}")
-        return struct.pack("<H", len(data)) + data
+        return WHOLE["u16"].pack(len(data)) + data
 
     def decode(self, cursor: Cursor, where: str) -> str:
-        length: int = struct.unpack("<H", cursor.take(2, where))[0]
+        length: int = cursor.number(WHOLE["u16"], where)
         if not self.least <= length <= self.limit:
             raise cursor.corrupt(where, f"a length of {length} bytes", self.bounds, 2)
         data = cursor.take(length, where)
@@ -300,60 +210,31 @@ class Text(FieldType):
         return text
 
 
-@dataclass(frozen=True)
 class Octets(FieldType):
     """Bytes that another document explains: their number as u32, then they."""
 
-    limit: int
-
-    @property
-    def wire(self) -> str:
-        return "bytes"
-
-    @property
-    def bounds(self) -> str:
-        return f"at most {self.limit} bytes"
-
-    @property
-    def smallest(self) -> int:
-        return 4
-
-    @property
-    def largest(self) -> int:
-        return 4 + self.limit
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        super().__init__("bytes", f"at most {limit} bytes", 4, 4 + limit)
 
     def encode(self, value: Any, where: str) -> bytes:
         data = octets(value, where)
         if len(data) > self.limit:
             raise InvalidArgument(where, f"{len(data)} bytes", self.bounds)
-        return struct.pack("<I", len(data)) + data
+        return WHOLE["u32"].pack(len(data)) + data
 
     def decode(self, cursor: Cursor, where: str) -> bytes:
-        length: int = struct.unpack("<I", cursor.take(4, where))[0]
+        length: int = cursor.number(WHOLE["u32"], where)
         if length > self.limit:
             raise cursor.corrupt(where, f"a length of {length} bytes", self.bounds, 4)
         return cursor.take(length, where)
 
 
-@dataclass(frozen=True)
 class Rest(FieldType):
     """All bytes up to the end of the payload; the last field of a record."""
 
-    @property
-    def wire(self) -> str:
-        return "rest"
-
-    @property
-    def bounds(self) -> str:
-        return "any"
-
-    @property
-    def smallest(self) -> int:
-        return 0
-
-    @property
-    def largest(self) -> int:
-        return 1 << 63
+    def __init__(self) -> None:
+        super().__init__("rest", "any", 0, 1 << 63)
 
     def encode(self, value: Any, where: str) -> bytes:
         return octets(value, where)
@@ -362,44 +243,28 @@ class Rest(FieldType):
         return cursor.take(cursor.remaining, where)
 
 
-@dataclass(frozen=True)
 class Listed(FieldType):
     """A list of any length: the number of its members as u16 or u32, then they; a tuple in Python."""
 
-    of: FieldType
-    limit: int
-    code: str = "u16"
-
-    @property
-    def wire(self) -> str:
-        return f"list ({self.code}) of {self.of.wire}"
-
-    @property
-    def bounds(self) -> str:
-        return f"at most {self.limit}; each {self.of.bounds}"
-
-    @property
-    def smallest(self) -> int:
-        return struct.calcsize(WHOLE_CODES[self.code])
-
-    @property
-    def largest(self) -> int:
-        return self.smallest + self.limit * self.of.largest
+    def __init__(self, of: FieldType, limit: int, code: str = "u16") -> None:
+        self.of, self.limit, self.code = of, limit, code
+        self.packing, size = WHOLE[code], WHOLE[code].size
+        bounds = f"at most {limit}; each {of.bounds}"
+        super().__init__(f"list ({code}) of {of.wire}", bounds, size, size + limit * of.largest)
 
     def encode(self, value: Any, where: str) -> bytes:
         if not isinstance(value, (list, tuple)) or len(value) > self.limit:
             raise InvalidArgument(where, shown(value), f"a list of at most {self.limit}")
         members = [self.of.encode(member, f"{where}[{i}]") for i, member in enumerate(value)]
-        return struct.pack(WHOLE_CODES[self.code], len(value)) + b"".join(members)
+        return self.packing.pack(len(value)) + b"".join(members)
 
     def decode(self, cursor: Cursor, where: str) -> tuple[Any, ...]:
-        size = self.smallest
-        count: int = struct.unpack(WHOLE_CODES[self.code], cursor.take(size, where))[0]
+        count: int = cursor.number(self.packing, where)
         if count > self.limit:
-            raise cursor.corrupt(where, f"{count} members", f"at most {self.limit}", size)
+            raise cursor.corrupt(where, f"{count} members", f"at most {self.limit}", self.smallest)
         if count * self.of.smallest > cursor.remaining:
             found = f"{count} members in {cursor.remaining} bytes"
-            raise cursor.corrupt(where, found, f"at least {self.of.smallest} bytes each", size)
+            raise cursor.corrupt(where, found, f"at least {self.of.smallest} bytes each", self.smallest)
         return tuple(self.of.decode(cursor, f"{where}[{i}]") for i in range(count))
 
 

@@ -8,7 +8,7 @@ import zlib
 from bisect import bisect_right
 from collections.abc import Mapping
 from threading import Lock
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import BinaryIO, Final
 
 from touchfield.container.records import (
@@ -23,7 +23,7 @@ from touchfield.container.records import (
     Segment,
     SegmentEntry,
     Vibration,
-)
+)  # fmt: skip
 from touchfield.container.wire import (
     AGAIN,
     CRC_SIZE,
@@ -36,7 +36,7 @@ from touchfield.container.wire import (
     known_record,
     read_opening,
     read_record,
-)
+)  # fmt: skip
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
 
 END_SIZE: Final = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
@@ -49,7 +49,8 @@ MOST_EXPECTED: Final = 1 << 24
 class TouchReader:
     """Reads one ``.touch`` file; a context manager, and safe to use from several threads.
 
-    Opening it costs what the head and the index cost, whatever the objects and the segments weigh.
+    Opening it costs what the head and the index cost, whatever the objects and the segments weigh. `FormatError`, or
+    `SourceError` if it cannot be opened or read.
 
     Parameters
     ----------
@@ -59,10 +60,8 @@ class TouchReader:
 
     Attributes
     ----------
-    name : str
-        What messages call the file.
-    size : int
-        Its length, bytes.
+    name, size, is_remote
+        Its name in messages, its length in bytes, and whether it lies elsewhere.
     head : Head
     provenance : mapping of str to str
         Empty where the file states none.
@@ -72,15 +71,6 @@ class TouchReader:
         Objects of a file of coder `objects`; otherwise none.
     has_vibration : bool
         Whether anything is told to vibrate beside the force; of a file elsewhere, beside the first segment.
-    is_remote : bool
-        Whether the file lies elsewhere.
-
-    Raises
-    ------
-    FormatError
-        ForeignFile, TruncatedFile, CorruptFile or UnsupportedVersion.
-    SourceError
-        If the file cannot be opened or read.
     """
 
     def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
@@ -96,9 +86,7 @@ class TouchReader:
     def __enter__(self) -> TouchReader:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -111,32 +99,22 @@ class TouchReader:
 
     def read_segment(self, index: int) -> bytes:
         """The body of segment `index`, 0 to ``len(segments) - 1``, checked against its CRC-32 and the index."""
-        if not 0 <= index < len(self.segments):
-            raise InvalidArgument("segment", repr(index), f"0 to {len(self.segments) - 1}")
-        self._expect(index)
-        entry = self.segments[index]
+        entry = self._expected(index)
         found = find_record(self._source, entry.offset, entry.offset + entry.length)
         segment: Segment
         segment, crc = read_record(self._source, found, "SEGM")
-        own = SegmentEntry(
-            first_frame=segment.first_frame,
-            frame_count=segment.frame_count,
-            offset=found.offset,
-            length=found.end - found.offset,
-            crc32=crc,
-        )
+        frames = {"first_frame": segment.first_frame, "frame_count": segment.frame_count}
+        own = SegmentEntry(**frames, offset=found.offset, length=found.end - found.offset, crc32=crc)
         if own != entry:
             raise CorruptFile(f"{self.name}: {found.name}", str(own), f"{entry}, as the index says", AGAIN)
         return segment.body
 
     def read_vibration(self, index: int) -> bytes | None:
         """Vibrations in the frames of segment `index`, checked against its CRC-32; None where nothing does."""
-        if not 0 <= index < len(self.segments):
-            raise InvalidArgument("segment", repr(index), f"0 to {len(self.segments) - 1}")
-        self._expect(index)
+        entry = self._expected(index)
         if index not in self._vibrations:
             return None
-        found, entry = self._vibrations[index], self.segments[index]
+        found = self._vibrations[index]
         told: Vibration
         told, _ = read_record(self._source, found, "VIBR")
         if (told.first_frame, told.frame_count) != (entry.first_frame, entry.frame_count):
@@ -186,7 +164,16 @@ class TouchReader:
         self.segments = index.segments
         self._first_frames = [entry.first_frame for entry in self.segments]
         self._check_segments(found_head.end, found_index.offset)
-        self._read_others(found_head, found_index, found_end)
+        # between the records that we know: at once, or of a file elsewhere where a segment is asked for
+        ends = [found_head.end, *(entry.offset + entry.length for entry in self.segments), found_index.end]
+        begins = [*(entry.offset for entry in self.segments), found_index.offset, found_end.offset]
+        self._gaps = dict(enumerate(zip(ends, begins, strict=True)))
+        self._vibrations: dict[int, FoundRecord] = {}
+        self.provenance: Mapping[str, str] = MappingProxyType({})
+        last = len(self.segments)
+        for gap in (0, last, last + 1) if source.remote else range(last + 2):
+            self._look_before(gap)
+        self.has_vibration = bool(self._vibrations)
 
     def _read_end(self, head_end: int) -> tuple[FoundRecord, End]:
         """The end record and where it stands."""
@@ -256,18 +243,6 @@ class TouchReader:
             where, expected = f"{self.name}: INDX.segments", f"{self.head.frame_count}, as HEAD says"
             raise CorruptFile(where, f"{frame} frames", expected, AGAIN)
 
-    def _read_others(self, head: FoundRecord, index: FoundRecord, end: FoundRecord) -> None:
-        """Look between the records that we know: at once, or of a file elsewhere where a segment is asked for."""
-        ends = [head.end, *(entry.offset + entry.length for entry in self.segments), index.end]
-        begins = [*(entry.offset for entry in self.segments), index.offset, end.offset]
-        self._gaps = dict(enumerate(zip(ends, begins, strict=True)))
-        self._vibrations: dict[int, FoundRecord] = {}
-        self.provenance: Mapping[str, str] = MappingProxyType({})
-        last = len(self.segments)
-        for gap in (0, last, last + 1) if self._source.remote else range(last + 2):
-            self._look_before(gap)
-        self.has_vibration = bool(self._vibrations)
-
     def _look_before(self, gap: int) -> None:
         """Look once at the records before segment `gap`, before the index, or before the end."""
         with self._lock:
@@ -277,12 +252,19 @@ class TouchReader:
             vibration: FoundRecord | None = None
             while place < begin:
                 found = find_record(self._source, place, begin)
+                where = f"{self.name}: {found.name}"
                 if found.tag == "PROV" and provenance is None and gap == 0:
-                    provenance = self._read_provenance(found)
+                    story: Provenance = read_record(self._source, found, "PROV")[0]
+                    provenance = {pair.key: pair.value for pair in story.pairs}
+                    if len(provenance) < len(story.pairs):
+                        raise CorruptFile(where, "a key twice", "every key once", AGAIN)
                 elif found.tag == "VIBR" and vibration is None and gap < len(self.segments):
                     vibration = found  # read, and its CRC-32 checked, when it is asked for
                 elif found.offset not in objects:
-                    self._skip(found)
+                    check_crc(self._source, found)
+                    if known_record(self._source, found) is not None:
+                        expected = f"{found.tag} {RECORD_OF[found.tag].place}"
+                        raise CorruptFile(where, "a record that the index does not name", expected, AGAIN)
                 place = found.end
             if provenance is not None:
                 self.provenance = MappingProxyType(provenance)
@@ -290,23 +272,12 @@ class TouchReader:
                 self._vibrations[gap] = vibration
             self._gaps.pop(gap, None)
 
-    def _expect(self, index: int) -> None:
-        """Have a segment fetched at once with what stands before it, where the file lies elsewhere."""
+    def _expected(self, index: int) -> SegmentEntry:
+        """The entry of a segment, which is fetched with what stands before it where the file lies elsewhere."""
+        if not 0 <= index < len(self.segments):
+            raise InvalidArgument("segment", repr(index), f"0 to {len(self.segments) - 1}")
         entry = self.segments[index]
         begin, _ = self._gaps.get(index, (entry.offset, 0))
         self._source.expect(begin, entry.offset + entry.length)
         self._look_before(index)
-
-    def _skip(self, found: FoundRecord) -> None:
-        check_crc(self._source, found)
-        if known_record(self._source, found) is not None:
-            where, places = f"{self.name}: {found.name}", RECORD_OF[found.tag].place
-            raise CorruptFile(where, "a record that the index does not name", f"{found.tag} {places}", AGAIN)
-
-    def _read_provenance(self, found: FoundRecord) -> dict[str, str]:
-        story: Provenance
-        story, _ = read_record(self._source, found, "PROV")
-        pairs = {pair.key: pair.value for pair in story.pairs}
-        if len(pairs) < len(story.pairs):
-            raise CorruptFile(f"{self.name}: {found.name}", "a key twice", "every key once", AGAIN)
-        return pairs
+        return entry

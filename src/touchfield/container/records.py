@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, Final
 
 from touchfield.container.fields import (
@@ -26,7 +26,7 @@ from touchfield.container.fields import (
     Text,
     Whole,
     shown,
-)
+)  # fmt: skip
 from touchfield.errors import InvalidArgument
 
 ROW: Final = "touchfield row"
@@ -34,17 +34,7 @@ ROW: Final = "touchfield row"
 
 @dataclass(frozen=True)
 class Row:
-    """One field of the format.
-
-    Attributes
-    ----------
-    name : str
-    kind : FieldType
-        Its bytes and its bounds.
-    unit : str
-        Physical unit, or "" where there is none.
-    meaning : str
-    """
+    """One field of the format: its bytes and bounds, its physical unit ("" where there is none), its meaning."""
 
     name: str
     kind: FieldType
@@ -60,45 +50,27 @@ def row(kind: FieldType, meaning: str, unit: str = "") -> Any:
 @cache
 def rows_of(layout: type) -> tuple[Row, ...]:
     """The rows of a layout, in file order."""
-    return tuple(
-        Row(field.name, kind, unit, meaning)
-        for field in dataclasses.fields(layout)
-        for kind, unit, meaning in [field.metadata[ROW]]
-    )
+    return tuple(Row(field.name, *field.metadata[ROW]) for field in dataclasses.fields(layout))
 
 
-@dataclass(frozen=True)
 class Struct(FieldType):
     """The fields of a layout, one after the other; an instance of the dataclass in Python."""
 
-    layout: type
-
-    @property
-    def wire(self) -> str:
-        return ", ".join(f"`{row.name}` {row.kind.wire}" for row in rows_of(self.layout))
-
-    @property
-    def bounds(self) -> str:
-        return "; ".join(f"`{row.name}` {row.kind.bounds}" for row in rows_of(self.layout))
-
-    @property
-    def smallest(self) -> int:
-        return sum(row.kind.smallest for row in rows_of(self.layout))
-
-    @property
-    def largest(self) -> int:
-        return sum(row.kind.largest for row in rows_of(self.layout))
+    def __init__(self, layout: type) -> None:
+        self.layout, rows = layout, rows_of(layout)
+        smallest, largest = (sum(getattr(row.kind, name) for row in rows) for name in ("smallest", "largest"))
+        wire, bounds = ([f"`{row.name}` {getattr(row.kind, name)}" for row in rows] for name in ("wire", "bounds"))
+        super().__init__(", ".join(wire), "; ".join(bounds), smallest, largest)
 
     def encode(self, value: Any, where: str) -> bytes:
         if not isinstance(value, self.layout):
             raise InvalidArgument(where, shown(value), f"a {self.layout.__name__}")
-        parts = [row.kind.encode(getattr(value, row.name), f"{where}.{row.name}") for row in rows_of(self.layout)]
-        return b"".join(parts)
+        rows = rows_of(self.layout)
+        return b"".join(row.kind.encode(getattr(value, row.name), f"{where}.{row.name}") for row in rows)
 
     def decode(self, cursor: Cursor, where: str) -> Any:
-        return self.layout(
-            **{row.name: row.kind.decode(cursor, f"{where}.{row.name}") for row in rows_of(self.layout)}
-        )
+        rows = rows_of(self.layout)
+        return self.layout(**{row.name: row.kind.decode(cursor, f"{where}.{row.name}") for row in rows})
 
 
 VERSION_MAJOR: Final = 1
@@ -236,24 +208,14 @@ class End:
 
 @dataclass(frozen=True)
 class Record:
-    """One kind of record.
-
-    Attributes
-    ----------
-    tag : str
-    layout : type
-        The dataclass of its payload.
-    required : bool
-    place : str
-        Where and how often it stands, in words.
-    """
+    """One kind of record: the dataclass of its payload, and in words where and how often it stands."""
 
     tag: str
     layout: type
     required: bool
     place: str
 
-    @property
+    @cached_property
     def kind(self) -> Struct:
         """The payload as a field type."""
         return Struct(self.layout)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import http.client
 import re
-import ssl
 import time
 from collections import OrderedDict
 from collections.abc import Callable
@@ -71,24 +70,9 @@ def sender(url: str) -> Callable[[Path], None]:
 class RemoteFile:
     """Bytes at a place of a file elsewhere; the latest 32 MiB are kept. Safe to use from several threads.
 
-    Parameters
-    ----------
-    url : str
-        http or https; s3, gs, az and others with the extra ``remote``.
-
-    Attributes
-    ----------
-    size : int
-        Length of the file, bytes.
-    requests : int
-        Requests so far.
-    received : int
-        Bytes so far.
-
-    Raises
-    ------
-    SourceError
-        If there is no such file, the server does not answer ranges, or it takes too long.
+    `url` is http or https; s3, gs, az and others with the extra ``remote``. `size` is the length of the file, bytes;
+    `requests` and `received` count requests and bytes so far. `SourceError` if there is no such file, the server does
+    not answer ranges, or it takes too long.
     """
 
     def __init__(self, url: str) -> None:
@@ -179,13 +163,8 @@ class _Http:
         headers = {"Range": f"bytes={offset}-{offset + size - 1}", "Accept-Encoding": "identity"}
         for again in (self._link is None, True):
             if self._link is None:
-                if to.scheme == "https":
-                    secure = ssl.create_default_context()
-                    self._link = http.client.HTTPSConnection(
-                        to.hostname, to.port, timeout=_PATIENCE_S, context=secure
-                    )
-                else:
-                    self._link = http.client.HTTPConnection(to.hostname, to.port, timeout=_PATIENCE_S)
+                link = http.client.HTTPSConnection if to.scheme == "https" else http.client.HTTPConnection
+                self._link = link(to.hostname, to.port, timeout=_PATIENCE_S)
             try:
                 self._link.request("GET", path, headers=headers)
                 return self._link.getresponse()

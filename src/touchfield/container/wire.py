@@ -31,29 +31,11 @@ from touchfield.files import require_plain
 
 
 class ByteSource:
-    """A file that is read at given places.
+    """A file that is read at given places: a path, an address such as https://host/x.touch, or an open binary file.
 
-    Parameters
-    ----------
-    file : str, path or open binary file
-        A path, or an address such as https://host/x.touch. A file that is already open must be seekable; it is read
-        from its first byte and left open.
-
-    Attributes
-    ----------
-    name : str
-        Its name in messages.
-    size : int
-        Its length, bytes.
-    remote : RemoteFile or None
-        Where it lies elsewhere.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be opened or read.
-    InvalidArgument
-        If it is neither a path nor an open, seekable, binary file.
+    One that is open already must be seekable; it is read from its first byte and left open. `name` is its name in
+    messages, `size` its length in bytes, `remote` where it lies elsewhere. `SourceError` if it cannot be opened or
+    read, `InvalidArgument` if it is none of these.
     """
 
     def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
@@ -186,10 +168,8 @@ class FoundRecord(NamedTuple):
 def read_opening(source: ByteSource) -> bytes:
     """The bytes of magic and version, both checked.
 
-    Raises
-    ------
-    ForeignFile, CorruptFile, TruncatedFile, UnsupportedVersion
-        If it is something else, was changed as text, is too short, or has another major version than ours.
+    `ForeignFile`, `CorruptFile`, `TruncatedFile` or `UnsupportedVersion` if it is something else, was changed as
+    text, is too short, or has another major version than ours.
     """
     start = source.read_at(0, min(source.size, OPENING_SIZE))
     magic = start[: len(MAGIC)]
@@ -215,12 +195,7 @@ def read_opening(source: ByteSource) -> bytes:
 def find_record(source: ByteSource, offset: int, end: int) -> FoundRecord:
     """The record at `offset`, which must end by `end`; its payload is not read.
 
-    Raises
-    ------
-    TruncatedFile
-        If the file ends before the record does.
-    CorruptFile
-        If the frame makes no sense, or the record reaches beyond `end`.
+    `TruncatedFile` if the file ends before it does, `CorruptFile` if its frame makes no sense or it passes `end`.
     """
     tag, flags, length = FRAME.unpack(source.read_at(offset, FRAME_SIZE))
     if not re.fullmatch(rb"[A-Z0-9]{4}", tag):
@@ -258,12 +233,7 @@ def compare_crc(source: ByteSource, found: FoundRecord, crc: int, stored: bytes)
 def known_record(source: ByteSource, found: FoundRecord) -> Record | None:
     """The table's row for a record whose CRC-32 holds; None if it may be skipped.
 
-    Raises
-    ------
-    UnsupportedVersion
-        If it is unknown and required.
-    CorruptFile
-        If its flags are not those of the table.
+    `UnsupportedVersion` if it is unknown and required, `CorruptFile` if its flags are not those of the table.
     """
     where = f"{source.name}: {found.name}"
     record = RECORD_OF.get(found.tag)
@@ -281,12 +251,8 @@ def known_record(source: ByteSource, found: FoundRecord) -> Record | None:
 def read_record(source: ByteSource, found: FoundRecord, tag: str) -> tuple[Any, int]:
     """The value and the CRC-32 of a record that must be a `tag`.
 
-    Raises
-    ------
-    CorruptFile
-        If it is another one, its CRC-32 does not hold, or a field is out of bounds.
-    UnsupportedVersion
-        If it needs a later version.
+    `CorruptFile` if it is another one, its CRC-32 does not hold, or a field is out of bounds; `UnsupportedVersion` if
+    it needs a later version.
     """
     where = f"{source.name}: {found.name}"
     length, kind = found.payload_length, RECORD_OF[tag].kind

@@ -21,10 +21,8 @@ from touchfield.container.records import (
     ObjectRecord,
     Pair,
     Provenance,
-    Segment,
     SegmentEntry,
-    Vibration,
-)
+)  # fmt: skip
 from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, encode_opening, encode_record, reason
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.atomic import atomic_path
@@ -40,21 +38,11 @@ class TouchWriter:
     """Writes one ``.touch`` file; a context manager.
 
     Segments go straight to a temporary file beside `path`, so that memory holds one segment and the index. At
-    the end of the ``with`` block the index and the end record follow, and the file gets its name; after any
-    exception nothing is left.
+    the end of the ``with`` block the index and the end record follow, and the file gets its name, in place of one
+    that is there already; after any exception nothing is left.
 
-    Parameters
-    ----------
-    path : str or path
-        The file to be written; one that is there already is replaced at the very end.
-
-    Raises
-    ------
-    InvalidArgument
-        By every method: if a value is out of the format's bounds, the calls come in the wrong order, or there
-        is no such folder.
-    SourceError
-        By every method: if the system refuses to write (no permission, no space).
+    Every method raises `InvalidArgument` if a value is out of the format's bounds, the calls come in the wrong order,
+    or there is no such folder, and `SourceError` if the system refuses to write (no permission, no space).
 
     Examples
     --------
@@ -75,7 +63,7 @@ class TouchWriter:
         self._whole = True
         self._next_frame = 0
         self._objects = 0
-        self._vibrating: tuple[int, int] | None = None
+        self._vibrating: int | None = None
         self._chain = b""
 
     def __enter__(self) -> TouchWriter:
@@ -105,10 +93,9 @@ class TouchWriter:
 
     def write_object(self, one: ObjectRecord) -> None:
         """Write the next object of a file of coder `objects`, before the first segment."""
-        if self._head is None:
-            raise InvalidArgument("write_object", "no head yet", mend="Call write_head first.")
-        if self._head.coder != OBJECTS_CODER:
-            raise InvalidArgument("write_object", f"a file of coder {self._head.coder!r}", repr(OBJECTS_CODER))
+        coder = self._begun("write_object").coder
+        if coder != OBJECTS_CODER:
+            raise InvalidArgument("write_object", f"a file of coder {coder!r}", repr(OBJECTS_CODER))
         if self._entries:
             raise InvalidArgument("write_object", "a call after the first segment", "all objects before it")
         if self._objects == MAX_OBJECTS:
@@ -120,47 +107,45 @@ class TouchWriter:
 
     def write_vibration(self, first_frame: int, frame_count: int, body: bytes) -> None:
         """Write what vibrates in the group of frames that `write_segment` writes next."""
-        if self._head is None:
-            raise InvalidArgument("write_vibration", "no head yet", mend="Call write_head first.")
+        self._begun("write_vibration")
         if self._vibrating is not None:
             raise InvalidArgument("write_vibration", "a second call for one segment", "one")
-        if first_frame != self._next_frame:
-            raise InvalidArgument("write_vibration first_frame", repr(first_frame), str(self._next_frame))
-        record = encode_record("VIBR", Vibration(first_frame=first_frame, frame_count=frame_count, body=body))
-        self._check_frames("write_vibration", first_frame, frame_count)
-        self._put(record)
-        self._vibrating = int(first_frame), int(frame_count)
+        self._put(self._frames("write_vibration", "VIBR", first_frame, frame_count, body))
+        self._vibrating = int(frame_count)
 
     def write_segment(self, first_frame: int, frame_count: int, body: bytes) -> None:
         """Write the next group of frames, which must begin where the one before it ended."""
-        if self._head is None:
-            raise InvalidArgument("write_segment", "no head yet", mend="Call write_head first.")
-        if self._head.coder == OBJECTS_CODER and not self._objects:
+        if self._begun("write_segment").coder == OBJECTS_CODER and not self._objects:
             raise InvalidArgument("write_segment", "no object yet", mend="Call write_object first.")
-        if first_frame != self._next_frame:
-            raise InvalidArgument("write_segment first_frame", repr(first_frame), str(self._next_frame))
-        if self._vibrating is not None and self._vibrating != (first_frame, frame_count):
-            found, expected = f"{frame_count} frames", f"{self._vibrating[1]}, as write_vibration was told"
+        if self._vibrating not in (None, frame_count):
+            found, expected = f"{frame_count} frames", f"{self._vibrating}, as write_vibration was told"
             raise InvalidArgument("write_segment frame_count", found, expected)
-        record = encode_record("SEGM", Segment(first_frame=first_frame, frame_count=frame_count, body=body))
-        self._check_frames("write_segment", first_frame, frame_count)
-        entry = SegmentEntry(
-            first_frame=int(first_frame),
-            frame_count=int(frame_count),
-            offset=self._place,
-            length=len(record),
-            crc32=int.from_bytes(record[-CRC_SIZE:], "little"),
-        )
+        record = self._frames("write_segment", "SEGM", first_frame, frame_count, body)
+        frames = {"first_frame": int(first_frame), "frame_count": int(frame_count)}
+        crc32 = int.from_bytes(record[-CRC_SIZE:], "little")
+        entry = SegmentEntry(**frames, offset=self._place, length=len(record), crc32=crc32)
         self._put(record)
         self._entries.append(entry)
         self._next_frame += entry.frame_count
         self._vibrating = None
 
-    def _check_frames(self, call: str, first_frame: int, frame_count: int) -> None:
-        """Check that these frames are among those of the head."""
-        if self._head is not None and first_frame + frame_count > self._head.frame_count:
-            found = f"frames up to {first_frame + frame_count - 1}"
-            raise InvalidArgument(call, found, f"{self._head.frame_count} frames, as the head says")
+    def _begun(self, call: str) -> Head:
+        if self._head is None:
+            raise InvalidArgument(call, "no head yet", mend="Call write_head first.")
+        return self._head
+
+    def _frames(self, call: str, tag: str, first_frame: int, frame_count: int, body: bytes) -> bytes:
+        """The record of the next frames, which are among those of the head."""
+        if first_frame != self._next_frame:
+            raise InvalidArgument(f"{call} first_frame", repr(first_frame), str(self._next_frame))
+        layout = RECORD_OF[tag].layout
+        record = encode_record(tag, layout(first_frame=first_frame, frame_count=frame_count, body=body))
+        count = self._begun(call).frame_count
+        if first_frame + frame_count > count:
+            raise InvalidArgument(
+                call, f"frames up to {first_frame + frame_count - 1}", f"{count} frames, as the head says"
+            )
+        return record
 
     def _write_end(self) -> None:
         """Write the index and the end record, once all frames are there."""

@@ -39,43 +39,30 @@ MAX_PROFILE_BYTES: Final = 1 << 16
 
 @dataclass(frozen=True)
 class Device:
-    """A haptic display.
+    """A haptic display; a value that is not known is None.
 
     Attributes
     ----------
-    name : str
-        What ``--device`` takes.
-    title : str
-        Maker and model.
+    name, title : str
+        What ``--device`` takes; maker and model.
     type : int
         1 (point) or 2 (array).
     axes : str
         Axes of the device's own driver; the boxes below always lie along x right, y up, z towards the user.
-    workspace_mm : (float, float, float)
-        Nominal box; of an array (columns * pitch, rows * pitch, depth that is pooled).
+    workspace_mm, physical_mm : (float, float, float)
+        Nominal box, of an array (columns * pitch, rows * pitch, depth that is pooled); the box that is reached.
     lattice : (int, int, int)
         Samples along the box; of an array (columns, rows, 1).
-    force_max_n : float
-        Peak force; of an array the force that drives an actuator fully.
-    force_continuous_n, rate_hz, resolution_mm : float or None
-        Continuous force, update rate and position resolution, where known.
-    physical_mm : (float, float, float) or None
-        The box that the device reaches, where known.
-    stiffness_n_per_m : (float, float, float) or None
-        Stiffness that the device can show along x, y, z, where known.
-    pitch_mm : float or None
-        Distance between neighbouring actuators of an array.
-    levels : int or None
-        Steps of one actuator, zero included, where known.
-    panels : int
-        How many such arrays there are, as front and back of a vest; the filter fills one.
-    torque_max_nm, torque_continuous_nm : float or None
-        Peak and continuous torque, newton metres; None: it shows no torque.
-    inertia_kg, damping_n_s_per_m, friction_n : float or None
-        Apparent mass at the tip, its viscous damping and its friction, where known; `render.spec` assumes the
-        worst of what is not.
-    delay_ms : float or None
-        From a place that is told to a force that acts, beside sampling and holding, where known.
+    force_max_n, force_continuous_n, torque_max_nm, torque_continuous_nm : float
+        Peak and continuous force (of an array the force that drives an actuator fully) and torque.
+    rate_hz, resolution_mm, stiffness_n_per_m
+        Update rate, position resolution, and the stiffness that it can show along x, y, z.
+    pitch_mm, levels, panels
+        Of an array: distance between neighbours, steps of one actuator, zero included, and how many such arrays there
+        are, as front and back of a vest; the filter fills one.
+    inertia_kg, damping_n_s_per_m, friction_n, delay_ms : float
+        Apparent mass at the tip, viscous damping, friction, and the time from a place that is told to a force that
+        acts, beside sampling and holding; `render.walls` assumes the worst of what is not known.
     sources : mapping of str to str
         Where each value comes from.
     """
@@ -235,12 +222,7 @@ def devices() -> tuple[Device, ...]:
 def device(name_or_path: str | Path) -> Device:
     """The device of a name, or of the path of a TOML profile.
 
-    Raises
-    ------
-    InvalidArgument
-        If it is neither a known name nor the path of a file.
-    DeviceError
-        If the profile cannot be read or is unusable.
+    `InvalidArgument` if it is neither; `DeviceError` if the profile cannot be read or is unusable.
     """
     text = str(name_or_path)
     if text in device_names():

@@ -28,7 +28,7 @@ from touchfield.stream.mux import demux
 from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.browser import page_of
 from touchfield.viewer.page import write_png
-from touchfield.viewer.preview import PreviewSpec, draw_shadows, shadows
+from touchfield.viewer.picture import PreviewSpec, draw_shadows, shadows
 
 _MOST_FRAMES: Final = 30  # of a medium in memory, which is coded for the page
 _HEIGHT_PX: Final = 640

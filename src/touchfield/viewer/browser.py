@@ -45,18 +45,9 @@ def page_of(
 ) -> str:
     """The page with a ``.touch`` file within, and perhaps a movie beside it, on one clock.
 
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    name : str
-        What the page calls it.
-    figures : mapping, optional
-        What is known beyond the file, by the keys of ``touchfield info --json`` and ``compare --json``.
-    movie : (bytes, str, float), optional
-        A file that browsers play, its media type, and its second at which the touch begins.
-    source : bytes, optional
-        What was encoded, as a file on the same lattice: the page shows it, and the difference, too.
+    `figures` is what is known beyond the file, by the keys of ``touchfield info --json`` and ``compare --json``;
+    `movie` a file that browsers play, its media type, and its second at which the touch begins; `source` what was
+    encoded, as a file on the same lattice: the page shows it, and the difference, too.
     """
     told = json.dumps(figures, default=str).replace("<", "\\u003c")  # no word of a stranger's ends the element
     medium = base64.b64encode(data).decode("ascii")

@@ -24,16 +24,7 @@ _MOST_IN_LABEL = 40
 
 @dataclass(frozen=True)
 class Bar:
-    """One bar: a value, and its interval where there is one.
-
-    Attributes
-    ----------
-    label : str
-    value : float
-    interval : (float, float) or None
-    is_actual : bool
-        What something takes, rather than a limit to it.
-    """
+    """A value, and its interval where there is one; `is_actual`: what something takes, rather than a limit to it."""
 
     label: str
     value: float
@@ -43,17 +34,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class DeviceBars:
-    """Equations 1 to 3 for one device.
-
-    Attributes
-    ----------
-    name : str
-    capacity_bits : float
-        C, bits a frame.
-    wmr, hil : float
-        NaN where they do not exist.
-    wmr_interval : (float, float) or None
-    """
+    """Equations 1 to 3 for one device: C in bits a frame; WMR and HIL are NaN where they do not exist."""
 
     name: str
     capacity_bits: float
@@ -64,17 +45,7 @@ class DeviceBars:
 
 @dataclass(frozen=True)
 class InformationView:
-    """Content of `draw_information`.
-
-    Attributes
-    ----------
-    title : str
-    unit : str
-        Of the bars.
-    bars : sequence of Bar
-        From the top down.
-    devices : sequence of DeviceBars
-    """
+    """Content of `draw_information`: bars in `unit`, from the top down, and devices."""
 
     title: str
     unit: str
@@ -83,10 +54,7 @@ class InformationView:
 
 
 def draw_information(path: Path, view: InformationView) -> None:
-    """Write the picture as PNG.
-
-    Raises MissingExtra if matplotlib is not installed.
-    """
+    """Write the picture as PNG; `MissingExtra` if matplotlib is not installed."""
     # a device takes a line of words and the bar below it
     rows = [0.7 + each * len(part) for part, each in ((view.bars, 0.36), (view.devices, 0.5)) if part]
     figure = titled_figure("the picture of a measurement", view.title, _WIDTH_INCH, 0.9 + sum(rows))
@@ -100,6 +68,8 @@ def draw_information(path: Path, view: InformationView) -> None:
 
 def _draw_bars(panel: Any, view: InformationView) -> None:
     """Points on a scale of powers: raw numbers and the best limit may lie a factor of a thousand apart."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
     values = [v for b in view.bars for v in (b.value, *(b.interval or ())) if v > 0]
     low, high = min(values, default=0.1), max(values, default=1.0)
     left, right = low / 1.6, high * 1.6 * (high / low) ** 0.15  # room for the last number
@@ -113,16 +83,19 @@ def _draw_bars(panel: Any, view: InformationView) -> None:
         # no place on this scale is 0: an arrow at its lower end says that the point lies beyond
         shape = "o" if bar.value > 0 else "<"
         panel.plot(max(bar.value, left), place, shape, ms=7, color=colour, clip_on=False)
-        panel.annotate(_number(bar.value), (edge, place), (7, 0), textcoords="offset points", va="center",
+        number = "none" if bar.value != bar.value else f"{bar.value + 0.0:.4g}"  # no sign on 0
+        panel.annotate(number, (edge, place), (7, 0), textcoords="offset points", va="center",
                        fontsize=8, parse_math=False)  # fmt: skip
     panel.set_xscale("log")
     panel.set_xlim(left, right)
-    _plain_powers(panel.xaxis, right / left)
-    panel.set_ylim(len(view.bars) - 0.5, -0.5)
-    _name_rows(panel, [b.label for b in view.bars])
+    # ticks at 1, 2 and 5, or at powers of ten alone over a long scale, each written out as a number
+    panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if right / left < 1e4 else (1.0,)))
+    panel.xaxis.set_major_formatter(
+        FuncFormatter(lambda x, _: np.format_float_positional(x, 6, fractional=False, trim="-"))
+    )
+    panel.xaxis.set_minor_formatter(NullFormatter())
     panel.grid(axis="y", color="0.9")
-    panel.set_xlabel(view.unit, fontsize=8, parse_math=False)
-    _plain(panel)
+    _finish(panel, [b.label for b in view.bars], view.unit)
 
 
 def _draw_devices(panel: Any, devices: Sequence[DeviceBars]) -> None:
@@ -139,32 +112,16 @@ def _draw_devices(panel: Any, devices: Sequence[DeviceBars]) -> None:
                        clip_on=False)  # fmt: skip
         text = f"C = {d.capacity_bits + 0.0:,.0f} bit/frame   WMR {d.wmr + 0.0:.3g}   HIL {d.hil + 0.0:.5g}"
         panel.text(0.005, place - 0.22, text, va="center", fontsize=8, parse_math=False)
-    panel.set_ylim(len(devices) - 0.5, -0.5)
-    _name_rows(panel, [d.name for d in devices])
     panel.set_xlim(0, 1)
-    panel.set_xlabel("share of the medium's information: rendered (WMR, blue) and lost (HIL, grey)", fontsize=8)
-    _plain(panel)
+    share = "share of the medium's information: rendered (WMR, blue) and lost (HIL, grey)"
+    _finish(panel, [d.name for d in devices], share)
 
 
-def _number(value: float) -> str:
-    """Four digits, and no sign on 0."""
-    return "none" if value != value else f"{value + 0.0:.4g}"
-
-
-def _name_rows(panel: Any, names: Sequence[str]) -> None:
+def _finish(panel: Any, names: Sequence[str], label: str) -> None:
+    """A row for each name, from the top down."""
+    panel.set_ylim(len(names) - 0.5, -0.5)
     panel.set_yticks(range(len(names)), [shortened(n, _MOST_IN_LABEL) for n in names], fontsize=8, parse_math=False)
-
-
-def _plain_powers(axis: Any, ratio: float) -> None:
-    """Ticks at 1, 2 and 5, or at powers of ten alone over a long scale, each written out as a number."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 1e4 else (1.0,)))
-    axis.set_major_formatter(FuncFormatter(lambda x, _: np.format_float_positional(x, 6, fractional=False, trim="-")))
-    axis.set_minor_formatter(NullFormatter())
-
-
-def _plain(panel: Any) -> None:
+    panel.set_xlabel(label, fontsize=8, parse_math=False)
     panel.tick_params(labelsize=8)
     for side in ("top", "right"):
         panel.spines[side].set_visible(False)

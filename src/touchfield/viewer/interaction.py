@@ -5,6 +5,7 @@ Times on the left, places on the right; where the hand was in contact the backgr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -29,24 +30,10 @@ _SHORTEST_S: Final = 0.02
 
 @dataclass(frozen=True)
 class InteractionView:
-    """Content of `draw_interaction`.
+    """Content of `draw_interaction`, float64 [n] or [n, 3].
 
-    Attributes
-    ----------
-    title, caption : str
-    axes : str
-        The medium's wording of its axes.
-    times_s : float64 [n]
-    positions_m : float64 [n, 3]
-        Of the hand, in the field's axes.
-    field_n, friction_n : float64 [n, 3]
-        The field's force at the hand, and friction, in the field's axes.
-    put_n : float64 [n, 3]
-        What the device was told to push with, in its own axes.
-    peak_n : float
-    continuous_n : float or None
-    background : ForceField or None
-        A frame whose support is drawn behind the path.
+    Places of the hand, the field's force there and friction are in the field's axes, which `axes` words; what the
+    device was told to push with is in its own. The support of `background` is drawn behind the path.
     """
 
     title: str
@@ -79,17 +66,14 @@ def contacts(times_s: Float64s, field_n: Float64s) -> list[tuple[float, float]]:
 
 
 def draw_interaction(path: Path, view: InteractionView) -> None:
-    """Write the picture as PNG.
-
-    Raises MissingExtra if matplotlib is not installed.
-    """
+    """Write the picture as PNG; `MissingExtra` if matplotlib is not installed."""
     figure = titled_figure("the picture of an interaction", f"{view.title}\n{view.caption}", 14.0, 9.0)
     places = figure.add_gridspec(3, 2, width_ratios=(3, 2))
     hand, force, parts = (figure.add_subplot(places[row, 0]) for row in range(3))
     spans = contacts(view.times_s, view.field_n)
-    _draw_hand(hand, view)
+    _draw_axes(hand, view.times_s, 1e3 * view.positions_m, "xyz", "hand, mm", title=view.axes, title_fontsize=7)
     _draw_force(force, view)
-    _draw_parts(parts, view)
+    _draw_axes(parts, view.times_s, view.put_n, ("Fx", "Fy", "Fz"), "put out, N\n(device's axes)")
     for axis in (hand, force, parts):
         for begin, end in spans:
             axis.axvspan(begin, end, color=_CONTACT, alpha=0.22, lw=0)
@@ -119,11 +103,11 @@ def _name_contacts(axis: Any, spans: list[tuple[float, float]]) -> None:
         free = end + width
 
 
-def _draw_hand(axis: Any, view: InteractionView) -> None:
-    for i, name in enumerate("xyz"):
-        axis.plot(view.times_s, 1e3 * view.positions_m[:, i], color=_HUES[i], lw=1.2, label=name)
-    axis.set_ylabel("hand, mm")
-    axis.legend(loc="upper right", ncols=3, fontsize=8, title=view.axes, title_fontsize=7)
+def _draw_axes(axis: Any, times_s: Float64s, rows: Float64s, names: Sequence[str], label: str, **legend: Any) -> None:
+    for name, hue, line in zip(names, _HUES, rows.T):
+        axis.plot(times_s, line, color=hue, lw=1.2, label=name)
+    axis.set_ylabel(label)
+    axis.legend(loc="upper right", ncols=3, fontsize=8, **legend)
 
 
 def _draw_force(axis: Any, view: InteractionView) -> None:
@@ -139,13 +123,6 @@ def _draw_force(axis: Any, view: InteractionView) -> None:
                           va="bottom", color="0.35")  # fmt: skip
     axis.set_ylabel("|F|, N")
     axis.set_ylim(0, 1.2 * axis.get_ylim()[1])  # room for the legend
-    axis.legend(loc="upper right", ncols=3, fontsize=8)
-
-
-def _draw_parts(axis: Any, view: InteractionView) -> None:
-    for i, name in enumerate("xyz"):
-        axis.plot(view.times_s, view.put_n[:, i], color=_HUES[i], lw=1.0, label=f"F{name}")
-    axis.set_ylabel("put out, N\n(device's axes)")
     axis.legend(loc="upper right", ncols=3, fontsize=8)
 
 

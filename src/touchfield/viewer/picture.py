@@ -1,13 +1,13 @@
-"""The picture of a comparison: source, decoded, and error in units of the mask, side by side.
+"""Pictures of fields: a comparison (source, decoded, error in units of the mask), and a field in its workspace.
 
-Colours are perceptually even and safe for the colour-blind; source and decoded share one scale; every scale
-carries its unit.
+Colours are perceptually even and safe for the colour-blind; what is compared shares one scale, with its unit.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,9 @@ from touchfield.viewer.page import titled_figure, write_png
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from touchfield.medium import ForceField
+    from matplotlib.figure import Figure
+
+    from touchfield.medium import ForceField, Grid
 
 
 _X, _Y, _Z = 0, 1, 2
@@ -29,19 +31,8 @@ _EMPTY = "0.86"
 
 @dataclass(frozen=True)
 class PictureSpec:
-    """Texts around the panels.
-
-    Attributes
-    ----------
-    title : str
-    caption : str
-        The figures of the comparison, one or two lines.
-    axes : str
-        The medium's wording of its axes, "x right, y down, z forward".
-    k, f0_n : float
-        The mask max(F_0, k |F|).
-    columns : (str, str)
-        What the two fields are called.
+    """Texts around the panels: `axes` as the medium words them, "x right, y down, z forward"; the mask
+    max(F_0, k |F|); in `columns` what the two fields are called.
     """
 
     title: str
@@ -57,8 +48,7 @@ def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec:
 
     Rows: where a hand that comes from the viewer's side first feels a force; |F| on a slice along the line of
     sight; the direction on the same slice; of an array of actuators, |F| of each. Columns: source, decoded, error.
-
-    Raises MissingExtra if matplotlib is not installed.
+    `MissingExtra` if matplotlib is not installed.
     """
     panels = _Panels(original, decoded, spec)
     # an array of actuators is one sample deep: all there is to see is the force of each
@@ -123,9 +113,7 @@ class _Panels:
 
     def _mask_bar(self, figure: Any, panel: Any, up: int, values: NDArray[Any], title: str) -> None:
         worst = self._image(panel, up, values, title, vmin=0, vmax=2, cmap="PuOr_r")
-        figure.colorbar(worst, ax=panel, shrink=0.85, extend="max").set_label(
-            f"|error| / max({self.spec.f0_n:g} N, {self.spec.k:g} |F|)", fontsize=8
-        )
+        _bar(figure, worst, panel, f"|error| / max({self.spec.f0_n:g} N, {self.spec.k:g} |F|)", extend="max")
 
     # -- rows ---------------------------------------------------------------------------------------------
 
@@ -142,17 +130,13 @@ class _Panels:
             scale |= {"vmin": low, "vmax": high}
         for panel, depth, name in zip(row, depths, self.spec.columns, strict=False):
             shown = self._image(panel, _Y, depth, f"{name}: first contact along z", **scale)
-        figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("z of first contact / mm", fontsize=8)
+        _bar(figure, shown, list(row[:2]), "z of first contact / mm")
         worst = np.nanmax(np.where(np.isnan(self.error), -1, self.error), axis=_Z)
         self._mask_bar(figure, row[2], _Y, np.where(worst < 0, np.nan, worst), "worst error along z")
 
     def draw_actuators(self, figure: Any, row: Any) -> None:
         """|F| of each actuator of an array."""
-        for panel, force, name in zip(row, self.forces, self.spec.columns, strict=False):
-            felt = np.where(force[:, :, 0] > 0, force[:, :, 0], np.nan)
-            shown = self._image(panel, _Y, felt, f"{name} |F|", vmin=0, vmax=self.top_n, cmap="cividis")
-        figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("|F| / N", fontsize=8)
-        self._mask_bar(figure, row[2], _Y, self.error[:, :, 0], "error, in units of the mask")
+        self._draw_sizes(figure, row, _Y, (slice(None), slice(None), 0), "")
 
     def _contact_mm(self, force: Float32s) -> Float64s:
         felt = force > self.spec.f0_n
@@ -166,24 +150,26 @@ class _Panels:
 
     def draw_amplitudes(self, figure: Any, row: Any) -> None:
         """|F| on the slice with the most force."""
+        self._draw_sizes(figure, row, _Z, (slice(None), self.cut), f", {self._slice_name()}")
+
+    def _draw_sizes(self, figure: Any, row: Any, up: int, cut: tuple[Any, ...], where: str) -> None:
         for panel, force, name in zip(row, self.forces, self.spec.columns, strict=False):
-            cut = np.where(force[:, self.cut] > 0, force[:, self.cut], np.nan)
-            title = f"{name} |F|, {self._slice_name()}"
-            shown = self._image(panel, _Z, cut, title, vmin=0, vmax=self.top_n, cmap="cividis")
-        figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("|F| / N", fontsize=8)
-        self._mask_bar(figure, row[2], _Z, self.error[:, self.cut], "error, in units of the mask")
+            felt = np.where(force[cut] > 0, force[cut], np.nan)
+            shown = self._image(panel, up, felt, f"{name} |F|{where}", vmin=0, vmax=self.top_n, cmap="cividis")
+        _bar(figure, shown, list(row[:2]), "|F| / N")
+        self._mask_bar(figure, row[2], up, self.error[cut], "error, in units of the mask")
 
     def draw_directions(self, figure: Any, row: Any) -> None:
         """Direction on the same slice, and by how many degrees it is off."""
         units = [_unit(v[:, self.cut]) for v in self.vectors]
         for panel, unit, name in zip(row, units, self.spec.columns, strict=False):
             shown = self._quiver(panel, unit, f"{name} direction, {self._slice_name()}")
-        figure.colorbar(shown, ax=list(row[:2]), shrink=0.85).set_label("part of the force along y", fontsize=8)
+        _bar(figure, shown, list(row[:2]), "part of the force along y")
         held = np.logical_and(*((u != 0).any(-1) for u in units))
         across = np.linalg.norm(np.cross(units[0], units[1]), axis=-1)
         angle = np.where(held, np.degrees(np.arctan2(across, (units[0] * units[1]).sum(-1))), np.nan)
         worst = self._image(row[2], _Z, angle, "direction error", vmin=0, vmax=20, cmap="cividis")
-        figure.colorbar(worst, ax=row[2], shrink=0.85, extend="max").set_label("angle / degrees", fontsize=8)
+        _bar(figure, worst, row[2], "angle / degrees", extend="max")
 
     def _quiver(self, panel: Any, unit: Float32s, title: str) -> Any:
         extent = self._frame(panel, _Z, title)
@@ -205,6 +191,10 @@ class _Panels:
         return arrows
 
 
+def _bar(figure: Any, image: Any, panels: Any, label: str, **style: Any) -> None:
+    figure.colorbar(image, ax=panels, shrink=0.85, **style).set_label(label, fontsize=8)
+
+
 def _span(held: Bools, count: int) -> slice:
     """The range that is held, with a margin of a twentieth; all if nothing is."""
     places = np.flatnonzero(held)
@@ -218,3 +208,90 @@ def _unit(vectors: Float32s) -> Float32s:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     unit: Float32s = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
     return unit
+
+
+# -- a field in its workspace -----------------------------------------------------------------------------
+
+_PANELS: Final = (
+    ("from the viewer", (1, 0, 0), (0, 1, 0)),
+    ("from the side", (0, 0, -1), (0, 1, 0)),
+    ("from above", (1, 0, 0), (0, 0, -1)),
+)
+"""Each view, and what lies across and upwards in it: x right, y up, z towards the viewer."""
+
+_ROOM: Final = 0.12  # around the workspace, of its largest side
+
+
+@dataclass(frozen=True)
+class PreviewSpec:
+    """Words around the panels, and the signed permutation [3, 3] from x right, y up, z towards the viewer to the axes
+    of the fields.
+    """
+
+    title: str
+    caption: str
+    turn: Float64s
+
+
+def draw_shadows(path: Path, fields: Sequence[ForceField], spec: PreviewSpec) -> None:
+    """Write `shadows` as a PNG."""
+    write_png(shadows(fields, spec), path)
+
+
+def shadows(fields: Sequence[ForceField], spec: PreviewSpec) -> Figure:
+    """A figure of fields on one grid: three projections with the box of the grid, in millimetres."""
+    grid = fields[0].grid
+    low_mm, high_mm = (1e3 * corner for corner in grid.box_m)
+    sides = high_mm - low_mm
+    room = _ROOM * float(sides.max())
+    panels_of = [(name, *_seen(spec, across), *_seen(spec, up)) for name, across, up in _PANELS]
+    widths = [float(sides[across] + 2 * room) for _, across, _, _, _ in panels_of]
+    heights = [float(sides[up] + 2 * room) for *_, up, _ in panels_of]
+    height_inch = 1.6 + 13.0 * max(heights) / sum(widths)
+    figure = titled_figure("the preview of a field", f"{spec.title} (dashed)\n{spec.caption}", 15.0, height_inch)
+    from matplotlib.patches import Rectangle
+
+    panels = figure.subplots(1, 3, gridspec_kw={"width_ratios": widths})
+    top_n = max(max(float(f.support().amplitudes_n.max(initial=0.0)) for f in fields), 1e-6)
+    for panel, (name, across, is_left, up, is_down) in zip(panels, panels_of, strict=True):
+        shadow = _shadow(fields, grid, across, up)
+        image = panel.imshow(
+            np.where(shadow > 0, shadow, np.nan).T, origin="lower", interpolation="nearest", aspect="equal",
+            extent=(low_mm[across], high_mm[across], low_mm[up], high_mm[up]), cmap="viridis_r", vmin=0, vmax=top_n,
+        )  # fmt: skip
+        corner, size = (low_mm[across], low_mm[up]), (sides[across], sides[up])
+        panel.add_patch(Rectangle(corner, *size, fill=False, edgecolor="0.2", linewidth=1.2, linestyle="--"))
+        panel.set_xlim(low_mm[across] - room, high_mm[across] + room)
+        panel.set_ylim(low_mm[up] - room, high_mm[up] + room)
+        panel.set_title(name, fontsize=10)
+        panel.set_xlabel(f"{'xyz'[across]} / mm", fontsize=9)
+        panel.set_ylabel(f"{'xyz'[up]} / mm", fontsize=9)
+        panel.tick_params(labelsize=8)
+        if is_left:
+            panel.invert_xaxis()
+        if is_down:
+            panel.invert_yaxis()
+    style = {"xycoords": "axes fraction", "fontsize": 9, "color": "#d55e00", "fontweight": "bold"}
+    panels[1].annotate("viewer \N{DOWNWARDS ARROW}", (0.01, 0.5), rotation=90, va="center", ha="left", **style)
+    panels[2].annotate("viewer \N{UPWARDS ARROW}", (0.5, 0.01), va="bottom", ha="center", **style)
+    figure.colorbar(image, ax=list(panels), shrink=0.8, pad=0.01).set_label(
+        "greatest |F| along the sight / N", fontsize=9
+    )
+    return figure
+
+
+def _seen(spec: PreviewSpec, way: tuple[int, int, int]) -> tuple[int, bool]:
+    """Axis of the fields that lies along a way of the viewer's, and whether it points against it."""
+    along = spec.turn @ np.array(way, np.float64)
+    axis = int(np.argmax(np.abs(along)))
+    return axis, bool(along[axis] < 0)
+
+
+def _shadow(fields: Sequence[ForceField], grid: Grid, across: int, up: int) -> Float64s:
+    """The greatest force along the third axis, newtons, float64 [shape[across], shape[up]]."""
+    shadow = np.zeros((grid.shape[across], grid.shape[up]))
+    for field in fields:
+        support = field.support()
+        places = support.positions[:, across], support.positions[:, up]
+        np.maximum.at(shadow, places, support.amplitudes_n)
+    return shadow

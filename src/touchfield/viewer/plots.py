@@ -1,6 +1,6 @@
-"""Pictures of one idea each: a signal and its mask, modes, the fewest points, spectra of surfaces.
+"""Pictures of curves and places: a masked signal (paper figure 2), textures, a reduction, the fewest points.
 
-All raise `MissingExtra` if matplotlib is not installed.
+Each is written as PNG; `MissingExtra` where matplotlib is not installed.
 """
 
 from __future__ import annotations
@@ -19,15 +19,14 @@ if TYPE_CHECKING:
 
     from touchfield.medium import ForceField
 
-
 _QUANTISED, _FELT = "#0072b2", "#d55e00"
 
 
 def draw_masked_signal(path: Path, t_s: Float64s, x_n: Float64s, readings: Mapping[str, Float64s], k: float) -> None:
-    """Write a PNG with a column for each reading: the signal and Q of it, below the error and its mask (figure 2).
+    """Draw a column for each reading Q(x): above the signal and Q of it, below the error and its mask k x.
 
-    Times float64 [n], seconds; the signal float64 [n], newtons, not negative; `readings` are Q(x), newtons, by the
-    name above each. The mask is k x; an error beyond it, which a hand could feel, is drawn in orange.
+    Times are in seconds, the signal and its readings, by the names above them, in newtons, float64 [n]. An error
+    beyond the mask, which a hand could feel, is drawn in orange.
     """
     title = f"a force, quantised; its error, and the mask of {k:g} x"
     figure = titled_figure("the picture of a quantised signal", title, 4.3 * len(readings), 6.0)
@@ -49,9 +48,23 @@ def draw_masked_signal(path: Path, t_s: Float64s, x_n: Float64s, readings: Mappi
     write_png(figure, path)
 
 
+def draw_textures(path: Path, bands_hz: tuple[float, ...], rows: dict[str, Float64s], threshold_n: Float64s) -> None:
+    """Draw a line for each row, newtons rms [bands] by its label, and the threshold of a hand, likewise."""
+    figure = titled_figure("the picture of a texture", "vibration in thirds of an octave", 8.0, 4.5)
+    axis = figure.subplots()
+    for n, (label, levels_n) in enumerate(rows.items()):
+        shown = np.where(levels_n > 0, 1e3 * levels_n, np.nan)
+        axis.loglog(bands_hz, shown, "o-", ms=3, lw=1.2, color=f"C{n % 10}", label=label)
+    axis.fill_between(bands_hz, 1e3 * threshold_n, 1e3 * threshold_n.min() / 10, color="0.9", lw=0, label="not felt")
+    axis.set(xlabel="frequency / Hz", ylabel="force / mN rms")
+    axis.legend(fontsize=8)
+    write_png(figure, path)
+
+
 def draw_reduction(path: Path, values: Float64s, field: ForceField, felt: Bools, title: str) -> None:
-    """Write a PNG: the error after so many modes, by singular values; |F| on the section across z that most is left
-    out of, in red what is not `felt`, bool [nx, ny, nz].
+    """Draw the error after so many modes, by singular values; |F| on the section across z that most is left out of.
+
+    In red is what is not `felt`, bool [nx, ny, nz].
     """
     figure = titled_figure("the picture of a reduction", title, 11.0, 4.5)
     left, right = figure.subplots(1, 2)
@@ -78,7 +91,7 @@ def draw_points(
     rebuilt_n: Float64s | None,
     mask: tuple[float, float],
 ) -> None:
-    """Write a PNG of forces, newtons [m, 3], at places, metres [m, 3], seen along the axis of least extent.
+    """Draw forces, newtons [m, 3], at places, metres [m, 3], seen along the axis of least extent.
 
     Points [n, 3] are rings. Without `rebuilt_n` they are yet to be measured; with it a panel of it follows, and one
     of the error over the `mask` max(F_0, k |F|), (k, F_0), the worst on top.
@@ -99,22 +112,6 @@ def draw_points(
         dots = axis.scatter(*1e3 * places_m[order][:, [across, up]].T, c=values[order], s=6, lw=0, **style)
         axis.scatter(*1e3 * points_m[:, [across, up]].T, s=40, facecolors="none", edgecolors="C3", lw=1.3)
         axis.set_title(name, fontsize=10)
-        axis.set_xlabel(f"{'xyz'[across]} / mm")
-        axis.set_ylabel(f"{'xyz'[up]} / mm")
-        axis.set_aspect("equal")
+        axis.set(xlabel=f"{'xyz'[across]} / mm", ylabel=f"{'xyz'[up]} / mm", aspect="equal")
         figure.colorbar(dots, ax=axis, shrink=0.8).set_label(label, fontsize=9)
-    write_png(figure, path)
-
-
-def draw_textures(path: Path, bands_hz: tuple[float, ...], rows: dict[str, Float64s], threshold_n: Float64s) -> None:
-    """Write a PNG with a line for each row, newtons rms [bands] by its label, and the threshold, likewise."""
-    figure = titled_figure("the picture of a texture", "vibration in thirds of an octave", 8.0, 4.5)
-    axis = figure.subplots()
-    for n, (label, levels_n) in enumerate(rows.items()):
-        shown = np.where(levels_n > 0, 1e3 * levels_n, np.nan)
-        axis.loglog(bands_hz, shown, "o-", ms=3, lw=1.2, color=f"C{n % 10}", label=label)
-    axis.fill_between(bands_hz, 1e3 * threshold_n, 1e3 * threshold_n.min() / 10, color="0.9", lw=0, label="not felt")
-    axis.set_xlabel("frequency / Hz")
-    axis.set_ylabel("force / mN rms")
-    axis.legend(fontsize=8)
     write_png(figure, path)
