@@ -18,8 +18,6 @@ from touchfield.sources.recording import STANDARD_GRAVITY_M_S2
 if TYPE_CHECKING:
     from touchfield.render.material import Material
 
-__all__: list[str] = []
-
 RUBBED = tuple(row for row in BESIDE if row[0] != "vibration")
 
 Medium = Annotated[str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti).", metavar="MEDIUM")]

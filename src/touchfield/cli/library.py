@@ -12,8 +12,6 @@ from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, enco
 from touchfield.cli.show import check_picture, is_same_file, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 
-__all__: list[str] = []
-
 Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
 IndexFile = Annotated[
     Path | None, typer.Option("--index", help="File of the index; default: FOLDER.index.npz beside the folder.")

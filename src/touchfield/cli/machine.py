@@ -13,8 +13,6 @@ from touchfield.cli.main import Json, command
 from touchfield.cli.show import literal_console, progress, show
 from touchfield.devices import devices as profiles
 
-__all__: list[str] = []
-
 _TOLD = (
     "title", "type", "axes", "workspace_mm", "lattice", "force_max_n", "force_continuous_n", "rate_hz",
     "resolution_mm", "physical_mm", "pitch_mm", "levels", "panels", "sources",

@@ -38,8 +38,6 @@ from touchfield.cuda import computing
 from touchfield.errors import InvalidArgument
 from touchfield.job import Plan, Trial
 
-__all__: list[str] = []
-
 LATER = {"touch": ("passes", "columns")}
 """Of a coder, what is compiled last, and longest, before a first field is coded."""
 

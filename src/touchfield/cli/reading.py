@@ -9,8 +9,6 @@ from touchfield.cli.main import FieldFile, Json, Stream, command
 from touchfield.cli.show import keep_source, progress, show
 from touchfield.errors import CorruptFile
 
-__all__: list[str] = []
-
 
 @command("Look", "info room.touch", "info room.touch --voxels --json")
 def info(
