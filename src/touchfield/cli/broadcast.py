@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from touchfield.stream.live import LiveSegment, LiveSender
     from touchfield.stream.udp import Layer
 
-
 _LIVE: Final = (
     "As of `encode`; or camera:N (a depth camera, by OpenCV), watch:FOLDER (pictures that are put there), "
     "- (PNG pictures on standard input)."

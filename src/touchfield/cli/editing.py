@@ -11,6 +11,8 @@ from touchfield.cli.main import Asked, Json, command
 from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, frames_of
 from touchfield.cli.show import check_picture, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
+from touchfield.filters.registry import length_m
+from touchfield.job import editing
 from touchfield.sources.recording import STANDARD_GRAVITY_M_S2
 
 if TYPE_CHECKING:
@@ -54,9 +56,6 @@ def edit(
     as_json: Json = False,
 ) -> None:
     """Change MEDIUM within a region; outside it every sample stays as it was."""
-    from touchfield.filters.registry import length_m
-    from touchfield.job import editing
-
     if frames is not None and ":" not in frames:
         raise InvalidArgument("--frames", repr(frames), "START:STOP, such as 0:24")
     span = frames_of("--frames", frames)
@@ -77,8 +76,6 @@ def splice(
     as_json: Json = False,
 ) -> None:
     """Join media one after the other, all on the lattice and at the rate of the first."""
-    from touchfield.job import editing
-
     if len(media) < 2:
         raise InvalidArgument("touchfield splice", f"{len(media)} file", "media to join, and OUT.touch behind them")
     with progress("splice") as report:
@@ -100,9 +97,6 @@ def resample(
     as_json: Json = False,
 ) -> None:
     """Bring MEDIUM onto another lattice or to another rate, and tell what a receiver then lacks."""
-    from touchfield.filters.registry import length_m
-    from touchfield.job import editing
-
     samples = None if shape is None else counts_of("--shape", shape)
     lattice = nw, samples, None if spacing is None else length_m(spacing, "--spacing")
     with progress("resample") as report:
@@ -124,8 +118,6 @@ def lod(
     as_json: Json = False,
 ) -> None:
     """Make levels of detail of MEDIUM, each a file with its bytes and its error."""
-    from touchfield.job import editing
-
     with progress("lod", "level") as report:
         done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(asked), report)
     if as_json:

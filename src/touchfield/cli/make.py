@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from touchfield import job
 from touchfield.cli.main import Asked, Json, Source, Stream, Trajectory, command
 from touchfield.cli.options import (
     BESIDE,
@@ -64,8 +65,6 @@ def encode(
     device_compute: DeviceCompute = "cpu",
 ) -> None:
     """Turn SOURCE into a .touch file."""
-    from touchfield import job
-
     out = Path(to)
     keep_source(source, out)
     spec, target = encode_spec(asked), target_of(asked)
@@ -107,7 +106,6 @@ def filter_(
     workers: Workers = None,
 ) -> None:
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
-    from touchfield import job
     from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 
     spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
@@ -162,8 +160,6 @@ def field(
     device_compute: DeviceCompute = "cpu",
 ) -> None:
     """Write the device-filtered force field before coding, what `encode` starts from; or draw it, with --preview."""
-    from touchfield import job
-
     if out is None and preview is None:
         raise InvalidArgument("touchfield field makes FIELD.npz or FIELD.vti, or draws --preview PNG: name one")
     check_picture(source, preview)
@@ -197,8 +193,6 @@ def plan(
     as_json: Json = False,
 ) -> None:
     """Find the lattice and the settings that spend a budget best; --nw is the finest of three lattices."""
-    from touchfield import job
-
     amount, search, spec = job.parse_budget(budget), job.PlanGrid(), encode_spec(asked)
     if spec.nw is None:
         raise InvalidArgument("--nominal does not go with plan: name --nw, the finest lattice to try")
