@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -217,6 +218,17 @@ def test_a_still_medium_takes_of_a_rate_what_one_second_carries() -> None:
     made = plan(scene, 64_000.0, SPEC, search)
     assert (made.budget, made.unit) == (8000, "bytes") and made.chosen.file_bytes <= 8000
     assert not any("bits_per_s" in key for key in (*made.summary(), *made.summary()["trials"][0]))
+
+
+def test_what_cannot_be_is_refused_before_the_finest_lattice_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    import touchfield.job.plan  # noqa: F401
+
+    module, asked = sys.modules["touchfield.job.plan"], []
+    was = module.prepare
+    monkeypatch.setattr(module, "prepare", lambda scene, spec: asked.append(spec.nw) or was(scene, spec))
+    with pytest.raises(InvalidArgument, match=r"at least \d+ bit/s, the nearest \(--nw 4"):
+        plan(drifting(), 100.0, SPEC, PlanGrid((4, 5), (0.1, 0.4), (0.1, 0.4), ("ico3",)))
+    assert asked == [4]
 
 
 def test_a_choice_that_a_hand_feels_is_told() -> None:

@@ -101,6 +101,12 @@ class PlanGrid:
         if not self.nw or not (self.k or self.step_n or self.directions):
             raise InvalidArgument("plan", "no setting to try", "a lattice, and a k, a step or a direction codebook")
 
+    @property
+    def coarsest(self) -> PlanGrid:
+        """Of these the settings that take least: the coarsest lattice, the weakest promise, the greatest step."""
+        greatest = {name: (max(axis),) for name in ("k", "step_n", "paper_k") if (axis := getattr(self, name))}
+        return replace(self, nw=(min(self.nw),), nq=self.nq and (min(self.nq),), **greatest)
+
     def specs(self, asked: EncodeSpec) -> list[EncodeSpec]:
         """Every setting on the lattice of `asked`."""
         touch = asked.touch
@@ -329,7 +335,7 @@ def plan(
     A number as `budget` is bits a second; `spec` is of coder `touch`: its k and F_0 are the mask that is reported,
     its effort that of every trial. `report` gets ``(done, total)`` in settings; with `executor` its workers try them.
     TouchfieldError if a setting is not possible, the frames hold no force, or nothing is within the budget; the
-    message then names what takes least.
+    message then names what takes least. The settings that take least are tried first, so that this is told soon.
     """
     spec, search = spec or EncodeSpec(), search or PlanGrid()
     budget = budget if isinstance(budget, Budget) else Budget(bits_per_s=budget)
@@ -337,23 +343,29 @@ def plan(
         raise InvalidArgument("plan", f"coder {spec.coder}", "coder touch; the paper's is tried, too")
     asked = replace(spec, representation="voxel", touch=replace(spec.touch, mode="mask"))
     scene = open_scene(source, spec.source)
-    mask, total = (spec.touch.k, spec.touch.f0_n), 0
-    lattice = None
+    mask = spec.touch.k, spec.touch.f0_n
 
-    def tries() -> Iterator[tuple[Lattice, EncodeSpec]]:
-        nonlocal total, lattice
-        for lattice in _lattices(scene, asked, sorted(search.nw)):
-            specs = search.specs(lattice.spec)
-            total = len(specs) * (1 if lattice.is_array else len(search.nw))
-            yield from ((lattice, one) for one in specs)
+    def searched(grid: PlanGrid, report: Report) -> Plan:
+        total, lattice = 0, None
 
-    trials: list[Trial] = []
-    for trial in in_order(partial(_trial, mask), tries(), executor=executor):
-        trials.append(trial)
-        report(len(trials), total)
-    assert lattice is not None
-    amount, unit = budget.of(lattice.frames, lattice.rate_hz)
-    return Plan(tuple(trials), *mask, amount, str(source), len(lattice.reference), unit)
+        def tries() -> Iterator[tuple[Lattice, EncodeSpec]]:
+            nonlocal total, lattice
+            for lattice in _lattices(scene, asked, sorted(grid.nw)):
+                specs = grid.specs(lattice.spec)
+                total = len(specs) * (1 if lattice.is_array else len(grid.nw))
+                yield from ((lattice, one) for one in specs)
+
+        trials: list[Trial] = []
+        for trial in in_order(partial(_trial, mask), tries(), executor=executor):
+            trials.append(trial)
+            report(len(trials), total)
+        assert lattice is not None
+        amount, unit = budget.of(lattice.frames, lattice.rate_hz)
+        return Plan(tuple(trials), *mask, amount, str(source), len(lattice.reference), unit)
+
+    if search.coarsest != search:
+        searched(search.coarsest, silent)  # refuses what cannot be before a finer lattice is made
+    return searched(search, report)
 
 
 class Lattice(NamedTuple):
