@@ -48,7 +48,7 @@ _PUSH_SHARE: Final = 0.25  # of a device's greatest force, where its continuous 
 
 @dataclass(frozen=True)
 class ReductionSpec:
-    """What is asked of `reduce_medium`.
+    """Wishes of `reduce_medium`: its modes, and the hand.
 
     `modes` is "global" (whole frames) or "bricks"; `rank` how many are kept, by default as many as `decibels` needs.
     `push_n`, `mass_kg` and `speed_m_s` are the hand's, by default the continuous force of `device` (or that of the

@@ -52,7 +52,7 @@ class Kernel:
 
 
 class _Posterior:
-    """What is known at candidates once some are measured."""
+    """Knowledge at candidates once some are measured."""
 
     def __init__(self, points_m: Float64s, kernel: Kernel, most: int) -> None:
         if not 1 <= most <= len(points_m):

@@ -65,7 +65,7 @@ class Modes:
         return replace(self, basis=self.basis[:, :rank])
 
     def coefficients(self, snapshots: ArrayLike) -> Float64s:
-        """What each mode has in each snapshot, float64 [n, r], of snapshots [n, d]."""
+        """Coefficients of each mode in each snapshot, float64 [n, r], of snapshots [n, d]."""
         given = _matrix(snapshots)
         if given.shape[1] != len(self.basis):
             found, expected = given.shape[1], len(self.basis)
@@ -178,7 +178,7 @@ class ModePoints:
         return max(1.0, float(scipy.linalg.svdvals(self._solver())[0]))
 
     def coefficients(self, measured_n: Float64s) -> Float64s:
-        """What each mode has in each snapshot by least squares, float64 [m, r], of measured forces [m, n, 3]."""
+        """Coefficients of each mode by least squares, float64 [m, r], of measured forces [m, n, 3]."""
         return np.asarray(np.reshape(measured_n, (-1, len(self.rows))) @ self._solver().T)
 
     def _solver(self) -> Float64s:

@@ -89,7 +89,7 @@ _ALONE: Final = {
 
 
 def _value(where: str, key: str, value: Any) -> Any:
-    """What a key holds, checked."""
+    """The value of a key, checked."""
     if key in _RANGES:
         least, most = _RANGES[key]
         checked = number(where, value)
