@@ -185,7 +185,7 @@ def test_a_part_that_is_damaged_before_the_join_is_named(
 
     def damaged(self: Any, stretch: Any, part: Any) -> None:
         write(self, stretch, part)
-        path = self.path(stretch)
+        path = self.part(stretch)[0]
         data = bytearray(path.read_bytes())
         data[len(data) // 2] ^= 1
         path.write_bytes(data)

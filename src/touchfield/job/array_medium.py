@@ -1,12 +1,10 @@
 """A stream on an array of actuators (type 2, paper section 5.1): its medium there, and the drives.
 
-A stream that was made for an array of the same columns and rows goes through as it is. Any other, a field in space or
-an array of another size, is pooled onto the actuators as the device filter does it for any stored field, the
-placement being "fit". The drive of an actuator is |F| over the force that drives it fully, cut to 0 to 1. Where the
-medium carries a vibration band, the greater of |F| and the band's amplitude is taken: an actuator has one drive for
-both, and their sum would count a band that was made from the force twice. The frequencies are handed on for devices
-that take them. Departure from the paper: its array has one panel. Of a device with several the medium fills one, in
-front by default.
+A stream for an array of the same columns and rows goes through as it is; any other is pooled onto the actuators as
+the device filter does it for any stored field, the placement being "fit". The drive of an actuator is |F| over the
+force that drives it fully, cut to 0 to 1, or the amplitude of the vibration band where that is greater: their sum
+would count a band that was made from the force twice. Departure from the paper: its array has one panel. Of a device
+with several the medium fills one, in front by default.
 """
 
 from __future__ import annotations
@@ -158,10 +156,7 @@ def _pooled_band(band: VibrationBand, placement: Placement, grid: Grid) -> Vibra
 
 
 def _reached(source: Grid, placement: Placement, grid: Grid, axis: int) -> tuple[Int64s, Int64s]:
-    """The actuators that each sample of the source reaches along an axis: first, and behind the last, int64 [n].
-
-    A sample reaches the actuator in whose area it lies, and those whose middle lies in its own cell.
-    """
+    """First and behind the last actuator along an axis in whose area a sample lies, or whose middle in its cell."""
     hand = placement.to_hand(source)
     middle = (hand.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis]
     half = hand.spacing_m[axis] / grid.spacing_m[axis] / 2

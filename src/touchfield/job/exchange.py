@@ -5,10 +5,9 @@ stream + trajectory of a probe -> force over time -> .hjif, .wav                
 stream -> the page in the browser -> .html                                        `export`
 .hjif, .hmpg, .ahap -> drives -> symbolic medium -> stream   `import_effect`
 
-The force over time is that of the field where the probe is: at every tick of the file, a thousand a second or more
-(fewer beyond 65 s), the probe going straight from one sample to the next. Before its first sample the probe waits
-there; behind the last frame the field stays as it is. What the receiver adds, friction and damping and the
-limits of its device, depends on the hand, and is not in it; only what exceeds the device's peak is shortened to it.
+The force over time is that of the field where the probe is, at every tick of the file, a thousand a second or more
+(fewer beyond 65 s), the probe going straight from one sample to the next and waiting at the first. What the receiver
+adds, friction, damping and its device's limits, depends on the hand: only what exceeds the peak is shortened to it.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """A source, live: frames are made as their time comes, coded in segments, and sent to whoever is there.
 
-What a segment takes until it can be felt is its own length, and the coding of its last frame beside it. Where making
-or coding frames cannot keep up, frames are left out and told; time goes on. A coarse layer is a stream of its own
-beside: the same frames on half the lattice, within a mask twice as wide. Of a rendered room and of a photograph's
-depth it takes a seventh of the bytes; what the fine one is beyond it, coded as a difference, would take half as many
-again as the fine one alone.
+What a segment takes until it can be felt is its own length, and the coding of its last frame. Where making or coding
+frames cannot keep up, frames are left out and told; time goes on. A coarse layer is a stream of its own beside: the
+same frames on half the lattice, within a mask twice as wide, a seventh of the bytes. What the fine one is beyond it,
+coded as a difference, would take half as many again as the fine one alone.
 """
 
 from __future__ import annotations

@@ -2,9 +2,8 @@
 
 W is a medium on its own lattice, the reference space. For each device it is scaled into the workspace, low-passed and
 resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then compare the two. A point
-device is given the lattice over as much of W's own box as its workspace holds, and where its lattice is finer than
-W's, W's own: more samples of the same field would not be more information (the "active mappings" that the paper's
-min() excludes), nor would the empty rest of a larger workspace. An array has its actuators and no others.
+device is given the lattice over as much of W's box as its workspace holds, and no finer one than W's: more samples of
+the same field would not be more information (the "active mappings" that the paper's min() excludes).
 """
 
 from __future__ import annotations

@@ -8,7 +8,6 @@ medium -> curl, work around loops                       whether its forces could
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import count
@@ -191,7 +190,11 @@ def measure_medium(
     asked = FieldQuantiserSpec.parse(spec.quantiser or ("distinct" if is_distinct else DEFAULT_QUANTISER))
     total = 3 + (len(medium) > 1) + spec.limits + len(spec.devices)
     steps = count()
-    done: Callable[..., None] = lambda counts=True: report(next(steps), total) if counts else None  # noqa: E731
+
+    def done(counts: bool = True) -> None:
+        if counts:
+            report(next(steps), total)
+
     done()
     quantise = asked.fit(medium)
     frames = SymbolFrames(medium, quantise)

@@ -96,10 +96,7 @@ def stored_medium(scene: Scene) -> HapticMedium | None:
 
 
 def _lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfile) -> tuple[Placement, Grid]:
-    """The device's own lattice over the scene.
-
-    An array pools the whole depth of the scene, so that its third axis sets no limit to the scale.
-    """
+    """The device's own lattice over the scene; an array pools all of its depth, which sets no limit to the scale."""
     box = scene.bounds_between_m(*_fitted(scene, spec))
     is_stored = stored_medium(scene) is not None
     reach_m = 0.0 if is_stored else max(0.0, profile.high_m)
@@ -114,11 +111,7 @@ def _lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfi
 
 
 def _own_lattice(scene: Scene, chosen: Device, spec: EncodeSpec) -> tuple[Placement, Grid] | None:
-    """The lattice of a stored field that is to be kept without loss: the device's would change its forces.
-
-    The field stays where it is, or is moved to the middle; a factor as `mapping` makes the lattice larger or smaller
-    by that, and its forces no other. None where nothing stored is to be kept without loss, or an array takes it.
-    """
+    """The lattice of a stored field that is kept without loss, moved to the middle or scaled; None of all else."""
     stored = stored_medium(scene)
     if spec.coder != "touch" or spec.touch.mode != "lossless" or chosen.is_array or stored is None:
         return None
@@ -248,10 +241,7 @@ def _object(body: Body, mapping: Mapping) -> HapticObject:
 
 
 def _body_lattice(body: Body, mapping: Mapping) -> Grid:
-    """The lattice of a body that moves, over its own box and what its force and the low-pass reach beyond.
-
-    InvalidArgument if the body is so much larger than the workspace that its field would not fit in memory.
-    """
+    """The lattice of a body that moves, over its own box and what its force and the low-pass reach beyond."""
     never_turns = bool((body.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all())
     spacing = _FINER * np.asarray(mapping.grid.spacing_m)
     if not never_turns:

@@ -405,11 +405,7 @@ def _pairs(count: int) -> tuple[tuple[int, ...], ...]:
 
 
 def _trial(mask: tuple[float, float], setting: tuple[Lattice, EncodeSpec]) -> Trial:
-    """A setting coded, decoded and measured by the mask of k and F_0.
-
-    Of a medium that moves the size is that of a segment in a long stream: a frame alone, as the first of each pair,
-    and others as costly as the second.
-    """
+    """A setting coded, decoded and measured by the mask of k and F_0."""
     lattice, spec = setting
     grid, fields, reference = lattice.fields[0].grid, iter(lattice.fields), iter(lattice.reference)
     encoder = field_encoder(grid, coder(spec.coder).resolve(spec.coding, lattice.is_array))
@@ -418,6 +414,7 @@ def _trial(mask: tuple[float, float], setting: tuple[Lattice, EncodeSpec]) -> Tr
     meter, bits, pairs = FidelityMeter(mask[0], max(mask[1], NO_FLOOR_N)), 0.0, _pairs(lattice.frames)
     for pair in pairs:
         coded = encoder.encode_segment([next(fields) for _ in pair])
+        # a segment of a long stream: a frame alone, as the first of the pair, and others as costly as the second
         bits += 8 * len(coded.body) + (length - len(pair)) * sum(frame.bits.total for frame in coded.frames[1:])
         for field in decoder.frames(coded.body, len(pair)):
             original = next(reference)

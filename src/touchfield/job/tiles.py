@@ -21,9 +21,10 @@ import numpy as np
 from touchfield._version import __version__
 from touchfield.errors import InvalidArgument
 from touchfield.job.coding import ALONE, Sent, name_of
+from touchfield.job.encode import Encoded
 from touchfield.job.executors import in_order
 from touchfield.job.placing import Mapping, mapping_of
-from touchfield.job.prepare import Prepared, as_source, prepare
+from touchfield.job.prepare import as_source, prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid
 from touchfield.medium.zarr_store import boxes, create, whole_folder, write_box
@@ -50,32 +51,17 @@ class Tile(NamedTuple):
         return ",".join(map(str, (self.frame, *self.low)))
 
 
-@dataclass(frozen=True)
-class Tiled:
+@dataclass(frozen=True, repr=False)
+class Tiled(Encoded):
     """The result of `encode_tiles`."""
 
-    prepared: Prepared
-    tiles: int
-    supported_voxels: int
-    file_bytes: int
-    encode_s: float
-    told: tuple[str, ...] = ()
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes for the user."""
-        return (*self.prepared.notes, *self.prepared.learnt, *self.told)
+    tiles: int = 0
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        spec = self.prepared.spec
-        return {
-            **self.prepared.summary(),
-            "coder": "touch, a codec of zarr",
-            "k": spec.k,
-            "f0_n": spec.f0_n,
-            **{key: getattr(self, key) for key in ("tiles", "file_bytes", "supported_voxels", "encode_s")},
-        }
+        told = {"coder": "touch, a codec of zarr", "k": self.prepared.spec.k, "f0_n": self.prepared.spec.f0_n}
+        names = ("tiles", "file_bytes", "supported_voxels", "encode_s")
+        return {**self.prepared.summary(), **told, **{name: getattr(self, name) for name in names}}
 
 
 def encode_tiles(
@@ -123,14 +109,11 @@ def encode_tiles(
         finished.forget()
     told = (f"{before} of {total} tiles were there from an earlier run",) if before else ()
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
-    return Tiled(prepared, total, supported, size, time.perf_counter() - began, told)
+    return Tiled(prepared, size, time.perf_counter() - began, supported, told, tiles=total)
 
 
 class _Finished:
-    """Tiles that are written, one line each in a file of the folder, and their samples with a force.
-
-    What another job left there is removed.
-    """
+    """Tiles that are written, a line each in a file, and their samples with a force; those of another job go."""
 
     def __init__(self, store: Path, job: str) -> None:
         self._file = store.with_name(f"{store.name}.txt")
