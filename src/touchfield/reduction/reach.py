@@ -86,7 +86,7 @@ class _Layer(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """Samples that a hand feels, bool [nx, ny, nz]: the corners of cells that it comes into, and a sample more on every
+    """Samples that a hand feels, bool [nx, ny, nz]: corners of cells that it comes into, and a sample more on every
     side; a force that stops it, 0 where nothing is found to.
     """
 
