@@ -68,7 +68,7 @@ def _bent(block, step_m, friction):
 
 @njit(cache=True, nogil=True)
 def _holds(block, places, count, step_m, need_n, turn_nm, friction):
-    """Whether the forces at a cell's corners, float [2, 2, 2, 3], hold a hand back from every nearest place."""
+    """True if the forces at a cell's corners, float [2, 2, 2, 3], hold a hand back from every nearest place."""
     bent = _bent(block, step_m, friction)
     for a in range(count):
         for c in range(8):
