@@ -211,3 +211,16 @@ def test_the_axes_are_millimetres_of_the_lattice_where_forces_are(
         # the box of the forces, -10 to 10 mm, with at most a few samples around it
         assert 1e3 * low[0] - 1e-6 <= seen[0] <= -10 + 1e-6 and 10 - 1e-6 <= seen[1] <= 1e3 * high[0] + 1e-6
     assert top.get_ylabel() == "z / mm" and 100 - 1e-6 <= min(top.get_ylim()) <= 106 + 1e-6
+
+
+@pytest.mark.parametrize("axes", ["x right, y up", "x right, y down, z forward"])
+def test_an_axis_that_points_down_is_drawn_downwards(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, axes: str
+) -> None:
+    drawn: list = []
+    monkeypatch.setattr(picture, "write_png", lambda figure, path: drawn.append(figure))
+    dense = np.zeros((12, 12, 12, 3))
+    dense[3:9, 3:9, 3:9, 2] = 1.0
+    field = ForceField.from_dense(Grid.over_box((-0.02,) * 3, (0.02,) * 3, (12, 12, 12)), dense)
+    draw_comparison(tmp_path / "x.png", field, field, PictureSpec("t", "c", axes, 0.1, 0.02))
+    assert [panel.yaxis_inverted() for panel in drawn[0].axes[:2]] == ["down" in axes] * 2
