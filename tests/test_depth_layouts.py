@@ -208,6 +208,14 @@ def test_a_bad_groundtruth_is_a_source_error(text: str) -> None:
         poses.parse_poses(text, "truth")
 
 
+@pytest.mark.parametrize("number", ["-1", "0.5", "nan", "1e300"])
+def test_a_log_of_matrices_counts_its_frames_from_zero(number: str) -> None:
+    rows = "\n".join(["1 0 0 0", "0 1 0 0", "0 0 1 0", "0 0 0 1"])
+    assert poses.parse_poses(f"0 0 1\n{rows}\n", "log").numbers.tolist() == [0]
+    with pytest.raises(SourceError, match=r"no frame number|not finite"):
+        poses.parse_poses(f"{number} 0 1\n{rows}\n", "log")
+
+
 @given(st.text(alphabet="0123456789.-+eE \n,#naif", max_size=80))
 def test_no_text_of_poses_raises_anything_else(text: str) -> None:
     for parse in (poses.parse_poses, poses.parse_extrinsics):

@@ -172,7 +172,7 @@ def parse_poses(text: str, where: str) -> PoseList:
     if [len(words) for _, words in lines[:5]] == [3, 4, 4, 4, 4]:
         rows = _entries(text, 19, where, "entry (3 and a 4x4 matrix)")
         poses = checked_poses(rows[:, 3:].reshape(-1, 4, 4), where)
-        return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=_numbers(rows[:, 0], where))
+        return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=_numbers(rows[:, 0], where, 0))
     if columns not in (4, 7, 8, 12, 13, 16, 17):
         raise SourceError(where, f"{columns} numbers in its first line", _FORMS, IGNORE_POSES)
     for place, words in lines:
@@ -199,9 +199,9 @@ def parse_poses(text: str, where: str) -> PoseList:
     return PoseList(poses, f"a {columns // 4}x4 matrix a line, {_FROM_CAMERA}", numbers=numbers)
 
 
-def _numbers(first: Float64s, where: str) -> Int64s:
+def _numbers(first: Float64s, where: str, least: int = 1 - 2**53) -> Int64s:
     """The numbers of frames, int64 [n]."""
-    _refuse(~((np.abs(first) < 2**53) & (first % 1 == 0)), where, "no frame number", "a whole number")
+    _refuse(~((first >= least) & (first < 2**53) & (first % 1 == 0)), where, "no frame number", "a whole number")
     return first.astype(np.int64)
 
 
