@@ -380,7 +380,10 @@ def _level(medium: HapticMedium, level: int) -> HapticMedium:
     if level == 0:
         return medium
     grid = reduce(lambda g, _: halved(g), range(level), medium.grid)
-    make: Callable[[int], ForceField] = lambda i: pyramid(medium[i], level)[-1]  # noqa: E731
+
+    def make(frame: int) -> ForceField:
+        return pyramid(medium[frame], level)[-1]
+
     words = with_history(medium, "resampled", f"level of detail {level}")
     return replace(medium, grid=grid, make_frame=make, vibration=None, segments=None, provenance=words)
 

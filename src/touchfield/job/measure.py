@@ -8,11 +8,12 @@ medium -> curl, work around loops                       whether its forces could
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -44,6 +45,13 @@ from touchfield.medium.trace import Trace, read_trace
 from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene
 from touchfield.viewer.information import Bar, DeviceBars, InformationView, draw_information
+
+_IN_TIME: Final[tuple[tuple[Callable[..., Quantity], str], ...]] = (
+    (conditional_entropy, "H(S_t|S_t-1)"),
+    (mutual_information, "I(S_t;S_t-1)"),
+    (normalised_mutual_information, "NMI(S_t;S_t-1)"),
+    (variation_of_information, "VI(S_t,S_t-1)"),
+)
 
 
 @dataclass(frozen=True)
@@ -222,16 +230,7 @@ def measure_medium(
         in_time = {}
         if len(frames) > 1:
             both = field_counts(frames[1:], frames[:-1], ("voxel",))["voxel"]  # each beside the one before
-            in_time = {
-                "conditional_entropy": conditional_entropy(both, estimator=spec.estimator).of(name="H(S_t|S_t-1)"),
-                "mutual_information": mutual_information(both, estimator=spec.estimator).of(name="I(S_t;S_t-1)"),
-                "normalised_mutual_information": normalised_mutual_information(both, estimator=spec.estimator).of(
-                    name="NMI(S_t;S_t-1)"
-                ),
-                "variation_of_information": variation_of_information(both, estimator=spec.estimator).of(
-                    name="VI(S_t,S_t-1)"
-                ),
-            }
+            in_time = {one.__name__: one(both, estimator=spec.estimator).of(name=told) for one, told in _IN_TIME}
         done(len(frames) > 1)
         limits = coding_limits(frames) if spec.limits else None
         done(spec.limits)
