@@ -15,7 +15,7 @@ import touchfield as tf
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("adapters", "codec", "container", "filters", "job", "measure", "medium", "perception",
-         "reduction", "render", "sources", "viewer")  # fmt: skip
+         "reduction", "render", "sources", "stream", "viewer")  # fmt: skip
 GRID = tf.Grid.over_box((-0.05,) * 3, (0.05,) * 3, (16, 16, 16))
 
 USER = """

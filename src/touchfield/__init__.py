@@ -8,8 +8,9 @@
     tf.compare("sample:terrain", "terrain.touch").draw("terrain.png")
 
 Rooms, each reached as `tf.NAME`: `medium` (the values), `sources`, `devices`, `perception`, `filters`, `measure`,
-`reduction`, `codec`, `container`, `viewer`, `render` (the receiver), `adapters` (devices and formats at the edge),
-`job` (the main job), `cli`. After Moustakas and Lalos, *An information-theoretic treatment of passive haptic media*.
+`reduction`, `codec`, `container`, `stream` (seconds that come by file, network or live), `viewer`, `render` (the
+receiver), `adapters` (devices and formats at the edge), `job` (the main job), `cli`. After Moustakas and Lalos,
+*An information-theoretic treatment of passive haptic media*.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
         reduction,
         render,
         sources,
+        stream,
         viewer,
     )
     from touchfield.codec.paper.spec import PaperSpec
@@ -65,8 +67,8 @@ __all__ = [
     "MeasureSpec", "PaperSpec", "PlaySpec", "Player", "PoseTrack", "SourceOptions", "TouchSpec", "TouchfieldError",
     "__version__", "adapters", "codec", "compare", "container", "decode", "device", "devices", "encode",
     "filter_of", "filter_report", "filters", "job", "measure", "measure_medium", "medium", "open_source",
-    "open_stream", "perception", "plan", "play", "prepare", "reduction", "render", "sources", "view", "viewer",
-    "write_field",
+    "open_stream", "perception", "plan", "play", "prepare", "reduction", "render", "sources", "stream", "view",
+    "viewer", "write_field",
 ]  # fmt: skip
 
 _NAMES = {

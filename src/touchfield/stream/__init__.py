@@ -1,1 +1,1 @@
-"""A file as a medium: its records, its coder and its frames, opened together."""
+"""Streams: a file as a medium, at home or from a server; live, with loss, and beside sound and picture."""
