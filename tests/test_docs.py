@@ -45,7 +45,7 @@ def test_a_page_does_what_it_says(
 def test_the_site_builds_with_every_link_checked(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="the site is made by the extra docs")
     pytest.importorskip("mkdocstrings")
-    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path / "site")]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
     built = subprocess.run(command, cwd=DOCS.parent, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stdout + built.stderr
     page = (tmp_path / "site" / "api" / "medium" / "index.html").read_text()

@@ -34,6 +34,8 @@ _MOST_BUSY: Final = 4096
 class Access:
     """Where a server listens, and to whom it speaks.
 
+    Raises InvalidArgument if others reach the address and no token is asked for, or a value is out of range.
+
     Parameters
     ----------
     host : str
@@ -46,8 +48,6 @@ class Access:
         Whether anyone who reaches the address may read, without a token.
     origins : tuple of str
         Web pages elsewhere that may read too (CORS), such as https://example.org; "*" for all.
-
-    Raises InvalidArgument if others reach the address and no token is asked for, or a value is out of range.
     """
 
     host: str = "127.0.0.1"

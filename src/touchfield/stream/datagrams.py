@@ -48,6 +48,8 @@ _WINDOW: Final = 1 << 16
 class Datagrams:
     """The sending end.
 
+    Raises InvalidArgument if a number is out of range.
+
     Parameters
     ----------
     stream : int
@@ -56,8 +58,6 @@ class Datagrams:
         Repair symbols, share of the others.
     spread : int
         Messages over whose time the datagrams of one are spread; the last ones come so many messages later.
-
-    Raises InvalidArgument if a number is out of range.
     """
 
     def __init__(self, stream: int, repair: float = 0.22, spread: int = 8) -> None:

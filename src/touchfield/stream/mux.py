@@ -66,6 +66,9 @@ class Muxed:
 def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.0, report: Report = silent) -> Muxed:
     """Put a ``.touch`` file beside the tracks of a movie, which are copied as they are.
 
+    Raises InvalidArgument if the ending of `out` is another, or the form cannot hold a track of the movie;
+    SourceError, FormatError if the movie or the stream cannot be read.
+
     Parameters
     ----------
     movie : path
@@ -77,9 +80,6 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
         The movie's time at which the touch begins, 0 or later.
     report : callable
         ``report(done, total)`` in segments.
-
-    Raises InvalidArgument if the ending of `out` is another, or the form cannot hold a track of the movie;
-    SourceError, FormatError if the movie or the stream cannot be read.
     """
     out = Path(out)
     if out.suffix.lower() not in _FORMS:
@@ -268,6 +268,8 @@ def _opened(movie: str | Path) -> Iterator[Any]:
 def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: float) -> tuple[str, ...]:
     """Write `out`, the movie's tracks as .mp4 files beside it, and a copy of the stream; the kinds of the tracks.
 
+    Raises InvalidArgument if the form cannot hold a track of the movie; SourceError if a file cannot be written.
+
     Parameters
     ----------
     source : av.container.InputContainer
@@ -280,8 +282,6 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
         The movie's second at which the touch begins.
     rate_bits : float
         Bits a second of the stream.
-
-    Raises InvalidArgument if the form cannot hold a track of the movie; SourceError if a file cannot be written.
     """
     import av
 
