@@ -34,7 +34,7 @@ from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium.budget import memory_budget_bytes
-from touchfield.medium.field import brick_keys, slots_around
+from touchfield.medium.field import brick_keys, bricks_of, slots_around
 from touchfield.medium.grid import BRICK, Grid
 
 NEIGHBOURHOODS: Final = {"none": 0, "previous": 1, "axes": 3, "corner": 7}
@@ -144,7 +144,7 @@ def _reached_bricks(frame: FieldSymbols, previous: FieldSymbols | None) -> Int32
     if previous is not None:
         there = np.concatenate([there, previous.bricks])
     keys = np.unique(brick_keys(frame.grid, there[(there < frame.grid.brick_shape).all(axis=1)]))
-    return np.stack(np.unravel_index(keys, frame.grid.brick_shape), axis=1).astype(np.int32)
+    return bricks_of(frame.grid, keys)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.medium.field import brick_keys, frozen
+from touchfield.medium.field import brick_keys, bricks_of, frozen, tiled, values_at
 from touchfield.medium.grid import BRICK, Grid
 
 
@@ -78,21 +78,17 @@ class FieldSymbols:
         low, high, last = int(given.min()), int(given.max()), min(alphabet, 1 << 31) - 1
         if low < 0 or high > last:  # before the cast, which would wrap them into the range
             raise InvalidArgument("symbols", f"{low} to {high}", f"0 to {last}")
-        full = [n * BRICK for n in grid.brick_shape]
-        dense = given.astype(np.int32)
-        dense = np.pad(dense, [(0, n - m) for n, m in zip(full, grid.shape, strict=True)])
-        bx, by, bz = grid.brick_shape
-        tiled = dense.reshape(bx, BRICK, by, BRICK, bz, BRICK).transpose(0, 2, 4, 1, 3, 5)
-        held = np.argwhere(tiled.any(axis=(3, 4, 5))).astype(np.int32)
-        return cls(grid, held, np.ascontiguousarray(tiled[tuple(held.T)]), alphabet, quantiser)
+        tiles = tiled(given.astype(np.int32))
+        bricks = np.argwhere(tiles.any(axis=(3, 4, 5))).astype(np.int32)
+        return cls(grid, bricks, tiles[tuple(bricks.T)], alphabet, quantiser)
 
     def to_dense(self) -> Int32s:
         """All symbols, int32 [nx, ny, nz]."""
         bx, by, bz = self.grid.brick_shape
-        tiled = np.zeros((bx, by, bz, BRICK, BRICK, BRICK), np.int32)
-        tiled[tuple(self.bricks.T)] = self.symbols
-        dense = tiled.transpose(0, 3, 1, 4, 2, 5).reshape(bx * BRICK, by * BRICK, bz * BRICK)
+        tiles = np.zeros((bx, by, bz, BRICK, BRICK, BRICK), np.int32)
+        tiles[tuple(self.bricks.T)] = self.symbols
         nx, ny, nz = self.grid.shape
+        dense = tiles.transpose(0, 3, 1, 4, 2, 5).reshape(bx * BRICK, by * BRICK, bz * BRICK)
         return np.ascontiguousarray(dense[:nx, :ny, :nz])
 
     @property
@@ -112,18 +108,7 @@ class FieldSymbols:
 
     def symbols_at(self, index: ArrayLike) -> Int32s:
         """The symbols at lattice points, int32 [m], of indices int [m, 3]; 0 outside the grid."""
-        i = np.asarray(index, np.int64).reshape(-1, 3)
-        inside = ((i >= 0) & (i < self.grid.shape)).all(axis=1)
-        found = np.zeros(len(i), np.int32)
-        if not len(self.bricks) or not inside.any():
-            return found
-        places = i[inside]
-        keys = brick_keys(self.grid, self.bricks)
-        wanted = brick_keys(self.grid, places // BRICK)
-        slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        x, y, z = (places % BRICK).T
-        found[inside] = np.where(keys[slot] == wanted, self.symbols[slot, x, y, z], 0)
-        return found
+        return values_at(self.grid, self.bricks, self.symbols, np.asarray(index, np.int64).reshape(-1, 3))
 
 
 Part = tuple["Int32s", "Int64s"]
@@ -227,8 +212,7 @@ def _joint_parts(first: FieldSymbols, second: FieldSymbols) -> Iterator[Part]:
         for f, k, out in zip(both, own, symbols, strict=True):
             low, high = np.searchsorted(k, [some[0], some[-1] + 1])
             out[np.searchsorted(some, k[low:high])] = f.symbols[low:high].reshape(-1, BRICK**3)
-        bricks = np.stack(np.unravel_index(some, grid.brick_shape), axis=1)
-        yield bricks.astype(np.int32), symbols[0] * second.alphabet + symbols[1]
+        yield bricks_of(grid, some), symbols[0] * second.alphabet + symbols[1]
 
 
 def frames_changed() -> InvalidArgument:

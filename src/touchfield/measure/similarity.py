@@ -53,7 +53,7 @@ from touchfield.measure.information import (
     variation_of_information,
 )
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, values_at
 from touchfield.medium.grid import BRICK
 
 if TYPE_CHECKING:
@@ -259,7 +259,8 @@ def _followed(
     for share in looked_at.tolist():
         # ties to the lower sample, but for what rounding leaves of a column of the lattice
         index = np.ceil(low[open_] + share * across[open_] - 0.5 - 1e-9).astype(np.int64)
-        amplitudes = _amplitudes_at(field, index)
+        forces = values_at(field.grid, field.bricks, field.forces_n, index).astype(np.float64)
+        amplitudes = np.sqrt((forces**2).sum(axis=1))
         better = amplitudes > (0.0 if first else np.nan_to_num(found[open_]))
         found[open_[better]], at[open_[better]] = amplitudes[better], share
         if first:
@@ -267,21 +268,6 @@ def _followed(
             if not len(open_):
                 break
     return found, at
-
-
-def _amplitudes_at(field: ForceField, index: Int64s) -> Float64s:
-    """|F| at lattice points, newtons, float64 [n], of int64 [n, 3]; 0 outside the grid."""
-    found = np.zeros(len(index))
-    inside = ((index >= 0) & (index < field.grid.shape)).all(axis=1)
-    if not len(field.bricks) or not inside.any():
-        return found
-    places = index[inside]
-    keys, wanted = brick_keys(field.grid, field.bricks), brick_keys(field.grid, places // BRICK)
-    slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    x, y, z = (places % BRICK).T
-    forces = field.forces_n[slot, x, y, z].astype(np.float64)
-    found[inside] = np.where(keys[slot] == wanted, np.sqrt((forces**2).sum(axis=1)), 0.0)
-    return found
 
 
 LEAST_BLOCKS: Final = 16

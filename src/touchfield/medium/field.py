@@ -64,6 +64,18 @@ def tiled(dense: NDArray[Any]) -> NDArray[Any]:
     return np.moveaxis(padded.reshape(x, BRICK, y, BRICK, z, BRICK, *dense.shape[3:]), (2, 4), (1, 2))
 
 
+def values_at(grid: Grid, bricks: Int32s, values: NDArray[Any], places: NDArray[np.integer[Any]]) -> NDArray[Any]:
+    """Values [n, 8, 8, 8, ...] of ascending bricks at lattice points int [m, 3], [m, ...]; 0 where no brick is."""
+    inside = ((places >= 0) & (places < grid.shape)).all(axis=1)
+    slots = np.full(len(places), -1)
+    slots[inside] = slots_of(brick_keys(grid, bricks), brick_keys(grid, places[inside] // BRICK))
+    stored = np.flatnonzero(slots >= 0)
+    x, y, z = (places[stored] % BRICK).T
+    out = np.zeros((len(places), *values.shape[4:]), values.dtype)
+    out[stored] = values[slots[stored], x, y, z]
+    return out
+
+
 def slots_around(
     bricks: NDArray[np.integer[Any]],
     others: NDArray[np.integer[Any]],
