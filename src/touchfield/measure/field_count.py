@@ -197,7 +197,7 @@ def field_counts(
         return _count(Frames(first, "fields"), overs, interval, blocks)
     a, b = Frames(first, "first"), Frames(second, "second")
     if a.count != b.count:
-        raise InvalidArgument("second", f"{b.count} frames", f"{a.count}, as many as the first")
+        raise InvalidArgument("second", f"{b.count} frames", f"{a.count}, as many as the first", "Take the frames of both.")
     if a.grid != b.grid:
         raise InvalidArgument("second", f"the grid {b.grid}", f"{a.grid}, as of the first")
     found = _count(FramePairs(a, b), overs, interval, blocks)
@@ -222,8 +222,8 @@ def _count(frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, 
     if overs == ("voxel",) and interval and blocks * frames.alphabet <= MOST_BLOCK_CELLS:
         boxes = BrickBoxes.of(frames.grid, blocks)
         if boxes.count >= LEAST_BLOCKS:
-            seen, table = _in_one_pass(frames, boxes)
-            return {"voxel": of(seen[:, None], table.sum(axis=0), table, weighting="voxel", alphabet=frames.alphabet)}
+            seen, each = _in_one_pass(frames, boxes)
+            return {"voxel": of(seen[:, None], each.sum(axis=0), each, weighting="voxel", alphabet=frames.alphabet)}
     held, support = _held_symbols(frames, interval and "object" in overs)
     symbols, weights = held.cells[:, 0], np.asarray(held.weights, np.int64)
     tallies = {"object": (symbols, weights), "voxel": (symbols, weights)}
@@ -239,8 +239,8 @@ def _count(frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, 
     few = f"no interval: fewer than {LEAST_BLOCKS} blocks, for there are too few bricks or too many symbols"
     counts = {}
     for over in overs:
-        (seen, times), alphabet, part = tallies[over], frames.alphabet - (over == "object"), parts.get(over)
-        table = None if part is None else _with_empty(tables[over], part, frames.grid, frames.count, times)
+        (seen, times), alphabet, space = tallies[over], frames.alphabet - (over == "object"), parts.get(over)
+        table = None if space is None else _with_empty(tables[over], space, frames.grid, frames.count, times)
         notes = (few,) if interval and table is None else ()
         counts[over] = of(seen[:, None], times, table, weighting=over, alphabet=alphabet, notes=notes)
     return counts

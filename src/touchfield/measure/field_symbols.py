@@ -142,13 +142,18 @@ class Frames:
             first, self._first = self._first, None
             return first
         f = self._checked_type(n)
-        where = f"{self._where}, frame {n}"
-        if f.grid != self.grid:
-            raise InvalidArgument(where, f"the grid {f.grid}", f"{self.grid}, as of frame 0")
-        if (f.quantiser, f.alphabet) != (self.quantiser, self.alphabet):
-            found, expected = (f"{of.quantiser} with {of.alphabet} symbols" for of in (f, self))
-            raise InvalidArgument(where, f"the quantiser {found}", f"{expected}, as of frame 0")
+        self.check_like(f, f"{self._where}, frame {n}", "frame 0")
         return f
+
+    def check_like(
+        self, other: FieldSymbols | Frames, where: str, of: str, mends: tuple[str, str] = ("", "")
+    ) -> None:
+        """InvalidArgument naming `where` if another has not the grid and Q of these, which are those `of` a name."""
+        if other.grid != self.grid:
+            raise InvalidArgument(where, f"the grid {other.grid}", f"{self.grid}, as of {of}", mends[0])
+        if (other.quantiser, other.alphabet) != (self.quantiser, self.alphabet):
+            found, expected = (f"{each.quantiser} with {each.alphabet} symbols" for each in (other, self))
+            raise InvalidArgument(where, f"the quantiser {found}", f"{expected}, as of {of}", mends[1])
 
     def __iter__(self) -> Iterator[FieldSymbols]:
         return (self.take(n) for n in range(self.count))

@@ -64,6 +64,10 @@ MOST_BYTES: Final = 1 << 25
 """Of the packed symbols of both media; lzma takes about twelve times as much memory."""
 
 _COUNT_BYTES: Final = 8
+_MENDS: Final = (
+    "Resample one onto the lattice of the other (touchfield.filters.resample), then quantise both.",
+    "Fit one quantiser to both media at once.",
+)
 _NOT_A_METRIC: Final = "not a metric: NCD(x,x) is not 0, and the triangle inequality holds only nearly"
 
 
@@ -75,8 +79,7 @@ def compression_distance(first: Fields, second: Fields) -> Quantity:
     when packed.
     """
     a, b = Frames(first, "first"), Frames(second, "second")
-    if (a.grid, a.quantiser, a.alphabet) != (b.grid, b.quantiser, b.alphabet):
-        raise InvalidArgument("second", "another lattice or quantiser", "those of the first")
+    a.check_like(b, "second", "the first", _MENDS)
     voxels = a.grid.voxel_count * (a.count + b.count)
     one = packed(a, MOST_BYTES)
     x, y = sorted([one, packed(b, MOST_BYTES - len(one))], key=lambda d: (len(d), d))  # in whatever order
@@ -149,30 +152,13 @@ def similarity(
     one, of 27 parts of space. InvalidArgument if the media differ in lattice, Q or length, an option is unknown, over
     "object" one of them has no force, or the symbols are too many to compress.
     """
-    _check_alike(Frames(first, "first"), Frames(second, "second"))
+    Frames(first, "first").check_like(Frames(second, "second"), "second", "the first", _MENDS)
     counts = supported(field_counts(first, second, (over,), interval=interval)[over])
     apart = jensen_shannon_distance(counts, absent=0 if over == "object" else ABSENT)
     if math.isnan(apart.value):
         supported(replace(counts, cells=counts.cells[:0], weights=counts.weights[:0]))
     compression = compression_distance(first, second) if compressed else None
     return Similarity(normalised_mutual_information(counts), variation_of_information(counts), apart, compression)
-
-
-def _check_alike(a: Frames, b: Frames) -> None:
-    if a.grid != b.grid:
-        raise InvalidArgument(
-            "second", f"the grid {b.grid}", f"{a.grid}, as of the first",
-            "Resample one onto the lattice of the other (touchfield.filters.resample), then quantise both.",
-        )  # fmt: skip
-    if (a.quantiser, a.alphabet) != (b.quantiser, b.alphabet):
-        raise InvalidArgument(
-            "second", f"the quantiser {b.quantiser} with {b.alphabet} symbols",
-            f"{a.quantiser} with {a.alphabet}, as of the first", "Fit one quantiser to both media at once.",
-        )  # fmt: skip
-    if a.count != b.count:
-        raise InvalidArgument(
-            "second", f"{b.count} frames", f"{a.count}, as many as the first", "Take the frames that both have."
-        )
 
 
 # -- a picture and a medium
