@@ -197,7 +197,9 @@ def field_counts(
         return _count(Frames(first, "fields"), overs, interval, blocks)
     a, b = Frames(first, "first"), Frames(second, "second")
     if a.count != b.count:
-        raise InvalidArgument("second", f"{b.count} frames", f"{a.count}, as many as the first", "Take the frames of both.")
+        raise InvalidArgument(
+            "second", f"{b.count} frames", f"{a.count}, as many as the first", "Take the frames that both have."
+        )
     if a.grid != b.grid:
         raise InvalidArgument("second", f"the grid {b.grid}", f"{a.grid}, as of the first")
     found = _count(FramePairs(a, b), overs, interval, blocks)

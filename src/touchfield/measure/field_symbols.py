@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.medium.field import brick_keys, bricks_of, frozen, tiled, values_at
+from touchfield.medium.field import brick_keys, bricks_of, check_bricks, frozen, tiled, values_at
 from touchfield.medium.grid import BRICK, Grid
 
 
@@ -38,31 +38,16 @@ class FieldSymbols:
 
     def __post_init__(self) -> None:
         b, s = self.bricks, self.symbols
-        if b.dtype != np.int32 or b.ndim != 2 or b.shape[1] != 3:
-            raise InvalidArgument("FieldSymbols bricks", f"{b.dtype} {b.shape}", "int32 [n, 3]")
-        if s.dtype != np.int32 or s.shape != (len(b), BRICK, BRICK, BRICK):
-            raise InvalidArgument("FieldSymbols symbols", f"{s.dtype} {s.shape}", f"int32 [{len(b)}, 8, 8, 8]")
+        check_bricks("FieldSymbols", self.grid, b, "symbols", s, "int32")
         if s.size and not (s.min() >= 0 and s.max() < self.alphabet):
             raise InvalidArgument("FieldSymbols symbols", f"{s.min()} to {s.max()}", f"0 to {self.alphabet - 1}")
-        if len(b):
-            self._check_places()
-        object.__setattr__(self, "bricks", frozen(np.ascontiguousarray(b)))
-        object.__setattr__(self, "symbols", frozen(np.ascontiguousarray(s)))
-
-    def _check_places(self) -> None:
-        b, s = self.bricks, self.symbols
-        if b.min() < 0 or (b.max(0) >= self.grid.brick_shape).any():
-            raise InvalidArgument("FieldSymbols bricks", "one outside the grid", f"within {self.grid.brick_shape}")
-        if (np.diff(brick_keys(self.grid, b)) <= 0).any():
-            raise InvalidArgument("FieldSymbols bricks", "bricks out of order or twice", "ascending order")
         for axis, (size, bricks) in enumerate(zip(self.grid.shape, self.grid.brick_shape, strict=True)):
             # only the last bricks of an axis can reach beyond the grid, and only where 8 does not divide its samples
             if size % BRICK and np.moveaxis(s, axis + 1, 1)[b[:, axis] == bricks - 1, size % BRICK :].any():
-                raise InvalidArgument(
-                    "FieldSymbols symbols",
-                    f"a symbol beyond the grid along {'xyz'[axis]}",
-                    f"0 from sample {size} on",
-                )
+                found = f"a symbol beyond the grid along {'xyz'[axis]}"
+                raise InvalidArgument("FieldSymbols symbols", found, f"0 from sample {size} on")
+        object.__setattr__(self, "bricks", frozen(np.ascontiguousarray(b)))
+        object.__setattr__(self, "symbols", frozen(np.ascontiguousarray(s)))
 
     @classmethod
     def from_dense(cls, grid: Grid, symbols: ArrayLike, alphabet: int, quantiser: str) -> FieldSymbols:
