@@ -162,14 +162,11 @@ def _counted(samples: tuple[ArrayLike | Counts, ...], interval: bool, blocks: in
     if interval and blocks < LEAST_BLOCKS:
         raise InvalidArgument("blocks", f"{blocks}", "8 or more", "Give interval=False for none.")
     if len(samples) == 1 and isinstance(samples[0], Counts):
-        return samples[0] if interval else replace(samples[0], blocks=None, notes=_without_why(samples[0].notes))
+        notes = tuple(note for note in samples[0].notes if not note.startswith("no interval"))
+        return samples[0] if interval else replace(samples[0], blocks=None, notes=notes)
     if any(isinstance(s, Counts) for s in samples):
         raise InvalidArgument("samples", "several Counts", "one, of all variables together")
     return Counts.of(*samples, blocks=blocks if interval else 0)  # type: ignore[arg-type]
-
-
-def _without_why(notes: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(n for n in notes if not n.startswith("no interval"))
 
 
 class _Entropies:

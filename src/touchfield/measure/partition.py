@@ -78,12 +78,6 @@ class DyadicLattice:
         x, y, z = (m * b for m, b in zip(self.device_shape, self.boxes(depth), strict=True))
         return Grid.over_box(*self.grid.box_m, (x, y, z))
 
-    def box_grid(self, depth: int, index: tuple[int, int, int]) -> Grid:
-        """The device's lattice in one box."""
-        level = self.lattice(depth)
-        origin = level.to_m(np.multiply(index, self.device_shape)).tolist()
-        return Grid(self.device_shape, level.spacing_m, tuple(origin))
-
 
 class BoxLosses:
     """Adds up the symbols of frames, and tells what each dyadic box loses."""
@@ -111,7 +105,7 @@ class BoxLosses:
             raise InvalidArgument("quantiser", f"{self._alphabet} symbols", "fewer", "Take a coarser quantiser.")
         places, symbols = _held(last)
         for d in range(d_most):
-            ratio = self._ratio(d)
+            ratio: Int64s = np.array(self.lattice.grid.shape) // np.array(self.lattice.lattice(d).shape)
             cells = places // ratio
             told = levels[d].symbols_at(cells).astype(np.int64)
             boxes = self._box_of(cells, d)
@@ -129,8 +123,8 @@ class BoxLosses:
         """
         if not self.frame_count:
             raise InvalidArgument("box losses", "no frame", "at least one")
-        found = [self._bits(d) / self.frame_count for d in range(self.lattice.depth)]
-        return (*found, np.zeros(self.lattice.boxes(self.lattice.depth)))
+        coarser = [self._bits(d) / self.frame_count for d in range(self.lattice.depth)]
+        return (*coarser, np.zeros(self.lattice.boxes(self.lattice.depth)))
 
     def _bits(self, d: int) -> Float64s:
         """L times the frames."""
@@ -153,10 +147,6 @@ class BoxLosses:
         loss = np.zeros(box_count)
         np.add.at(loss, box, np.maximum(bits, 0.0))
         return loss.reshape(shape)
-
-    def _ratio(self, d: int) -> Int64s:
-        ratio: Int64s = np.array(self.lattice.grid.shape) // np.array(self.lattice.lattice(d).shape)
-        return ratio
 
     def _box_of(self, cells: Int64s, d: int) -> Int64s:
         index = cells // np.array(self.lattice.device_shape)
@@ -214,7 +204,8 @@ class Partition:
 
     def grid(self, box: DyadicBox) -> Grid:
         """The device's lattice in a box, metres of the hand."""
-        return self.lattice.box_grid(box.depth, box.index)
+        level, shape = self.lattice.lattice(box.depth), self.lattice.device_shape
+        return Grid(shape, level.spacing_m, tuple(level.to_m(np.multiply(box.index, shape)).tolist()))
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -108,25 +108,13 @@ class Quantity:
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; NaN becomes None, which JSON can hold."""
-        i = self.interval
+        i, of = self.interval, ("quantiser", "weighting", "estimator", "samples", "symbols")
         return {
             "name": self.name,
             "value": None if math.isnan(self.value) else self.value,
             "unit": self.unit,
-            "interval": None
-            if i is None
-            else {
-                "low": i.low,
-                "high": i.high,
-                "level": i.level,
-                "method": i.method,
-                "population": i.population,
-            },
-            "quantiser": self.quantiser,
-            "weighting": self.weighting,
-            "estimator": self.estimator,
-            "samples": self.samples,
-            "symbols": self.symbols,
+            "interval": None if i is None else {**asdict(i), "population": i.population},
+            **{name: getattr(self, name) for name in of},
             "notes": list(self.notes),
         }
 
@@ -189,17 +177,17 @@ def interval(
 
     # few blocks are spread too little
     wider = float(math.sqrt(blocks / (blocks - 1)) * stdtrit(blocks - 1, upper) / ndtri(upper))
-    kind, made = "basic", (estimate, estimate)
+    kind, ends = "basic", (estimate, estimate)
     if not corrects_bias:
         centre = float(values.mean())
         low, high = np.quantile(values, [1 - upper, upper])
         middle = 2 * estimate - centre
-        made = held(middle - wider * float(high - centre), middle + wider * float(centre - low))
-    if corrects_bias or made[0] == made[1]:  # what the bias takes to a bound has a spread nevertheless
+        ends = held(middle - wider * float(high - centre), middle + wider * float(centre - low))
+    if corrects_bias or ends[0] == ends[1]:  # what the bias takes to a bound has a spread nevertheless
         deviation = float(values.std(ddof=1)) if values.min() < values.max() else 0.0  # no rounding where all agree
         half = wider * float(ndtri(upper)) * deviation
-        kind, made = "normal", held(estimate - half, estimate + half)
-    return Interval(*made, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
+        kind, ends = "normal", held(estimate - half, estimate + half)
+    return Interval(*ends, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
 
 
 def ratio_interval(
@@ -233,10 +221,10 @@ def ratio_interval(
 
     together = np.concatenate([first, second], axis=1)
     try:
-        made = interval(ratio, together, replicates, level, seed, (0.0, math.inf), corrects_bias=corrects_bias)
+        spread = interval(ratio, together, replicates, level, seed, (0.0, math.inf), corrects_bias=corrects_bias)
     except ZeroDivisionError:
         return None
-    return Interval(made.low, made.high, level, f"paired {made.method}")
+    return replace(spread, method=f"paired {spread.method}")
 
 
 def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
