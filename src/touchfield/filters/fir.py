@@ -21,14 +21,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.files import require_plain
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import (
+    BOUNDARIES,
     SCIPY_MODES,
     AxisTaps,
     brick_field,
-    checked_boundary,
     continued_index,
     cropped,
     factors,
@@ -68,9 +68,8 @@ def fir_filter(
     """
     x, h = np.asarray(signal), _checked_taps(taps, anchor)
     x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
-    checked_boundary(boundary)
-    if method not in METHODS:
-        raise InvalidArgument("method", repr(method), f"one of {', '.join(METHODS)}")
+    require_one_of("boundary", boundary, BOUNDARIES)
+    require_one_of("method", method, METHODS)
     if h.ndim > x.ndim:
         raise InvalidArgument("taps", f"{h.ndim} axes for a signal {x.shape}", f"at most {x.ndim}")
     origins = [n // 2 if anchor == "centred" else 0 for n in h.shape]
@@ -114,8 +113,7 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
         raise InvalidArgument("taps", f"an array {h.shape}", "at least one tap along each of one or more axes")
     if not np.isfinite(h).all():
         raise InvalidArgument("taps", "a tap that is not finite", "finite numbers")
-    if anchor not in ANCHORS:
-        raise InvalidArgument("anchor", repr(anchor), f"one of {', '.join(ANCHORS)}")
+    require_one_of("anchor", anchor, ANCHORS)
     if anchor == "centred" and any(n % 2 == 0 for n in h.shape):
         mend = 'An even kernel has no middle tap: add a zero, or take anchor="causal".'
         raise InvalidArgument("taps", f"{h.shape} taps to be centred", "an odd number along each axis", mend)
@@ -179,7 +177,7 @@ class FirFilter(FieldFilter):
     normalise: bool = True
 
     def __post_init__(self) -> None:
-        checked_boundary(self.boundary, "--fir boundary")
+        require_one_of("--fir boundary", self.boundary, BOUNDARIES)
         total = float(self.kernel.sum())
         nothing = abs(total) <= 1e-12 * float(np.abs(self.kernel).sum())
         if (self.normalise and nothing) or not self.kernel.any():

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys, dilated, frozen, neighbour_slots
@@ -229,8 +229,7 @@ class MultiresolutionFilter(FieldFilter):
 
     def __post_init__(self) -> None:
         whole_stages(self.stages, 1, _MAX_FILTER_STAGES)
-        if self.keep not in ("coarse", "details"):
-            raise InvalidArgument("keep", repr(self.keep), "coarse or details")
+        require_one_of("keep", self.keep, ("coarse", "details"))
 
     def claims(self, grid: Grid) -> Claims:
         """Linear; a constant passes with gain 1 (as details: with 0). Short filters overshoot at a contact."""

@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.region import RigidMotion
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
@@ -104,8 +104,7 @@ LOW_PASSES: Final = {
 
 def low_pass(name: str) -> LowPass:
     """The kernel of a name; `InvalidArgument` if there is none."""
-    if name not in LOW_PASSES:
-        raise InvalidArgument("low_pass", repr(name), f"one of {', '.join(LOW_PASSES)}")
+    require_one_of("low_pass", name, LOW_PASSES)
     return LOW_PASSES[name]
 
 
@@ -245,8 +244,7 @@ def interpolated(
         `ForceField.sample_n` does. "cell": the outermost sample stands for all of its cell.
     Raises `InvalidArgument` if the border is unknown, or the target is too fine for a field of that size.
     """
-    if border not in BORDERS:
-        raise InvalidArgument("border", repr(border), " or ".join(BORDERS))
+    require_one_of("border", border, BORDERS)
     from touchfield.medium import kernels
 
     motion = None if motion == RigidMotion() else motion

@@ -40,12 +40,6 @@ SCIPY_MODES: Final = {"zero": "constant", "nearest": "nearest", "reflect": "refl
 BOUNDARIES: Final = tuple(SCIPY_MODES)
 
 
-def checked_boundary(boundary: str, where: str = "boundary") -> None:
-    """`InvalidArgument` if the boundary is not one of `BOUNDARIES`."""
-    if boundary not in BOUNDARIES:
-        raise InvalidArgument(where, repr(boundary), f"one of {', '.join(BOUNDARIES)}")
-
-
 def continued_index(count: int, before: int, after: int, boundary: str) -> Int64s:
     """The sample at each place of an axis continued beyond its ends, int64 [before + count + after].
 

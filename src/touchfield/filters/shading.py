@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import AxisTaps, keys_of_passes, places_of, sums_of_bricks, within_grid
 from touchfield.medium import BRICK, ForceField, Grid
@@ -78,8 +78,7 @@ class ShadingFilter(FieldFilter):
     def __post_init__(self) -> None:
         if not 0 < self.sigma_m < math.inf:
             raise InvalidArgument("shading sigma_m", repr(self.sigma_m), "a positive length in metres")
-        if self.smooth not in SMOOTHED:
-            raise InvalidArgument("shading smooth", repr(self.smooth), f"one of {', '.join(SMOOTHED)}")
+        require_one_of("shading smooth", self.smooth, SMOOTHED)
         if not 0 < self.truncate <= MAX_TRUNCATE:
             raise InvalidArgument("shading truncate", repr(self.truncate), f"above 0, at most {MAX_TRUNCATE:g} sigma")
         if self.spread and self.smooth == "direction":
@@ -226,11 +225,9 @@ class DiffusionFilter(FieldFilter):
         if not self.kappa_n >= _LEAST_KAPPA:
             expected = f"newtons, {_LEAST_KAPPA:g} or more, or inf"
             raise InvalidArgument("perona-malik kappa_n", repr(self.kappa_n), expected)
-        if self.conductance not in CONDUCTANCES:
-            raise InvalidArgument("perona-malik conductance", repr(self.conductance), " or ".join(CONDUCTANCES))
+        require_one_of("perona-malik conductance", self.conductance, CONDUCTANCES)
         _lambda(self.lam, 3)
-        if self.region not in REGIONS:
-            raise InvalidArgument("perona-malik region", repr(self.region), " or ".join(REGIONS))
+        require_one_of("perona-malik region", self.region, REGIONS)
 
     def claims(self, grid: Grid) -> Claims:
         """One sample further in each step; linear only where neither the conductance nor the region depends on F."""

@@ -25,7 +25,7 @@ from numbers import Integral
 from typing import Any, Final
 
 from touchfield.arrays import Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.quantity import Interval, Quantity, ratio_interval
@@ -98,8 +98,7 @@ def capacity(
     reading is unknown or has no use for `ratio`, or a rendered entropy that cannot be overestimated is above C_dev
     (the codomain is then another's).
     """
-    if reading not in READINGS:
-        raise InvalidArgument("reading", repr(reading), f"one of {', '.join(READINGS)}")
+    require_one_of("reading", reading, READINGS)
     for where, entropy in (("reference", reference), ("rendered", rendered)):
         if entropy.unit != _UNIT:
             raise InvalidArgument(

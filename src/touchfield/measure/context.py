@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Int32s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
@@ -257,8 +257,7 @@ def context_entropy(
     before the first there is only 0. `estimator`: of both entropies. InvalidArgument for frames that do not match, or
     an unknown name. FewSamplesWarning if there are fewer than ten informed voxels to a cell.
     """
-    if neighbourhood not in NEIGHBOURHOODS:
-        raise InvalidArgument("neighbourhood", repr(neighbourhood), f"one of {', '.join(NEIGHBOURHOODS)}")
+    require_one_of("neighbourhood", neighbourhood, NEIGHBOURHOODS)
     counter, before = None, None
     for frame in map(scan_relabelled, Frames(frames, "frames")):
         counter = counter or ContextCounter(frame.alphabet, frame.quantiser, previous_frame=previous_frame)

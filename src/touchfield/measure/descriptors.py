@@ -48,7 +48,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float32s, Float64s, Int32s
-from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
+from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion, require_one_of
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.field import brick_keys
@@ -235,10 +235,8 @@ class Descriptor:
 
     def __getitem__(self, part: str) -> Float64s:
         """One part by name."""
-        for name, slot in part_slots():
-            if name == part:
-                return self.values[slot]
-        raise InvalidArgument("part", repr(part), f"one of {', '.join(PARTS)}")
+        require_one_of("part", part, PARTS)
+        return self.values[dict(part_slots())[part]]
 
     def __eq__(self, other: object) -> bool:
         return np.array_equal(self.values, other.values) if isinstance(other, Descriptor) else NotImplemented

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.counts import ABSENT, BLOCKS, LEAST_BLOCKS, Counts
-from touchfield.measure.estimators import checked_estimator, entropy_bits, estimate_bits
+from touchfield.measure.estimators import ESTIMATORS, entropy_bits, estimate_bits
 from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity, interval
 
 Statistic = Callable[["Int64s | Float64s"], float]
@@ -185,8 +185,8 @@ class _Entropies:
         if d < least:
             raise InvalidArgument("samples", f"{d} variable", f"{least}")
         self.names = self.counts.variables[:d]
-        is_exact = self.counts.weights.dtype.kind == "f"
-        self.estimator = "exact" if is_exact else checked_estimator(estimator)
+        require_one_of("estimator", estimator, ESTIMATORS)
+        self.estimator = "exact" if self.counts.weights.dtype.kind == "f" else estimator
         self.symbols, self.fewest = len(self.counts.cells), self.counts.total
         self._places: dict[int, Int64s] = {}
 

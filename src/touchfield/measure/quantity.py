@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.estimators import as_array
 
 MIN_BLOCKS: Final = 8
@@ -88,8 +88,7 @@ class Quantity:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.weighting not in WEIGHTINGS:
-            raise InvalidArgument("weighting", repr(self.weighting), f"one of {', '.join(WEIGHTINGS)}")
+        require_one_of("weighting", self.weighting, WEIGHTINGS)
         if math.isnan(self.value) and not self.notes:
             raise InvalidArgument(self.name, "NaN without a reason", "a note that says why")
 

@@ -41,7 +41,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.counts import ABSENT
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.field_count import field_counts, supported
@@ -189,8 +189,7 @@ def contact_along_rays(field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike
     InvalidArgument if a point is not finite, the shapes do not fit, the reading is unknown, or rays and steps are too
     many.
     """
-    if reading not in READINGS:
-        raise InvalidArgument("reading", repr(reading), f"one of {', '.join(READINGS)}")
+    require_one_of("reading", reading, READINGS)
     begin, end = (np.asarray(p, np.float64) for p in (starts_m, ends_m))
     try:
         shape = np.broadcast_shapes(begin.shape, end.shape)
