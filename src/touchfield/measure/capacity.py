@@ -155,23 +155,17 @@ def _of(
     told = rendered.value if reading == "realised" else device_bits
     bits = min(told, device_bits, reference.value)
     notes = _guards(reference, rendered, device_bits, reading)
-    q, e = ({getattr(x, of) for x in (reference, rendered)} for of in ("quantiser", "estimator"))
-    base = Quantity(
-        "C",
-        0.0,
-        "1",
-        quantiser=reference.quantiser if len(q) == 1 else f"W: {reference.quantiser}; M(W): {rendered.quantiser}",
-        weighting=reference.weighting,
-        estimator=reference.estimator if len(e) == 1 else f"W: {reference.estimator}; M(W): {rendered.estimator}",
-        samples=rendered.samples,
-        symbols=rendered.symbols,
-        notes=notes,
-    )
+
+    def of_both(name: str) -> str:
+        mine, theirs = getattr(reference, name), getattr(rendered, name)
+        return str(mine) if mine == theirs else f"W: {mine}; M(W): {theirs}"
+
+    base = rendered.of(unit="1", quantiser=of_both("quantiser"), estimator=of_both("estimator"), notes=notes)
     spread = _spread(reference, rendered if reading == "realised" else None, device_bits)
     c = base.of(name="C", value=bits, unit=_UNIT, interval=None if spread is None else spread[0])
     if reference.value == 0:
         why = "H(W) = 0: a medium that tells nothing has nothing to lose, and the ratio does not exist"
-        nothing = base.of(value=math.nan, notes=(*notes, why))
+        nothing = base.of(value=math.nan, interval=None, notes=(*notes, why))
         return Capacity(reading, reference, rendered, device_bits, c, nothing.of(name="WMR"), nothing.of(name="HIL"))
     ratio, loss = bits / reference.value, max(reference.value - bits, 0.0) / reference.value
     of_ratio = None if spread is None else spread[1]

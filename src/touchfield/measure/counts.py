@@ -53,24 +53,13 @@ _NO_BLOCKS = "no interval: fewer than 8 blocks, for there are too few samples or
 class Counts:
     """How often each cell (symbol or joint symbol) was seen, and what they are of.
 
-    InvalidArgument if shapes, order or weights are wrong.
-
-    Parameters
-    ----------
-    cells : int64 [K, d]
-        The symbols of d variables, rows in strictly ascending order, the first column slowest.
-    weights : int64 [K] or float64 [K]
-        Counts of at least 1 each, or probabilities above 0 that add up to 1.
-    blocks : int64 [B, K], optional
-        The same counts in each of at least 8 parts that a bootstrap may draw; none for no interval.
-    quantiser, weighting : str
-        Q and mu, as in `Quantity`.
-    variables : tuple of str
-        Their letters: ("X", "Y") of arrays, ("S", "T") of fields.
-    alphabet : int, optional
-        How many different cells there can be, where it is known: no entropy of all variables is above its log2.
-    notes : tuple of str
-        What a reader must know of them, such as why there are no blocks.
+    `cells` int64 [K, d]: the symbols of d variables, rows in strictly ascending order, the first column slowest.
+    `weights` int64 [K] or float64 [K]: counts of at least 1 each, or probabilities above 0 that add up to 1.
+    `blocks` int64 [B, K]: the same counts in each of at least 8 parts that a bootstrap may draw; None for no
+    interval. `quantiser`, `weighting`: Q and mu, as in `Quantity`. `variables`: their letters, ("X", "Y") of arrays,
+    ("S", "T") of fields. `alphabet`: how many different cells there can be, where it is known: no entropy of all
+    variables is above its log2. `notes`: what a reader must know, such as why there are no blocks. InvalidArgument if
+    shapes, order or weights are wrong.
     """
 
     cells: Int64s
@@ -113,15 +102,11 @@ class Counts:
         names = ("X", "Y") if d <= 2 else tuple(f"X{i + 1}" for i in range(d))
         if not n:
             return cls(np.zeros((0, d), np.int64), _NOTHING, variables=names)
-        if d == 1 and arrays[0].dtype.itemsize <= 2:
-            symbols, counts = _count_small(arrays[0], 0, n)
-            table = _blocks(lambda b, e: _count_small(arrays[0], b, e), n, symbols, blocks)
-            cells = symbols[:, None]
-        else:
-            keys = _Keys.of(arrays)
-            numbers, counts = _count_keys(keys, 0, n)
-            table = _blocks(lambda b, e: _count_keys(keys, b, e), n, numbers, blocks)
-            cells = keys.symbols(numbers)
+        keys = None if d == 1 and arrays[0].dtype.itemsize <= 2 else _Keys.of(arrays)
+        count = partial(_count_small, arrays[0]) if keys is None else partial(_count_keys, keys)
+        numbers, counts = count(0, n)
+        table = _blocks(count, n, numbers, blocks)
+        cells = numbers[:, None] if keys is None else keys.symbols(numbers)
         return cls(cells, counts, table, variables=names, notes=(_NO_BLOCKS,) if blocks and table is None else ())
 
     @classmethod

@@ -172,22 +172,14 @@ def field_counts(
 ) -> dict[str, Counts]:
     """The symbols of all frames over each weighting of `overs`, or the joint symbols of two media, voxel by voxel.
 
-    Over the object there are no cells if there is none. InvalidArgument if the frames differ in grid or Q, or from
-    one pass to the next, or the two media in grid or length; a weighting is unknown; there are 2^63 voxels or more.
-
-    Parameters
-    ----------
-    first, second : FieldSymbols, or sequences of as many
-        S and T, of one grid; their quantisers may differ. Sequences may make their frames when asked for them: they
-        are asked for one by one, in order, the second's before the first's, and none is held longer than it is
-        counted. Each is asked for once without an interval, and over "voxel" alone if `blocks` times the alphabet is
-        at most 2^24; twice otherwise.
-    overs : tuple of "voxel" and "object"
-        All voxels; those whose symbol is not 0, of two media those where one of the two has a force.
-    interval : bool
-        Whether blocks are wanted.
-    blocks : int
-        How many; 8 or more.
+    `first`, `second`: FieldSymbols, or sequences of as many, S and T, of one grid; their quantisers may differ.
+    Sequences may make their frames when asked for them: they are asked for one by one, in order, the second's before
+    the first's, and none is held longer than it is counted. Each is asked for once without an interval, and over
+    "voxel" alone if `blocks` times the alphabet is at most 2^24; twice otherwise. `overs`: "voxel" for all voxels,
+    "object" for those whose symbol is not 0, of two media those where one of the two has a force; no cells if there
+    is none. `interval`: whether blocks are wanted. `blocks`: how many, 8 or more. InvalidArgument if the frames
+    differ in grid or Q, or from one pass to the next, or the two media in grid or length; a weighting is unknown;
+    there are 2^63 voxels or more.
     """
     if not overs or any(over not in ("voxel", "object") for over in overs):
         raise InvalidArgument("over", repr(overs), '"voxel" or "object"')

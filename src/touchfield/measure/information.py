@@ -44,16 +44,10 @@ def entropy(
 ) -> Quantity:
     """H(X) of one variable, bits a sample, or H(X,Y,..) of all; of one `column` of counts where it is named.
 
-    Parameters
-    ----------
-    samples : Counts, or arrays of integers or booleans of one shape
-    column : int, optional
-    estimator : str
-        One of `touchfield.measure.estimators.ESTIMATORS`; given probabilities have an exact entropy.
-    interval : bool
-        Whether to make one; it takes about as long again as the counting, and 200 evaluations of the estimator.
-    blocks : int
-        Of the bootstrap of arrays, 8 or more.
+    `samples`: Counts, or arrays of integers or booleans of one shape. `estimator`: one of
+    `touchfield.measure.estimators.ESTIMATORS`; given probabilities have an exact entropy. `interval`: whether to make
+    one; it takes about as long again as the counting, and 200 evaluations of the estimator. `blocks`: of the
+    bootstrap of arrays, 8 or more.
     """
     e = _Entropies(samples, estimator, interval, blocks)
     if column is not None:

@@ -211,19 +211,11 @@ class Passivity:
 def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, seed: int = 0) -> Passivity:
     """Curl, and work around closed loops, of a field; the same bits for any number of threads.
 
-    InvalidArgument if the field is empty, or `loops` or `seed` is out of range.
-
-    Parameters
-    ----------
-    force_field : ForceField
-    edges : bool
-        Count what lies half outside the support, too, with no force outside.
-    loops : int
-        Random loops, 0 to 4096. Each is a star of 16 corners around a supported sample, half of them in the plane
-        across the force (where a conservative wall does no work at all), up to half the size of the support; one
-        that leaves the support is halved until it fits, or given up.
-    seed : int
-        Of the loops.
+    `edges`: whether to count what lies half outside the support, too, with no force outside. `loops`: random loops, 0
+    to 4096. Each is a star of 16 corners around a supported sample, half of them in the plane across the force (where
+    a conservative wall does no work at all), up to half the size of the support; one that leaves the support is
+    halved until it fits, or given up. `seed`: of the loops. InvalidArgument if the field is empty, or `loops` or
+    `seed` is out of range.
     """
     if isinstance(loops, bool) or not isinstance(loops, int) or not 0 <= loops <= _MOST_LOOPS:
         raise InvalidArgument("loops", repr(loops), f"0 to {_MOST_LOOPS}")

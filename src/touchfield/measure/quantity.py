@@ -141,26 +141,16 @@ def interval(
 
     It always holds the statistic of the sum of the blocks, and has no width only where the statistic is the same for
     every resample. Blocks without a sample are left out. The memory is 16 bytes for each of the B x cells counts, and
-    64 MiB. InvalidArgument if there are fewer than 8 blocks with a sample or 50 replicates; a count is negative or
-    not whole; the level is outside (0, 1); or the statistic is not finite.
+    64 MiB.
 
-    Parameters
-    ----------
-    statistic : callable
-        ``statistic(counts)``: a finite number, of counts int64 [*cells] (such as a joint histogram).
-    block_counts : int [B, *cells]
-        The counts of each block, at least 8 of them with a sample.
-    replicates : int
-        How many resamples, at least 50; the statistic is called once for each.
-    level : float
-        Inside (0, 1).
-    seed : int
-        Of the draws; the same seed gives the same bits on any number of threads.
-    bounds : (float, float)
-        The least and the greatest value that what is estimated can have. The interval is cut there; where the
-        estimate lies beyond one of them, the interval reaches from it to that bound at least.
-    corrects_bias : bool
-        Whether the statistic takes its own bias off: the interval is then the normal one, not the basic.
+    `statistic`: ``statistic(counts)``, a finite number, of counts int64 [*cells] (such as a joint histogram).
+    `block_counts` int [B, *cells]: the counts of each block, at least 8 of them with a sample. `replicates`: how many
+    resamples, at least 50; the statistic is called once for each. `level`: inside (0, 1). `seed`: of the draws; the
+    same seed gives the same bits on any number of threads. `bounds`: the least and the greatest value that what is
+    estimated can have. The interval is cut there; where the estimate lies beyond one of them, the interval reaches
+    from it to that bound at least. `corrects_bias`: whether the statistic takes its own bias off: the interval is
+    then the normal one, not the basic. InvalidArgument if there are fewer than 8 blocks with a sample or 50
+    replicates; a count is negative or not whole; the level is outside (0, 1); or the statistic is not finite.
     """
     from scipy.special import ndtri, stdtrit
 
