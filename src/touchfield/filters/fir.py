@@ -66,17 +66,13 @@ def fir_filter(
     Returns float32 or float64 of the signal's shape and type. Raises `InvalidArgument` if the kernel is empty, not
     finite, larger than the signal, or even and to be centred; if the signal or a sum is not finite; for other words.
     """
-    x, h = np.asarray(signal), _checked_taps(taps, anchor)
-    x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
-    require_one_of("boundary", boundary, BOUNDARIES)
+    x, h = checked_signal(signal, boundary), _checked_taps(taps, anchor)
     require_one_of("method", method, METHODS)
     if h.ndim > x.ndim:
         raise InvalidArgument("taps", f"{h.ndim} axes for a signal {x.shape}", f"at most {x.ndim}")
     origins = [n // 2 if anchor == "centred" else 0 for n in h.shape]
     for axis, (n, count) in enumerate(zip(h.shape, x.shape, strict=False)):
         AxisTaps(np.ones(n), 0).check_fits(count, f"taps of axis {axis}")
-    if not all_finite(x):
-        raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     rows = factors(h)
     if method == "auto":
         taps_of_sample = _ROW_TAPS * sum(h.shape) if rows else np.count_nonzero(h)
@@ -84,6 +80,16 @@ def fir_filter(
     with np.errstate(over="ignore", invalid="ignore"):
         sums = _by_fft(x, h, origins, boundary) if method == "fft" else direct_sums(x, rows or h, origins, boundary)
     return without_overflow(sums, "signal")
+
+
+def checked_signal(signal: ArrayLike, boundary: str) -> NDArray[Any]:
+    """A dense array in float32 or float64; `InvalidArgument` for other boundaries, or a number that is not finite."""
+    require_one_of("boundary", boundary, BOUNDARIES)
+    x = np.asarray(signal)
+    x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
+    if not all_finite(x):
+        raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
+    return x
 
 
 def all_finite(x: NDArray[Any]) -> bool:

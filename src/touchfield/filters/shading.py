@@ -248,9 +248,7 @@ class DiffusionFilter(FieldFilter):
         if self.region == "all":
             bricks = dilated(field.grid, field.bricks, self.claims(field.grid).reach)
             support = within_grid(field.grid, bricks)
-        forces = zero_forces(len(bricks))
-        keys = brick_keys(field.grid, bricks)
-        forces[np.searchsorted(keys, brick_keys(field.grid, field.bricks))] = field.forces_n
+        forces = field.forces_at(brick_keys(field.grid, bricks))
         # an axis of one sample has no edges, and its spacing does not count
         finest = min((h for h, n in zip(field.grid.spacing_m, field.grid.shape) if n > 1), default=1.0)
         lam = [_lambda(self.lam, 3) * min(1.0, finest / h) ** 2 for h in field.grid.spacing_m]

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, require_one_of
-from touchfield.filters.fir import all_finite, direct_sums, without_overflow
+from touchfield.filters.fir import checked_signal, direct_sums, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LOW_PASSES
 from touchfield.filters.separable import BOUNDARIES, AxisTaps, filter_field, reach_of
@@ -75,9 +75,7 @@ def gaussian(
     Returns float32 or float64: Of the signal's shape; the same bits for any number of threads.
     Raises `InvalidArgument` if a number is out of range or not finite, or the kernel is larger than the signal.
     """
-    x = np.asarray(signal)
-    x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
-    require_one_of("boundary", boundary, BOUNDARIES)
+    x = checked_signal(signal, boundary)
     if isinstance(sigma_samples, int | float | np.integer | np.floating):
         sigmas = [float(sigma_samples)] * (3 if x.ndim == 4 and x.shape[3] == 3 else x.ndim)
     else:
@@ -87,8 +85,6 @@ def gaussian(
     axes = [AxisTaps.centred(gaussian_taps(s, truncate)) for s in sigmas]
     for axis, row in enumerate(axes):
         row.check_fits(x.shape[axis], f"sigma_samples of axis {axis}")
-    if not all_finite(x):
-        raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     if x.dtype == np.float32 and len(axes) == 3 and x.shape[3:] == (3,) and x.size:
         # continued as an array: of a field without empty space that is quicker than brick by brick
         reach = [0 if boundary == "zero" else a.reach for a in axes]
