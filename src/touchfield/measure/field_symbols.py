@@ -155,34 +155,18 @@ class Frames:
         return f
 
 
-@dataclass(frozen=True)
 class FramePairs:
-    """The frames of two sequences together, as joint symbols s * K_T + t."""
+    """The frames of two sequences of one grid and one length together, as joint symbols s * K_T + t."""
 
-    first: Frames
-    second: Frames
-
-    @property
-    def grid(self) -> Grid:
-        return self.first.grid
-
-    @property
-    def count(self) -> int:
-        return self.first.count
-
-    @property
-    def alphabet(self) -> int:
-        return self.first.alphabet * self.second.alphabet
-
-    @property
-    def quantiser(self) -> str:
-        a, b = self.first.quantiser, self.second.quantiser
-        return a if a == b else f"{a}; {b}"
+    def __init__(self, first: Frames, second: Frames) -> None:
+        self._first, self._second = first, second
+        self.grid, self.count, self.alphabet = first.grid, first.count, first.alphabet * second.alphabet
+        self.quantiser = "; ".join(dict.fromkeys((first.quantiser, second.quantiser)))
 
     def parts(self) -> Iterator[Part]:
         """One pass. The second is usually the frame before: asked for first, it is still there if two are kept."""
         for n in range(self.count):
-            yield from _joint_parts(second=self.second.take(n), first=self.first.take(n))
+            yield from _joint_parts(second=self._second.take(n), first=self._first.take(n))
 
 
 def _parts(f: FieldSymbols) -> Iterator[Part]:
