@@ -26,10 +26,10 @@ from touchfield.files import require_plain
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import (
     BOUNDARIES,
+    NUMPY_MODES,
     SCIPY_MODES,
     AxisTaps,
     brick_field,
-    continued_index,
     cropped,
     factors,
     filter_field,
@@ -148,12 +148,9 @@ def _by_fft(x: NDArray[Any], h: Float64s, origins: list[int], boundary: str) -> 
 
     # powers of two, which lose nothing, keep the transforms within float64 where the sums are
     x_order, h_order = (int(np.frexp(np.abs(a).max(initial=0.0))[1]) for a in (x, h))
-    wide = np.ldexp(x.astype(np.float64), -x_order)
-    for axis, (n, origin) in enumerate(zip(h.shape, origins, strict=True)):
-        index = continued_index(x.shape[axis], n - 1 - origin, origin, boundary)
-        wide = np.take(wide, np.maximum(index, 0), axis=axis)
-        np.moveaxis(wide, axis, 0)[index < 0] = 0
     beside = x.ndim - h.ndim
+    margins = [*((n - 1 - origin, origin) for n, origin in zip(h.shape, origins, strict=True)), *[(0, 0)] * beside]
+    wide = np.pad(np.ldexp(x.astype(np.float64), -x_order), margins, mode=NUMPY_MODES[boundary])
     row = np.ldexp(h, -h_order).reshape(*h.shape, *[1] * beside)
     sums = signal.fftconvolve(wide, row, mode="valid", axes=tuple(range(h.ndim)))
     return np.asarray(np.ldexp(sums, x_order + h_order), x.dtype)

@@ -25,14 +25,13 @@ from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.fir import checked_signal, direct_sums, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LOW_PASSES
-from touchfield.filters.separable import BOUNDARIES, AxisTaps, filter_field, reach_of
+from touchfield.filters.separable import BOUNDARIES, NUMPY_MODES, AxisTaps, filter_field, reach_of
 from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
     from touchfield.filters.separable import Axes
 
 MAX_RADIUS_SAMPLES: Final = 1 << 15
-_PADDING: Final[dict[str, Any]] = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}
 
 CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}  # cut-off times pitch
 KERNELS: Final = ("firwin", *LOW_PASSES)
@@ -88,7 +87,7 @@ def gaussian(
     if x.dtype == np.float32 and len(axes) == 3 and x.shape[3:] == (3,) and x.size:
         # continued as an array: of a field without empty space that is quicker than brick by brick
         reach = [0 if boundary == "zero" else a.reach for a in axes]
-        wide = np.pad(x, [*((r, r) for r in reach), (0, 0)], mode=_PADDING[boundary])
+        wide = np.pad(x, [*((r, r) for r in reach), (0, 0)], mode=NUMPY_MODES[boundary])
         nx, ny, nz, _ = wide.shape
         field = ForceField.from_dense(Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), wide)
         smooth = filter_field(field, (axes[0], axes[1], axes[2]))[0].to_dense()
