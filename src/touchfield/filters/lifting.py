@@ -140,21 +140,21 @@ def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
 
 def _checked(array: ArrayLike, chain: Chain, name: str) -> NDArray[Any]:
     """A copy in the working type."""
-    given = np.asarray(array)
+    numbers = np.asarray(array)
     axes = chain.dimensions
-    if given.ndim < axes or given.size == 0:
-        raise InvalidArgument(name, f"shape {given.shape}", f"{axes} axes or more, none of them empty")
-    kind, size = given.dtype.kind, given.dtype.itemsize
+    if numbers.ndim < axes or numbers.size == 0:
+        raise InvalidArgument(name, f"shape {numbers.shape}", f"{axes} axes or more, none of them empty")
+    kind, size = numbers.dtype.kind, numbers.dtype.itemsize
     if kind == "f" and size <= 8:
         working = np.float32 if size <= 4 else np.float64
         largest = float(np.finfo(working).max) * _HEADROOM
-        low, high = float(given.min()), float(given.max())
+        low, high = float(numbers.min()), float(numbers.max())
         if not (low >= -largest and high <= largest):  # so also where one is NaN
             raise InvalidArgument(name, f"numbers from {low} to {high}", f"finite numbers up to {largest:.2g}")
-        return np.array(given, working, order="C")
+        return np.array(numbers, working, order="C")
     if kind in "iub":
-        return np.array(given, np.int32 if size <= 2 else np.int64, order="C")
-    raise InvalidArgument(name, f"type {given.dtype}", "whole numbers, or floats of up to 64 bits")
+        return np.array(numbers, np.int32 if size <= 2 else np.int64, order="C")
+    raise InvalidArgument(name, f"type {numbers.dtype}", "whole numbers, or floats of up to 64 bits")
 
 
 def _lift(values: NDArray[Any], split: Split, chain: Chain, kind: str, sign: int) -> None:

@@ -196,8 +196,8 @@ def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s
     hands = 4 * worker_count()  # the pieces of `for_chunks`: slabs are dealt out in turn, so that all cost the same
     items = np.stack(np.divmod(np.concatenate([every[hand::hands] for hand in range(hands)]), tiles), axis=1)
     target, law = out.reshape(-1), (grid.brick_shape, before, deep, sizes, (places, weights, counts))
-    given = items, (flat, masks), tuple(keys), *law, target, target.view(np.uint32), tops
-    for_chunks(kernels.filtered_bricks, len(items), *given)
+    arguments = items, (flat, masks), tuple(keys), *law, target, target.view(np.uint32), tops
+    for_chunks(kernels.filtered_bricks, len(items), *arguments)
     return out, tops.view(np.float32)
 
 

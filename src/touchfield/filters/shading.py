@@ -278,11 +278,11 @@ def perona_malik(
     Raises `InvalidArgument` if a value is out of range or not finite, or shapes do not fit.
     """
     law = DiffusionFilter(kappa_n, steps, conductance=conductance)
-    given = np.array(values, np.float32)
-    if given.size == 0 or given.ndim not in (1, 2, 3, 4) or (given.ndim == 4 and given.shape[3] != 3):
-        raise InvalidArgument("values", f"shape {given.shape}", "[nx, ny, nz, 3], or scalars with one to three axes")
-    _check_size("values", given)
-    space = given.shape[:3]
+    array = np.array(values, np.float32)
+    if array.size == 0 or array.ndim not in (1, 2, 3, 4) or (array.ndim == 4 and array.shape[3] != 3):
+        raise InvalidArgument("values", f"shape {array.shape}", "[nx, ny, nz, 3], or scalars with one to three axes")
+    _check_size("values", array)
+    space = array.shape[:3]
     factor = _lambda(lam, len(space))
     mask = np.ones(space, np.bool_) if where is None else np.array(where)
     if mask.shape != space or mask.dtype != np.bool_:
@@ -291,12 +291,12 @@ def perona_malik(
     grid = Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
     bricks = bricks_of(grid, np.arange(math.prod(grid.brick_shape)))
     support, forces = tiled(mask.reshape(lattice)).reshape(-1, *[BRICK] * 3), zero_forces(len(bricks))
-    values_of = given.reshape(*lattice, -1)
+    values_of = array.reshape(*lattice, -1)
     forces[..., : values_of.shape[3]] = tiled(values_of).reshape(len(bricks), *[BRICK] * 3, -1)
     forces = _diffused(grid, bricks, support, forces, [factor] * 3, law)
     rows = np.moveaxis(forces.reshape(*grid.brick_shape, BRICK, BRICK, BRICK, 3), (1, 2), (2, 4))
     dense = rows.reshape(*(n * BRICK for n in grid.brick_shape), 3)[:nx, :ny, :nz, : values_of.shape[3]]
-    return np.ascontiguousarray(dense).reshape(given.shape)
+    return np.ascontiguousarray(dense).reshape(array.shape)
 
 
 def _diffused(

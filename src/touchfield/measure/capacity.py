@@ -140,20 +140,20 @@ def paired_ratio(
     medium, rendered = counts
     assert medium.blocks is not None and rendered.blocks is not None
 
-    def held(c: Int64s) -> float:
-        return voxels[0] * estimate_bits(c, estimator, medium.alphabet)
-
-    def told(c: Int64s) -> float:
+    def above(c: Int64s) -> float:
         return min(voxels[1] * estimate_bits(c, estimator, rendered.alphabet), codomain_bits)
 
-    return ratio_interval(told, held, (rendered.blocks, medium.blocks), corrects_bias=estimator != "plug-in")
+    def below(c: Int64s) -> float:
+        return voxels[0] * estimate_bits(c, estimator, medium.alphabet)
+
+    return ratio_interval(above, below, (rendered.blocks, medium.blocks), corrects_bias=estimator != "plug-in")
 
 
 def _of(
     reference: Quantity, rendered: Quantity, device_bits: float, reading: str, paired: Interval | None
 ) -> Capacity:
-    told = rendered.value if reading == "realised" else device_bits
-    bits = min(told, device_bits, reference.value)
+    told_bits = rendered.value if reading == "realised" else device_bits
+    bits = min(told_bits, device_bits, reference.value)
     notes = _guards(reference, rendered, device_bits, reading)
 
     def of_both(name: str) -> str:

@@ -286,16 +286,16 @@ def _range(x: NDArray[Any]) -> tuple[int, int]:
         return 0, 1
 
     def piece(begin: int, end: int) -> list[int]:
-        found = []
+        ends = []
         for b in range(begin, end, STRETCH):
             part = _stretch(x, b, min(end, b + STRETCH))
-            found += [int(part.min()), int(part.max())]
-        return found
+            ends += [int(part.min()), int(part.max())]
+        return ends
 
-    found = [n for part in for_chunks(piece, x.size, chunk=STRETCH) for n in part]
-    if max(found) >= _MOST:
-        raise InvalidArgument("samples", f"the symbol {max(found)}", "symbols below 2^63")
-    return min(found), max(found)
+    ends = [n for part in for_chunks(piece, x.size, chunk=STRETCH) for n in part]
+    if max(ends) >= _MOST:
+        raise InvalidArgument("samples", f"the symbol {max(ends)}", "symbols below 2^63")
+    return min(ends), max(ends)
 
 
 def _count_small(x: NDArray[Any], begin: int, end: int) -> Tally:
@@ -341,25 +341,25 @@ def _sorted(read: Callable[[int, int], Int64s], begin: int, end: int) -> Tally:
         starts = range(offset + first, offset + last, STRETCH)
         return merged([np.unique(read(b, min(offset + last, b + STRETCH)), return_counts=True) for b in starts])
 
-    found: Tally = (_NOTHING, _NOTHING)
+    total: Tally = (_NOTHING, _NOTHING)
     for b in range(begin, end, 16 * STRETCH):
-        found = merged([found, *for_chunks(piece, min(end - b, 16 * STRETCH), b, chunk=STRETCH)])
-    return found
+        total = merged([total, *for_chunks(piece, min(end - b, 16 * STRETCH), b, chunk=STRETCH)])
+    return total
 
 
 def _blocks(count: Callable[[int, int], Tally], n: int, known: Int64s, wanted: int) -> Int64s | None:
     """The counts of known numbers in contiguous blocks of n samples, equal but for one sample, int64 [B, K]."""
-    made = min(int(wanted), n, MOST_BLOCK_CELLS // max(1, len(known)))
-    if made < LEAST_BLOCKS:
+    blocks = min(int(wanted), n, MOST_BLOCK_CELLS // max(1, len(known)))
+    if blocks < LEAST_BLOCKS:
         return None
-    out = np.zeros((made, len(known)), np.int64)
+    out = np.zeros((blocks, len(known)), np.int64)
 
     def piece(begin: int, end: int) -> None:
         for b in range(begin, end):
-            found, times = count(n * b // made, n * (b + 1) // made)
-            out[b, np.searchsorted(known, found)] = times
+            numbers, times = count(n * b // blocks, n * (b + 1) // blocks)
+            out[b, np.searchsorted(known, numbers)] = times
 
-    for_chunks(piece, made)
+    for_chunks(piece, blocks)
     return out
 
 

@@ -171,11 +171,11 @@ def octree_levels(
         # a hair inwards, so that rounding does not decide which cell a sample on a border lies in
         x, y, z = np.clip(np.floor(places * cells + 1e-9).astype(np.int64), 0, cells - 1).T
         of_sample = (x * cells + y) * cells + z
-        held, cell = np.unique(of_sample, return_inverse=True)
+        occupied, cell = np.unique(of_sample, return_inverse=True)
         means = np.bincount(cell.reshape(-1), amplitudes_n) / np.bincount(cell.reshape(-1))
         counts = np.bincount(np.searchsorted(thresholds_n, means, side="right"))
-        fractions[level - 1] = len(held) / cells**3
-        entropies[level - 1] = entropy_bits(np.append(counts, cells**3 - len(held)))
+        fractions[level - 1] = len(occupied) / cells**3
+        entropies[level - 1] = entropy_bits(np.append(counts, cells**3 - len(occupied)))
     return fractions, entropies
 
 

@@ -158,8 +158,8 @@ def field_entropy(
     "object" for those whose symbol is not 0; over visits there is `interaction_entropy`. `blocks`: of the bootstrap,
     8 or more; about as many are made. InvalidArgument as of `field_counts`, and if over "object" there is no support.
     """
-    found = supported(field_counts(fields, overs=(over,), interval=interval, blocks=blocks)[over])
-    return entropy(found, estimator=estimator, interval=interval)
+    counts = supported(field_counts(fields, overs=(over,), interval=interval, blocks=blocks)[over])
+    return entropy(counts, estimator=estimator, interval=interval)
 
 
 def field_counts(
@@ -194,9 +194,9 @@ def field_counts(
         )
     if a.grid != b.grid:
         raise InvalidArgument("second", f"the grid {b.grid}", f"{a.grid}, as of the first")
-    found = _count(FramePairs(a, b), overs, interval, blocks)
-    pairs = {over: np.stack(np.divmod(c.cells[:, 0], b.alphabet), axis=1) for over, c in found.items()}
-    return {over: replace(c, cells=pairs[over]) for over, c in found.items()}
+    counts = _count(FramePairs(a, b), overs, interval, blocks)
+    pairs = {over: np.stack(np.divmod(c.cells[:, 0], b.alphabet), axis=1) for over, c in counts.items()}
+    return {over: replace(c, cells=pairs[over]) for over, c in counts.items()}
 
 
 def supported(counts: Counts) -> Counts:
@@ -257,9 +257,9 @@ def _in_one_pass(frames: Frames | FramePairs, boxes: BrickBoxes) -> tuple[Int64s
 
     table = np.zeros((boxes.count, frames.alphabet), np.int64)
     for bricks, symbols in frames.parts():
-        held = symbols != 0
-        owner = np.repeat(boxes.owner(frames.grid, bricks), held.sum(axis=1))
-        add_counts(owner * frames.alphabet + symbols[held], table.reshape(-1))
+        is_held = symbols != 0
+        owner = np.repeat(boxes.owner(frames.grid, bricks), is_held.sum(axis=1))
+        add_counts(owner * frames.alphabet + symbols[is_held], table.reshape(-1))
     table[:, 0] = boxes.voxels(frames.grid) * frames.count - table.sum(axis=1)
     seen = np.flatnonzero(table.any(axis=0))
     return seen, table[:, seen]

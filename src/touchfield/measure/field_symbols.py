@@ -55,15 +55,15 @@ class FieldSymbols:
 
         InvalidArgument if the shape is not that of the grid, or the symbols are no integers of 0 .. alphabet - 1.
         """
-        given = np.asarray(symbols)
-        if given.shape != grid.shape:
-            raise InvalidArgument("symbols", f"shape {given.shape}", f"{grid.shape}, as the grid says")
-        if given.dtype.kind not in "biu":
-            raise InvalidArgument("symbols", f"{given.dtype}", "integers or booleans", "Quantise the values first.")
-        low, high, last = int(given.min()), int(given.max()), min(alphabet, 1 << 31) - 1
+        dense = np.asarray(symbols)
+        if dense.shape != grid.shape:
+            raise InvalidArgument("symbols", f"shape {dense.shape}", f"{grid.shape}, as the grid says")
+        if dense.dtype.kind not in "biu":
+            raise InvalidArgument("symbols", f"{dense.dtype}", "integers or booleans", "Quantise the values first.")
+        low, high, last = int(dense.min()), int(dense.max()), min(alphabet, 1 << 31) - 1
         if low < 0 or high > last:  # before the cast, which would wrap them into the range
             raise InvalidArgument("symbols", f"{low} to {high}", f"0 to {last}")
-        tiles = tiled(given.astype(np.int32))
+        tiles = tiled(dense.astype(np.int32))
         bricks = np.argwhere(tiles.any(axis=(3, 4, 5))).astype(np.int32)
         return cls(grid, bricks, tiles[tuple(bricks.T)], alphabet, quantiser)
 

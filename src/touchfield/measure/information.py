@@ -147,8 +147,8 @@ def jensen_shannon_bits(p: Float64s, q: Float64s) -> float:
     middle = p + q
     total = 0.0
     for one in (p, q):
-        held = one > 0
-        total += float((one[held] * (np.log2(one[held]) - np.log2(middle[held]) + 1)).sum())
+        is_there = one > 0
+        total += float((one[is_there] * (np.log2(one[is_there]) - np.log2(middle[is_there]) + 1)).sum())
     return min(1.0, max(0.0, total / 2))
 
 
@@ -247,9 +247,9 @@ class _Entropies:
         )
 
     def _interval(self, statistic: Statistic, blocks: Int64s, most: float) -> tuple[Interval | None, list[str]]:
-        held = int(np.count_nonzero(blocks.any(axis=1)))
-        if held < LEAST_BLOCKS:
-            return None, [f"no interval: {held} blocks with samples, fewer than {LEAST_BLOCKS}"]
+        filled = int(np.count_nonzero(blocks.any(axis=1)))
+        if filled < LEAST_BLOCKS:
+            return None, [f"no interval: {filled} blocks with samples, fewer than {LEAST_BLOCKS}"]
         missing = 0
 
         def defined(counts: Int64s) -> float:

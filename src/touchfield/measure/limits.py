@@ -148,10 +148,10 @@ def _scan_lines(frame: FieldSymbols, axis: int, longest: int) -> Iterator[Int32s
 def _begins(frame: FieldSymbols, axis: int, longest: int) -> Int64s:
     """The bricks at whose samples blocks begin that reach a symbol but 0, each once, int64 [n, 3]."""
     grid = frame.grid
-    held = frame.bricks[frame.symbols.any(axis=(1, 2, 3))].astype(np.int64)
-    there = np.repeat(held[:, None], longest, axis=1)
+    bricks = frame.bricks[frame.symbols.any(axis=(1, 2, 3))].astype(np.int64)
+    there = np.repeat(bricks[:, None], longest, axis=1)
     # the first samples of blocks that end with the first of a brick, or later in it; lines are rings
-    there[:, :, axis] = (held[:, None, axis] * BRICK - np.arange(longest)) % grid.shape[axis] // BRICK
+    there[:, :, axis] = (bricks[:, None, axis] * BRICK - np.arange(longest)) % grid.shape[axis] // BRICK
     keys = np.unique(brick_keys(grid, there.reshape(-1, 3)))
     return bricks_of(grid, keys).astype(np.int64)
 
@@ -207,11 +207,11 @@ def scan_line_rates(frames: Fields, longest: int = 4, *, axis: int = 2, estimato
     return _warned(counter.result(estimator))
 
 
-def _warned(found: BlockRates) -> BlockRates:
-    few = [q for q in found.rates if q.notes]
+def _warned(result: BlockRates) -> BlockRates:
+    few = [q for q in result.rates if q.notes]
     if few:
         warnings.warn(f"{few[0].name} to {few[-1].name}: {few[-1].notes[0]}", FewSamplesWarning, stacklevel=3)
-    return found
+    return result
 
 
 LINE_AXIS: Final = 2
@@ -239,9 +239,9 @@ class CodingLimits:
 
     def context(self, neighbourhood: str, *, previous_frame: bool = False) -> ContextEntropy:
         """One of `contexts`; KeyError if it is not among them."""
-        for found in self.contexts:
-            if (found.neighbourhood, found.previous_frame) == (neighbourhood, previous_frame):
-                return found
+        for one in self.contexts:
+            if (one.neighbourhood, one.previous_frame) == (neighbourhood, previous_frame):
+                return one
         raise KeyError((neighbourhood, previous_frame))
 
     def summary(self) -> dict[str, Any]:

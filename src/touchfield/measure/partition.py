@@ -107,12 +107,12 @@ class BoxLosses:
         for d in range(d_most):
             ratio: Int64s = np.array(self.lattice.grid.shape) // np.array(self.lattice.lattice(d).shape)
             cells = places // ratio
-            told = levels[d].symbols_at(cells).astype(np.int64)
+            coarse = levels[d].symbols_at(cells).astype(np.int64)
             boxes = self._box_of(cells, d)
-            pairs = (boxes * self._alphabet + told) * self._alphabet + symbols
+            pairs = (boxes * self._alphabet + coarse) * self._alphabet + symbols
             self._pairs[d] = merged([self._pairs[d], np.unique(pairs, return_counts=True)])
-            cells, told = _held(levels[d])
-            rows, counts = np.unique(self._box_of(cells, d) * self._alphabet + told, return_counts=True)
+            cells, coarse = _held(levels[d])
+            rows, counts = np.unique(self._box_of(cells, d) * self._alphabet + coarse, return_counts=True)
             self._rows[d] = merged([self._rows[d], (rows, counts * int(ratio.prod()))])
         self.frame_count += 1
 
@@ -132,14 +132,14 @@ class BoxLosses:
         box_count = int(np.prod(shape))
         (rows, row_counts), (pairs, pair_counts) = self._rows[d], self._pairs[d]
         row_of_pair = pairs // self._alphabet
-        held, first = np.unique(row_of_pair, return_index=True)
-        box, told = np.divmod(held, self._alphabet)
+        paired, first = np.unique(row_of_pair, return_index=True)
+        box, coarse = np.divmod(paired, self._alphabet)
         in_rows = np.zeros(box_count, np.int64)
         np.add.at(in_rows, rows // self._alphabet, row_counts)
         per_box = self.lattice.grid.voxel_count // box_count * self.frame_count
         total = per_box - in_rows[box]  # of k = 0
-        known = told > 0
-        total[known] = row_counts[np.searchsorted(rows, held[known])]
+        known = coarse > 0
+        total[known] = row_counts[np.searchsorted(rows, paired[known])]
         empty = total - (np.add.reduceat(pair_counts, first) if len(first) else 0)
         bits = _xlog2x(total) - _xlog2x(empty)
         if len(first):

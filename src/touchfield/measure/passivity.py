@@ -120,11 +120,11 @@ def _fit(force_field: ForceField, paths_m: Float64s) -> Bools:
 
 def _cells_held(force_field: ForceField, index: Float64s) -> Bools:
     """True where the eight lattice points around fractional indices [m, 3] are in the support, bool [m]."""
-    low, held = np.floor(index).astype(np.int64), np.ones(len(index), np.bool_)
+    low, is_held = np.floor(index).astype(np.int64), np.ones(len(index), np.bool_)
     for corner in np.ndindex(2, 2, 2):
-        there = np.flatnonzero(held)
-        held[there] = values_at(force_field.grid, force_field.bricks, force_field.mask, low[there] + corner)
-    return held
+        there = np.flatnonzero(is_held)
+        is_held[there] = values_at(force_field.grid, force_field.bricks, force_field.mask, low[there] + corner)
+    return is_held
 
 
 def _works_j(force_field: ForceField, paths_m: Float64s) -> Float64s:

@@ -159,7 +159,7 @@ def interval(
     estimate = _finite(statistic(counts.sum(axis=0)))
     values = _resampled(statistic, counts, replicates, seed)
 
-    def held(low: float, high: float) -> tuple[float, float]:
+    def cut(low: float, high: float) -> tuple[float, float]:
         """Cut at the bounds, and stretched to hold the estimate; 0, and not -0."""
         low, high = (min(max(edge, bounds[0]), bounds[1]) for edge in (low, high))
         return min(low, estimate) + 0.0, max(high, estimate) + 0.0
@@ -171,11 +171,11 @@ def interval(
         centre = float(values.mean())
         low, high = np.quantile(values, [1 - upper, upper])
         middle = 2 * estimate - centre
-        ends = held(middle - wider * float(high - centre), middle + wider * float(centre - low))
+        ends = cut(middle - wider * float(high - centre), middle + wider * float(centre - low))
     if corrects_bias or ends[0] == ends[1]:  # what the bias takes to a bound has a spread nevertheless
         deviation = float(values.std(ddof=1)) if values.min() < values.max() else 0.0  # no rounding where all agree
         half = wider * float(ndtri(upper)) * deviation
-        kind, ends = "normal", held(estimate - half, estimate + half)
+        kind, ends = "normal", cut(estimate - half, estimate + half)
     return Interval(*ends, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
 
 
@@ -217,23 +217,23 @@ def ratio_interval(
 
 
 def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
-    given = as_array(block_counts, "block_counts")
-    if given.ndim < 2:
-        raise InvalidArgument("block_counts", f"shape {given.shape}", "[B, cells]")
-    if given.dtype.kind not in "biu":
-        raise InvalidArgument("block_counts", f"values of type {given.dtype}", "whole numbers")
-    if given.size and given.min() < 0:
-        raise InvalidArgument("block_counts", f"{given.min()}", "counts of at least 0")
+    counts = as_array(block_counts, "block_counts")
+    if counts.ndim < 2:
+        raise InvalidArgument("block_counts", f"shape {counts.shape}", "[B, cells]")
+    if counts.dtype.kind not in "biu":
+        raise InvalidArgument("block_counts", f"values of type {counts.dtype}", "whole numbers")
+    if counts.size and counts.min() < 0:
+        raise InvalidArgument("block_counts", f"{counts.min()}", "counts of at least 0")
     if not (replicates >= MIN_REPLICATES and int(replicates) == replicates):
         raise InvalidArgument("replicates", f"{replicates}", f"a whole number of at least {MIN_REPLICATES}")
     if not 0 < level < 1:
         raise InvalidArgument("level", f"{level}", "inside (0, 1), such as 0.95")
-    held = given[given.any(axis=tuple(range(1, given.ndim)))]
-    if len(held) < MIN_BLOCKS:
+    filled = counts[counts.any(axis=tuple(range(1, counts.ndim)))]
+    if len(filled) < MIN_BLOCKS:
         raise InvalidArgument(
-            "block_counts", f"{len(held)} blocks with a sample", f"at least {MIN_BLOCKS}", "Take smaller blocks."
+            "block_counts", f"{len(filled)} blocks with a sample", f"at least {MIN_BLOCKS}", "Take smaller blocks."
         )
-    return held.astype(np.int64, copy=False)
+    return filled.astype(np.int64, copy=False)
 
 
 def _finite(value: float) -> float:
@@ -247,13 +247,13 @@ def _resampled(statistic: Callable[[Int64s], float], counts: Int64s, replicates:
     blocks, cells = len(counts), counts.shape[1:]
     flat = counts.reshape(blocks, -1)
     used = np.flatnonzero(flat.any(axis=0))
-    held = flat[:, used].astype(np.float64)  # products and sums of whole numbers below 2^53 are exact, in any order
+    floats = flat[:, used].astype(np.float64)  # products and sums of whole numbers below 2^53 are exact, in any order
     rng = np.random.default_rng(seed)
     weights = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=replicates).astype(np.float64)
     at_once = max(1, _CHUNK_VALUES // max(1, flat.shape[1]))
     values = np.empty(replicates)
     for begin in range(0, replicates, at_once):
-        drawn = weights[begin : begin + at_once] @ held
+        drawn = weights[begin : begin + at_once] @ floats
         full = np.zeros((len(drawn), flat.shape[1]), np.int64)
         full[:, used] = drawn
         for i, resample in enumerate(full):

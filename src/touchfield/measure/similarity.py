@@ -104,15 +104,15 @@ def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
     total = 0
     for n in range(frames.count):
         field = frames.take(n)
-        held = field.symbols.any(axis=(1, 2, 3))
-        total += _COUNT_BYTES + int(held.sum()) * (_COUNT_BYTES + BRICK**3 * width)
+        is_held = field.symbols.any(axis=(1, 2, 3))
+        total += _COUNT_BYTES + int(is_held.sum()) * (_COUNT_BYTES + BRICK**3 * width)
         if total > most_bytes:
             raise InvalidArgument(
                 "symbols to compress", f"more than {MOST_BYTES >> 20} MiB of both media",
                 f"up to {MOST_BYTES >> 20} MiB", "Take fewer frames, a coarser lattice, or no NCD.",
             )  # fmt: skip
-        keys = brick_keys(field.grid, field.bricks[held])
-        symbols = field.symbols[held].reshape(len(keys), BRICK**3).astype("<u4")
+        keys = brick_keys(field.grid, field.bricks[is_held])
+        symbols = field.symbols[is_held].reshape(len(keys), BRICK**3).astype("<u4")
         planes = symbols.view(np.uint8).reshape(len(keys), BRICK**3, 4)[:, :, :width].transpose(0, 2, 1)
         parts += [len(keys).to_bytes(_COUNT_BYTES, "little"), np.diff(keys, prepend=0).astype("<u8").tobytes()]
         parts.append(planes.tobytes())
@@ -208,12 +208,12 @@ def contact_along_rays(field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike
             "Take fewer pixels, or shorter rays.",
         )  # fmt: skip
     looked_at = np.linspace(0.0, 1.0, 1 + math.ceil(steps))
-    found, at = np.full(len(begin), np.nan), np.full(len(begin), np.nan)
+    amplitudes, at = np.full(len(begin), np.nan), np.full(len(begin), np.nan)
     for b in range(0, len(begin), _RAYS):
         some = slice(b, b + _RAYS)
-        found[some], at[some] = _followed(field, begin[some], end[some], looked_at, reading == "first")
+        amplitudes[some], at[some] = _followed(field, begin[some], end[some], looked_at, reading == "first")
     lengths = np.sqrt(((end - begin) ** 2).sum(axis=1))
-    return Contact(found.reshape(shape[:-1]), (at * lengths).reshape(shape[:-1]))
+    return Contact(amplitudes.reshape(shape[:-1]), (at * lengths).reshape(shape[:-1]))
 
 
 def contact_along_axis(field: ForceField, axis: int = 2, from_low: bool = True, reading: str = "first") -> Contact:
@@ -346,15 +346,15 @@ def classes_of_equal_share(values: ArrayLike, count: int) -> Int64s:
 
     Equal values are of one class, that of the middle of their ranks.
     """
-    given = np.asarray(values, np.float64)
-    known = ~np.isnan(given)
-    found, place, times = np.unique(given[known], return_inverse=True, return_counts=True)
+    numbers = np.asarray(values, np.float64)
+    known = ~np.isnan(numbers)
+    distinct, place, times = np.unique(numbers[known], return_inverse=True, return_counts=True)
     middle = np.cumsum(times) - times / 2
-    made = np.full(given.shape, -1, np.int64)
-    if len(found):
+    classes = np.full(numbers.shape, -1, np.int64)
+    if len(distinct):
         of_value = np.minimum((middle / times.sum() * count).astype(np.int64), count - 1)
-        made[known] = of_value[place.reshape(-1)]
-    return made
+        classes[known] = of_value[place.reshape(-1)]
+    return classes
 
 
 def correlation_length_px(first: ArrayLike, second: ArrayLike) -> float:
@@ -390,10 +390,10 @@ def _autocorrelation(values: Float64s, axis: int) -> Float64s:
 def _maps(picture: ArrayLike, touched: ArrayLike) -> tuple[Float64s, Float64s]:
     maps = []
     for name, values in (("picture", picture), ("touched", touched)):
-        given = np.asarray(values)
-        if given.ndim != 2 or given.dtype.kind not in "biuf" or not given.size:
-            raise InvalidArgument(name, f"{given.dtype} {given.shape}", "one number a pixel, [height, width]")
-        maps.append(given.astype(np.float64))
+        numbers = np.asarray(values)
+        if numbers.ndim != 2 or numbers.dtype.kind not in "biuf" or not numbers.size:
+            raise InvalidArgument(name, f"{numbers.dtype} {numbers.shape}", "one number a pixel, [height, width]")
+        maps.append(numbers.astype(np.float64))
         if np.isinf(maps[-1]).any():
             raise InvalidArgument(name, "infinity", "finite numbers, NaN where unknown")
     if maps[0].shape != maps[1].shape:
