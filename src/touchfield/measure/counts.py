@@ -21,10 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import as_array, entropy_bits
+from touchfield.measure.quantity import LEAST_BLOCKS
 from touchfield.medium.field import frozen
 from touchfield.parallel import for_chunks
 
-Tally = tuple[Int64s, Int64s]
+Histogram = tuple[Int64s, Int64s]
 """Symbols or numbers of cells, ascending, and how often each was seen."""
 
 ABSENT: Final = (1 << 63) - 1
@@ -36,7 +37,6 @@ TOLERANCE: Final = 1e-9
 BLOCKS = 64
 """Blocks of the bootstrap of arrays, where there are enough samples."""
 
-LEAST_BLOCKS = 8
 MOST_BLOCK_CELLS = 1 << 24
 """Blocks times cells that are held for a bootstrap: 128 MiB."""
 
@@ -112,8 +112,8 @@ class Counts:
     @classmethod
     def of_stream(cls, parts: Iterable[NDArray[Any]]) -> Counts:
         """Count the symbols of arrays that come one by one; each is counted and let go."""
-        total: Tally = (_NOTHING, _NOTHING)
-        waiting: list[Tally] = []  # small ones wait until together they are as large as the sum
+        total: Histogram = (_NOTHING, _NOTHING)
+        waiting: list[Histogram] = []  # small ones wait until together they are as large as the sum
         for part in parts:
             some = cls.of(part)
             waiting.append((some.cells[:, 0], np.asarray(some.weights, np.int64)))
@@ -173,7 +173,7 @@ class SymbolCounter:
     """Counts the symbols of the support and the empty voxels, frame after frame."""
 
     def __init__(self) -> None:
-        self._counted: Tally = (_NOTHING, _NOTHING)
+        self._counted: Histogram = (_NOTHING, _NOTHING)
         self._voxels = 0
 
     def add(self, symbols: ArrayLike, voxel_count: int) -> None:
@@ -193,7 +193,7 @@ class SymbolCounter:
         return entropy_bits(np.append(counts, self._voxels - counts.sum()))
 
 
-def merged(parts: Sequence[Tally]) -> Tally:
+def merged(parts: Sequence[Histogram]) -> Histogram:
     """The sum of several tallies."""
     full = [p for p in parts if len(p[0])]
     if len(full) < 2:
@@ -298,7 +298,7 @@ def _range(x: NDArray[Any]) -> tuple[int, int]:
     return min(ends), max(ends)
 
 
-def _count_small(x: NDArray[Any], begin: int, end: int) -> Tally:
+def _count_small(x: NDArray[Any], begin: int, end: int) -> Histogram:
     """Symbols and counts of 8- or 16-bit samples begin .. end in C order, by a table of all that there can be."""
     from touchfield.measure.kernels import counts_of_8_bits, counts_of_16_bits
 
@@ -316,7 +316,7 @@ def _count_small(x: NDArray[Any], begin: int, end: int) -> Tally:
     return symbols[order], table[seen[order]]
 
 
-def _count_keys(keys: _Keys, begin: int, end: int) -> Tally:
+def _count_keys(keys: _Keys, begin: int, end: int) -> Histogram:
     """The numbers that occur among samples begin .. end, ascending, and how often each does."""
     from touchfield.measure.kernels import add_counts
 
@@ -334,20 +334,20 @@ def _count_keys(keys: _Keys, begin: int, end: int) -> Tally:
     return seen, total[seen]
 
 
-def _sorted(read: Callable[[int, int], Int64s], begin: int, end: int) -> Tally:
+def _sorted(read: Callable[[int, int], Int64s], begin: int, end: int) -> Histogram:
     """Distinct numbers that are read from begin to end, a bounded part at a time."""
 
-    def piece(first: int, last: int, offset: int) -> Tally:
+    def piece(first: int, last: int, offset: int) -> Histogram:
         starts = range(offset + first, offset + last, STRETCH)
         return merged([np.unique(read(b, min(offset + last, b + STRETCH)), return_counts=True) for b in starts])
 
-    total: Tally = (_NOTHING, _NOTHING)
+    total: Histogram = (_NOTHING, _NOTHING)
     for b in range(begin, end, 16 * STRETCH):
         total = merged([total, *for_chunks(piece, min(end - b, 16 * STRETCH), b, chunk=STRETCH)])
     return total
 
 
-def _blocks(count: Callable[[int, int], Tally], n: int, known: Int64s, wanted: int) -> Int64s | None:
+def _blocks(count: Callable[[int, int], Histogram], n: int, known: Int64s, wanted: int) -> Int64s | None:
     """The counts of known numbers in contiguous blocks of n samples, equal but for one sample, int64 [B, K]."""
     blocks = min(int(wanted), n, MOST_BLOCK_CELLS // max(1, len(known)))
     if blocks < LEAST_BLOCKS:

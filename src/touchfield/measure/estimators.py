@@ -69,9 +69,6 @@ def binary_entropy_bits(p: float) -> float:
     return entropy_bits([p, 1.0 - p])
 
 
-# -- Entropy from counts (paper section 3, which defines the entropy of known probabilities only)
-
-
 @dataclass(frozen=True)
 class Tally:
     """Counts as an estimator sees them: how many symbols were counted how often.

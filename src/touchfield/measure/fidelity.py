@@ -65,8 +65,7 @@ class FidelityMeter:
             self._add_bricks(original.forces_at(part), decoded.forces_at(part), around)
 
     def _add_bricks(self, original: Float32s, decoded: Float32s, hidden: Float32s) -> None:
-        x = original.reshape(-1, 3)
-        y = decoded.reshape(-1, 3)
+        x, y = original.reshape(-1, 3), decoded.reshape(-1, 3)
         is_held = (x != 0).any(axis=1) | (y != 0).any(axis=1)
         x, y = np.ascontiguousarray(x[is_held]), np.ascontiguousarray(y[is_held])
         beyond = violations(x, y, self.k, self.f0_n, masking_n=hidden.reshape(-1)[is_held])

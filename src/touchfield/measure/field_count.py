@@ -27,10 +27,10 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.counts import LEAST_BLOCKS, MOST_BLOCK_CELLS, Counts
+from touchfield.measure.counts import MOST_BLOCK_CELLS, Counts
 from touchfield.measure.field_symbols import Fields, FramePairs, Frames, frames_changed
 from touchfield.measure.information import entropy
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.quantity import LEAST_BLOCKS, Quantity
 from touchfield.medium.field import brick_keys, bricks_of
 from touchfield.medium.grid import BRICK, Grid
 

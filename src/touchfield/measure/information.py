@@ -25,9 +25,9 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument, require_one_of
-from touchfield.measure.counts import ABSENT, BLOCKS, LEAST_BLOCKS, Counts
+from touchfield.measure.counts import ABSENT, BLOCKS, Counts
 from touchfield.measure.estimators import ESTIMATORS, entropy_bits, estimate_bits
-from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity, interval
+from touchfield.measure.quantity import LEAST_BLOCKS, FewSamplesWarning, Interval, Quantity, interval
 
 Statistic = Callable[["Int64s | Float64s"], float]
 """Of the weights [K] of cells; NaN where it does not exist."""

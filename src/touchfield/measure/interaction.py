@@ -19,10 +19,10 @@ import numpy as np
 
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.counts import LEAST_BLOCKS, Counts
+from touchfield.measure.counts import Counts
 from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.information import entropy
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.quantity import LEAST_BLOCKS, Quantity
 from touchfield.medium.field import frozen
 from touchfield.medium.grid import Grid
 from touchfield.medium.trace import Trace

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.counts import Tally, merged
+from touchfield.measure.counts import Histogram, merged
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium.grid import BRICK, Grid
 
@@ -85,7 +85,7 @@ class BoxLosses:
     def __init__(self, lattice: DyadicLattice) -> None:
         self.lattice = lattice
         self.frame_count, self._alphabet, self._quantiser = 0, 0, ""
-        none: Tally = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+        none: Histogram = (np.zeros(0, np.int64), np.zeros(0, np.int64))
         self._rows = [none] * lattice.depth  # of (box, k), k > 0: fine samples
         self._pairs = [none] * lattice.depth  # of (box, k, s), s > 0
 
@@ -248,7 +248,9 @@ def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalt
         for index in np.argwhere(reached & whole).tolist():
             boxes.append(DyadicBox(d, (index[0], index[1], index[2]), float(losses[d][tuple(index)])))
         if d < lattice.depth:
-            reached = _to_children(reached & ~whole, shapes[d + 1])
+            reached = reached & ~whole
+            for axis, n in enumerate(shapes[d + 1]):  # all their children
+                reached = np.repeat(reached, n // reached.shape[axis], axis=axis)
     assert len(boxes) == int(count.sum())
     return Partition(lattice, float(penalty_bits), tuple(boxes))
 
@@ -259,9 +261,3 @@ def _of_children(values: NDArray[Any], shape: tuple[int, int, int]) -> NDArray[A
     nx, ny, nz = values.shape
     total: NDArray[Any] = values.reshape(bx, nx // bx, by, ny // by, bz, nz // bz).sum(axis=(1, 3, 5))
     return total
-
-
-def _to_children(values: Bools, shape: tuple[int, int, int]) -> Bools:
-    for axis in range(3):
-        values = np.repeat(values, shape[axis] // values.shape[axis], axis=axis)
-    return values

@@ -34,8 +34,8 @@ from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.estimators import as_array
 
-MIN_BLOCKS: Final = 8
-MIN_REPLICATES: Final = 50
+LEAST_BLOCKS: Final = 8
+LEAST_REPLICATES: Final = 50
 _CHUNK_VALUES: Final = 1 << 22
 
 
@@ -224,14 +224,14 @@ def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
         raise InvalidArgument("block_counts", f"values of type {counts.dtype}", "whole numbers")
     if counts.size and counts.min() < 0:
         raise InvalidArgument("block_counts", f"{counts.min()}", "counts of at least 0")
-    if not (replicates >= MIN_REPLICATES and int(replicates) == replicates):
-        raise InvalidArgument("replicates", f"{replicates}", f"a whole number of at least {MIN_REPLICATES}")
+    if not (replicates >= LEAST_REPLICATES and int(replicates) == replicates):
+        raise InvalidArgument("replicates", f"{replicates}", f"a whole number of at least {LEAST_REPLICATES}")
     if not 0 < level < 1:
         raise InvalidArgument("level", f"{level}", "inside (0, 1), such as 0.95")
     filled = counts[counts.any(axis=tuple(range(1, counts.ndim)))]
-    if len(filled) < MIN_BLOCKS:
+    if len(filled) < LEAST_BLOCKS:
         raise InvalidArgument(
-            "block_counts", f"{len(filled)} blocks with a sample", f"at least {MIN_BLOCKS}", "Take smaller blocks."
+            "block_counts", f"{len(filled)} blocks with a sample", f"at least {LEAST_BLOCKS}", "Take smaller blocks."
         )
     return filled.astype(np.int64, copy=False)
 

@@ -208,10 +208,9 @@ def contact_along_rays(field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike
             "Take fewer pixels, or shorter rays.",
         )  # fmt: skip
     looked_at = np.linspace(0.0, 1.0, 1 + math.ceil(steps))
-    amplitudes, at = np.full(len(begin), np.nan), np.full(len(begin), np.nan)
-    for b in range(0, len(begin), _RAYS):
-        some = slice(b, b + _RAYS)
-        amplitudes[some], at[some] = _followed(field, begin[some], end[some], looked_at, reading == "first")
+    some = [slice(b, b + _RAYS) for b in range(0, len(begin), _RAYS)]
+    followed = [_followed(field, begin[s], end[s], looked_at, reading == "first") for s in some]
+    amplitudes, at = np.concatenate(followed, axis=1)
     lengths = np.sqrt(((end - begin) ** 2).sum(axis=1))
     return Contact(amplitudes.reshape(shape[:-1]), (at * lengths).reshape(shape[:-1]))
 
@@ -234,28 +233,26 @@ def contact_along_axis(field: ForceField, axis: int = 2, from_low: bool = True, 
     return Contact(met.amplitudes_n.squeeze(axis), met.distances_m.squeeze(axis))
 
 
-def _followed(
-    field: ForceField, begin: Float64s, end: Float64s, looked_at: Float64s, first: bool
-) -> tuple[Float64s, Float64s]:
-    """|F| and the share of the way, float64 [n] each, NaN where there is none."""
+def _followed(field: ForceField, begin: Float64s, end: Float64s, looked_at: Float64s, first: bool) -> Float64s:
+    """|F| and the share of the way, float64 [2, n], NaN where there is none."""
     low, across = field.grid.to_index(begin), (end - begin) / np.asarray(field.grid.spacing_m)
-    found, at = np.full(len(begin), np.nan), np.full(len(begin), np.nan)
+    best = np.full((2, len(begin)), np.nan)
     open_ = np.arange(len(begin))
     for share in looked_at.tolist():
         # ties to the lower sample, but for what rounding leaves of a column of the lattice
         index = np.ceil(low[open_] + share * across[open_] - 0.5 - 1e-9).astype(np.int64)
         forces = values_at(field.grid, field.bricks, field.forces_n, index).astype(np.float64)
         amplitudes = np.sqrt((forces**2).sum(axis=1))
-        better = amplitudes > (0.0 if first else np.nan_to_num(found[open_]))
-        found[open_[better]], at[open_[better]] = amplitudes[better], share
+        better = amplitudes > (0.0 if first else np.nan_to_num(best[0, open_]))
+        best[0, open_[better]], best[1, open_[better]] = amplitudes[better], share
         if first:
             open_ = open_[~better]
             if not len(open_):
                 break
-    return found, at
+    return best
 
 
-LEAST_BLOCKS: Final = 16
+_WHOLE_BLOCKS: Final = 16  # that a picture is to hold
 BLOCK_LENGTHS: Final = 4
 """Side of a block over the correlation length of both."""
 
@@ -414,7 +411,7 @@ def _block_side(v: Float64s, a: Float64s, asked_px: int | None) -> tuple[int, tu
     while wanted < BLOCK_LENGTHS * length:
         wanted *= 2
     block = wanted
-    while block > 1 and (v.shape[0] // block) * (v.shape[1] // block) < LEAST_BLOCKS:
+    while block > 1 and (v.shape[0] // block) * (v.shape[1] // block) < _WHOLE_BLOCKS:
         block //= 2
     if block == wanted:
         return block, ()
