@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -162,7 +162,7 @@ class FirFilter(FieldFilter):
 
     taps : str; the taps of one axis, ``1/2/1``, applied along all three but those of a single sample; a box of taps
         in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``; or a file NAME.npy with an array of one or
-        three axes. `of` makes the text of an array.
+        three axes.
     anchor : {"centred", "causal"}
     boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     normalise : bool; scale the taps to unit sum, so that a constant field stays itself.
@@ -186,13 +186,6 @@ class FirFilter(FieldFilter):
         if (self.normalise and nothing) or not self.kernel.any():
             mend = "Take normalise=false for a high-pass."
             raise InvalidArgument("--fir taps", f"{self.taps!r}, of sum {total:g}", "a sum that is not zero", mend)
-
-    @classmethod
-    def of(cls, taps: ArrayLike, **others: Any) -> Self:
-        """The filter of an array of one or three axes; `others` are its other fields."""
-        h = np.asarray(taps, np.float64)
-        text = "/".join(repr(float(v)) for v in h.ravel())
-        return cls(f"{'x'.join(str(n) for n in h.shape)}:{text}" if h.ndim != 1 else text, **others)
 
     @cached_property
     def kernel(self) -> Float64s:

@@ -233,13 +233,18 @@ class MultiresolutionFilter(FieldFilter):
 
     def claims(self, grid: Grid) -> Claims:
         """Linear; a constant passes with gain 1 (as details: with 0). Short filters overshoot at a contact."""
-        coarse = self.keep == "coarse"
-        return Claims(_reach(self.stages, grid), linear=True, dc_gain=1.0 if coarse else 0.0, keeps_mean=coarse)
+        coarse, far = self.keep == "coarse", [0, 0, 0]
+        for split in FCC.splits(self.stages):  # each stage takes a coarse site two neighbours far, and back one
+            for axis in range(3):
+                if grid.shape[axis] > split.scale:
+                    far[axis] += 3 * split.scale * max(o[axis] for o in split.offsets)
+        reach = (far[0], far[1], far[2])
+        return Claims(reach, linear=True, dc_gain=1.0 if coarse else 0.0, keeps_mean=coarse)
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`; the time goes with the number of bricks that a force may reach."""
         grid, splits = field.grid, FCC.splits(self.stages)
-        bricks = dilated(grid, field.bricks, _reach(self.stages, grid))
+        bricks = dilated(grid, field.bricks, self.claims(grid).reach)
         forces = field.forces_at(brick_keys(grid, bricks))
         place = (bricks, neighbour_slots(grid, bricks), grid.shape)
         for split in splits:
@@ -249,16 +254,6 @@ class MultiresolutionFilter(FieldFilter):
             _step(place, forces, split, "predict", 0.0, 1)  # the prediction in place of the detail
         coarse = ForceField.from_bricks(grid, bricks, forces)
         return coarse if self.keep == "coarse" else field + coarse.scaled(-1.0)
-
-
-def _reach(stages: int, grid: Grid) -> tuple[int, int, int]:
-    """The reach of a force, samples: each stage takes a coarse site two neighbours far, and back one."""
-    far = [0, 0, 0]
-    for split in FCC.splits(stages):
-        for axis in range(3):
-            if grid.shape[axis] > split.scale:
-                far[axis] += 3 * split.scale * max(o[axis] for o in split.offsets)
-    return (far[0], far[1], far[2])
 
 
 def _step(place: Any, forces: Float32s, split: Split, kind: str, hold: float, sign: int) -> None:
