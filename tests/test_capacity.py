@@ -195,7 +195,7 @@ def asked(**changes: object) -> Capacity:
         ({"rendered": entropy(3, weighting="object")}, "weighting object; expected samples"),
         ({"codomain_bits": -1.0}, "codomain_bits: found -1"),
         ({"codomain_bits": math.nan}, "codomain_bits: found nan"),
-        ({"reading": "printed"}, "reading: found 'printed'; expected one of realised, literal"),
+        ({"reading": "printed"}, "reading: found 'printed'; expected realised or literal"),
     ],
 )
 def test_what_is_refused(wrong: dict[str, object], message: str) -> None:

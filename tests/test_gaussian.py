@@ -16,7 +16,6 @@ from touchfield.filters.separable import (
     BOUNDARIES,
     SCIPY_MODES,
     AxisTaps,
-    continued_index,
     cropped,
     factors,
     filter_field,
@@ -200,15 +199,6 @@ def test_an_empty_field_stays_empty_and_words_come_back() -> None:
 
 
 # -- continued fields -------------------------------------------------------------------------------------------
-
-
-@given(st.integers(1, 9), st.integers(0, 9), st.integers(0, 9), st.sampled_from(BOUNDARIES))
-def test_an_axis_is_continued_as_numpy_pads(count: int, before: int, after: int, boundary: str) -> None:
-    before, after = min(before, count), min(after, count)
-    index = continued_index(count, before, after, boundary)
-    mode = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}[boundary]
-    samples = np.arange(1, count + 1)
-    assert np.array_equal(np.where(index < 0, 0, samples[index]), np.pad(samples, (before, after), mode=mode))
 
 
 @given(shapes, st.integers(0, 99), st.sampled_from(BOUNDARIES[1:]), st.data())

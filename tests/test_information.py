@@ -22,7 +22,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.measure import information as info
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import ESTIMATORS
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
 NATS = math.log(2)
@@ -303,3 +303,13 @@ def test_other_refusals() -> None:
     with pytest.raises(InvalidArgument, match="blocks"):
         info.entropy(x, blocks=0)
     assert Counts.of(x, x).total == 100
+
+
+def test_another_unit_takes_the_interval_along_and_a_summary_tells_both() -> None:
+    bits = Quantity("H(S)", 2.0, "bit/sample", "a Q", "voxel", interval=Interval(1.5, 2.75, 0.95, "by hand"))
+    told = bits.times(64, "bit/frame", "H(W)").summary()
+    assert [told[name] for name in ("name", "value", "unit", "quantiser")] == ["H(W)", 128.0, "bit/frame", "a Q"]
+    assert told["interval"] == {
+        "low": 96.0, "high": 176.0, "level": 0.95, "method": "by hand", "population": Interval.population,
+    }  # fmt: skip
+    assert str(bits) == "H(S) = 2 [1.5, 2.75] bit/sample (Q a Q, mu voxel)"

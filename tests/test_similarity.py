@@ -144,7 +144,7 @@ def test_refusals() -> None:
         similarity(a, a, "interaction")
     with pytest.raises(InvalidArgument, match="no voxel with a force"):
         similarity(a, nothing, "object", interval=False)
-    with pytest.raises(InvalidArgument, match="another lattice or quantiser"):
+    with pytest.raises(InvalidArgument, match="Resample one"):
         compression_distance(a, on_row(1, 2))
 
 

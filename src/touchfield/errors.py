@@ -17,7 +17,7 @@ A message is one line: where, what was found, what was expected, how to mend it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
@@ -110,6 +110,13 @@ def require_positive(**values: float) -> None:
     for name, value in values.items():
         if not (value > 0 and math.isfinite(value)):
             raise InvalidArgument(name, repr(value), "a positive number")
+
+
+def require_one_of(where: str, value: object, choices: Collection[str]) -> None:
+    """`InvalidArgument` naming `where` for a value that is not among the choices."""
+    if value not in choices:
+        expected = " or ".join(choices) if len(choices) == 2 else f"one of {', '.join(choices)}"
+        raise InvalidArgument(where, repr(value), expected)
 
 
 @contextmanager

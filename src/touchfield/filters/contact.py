@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int32s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
@@ -228,8 +228,7 @@ class TextureFilter(FieldFilter):
     example: ClassVar[str] = "salt-pepper:seed=1"
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise InvalidArgument("texture kind", repr(self.kind), " or ".join(KINDS))
+        require_one_of("texture kind", self.kind, KINDS)
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 1 << 64:
             raise InvalidArgument("texture seed", repr(self.seed), "a whole number from 0 to 2^64 - 1")
         if not 0 < self.density <= 1:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.resample import axis_weights, low_pass, resample
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 from touchfield.medium.grid import Placement
@@ -104,8 +104,7 @@ class DeviceFilterSpec:
             raise InvalidArgument("force_floor_share", repr(self.force_floor_share), "a share from 0 to below 1")
         low_pass(self.low_pass)
         for name, choices in (("pool", ("max", "mean")), ("cutoff", ("nyquist", "literal"))):
-            if getattr(self, name) not in choices:
-                raise InvalidArgument(name, repr(getattr(self, name)), " or ".join(choices))
+            require_one_of(name, getattr(self, name), choices)
 
 
 @dataclass(frozen=True)

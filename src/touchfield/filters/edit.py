@@ -16,7 +16,7 @@ from typing import ClassVar, Final, Protocol
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.device_filter import limited
 from touchfield.filters.region import Region, RigidMotion, weights
 from touchfield.filters.registry import noted
@@ -122,8 +122,7 @@ class Composed:
     how: str = "over"
 
     def __post_init__(self) -> None:
-        if self.how not in COMPOSITIONS:
-            raise InvalidArgument("compose", repr(self.how), f"one of {', '.join(COMPOSITIONS)}")
+        require_one_of("compose", self.how, COMPOSITIONS)
 
     @property
     def words(self) -> str:

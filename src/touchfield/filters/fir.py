@@ -15,21 +15,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.files import require_plain
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import (
+    BOUNDARIES,
+    NUMPY_MODES,
     SCIPY_MODES,
     AxisTaps,
     brick_field,
-    checked_boundary,
-    continued_index,
     cropped,
     factors,
     filter_field,
@@ -66,18 +66,13 @@ def fir_filter(
     Returns float32 or float64 of the signal's shape and type. Raises `InvalidArgument` if the kernel is empty, not
     finite, larger than the signal, or even and to be centred; if the signal or a sum is not finite; for other words.
     """
-    x, h = np.asarray(signal), _checked_taps(taps, anchor)
-    x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
-    checked_boundary(boundary)
-    if method not in METHODS:
-        raise InvalidArgument("method", repr(method), f"one of {', '.join(METHODS)}")
+    x, h = checked_signal(signal, boundary), _checked_taps(taps, anchor)
+    require_one_of("method", method, METHODS)
     if h.ndim > x.ndim:
         raise InvalidArgument("taps", f"{h.ndim} axes for a signal {x.shape}", f"at most {x.ndim}")
     origins = [n // 2 if anchor == "centred" else 0 for n in h.shape]
     for axis, (n, count) in enumerate(zip(h.shape, x.shape, strict=False)):
         AxisTaps(np.ones(n), 0).check_fits(count, f"taps of axis {axis}")
-    if not all_finite(x):
-        raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     rows = factors(h)
     if method == "auto":
         taps_of_sample = _ROW_TAPS * sum(h.shape) if rows else np.count_nonzero(h)
@@ -85,6 +80,16 @@ def fir_filter(
     with np.errstate(over="ignore", invalid="ignore"):
         sums = _by_fft(x, h, origins, boundary) if method == "fft" else direct_sums(x, rows or h, origins, boundary)
     return without_overflow(sums, "signal")
+
+
+def checked_signal(signal: ArrayLike, boundary: str) -> NDArray[Any]:
+    """A dense array in float32 or float64; `InvalidArgument` for other boundaries, or a number that is not finite."""
+    require_one_of("boundary", boundary, BOUNDARIES)
+    x = np.asarray(signal)
+    x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
+    if not all_finite(x):
+        raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
+    return x
 
 
 def all_finite(x: NDArray[Any]) -> bool:
@@ -114,8 +119,7 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
         raise InvalidArgument("taps", f"an array {h.shape}", "at least one tap along each of one or more axes")
     if not np.isfinite(h).all():
         raise InvalidArgument("taps", "a tap that is not finite", "finite numbers")
-    if anchor not in ANCHORS:
-        raise InvalidArgument("anchor", repr(anchor), f"one of {', '.join(ANCHORS)}")
+    require_one_of("anchor", anchor, ANCHORS)
     if anchor == "centred" and any(n % 2 == 0 for n in h.shape):
         mend = 'An even kernel has no middle tap: add a zero, or take anchor="causal".'
         raise InvalidArgument("taps", f"{h.shape} taps to be centred", "an odd number along each axis", mend)
@@ -144,12 +148,9 @@ def _by_fft(x: NDArray[Any], h: Float64s, origins: list[int], boundary: str) -> 
 
     # powers of two, which lose nothing, keep the transforms within float64 where the sums are
     x_order, h_order = (int(np.frexp(np.abs(a).max(initial=0.0))[1]) for a in (x, h))
-    wide = np.ldexp(x.astype(np.float64), -x_order)
-    for axis, (n, origin) in enumerate(zip(h.shape, origins, strict=True)):
-        index = continued_index(x.shape[axis], n - 1 - origin, origin, boundary)
-        wide = np.take(wide, np.maximum(index, 0), axis=axis)
-        np.moveaxis(wide, axis, 0)[index < 0] = 0
     beside = x.ndim - h.ndim
+    margins = [*((n - 1 - origin, origin) for n, origin in zip(h.shape, origins, strict=True)), *[(0, 0)] * beside]
+    wide = np.pad(np.ldexp(x.astype(np.float64), -x_order), margins, mode=NUMPY_MODES[boundary])
     row = np.ldexp(h, -h_order).reshape(*h.shape, *[1] * beside)
     sums = signal.fftconvolve(wide, row, mode="valid", axes=tuple(range(h.ndim)))
     return np.asarray(np.ldexp(sums, x_order + h_order), x.dtype)
@@ -161,7 +162,7 @@ class FirFilter(FieldFilter):
 
     taps : str; the taps of one axis, ``1/2/1``, applied along all three but those of a single sample; a box of taps
         in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``; or a file NAME.npy with an array of one or
-        three axes. `of` makes the text of an array.
+        three axes.
     anchor : {"centred", "causal"}
     boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     normalise : bool; scale the taps to unit sum, so that a constant field stays itself.
@@ -179,19 +180,12 @@ class FirFilter(FieldFilter):
     normalise: bool = True
 
     def __post_init__(self) -> None:
-        checked_boundary(self.boundary, "--fir boundary")
+        require_one_of("--fir boundary", self.boundary, BOUNDARIES)
         total = float(self.kernel.sum())
         nothing = abs(total) <= 1e-12 * float(np.abs(self.kernel).sum())
         if (self.normalise and nothing) or not self.kernel.any():
             mend = "Take normalise=false for a high-pass."
             raise InvalidArgument("--fir taps", f"{self.taps!r}, of sum {total:g}", "a sum that is not zero", mend)
-
-    @classmethod
-    def of(cls, taps: ArrayLike, **others: Any) -> Self:
-        """The filter of an array of one or three axes; `others` are its other fields."""
-        h = np.asarray(taps, np.float64)
-        text = "/".join(repr(float(v)) for v in h.ravel())
-        return cls(f"{'x'.join(str(n) for n in h.shape)}:{text}" if h.ndim != 1 else text, **others)
 
     @cached_property
     def kernel(self) -> Float64s:

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import brick_keys, dilated, frozen, neighbour_slots
@@ -140,21 +140,21 @@ def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
 
 def _checked(array: ArrayLike, chain: Chain, name: str) -> NDArray[Any]:
     """A copy in the working type."""
-    given = np.asarray(array)
+    numbers = np.asarray(array)
     axes = chain.dimensions
-    if given.ndim < axes or given.size == 0:
-        raise InvalidArgument(name, f"shape {given.shape}", f"{axes} axes or more, none of them empty")
-    kind, size = given.dtype.kind, given.dtype.itemsize
+    if numbers.ndim < axes or numbers.size == 0:
+        raise InvalidArgument(name, f"shape {numbers.shape}", f"{axes} axes or more, none of them empty")
+    kind, size = numbers.dtype.kind, numbers.dtype.itemsize
     if kind == "f" and size <= 8:
         working = np.float32 if size <= 4 else np.float64
         largest = float(np.finfo(working).max) * _HEADROOM
-        low, high = float(given.min()), float(given.max())
+        low, high = float(numbers.min()), float(numbers.max())
         if not (low >= -largest and high <= largest):  # so also where one is NaN
             raise InvalidArgument(name, f"numbers from {low} to {high}", f"finite numbers up to {largest:.2g}")
-        return np.array(given, working, order="C")
+        return np.array(numbers, working, order="C")
     if kind in "iub":
-        return np.array(given, np.int32 if size <= 2 else np.int64, order="C")
-    raise InvalidArgument(name, f"type {given.dtype}", "whole numbers, or floats of up to 64 bits")
+        return np.array(numbers, np.int32 if size <= 2 else np.int64, order="C")
+    raise InvalidArgument(name, f"type {numbers.dtype}", "whole numbers, or floats of up to 64 bits")
 
 
 def _lift(values: NDArray[Any], split: Split, chain: Chain, kind: str, sign: int) -> None:
@@ -229,18 +229,22 @@ class MultiresolutionFilter(FieldFilter):
 
     def __post_init__(self) -> None:
         whole_stages(self.stages, 1, _MAX_FILTER_STAGES)
-        if self.keep not in ("coarse", "details"):
-            raise InvalidArgument("keep", repr(self.keep), "coarse or details")
+        require_one_of("keep", self.keep, ("coarse", "details"))
 
     def claims(self, grid: Grid) -> Claims:
         """Linear; a constant passes with gain 1 (as details: with 0). Short filters overshoot at a contact."""
-        coarse = self.keep == "coarse"
-        return Claims(_reach(self.stages, grid), linear=True, dc_gain=1.0 if coarse else 0.0, keeps_mean=coarse)
+        coarse, far = self.keep == "coarse", [0, 0, 0]
+        for split in FCC.splits(self.stages):  # each stage takes a coarse site two neighbours far, and back one
+            for axis in range(3):
+                if grid.shape[axis] > split.scale:
+                    far[axis] += 3 * split.scale * max(o[axis] for o in split.offsets)
+        reach = (far[0], far[1], far[2])
+        return Claims(reach, linear=True, dc_gain=1.0 if coarse else 0.0, keeps_mean=coarse)
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`; the time goes with the number of bricks that a force may reach."""
         grid, splits = field.grid, FCC.splits(self.stages)
-        bricks = dilated(grid, field.bricks, _reach(self.stages, grid))
+        bricks = dilated(grid, field.bricks, self.claims(grid).reach)
         forces = field.forces_at(brick_keys(grid, bricks))
         place = (bricks, neighbour_slots(grid, bricks), grid.shape)
         for split in splits:
@@ -250,16 +254,6 @@ class MultiresolutionFilter(FieldFilter):
             _step(place, forces, split, "predict", 0.0, 1)  # the prediction in place of the detail
         coarse = ForceField.from_bricks(grid, bricks, forces)
         return coarse if self.keep == "coarse" else field + coarse.scaled(-1.0)
-
-
-def _reach(stages: int, grid: Grid) -> tuple[int, int, int]:
-    """The reach of a force, samples: each stage takes a coarse site two neighbours far, and back one."""
-    far = [0, 0, 0]
-    for split in FCC.splits(stages):
-        for axis in range(3):
-            if grid.shape[axis] > split.scale:
-                far[axis] += 3 * split.scale * max(o[axis] for o in split.offsets)
-    return (far[0], far[1], far[2])
 
 
 def _step(place: Any, forces: Float32s, split: Split, kind: str, hold: float, sign: int) -> None:

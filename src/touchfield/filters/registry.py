@@ -16,7 +16,7 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args, get_type_hints
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.device_filter import limited
 from touchfield.medium import ForceField, HapticMedium
 
@@ -156,8 +156,7 @@ def filter_of(name: str, text: str = "") -> FieldFilter:
 
     Raises `InvalidArgument` if there is no such filter, or its words make no sense.
     """
-    if name not in field_filters():
-        raise InvalidArgument("filter", repr(name), f"one of {', '.join(field_filters())}")
+    require_one_of("filter", name, field_filters())
     return field_filters()[name].parse(text)
 
 

@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.region import RigidMotion
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
@@ -104,8 +104,7 @@ LOW_PASSES: Final = {
 
 def low_pass(name: str) -> LowPass:
     """The kernel of a name; `InvalidArgument` if there is none."""
-    if name not in LOW_PASSES:
-        raise InvalidArgument("low_pass", repr(name), f"one of {', '.join(LOW_PASSES)}")
+    require_one_of("low_pass", name, LOW_PASSES)
     return LOW_PASSES[name]
 
 
@@ -245,8 +244,7 @@ def interpolated(
         `ForceField.sample_n` does. "cell": the outermost sample stands for all of its cell.
     Raises `InvalidArgument` if the border is unknown, or the target is too fine for a field of that size.
     """
-    if border not in BORDERS:
-        raise InvalidArgument("border", repr(border), " or ".join(BORDERS))
+    require_one_of("border", border, BORDERS)
     from touchfield.medium import kernels
 
     motion = None if motion == RigidMotion() else motion
@@ -324,16 +322,16 @@ def pyramid(field: ForceField, levels: int) -> tuple[ForceField, ...]:
 
 def _kept(wide: NDArray[Any], spacing: Float32s) -> Float32s:
     """Next samples [n, 4, 4, 4, 3] in bricks [n, 11, 11, 11, 3] that have two samples before and one after."""
-    held: Bools = np.asarray(wide.any(axis=-1))
+    is_held: Bools = np.asarray(wide.any(axis=-1))
 
     def at(values: NDArray[Any], offset: tuple[int, ...]) -> NDArray[Any]:
         x, y, z = (slice(2 + o, 9 + o, 2) for o in offset)
         return values[:, x, y, z]
 
-    samples, there = at(wide, (0, 0, 0)).copy(), at(held, (0, 0, 0))
+    samples, there = at(wide, (0, 0, 0)).copy(), at(is_held, (0, 0, 0))
     total, count = np.zeros(samples.shape), np.zeros(there.shape, np.int32)
     for offset in _OFFSETS:
-        force, beyond = at(wide, offset), at(held, (2 * offset[0], 2 * offset[1], 2 * offset[2]))
+        force, beyond = at(wide, offset), at(is_held, (2 * offset[0], 2 * offset[1], 2 * offset[2]))
         # on a wall before this sample: the force points away from here, and the kept sample behind the wall has none
         is_wall = ~beyond & ((force * (spacing * np.array(offset, np.float32))).sum(axis=-1) > 0)
         total += np.where(is_wall[..., None], force, 0.0)
@@ -356,7 +354,7 @@ def _doubled(level: ForceField, grid: Grid) -> ForceField:
     Beyond the outermost sample that one stands.
     """
     bricks = dilated(level.grid, level.bricks, (1, 1, 1))
-    made = [np.empty((0, 8, BRICK, BRICK, BRICK, 3), np.float32)]
+    parts = [np.empty((0, 8, BRICK, BRICK, BRICK, 3), np.float32)]
     for span, wide in blocks_around(level, level.forces_n, bricks, (0, 0, 0), (1, 1, 1)):
         for axis in range(3):
             lane = np.moveaxis(wide, axis + 1, 1)  # a view, to be filled beyond the border
@@ -368,8 +366,8 @@ def _doubled(level: ForceField, grid: Grid) -> ForceField:
             fine[:, 1::2] = np.float32(0.5) * (lane[:, :-1] + lane[:, 1:])
             wide = np.moveaxis(fine, 1, axis + 1)
         cut = wide.reshape(-1, 2, BRICK, 2, BRICK, 2, BRICK, 3).transpose(0, 1, 3, 5, 2, 4, 6, 7)
-        made.append(cut.reshape(-1, 8, BRICK, BRICK, BRICK, 3))
+        parts.append(cut.reshape(-1, 8, BRICK, BRICK, BRICK, 3))
     places = (2 * bricks[:, None] + np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)).reshape(-1, 3)
     inside = (places < np.array(grid.brick_shape)).all(axis=1)
-    forces = np.concatenate(made).reshape(-1, BRICK, BRICK, BRICK, 3)[inside]
+    forces = np.concatenate(parts).reshape(-1, BRICK, BRICK, BRICK, 3)[inside]
     return ForceField.from_bricks(grid, places[inside], forces)

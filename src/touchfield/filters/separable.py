@@ -37,29 +37,10 @@ Axes = tuple["AxisTaps", "AxisTaps", "AxisTaps"]
 SCIPY_MODES: Final = {"zero": "constant", "nearest": "nearest", "reflect": "reflect", "wrap": "wrap"}
 """The name of each in `scipy.ndimage`."""
 
+NUMPY_MODES: Final[dict[str, Any]] = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}
+"""And in `numpy.pad`."""
+
 BOUNDARIES: Final = tuple(SCIPY_MODES)
-
-
-def checked_boundary(boundary: str, where: str = "boundary") -> None:
-    """`InvalidArgument` if the boundary is not one of `BOUNDARIES`."""
-    if boundary not in BOUNDARIES:
-        raise InvalidArgument(where, repr(boundary), f"one of {', '.join(BOUNDARIES)}")
-
-
-def continued_index(count: int, before: int, after: int, boundary: str) -> Int64s:
-    """The sample at each place of an axis continued beyond its ends, int64 [before + count + after].
-
-    `before` and `after` are at most `count`, the samples of the axis; "zero" gives -1 beyond the ends.
-    """
-    place = np.arange(-before, count + after, dtype=np.int64)
-    if boundary == "zero":
-        return np.where((place >= 0) & (place < count), place, -1)
-    if boundary == "nearest":
-        return np.clip(place, 0, count - 1)
-    if boundary == "wrap":
-        return place % count
-    mirrored = place % (2 * count)
-    return np.minimum(mirrored, 2 * count - 1 - mirrored)
 
 
 def widened(field: ForceField, before: tuple[int, ...], after: tuple[int, ...], boundary: str) -> ForceField:
@@ -81,7 +62,7 @@ def widened(field: ForceField, before: tuple[int, ...], after: tuple[int, ...], 
     for axis, count in enumerate(grid.shape):
         place = np.arange(-before[axis], count + after[axis])
         is_beyond = (place < 0) | (place >= count)
-        continued = continued_index(count, before[axis], after[axis], boundary)[is_beyond]
+        continued = np.pad(np.arange(count), (before[axis], after[axis]), mode=NUMPY_MODES[boundary])[is_beyond]
         sources = [np.flatnonzero(positions[:, axis] == sample) for sample in continued]
         source = np.concatenate([np.zeros(0, np.int64), *sources])
         copies = positions[source]
@@ -215,8 +196,8 @@ def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s
     hands = 4 * worker_count()  # the pieces of `for_chunks`: slabs are dealt out in turn, so that all cost the same
     items = np.stack(np.divmod(np.concatenate([every[hand::hands] for hand in range(hands)]), tiles), axis=1)
     target, law = out.reshape(-1), (grid.brick_shape, before, deep, sizes, (places, weights, counts))
-    given = items, (flat, masks), tuple(keys), *law, target, target.view(np.uint32), tops
-    for_chunks(kernels.filtered_bricks, len(items), *given)
+    arguments = items, (flat, masks), tuple(keys), *law, target, target.view(np.uint32), tops
+    for_chunks(kernels.filtered_bricks, len(items), *arguments)
     return out, tops.view(np.float32)
 
 

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import AxisTaps, keys_of_passes, places_of, sums_of_bricks, within_grid
 from touchfield.medium import BRICK, ForceField, Grid
@@ -78,8 +78,7 @@ class ShadingFilter(FieldFilter):
     def __post_init__(self) -> None:
         if not 0 < self.sigma_m < math.inf:
             raise InvalidArgument("shading sigma_m", repr(self.sigma_m), "a positive length in metres")
-        if self.smooth not in SMOOTHED:
-            raise InvalidArgument("shading smooth", repr(self.smooth), f"one of {', '.join(SMOOTHED)}")
+        require_one_of("shading smooth", self.smooth, SMOOTHED)
         if not 0 < self.truncate <= MAX_TRUNCATE:
             raise InvalidArgument("shading truncate", repr(self.truncate), f"above 0, at most {MAX_TRUNCATE:g} sigma")
         if self.spread and self.smooth == "direction":
@@ -226,11 +225,9 @@ class DiffusionFilter(FieldFilter):
         if not self.kappa_n >= _LEAST_KAPPA:
             expected = f"newtons, {_LEAST_KAPPA:g} or more, or inf"
             raise InvalidArgument("perona-malik kappa_n", repr(self.kappa_n), expected)
-        if self.conductance not in CONDUCTANCES:
-            raise InvalidArgument("perona-malik conductance", repr(self.conductance), " or ".join(CONDUCTANCES))
+        require_one_of("perona-malik conductance", self.conductance, CONDUCTANCES)
         _lambda(self.lam, 3)
-        if self.region not in REGIONS:
-            raise InvalidArgument("perona-malik region", repr(self.region), " or ".join(REGIONS))
+        require_one_of("perona-malik region", self.region, REGIONS)
 
     def claims(self, grid: Grid) -> Claims:
         """One sample further in each step; linear only where neither the conductance nor the region depends on F."""
@@ -251,9 +248,7 @@ class DiffusionFilter(FieldFilter):
         if self.region == "all":
             bricks = dilated(field.grid, field.bricks, self.claims(field.grid).reach)
             support = within_grid(field.grid, bricks)
-        forces = zero_forces(len(bricks))
-        keys = brick_keys(field.grid, bricks)
-        forces[np.searchsorted(keys, brick_keys(field.grid, field.bricks))] = field.forces_n
+        forces = field.forces_at(brick_keys(field.grid, bricks))
         # an axis of one sample has no edges, and its spacing does not count
         finest = min((h for h, n in zip(field.grid.spacing_m, field.grid.shape) if n > 1), default=1.0)
         lam = [_lambda(self.lam, 3) * min(1.0, finest / h) ** 2 for h in field.grid.spacing_m]
@@ -283,11 +278,11 @@ def perona_malik(
     Raises `InvalidArgument` if a value is out of range or not finite, or shapes do not fit.
     """
     law = DiffusionFilter(kappa_n, steps, conductance=conductance)
-    given = np.array(values, np.float32)
-    if given.size == 0 or given.ndim not in (1, 2, 3, 4) or (given.ndim == 4 and given.shape[3] != 3):
-        raise InvalidArgument("values", f"shape {given.shape}", "[nx, ny, nz, 3], or scalars with one to three axes")
-    _check_size("values", given)
-    space = given.shape[:3]
+    array = np.array(values, np.float32)
+    if array.size == 0 or array.ndim not in (1, 2, 3, 4) or (array.ndim == 4 and array.shape[3] != 3):
+        raise InvalidArgument("values", f"shape {array.shape}", "[nx, ny, nz, 3], or scalars with one to three axes")
+    _check_size("values", array)
+    space = array.shape[:3]
     factor = _lambda(lam, len(space))
     mask = np.ones(space, np.bool_) if where is None else np.array(where)
     if mask.shape != space or mask.dtype != np.bool_:
@@ -296,12 +291,12 @@ def perona_malik(
     grid = Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
     bricks = bricks_of(grid, np.arange(math.prod(grid.brick_shape)))
     support, forces = tiled(mask.reshape(lattice)).reshape(-1, *[BRICK] * 3), zero_forces(len(bricks))
-    values_of = given.reshape(*lattice, -1)
+    values_of = array.reshape(*lattice, -1)
     forces[..., : values_of.shape[3]] = tiled(values_of).reshape(len(bricks), *[BRICK] * 3, -1)
     forces = _diffused(grid, bricks, support, forces, [factor] * 3, law)
     rows = np.moveaxis(forces.reshape(*grid.brick_shape, BRICK, BRICK, BRICK, 3), (1, 2), (2, 4))
     dense = rows.reshape(*(n * BRICK for n in grid.brick_shape), 3)[:nx, :ny, :nz, : values_of.shape[3]]
-    return np.ascontiguousarray(dense).reshape(given.shape)
+    return np.ascontiguousarray(dense).reshape(array.shape)
 
 
 def _diffused(

@@ -21,18 +21,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument
-from touchfield.filters.fir import all_finite, direct_sums, without_overflow
+from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.filters.fir import checked_signal, direct_sums, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LOW_PASSES
-from touchfield.filters.separable import AxisTaps, checked_boundary, filter_field, reach_of
+from touchfield.filters.separable import BOUNDARIES, NUMPY_MODES, AxisTaps, filter_field, reach_of
 from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
     from touchfield.filters.separable import Axes
 
 MAX_RADIUS_SAMPLES: Final = 1 << 15
-_PADDING: Final[dict[str, Any]] = {"zero": "constant", "nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}
 
 CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}  # cut-off times pitch
 KERNELS: Final = ("firwin", *LOW_PASSES)
@@ -75,9 +74,7 @@ def gaussian(
     Returns float32 or float64: Of the signal's shape; the same bits for any number of threads.
     Raises `InvalidArgument` if a number is out of range or not finite, or the kernel is larger than the signal.
     """
-    x = np.asarray(signal)
-    x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
-    checked_boundary(boundary)
+    x = checked_signal(signal, boundary)
     if isinstance(sigma_samples, int | float | np.integer | np.floating):
         sigmas = [float(sigma_samples)] * (3 if x.ndim == 4 and x.shape[3] == 3 else x.ndim)
     else:
@@ -87,12 +84,10 @@ def gaussian(
     axes = [AxisTaps.centred(gaussian_taps(s, truncate)) for s in sigmas]
     for axis, row in enumerate(axes):
         row.check_fits(x.shape[axis], f"sigma_samples of axis {axis}")
-    if not all_finite(x):
-        raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     if x.dtype == np.float32 and len(axes) == 3 and x.shape[3:] == (3,) and x.size:
         # continued as an array: of a field without empty space that is quicker than brick by brick
         reach = [0 if boundary == "zero" else a.reach for a in axes]
-        wide = np.pad(x, [*((r, r) for r in reach), (0, 0)], mode=_PADDING[boundary])
+        wide = np.pad(x, [*((r, r) for r in reach), (0, 0)], mode=NUMPY_MODES[boundary])
         nx, ny, nz, _ = wide.shape
         field = ForceField.from_dense(Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), wide)
         smooth = filter_field(field, (axes[0], axes[1], axes[2]))[0].to_dense()
@@ -147,7 +142,7 @@ class GaussianFilter(_LowPass):
             raise InvalidArgument("--gaussian sigma", f"{self.sigma_m!r} m", "a positive length")
         if not 0 < self.truncate <= 16:
             raise InvalidArgument("--gaussian truncate", repr(self.truncate), "above 0 and up to 16 deviations")
-        checked_boundary(self.boundary, "--gaussian boundary")
+        require_one_of("--gaussian boundary", self.boundary, BOUNDARIES)
 
     def taps(self, grid: Grid) -> Axes:
         """The taps along each axis of a grid."""
@@ -166,8 +161,7 @@ def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
     """
     if not (math.isfinite(pitch_m) and pitch_m > 0):
         raise InvalidArgument("pitch_m", f"{pitch_m!r} m", "a positive length")
-    if cutoff not in CUTOFFS:
-        raise InvalidArgument("cutoff", repr(cutoff), f"one of {', '.join(CUTOFFS)}")
+    require_one_of("cutoff", cutoff, CUTOFFS)
     return CUTOFFS[cutoff] / pitch_m
 
 
@@ -183,8 +177,7 @@ def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", ker
     """
     if not (math.isfinite(spacing_m) and spacing_m > 0):
         raise InvalidArgument("spacing_m", f"{spacing_m!r} m", "a positive length")
-    if kernel not in KERNELS:
-        raise InvalidArgument("kernel", repr(kernel), f"one of {', '.join(KERNELS)}")
+    require_one_of("kernel", kernel, KERNELS)
     ratio = cutoff_per_m(pitch_m, cutoff) * 2 * spacing_m
     if ratio > 1 + 1e-9:
         found = f"{pitch_m:g} m, whose {cutoff} cut-off is {ratio / (2 * spacing_m):g} cycles/m"
@@ -237,11 +230,10 @@ class ActuatorLowPass(_LowPass):
 
     def __post_init__(self) -> None:
         cutoff_per_m(self.pitch_m, self.cutoff)
-        if self.kernel not in (AUTO, *KERNELS):
-            raise InvalidArgument("--lowpass kernel", repr(self.kernel), f"one of {', '.join((AUTO, *KERNELS))}")
+        require_one_of("--lowpass kernel", self.kernel, (AUTO, *KERNELS))
         if not self.axes or len(set(self.axes)) != len(self.axes) or not set(self.axes) <= set("xyz"):
             raise InvalidArgument("--lowpass axes", repr(self.axes), "some of x, y and z, each once")
-        checked_boundary(self.boundary, "--lowpass boundary")
+        require_one_of("--lowpass boundary", self.boundary, BOUNDARIES)
 
     def taps(self, grid: Grid) -> Axes:
         """The taps along each axis of a grid; `InvalidArgument` also for a cut-off above its Nyquist rate."""

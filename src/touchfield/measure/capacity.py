@@ -25,7 +25,7 @@ from numbers import Integral
 from typing import Any, Final
 
 from touchfield.arrays import Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.quantity import Interval, Quantity, ratio_interval
@@ -98,8 +98,7 @@ def capacity(
     reading is unknown or has no use for `ratio`, or a rendered entropy that cannot be overestimated is above C_dev
     (the codomain is then another's).
     """
-    if reading not in READINGS:
-        raise InvalidArgument("reading", repr(reading), f"one of {', '.join(READINGS)}")
+    require_one_of("reading", reading, READINGS)
     for where, entropy in (("reference", reference), ("rendered", rendered)):
         if entropy.unit != _UNIT:
             raise InvalidArgument(
@@ -141,38 +140,32 @@ def paired_ratio(
     medium, rendered = counts
     assert medium.blocks is not None and rendered.blocks is not None
 
-    def held(c: Int64s) -> float:
-        return voxels[0] * estimate_bits(c, estimator, medium.alphabet)
-
-    def told(c: Int64s) -> float:
+    def above(c: Int64s) -> float:
         return min(voxels[1] * estimate_bits(c, estimator, rendered.alphabet), codomain_bits)
 
-    return ratio_interval(told, held, (rendered.blocks, medium.blocks), corrects_bias=estimator != "plug-in")
+    def below(c: Int64s) -> float:
+        return voxels[0] * estimate_bits(c, estimator, medium.alphabet)
+
+    return ratio_interval(above, below, (rendered.blocks, medium.blocks), corrects_bias=estimator != "plug-in")
 
 
 def _of(
     reference: Quantity, rendered: Quantity, device_bits: float, reading: str, paired: Interval | None
 ) -> Capacity:
-    told = rendered.value if reading == "realised" else device_bits
-    bits = min(told, device_bits, reference.value)
+    told_bits = rendered.value if reading == "realised" else device_bits
+    bits = min(told_bits, device_bits, reference.value)
     notes = _guards(reference, rendered, device_bits, reading)
-    q, e = ({getattr(x, of) for x in (reference, rendered)} for of in ("quantiser", "estimator"))
-    base = Quantity(
-        "C",
-        0.0,
-        "1",
-        quantiser=reference.quantiser if len(q) == 1 else f"W: {reference.quantiser}; M(W): {rendered.quantiser}",
-        weighting=reference.weighting,
-        estimator=reference.estimator if len(e) == 1 else f"W: {reference.estimator}; M(W): {rendered.estimator}",
-        samples=rendered.samples,
-        symbols=rendered.symbols,
-        notes=notes,
-    )
+
+    def of_both(name: str) -> str:
+        mine, theirs = getattr(reference, name), getattr(rendered, name)
+        return str(mine) if mine == theirs else f"W: {mine}; M(W): {theirs}"
+
+    base = rendered.of(unit="1", quantiser=of_both("quantiser"), estimator=of_both("estimator"), notes=notes)
     spread = _spread(reference, rendered if reading == "realised" else None, device_bits)
     c = base.of(name="C", value=bits, unit=_UNIT, interval=None if spread is None else spread[0])
     if reference.value == 0:
         why = "H(W) = 0: a medium that tells nothing has nothing to lose, and the ratio does not exist"
-        nothing = base.of(value=math.nan, notes=(*notes, why))
+        nothing = base.of(value=math.nan, interval=None, notes=(*notes, why))
         return Capacity(reading, reference, rendered, device_bits, c, nothing.of(name="WMR"), nothing.of(name="HIL"))
     ratio, loss = bits / reference.value, max(reference.value - bits, 0.0) / reference.value
     of_ratio = None if spread is None else spread[1]

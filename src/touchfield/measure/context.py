@@ -29,12 +29,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Int32s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium.budget import memory_budget_bytes
-from touchfield.medium.field import brick_keys, slots_around
+from touchfield.medium.field import brick_keys, bricks_of, slots_around
 from touchfield.medium.grid import BRICK, Grid
 
 NEIGHBOURHOODS: Final = {"none": 0, "previous": 1, "axes": 3, "corner": 7}
@@ -139,12 +139,12 @@ def scan_relabelled(frame: FieldSymbols) -> FieldSymbols:
 
 def _reached_bricks(frame: FieldSymbols, previous: FieldSymbols | None) -> Int32s:
     """The bricks outside which a voxel, its causal neighbours and its predecessor are all 0, int32 [n, 3]."""
-    held = frame.bricks[frame.symbols.any(axis=(1, 2, 3))]
-    there = (held[:, None] + np.array(list(np.ndindex(2, 2, 2)), np.int32)).reshape(-1, 3)
+    bricks = frame.bricks[frame.symbols.any(axis=(1, 2, 3))]
+    there = (bricks[:, None] + np.array(list(np.ndindex(2, 2, 2)), np.int32)).reshape(-1, 3)
     if previous is not None:
         there = np.concatenate([there, previous.bricks])
     keys = np.unique(brick_keys(frame.grid, there[(there < frame.grid.brick_shape).all(axis=1)]))
-    return np.stack(np.unravel_index(keys, frame.grid.brick_shape), axis=1).astype(np.int32)
+    return bricks_of(frame.grid, keys)
 
 
 @dataclass(frozen=True)
@@ -207,8 +207,8 @@ class ContextCounter:
     def symbol_counts(self) -> tuple[Int64s, int]:
         """How often each symbol but 0 was counted, int64 [K], and how often 0."""
         alone = self._cells.marginal((_SYMBOL,))
-        held = alone.counts()[: len(alone.counts()) - bool(alone.zeros)]
-        return held, alone.zeros
+        counts = alone.counts()[: len(alone.counts()) - bool(alone.zeros)]
+        return counts, alone.zeros
 
     def result(
         self, neighbourhood: str, *, previous_frame: bool = False, estimator: str = "plug-in"
@@ -228,9 +228,9 @@ class ContextCounter:
             bits = max(0.0, bits)  # below only by rounding
         elif bits < 0:
             notes.append("negative by the correction of its bias")
-        given = [f"{neighbours} neighbour{'s' * (neighbours > 1)}"] * (neighbours > 0)
-        given += ["previous frame"] * previous_frame
-        name = f"H(S|{', '.join(given)})" if given else "H(S)"
+        conditions = [f"{neighbours} neighbour{'s' * (neighbours > 1)}"] * (neighbours > 0)
+        conditions += ["previous frame"] * previous_frame
+        name = f"H(S|{', '.join(conditions)})" if conditions else "H(S)"
         quantity = Quantity(
             name, bits, "bit/sample", self._quantiser, "voxel", estimator, joint.samples, len(cells), None,
             tuple(notes),
@@ -257,15 +257,14 @@ def context_entropy(
     before the first there is only 0. `estimator`: of both entropies. InvalidArgument for frames that do not match, or
     an unknown name. FewSamplesWarning if there are fewer than ten informed voxels to a cell.
     """
-    if neighbourhood not in NEIGHBOURHOODS:
-        raise InvalidArgument("neighbourhood", repr(neighbourhood), f"one of {', '.join(NEIGHBOURHOODS)}")
+    require_one_of("neighbourhood", neighbourhood, NEIGHBOURHOODS)
     counter, before = None, None
     for frame in map(scan_relabelled, Frames(frames, "frames")):
         counter = counter or ContextCounter(frame.alphabet, frame.quantiser, previous_frame=previous_frame)
         counter.add(frame, before)
         before = frame
     assert counter is not None  # Frames refuses none
-    found = counter.result(neighbourhood, previous_frame=previous_frame, estimator=estimator)
-    if found.is_diluted:
-        warnings.warn(f"{found.per_voxel.name}: {found.per_voxel.notes[1]}", FewSamplesWarning, stacklevel=2)
-    return found
+    result = counter.result(neighbourhood, previous_frame=previous_frame, estimator=estimator)
+    if result.is_diluted:
+        warnings.warn(f"{result.per_voxel.name}: {result.per_voxel.notes[1]}", FewSamplesWarning, stacklevel=2)
+    return result

@@ -21,10 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import as_array, entropy_bits
+from touchfield.measure.quantity import LEAST_BLOCKS
 from touchfield.medium.field import frozen
 from touchfield.parallel import for_chunks
 
-Tally = tuple[Int64s, Int64s]
+Histogram = tuple[Int64s, Int64s]
 """Symbols or numbers of cells, ascending, and how often each was seen."""
 
 ABSENT: Final = (1 << 63) - 1
@@ -36,7 +37,6 @@ TOLERANCE: Final = 1e-9
 BLOCKS = 64
 """Blocks of the bootstrap of arrays, where there are enough samples."""
 
-LEAST_BLOCKS = 8
 MOST_BLOCK_CELLS = 1 << 24
 """Blocks times cells that are held for a bootstrap: 128 MiB."""
 
@@ -53,24 +53,13 @@ _NO_BLOCKS = "no interval: fewer than 8 blocks, for there are too few samples or
 class Counts:
     """How often each cell (symbol or joint symbol) was seen, and what they are of.
 
-    InvalidArgument if shapes, order or weights are wrong.
-
-    Parameters
-    ----------
-    cells : int64 [K, d]
-        The symbols of d variables, rows in strictly ascending order, the first column slowest.
-    weights : int64 [K] or float64 [K]
-        Counts of at least 1 each, or probabilities above 0 that add up to 1.
-    blocks : int64 [B, K], optional
-        The same counts in each of at least 8 parts that a bootstrap may draw; none for no interval.
-    quantiser, weighting : str
-        Q and mu, as in `Quantity`.
-    variables : tuple of str
-        Their letters: ("X", "Y") of arrays, ("S", "T") of fields.
-    alphabet : int, optional
-        How many different cells there can be, where it is known: no entropy of all variables is above its log2.
-    notes : tuple of str
-        What a reader must know of them, such as why there are no blocks.
+    `cells` int64 [K, d]: the symbols of d variables, rows in strictly ascending order, the first column slowest.
+    `weights` int64 [K] or float64 [K]: counts of at least 1 each, or probabilities above 0 that add up to 1.
+    `blocks` int64 [B, K]: the same counts in each of at least 8 parts that a bootstrap may draw; None for no
+    interval. `quantiser`, `weighting`: Q and mu, as in `Quantity`. `variables`: their letters, ("X", "Y") of arrays,
+    ("S", "T") of fields. `alphabet`: how many different cells there can be, where it is known: no entropy of all
+    variables is above its log2. `notes`: what a reader must know, such as why there are no blocks. InvalidArgument if
+    shapes, order or weights are wrong.
     """
 
     cells: Int64s
@@ -113,22 +102,18 @@ class Counts:
         names = ("X", "Y") if d <= 2 else tuple(f"X{i + 1}" for i in range(d))
         if not n:
             return cls(np.zeros((0, d), np.int64), _NOTHING, variables=names)
-        if d == 1 and arrays[0].dtype.itemsize <= 2:
-            symbols, counts = _count_small(arrays[0], 0, n)
-            table = _blocks(lambda b, e: _count_small(arrays[0], b, e), n, symbols, blocks)
-            cells = symbols[:, None]
-        else:
-            keys = _Keys.of(arrays)
-            numbers, counts = _count_keys(keys, 0, n)
-            table = _blocks(lambda b, e: _count_keys(keys, b, e), n, numbers, blocks)
-            cells = keys.symbols(numbers)
+        keys = None if d == 1 and arrays[0].dtype.itemsize <= 2 else _Keys.of(arrays)
+        count = partial(_count_small, arrays[0]) if keys is None else partial(_count_keys, keys)
+        numbers, counts = count(0, n)
+        table = _blocks(count, n, numbers, blocks)
+        cells = numbers[:, None] if keys is None else keys.symbols(numbers)
         return cls(cells, counts, table, variables=names, notes=(_NO_BLOCKS,) if blocks and table is None else ())
 
     @classmethod
     def of_stream(cls, parts: Iterable[NDArray[Any]]) -> Counts:
         """Count the symbols of arrays that come one by one; each is counted and let go."""
-        total: Tally = (_NOTHING, _NOTHING)
-        waiting: list[Tally] = []  # small ones wait until together they are as large as the sum
+        total: Histogram = (_NOTHING, _NOTHING)
+        waiting: list[Histogram] = []  # small ones wait until together they are as large as the sum
         for part in parts:
             some = cls.of(part)
             waiting.append((some.cells[:, 0], np.asarray(some.weights, np.int64)))
@@ -188,7 +173,7 @@ class SymbolCounter:
     """Counts the symbols of the support and the empty voxels, frame after frame."""
 
     def __init__(self) -> None:
-        self._counted: Tally = (_NOTHING, _NOTHING)
+        self._counted: Histogram = (_NOTHING, _NOTHING)
         self._voxels = 0
 
     def add(self, symbols: ArrayLike, voxel_count: int) -> None:
@@ -208,7 +193,7 @@ class SymbolCounter:
         return entropy_bits(np.append(counts, self._voxels - counts.sum()))
 
 
-def merged(parts: Sequence[Tally]) -> Tally:
+def merged(parts: Sequence[Histogram]) -> Histogram:
     """The sum of several tallies."""
     full = [p for p in parts if len(p[0])]
     if len(full) < 2:
@@ -301,19 +286,19 @@ def _range(x: NDArray[Any]) -> tuple[int, int]:
         return 0, 1
 
     def piece(begin: int, end: int) -> list[int]:
-        found = []
+        ends = []
         for b in range(begin, end, STRETCH):
             part = _stretch(x, b, min(end, b + STRETCH))
-            found += [int(part.min()), int(part.max())]
-        return found
+            ends += [int(part.min()), int(part.max())]
+        return ends
 
-    found = [n for part in for_chunks(piece, x.size, chunk=STRETCH) for n in part]
-    if max(found) >= _MOST:
-        raise InvalidArgument("samples", f"the symbol {max(found)}", "symbols below 2^63")
-    return min(found), max(found)
+    ends = [n for part in for_chunks(piece, x.size, chunk=STRETCH) for n in part]
+    if max(ends) >= _MOST:
+        raise InvalidArgument("samples", f"the symbol {max(ends)}", "symbols below 2^63")
+    return min(ends), max(ends)
 
 
-def _count_small(x: NDArray[Any], begin: int, end: int) -> Tally:
+def _count_small(x: NDArray[Any], begin: int, end: int) -> Histogram:
     """Symbols and counts of 8- or 16-bit samples begin .. end in C order, by a table of all that there can be."""
     from touchfield.measure.kernels import counts_of_8_bits, counts_of_16_bits
 
@@ -331,7 +316,7 @@ def _count_small(x: NDArray[Any], begin: int, end: int) -> Tally:
     return symbols[order], table[seen[order]]
 
 
-def _count_keys(keys: _Keys, begin: int, end: int) -> Tally:
+def _count_keys(keys: _Keys, begin: int, end: int) -> Histogram:
     """The numbers that occur among samples begin .. end, ascending, and how often each does."""
     from touchfield.measure.kernels import add_counts
 
@@ -349,32 +334,32 @@ def _count_keys(keys: _Keys, begin: int, end: int) -> Tally:
     return seen, total[seen]
 
 
-def _sorted(read: Callable[[int, int], Int64s], begin: int, end: int) -> Tally:
+def _sorted(read: Callable[[int, int], Int64s], begin: int, end: int) -> Histogram:
     """Distinct numbers that are read from begin to end, a bounded part at a time."""
 
-    def piece(first: int, last: int, offset: int) -> Tally:
+    def piece(first: int, last: int, offset: int) -> Histogram:
         starts = range(offset + first, offset + last, STRETCH)
         return merged([np.unique(read(b, min(offset + last, b + STRETCH)), return_counts=True) for b in starts])
 
-    found: Tally = (_NOTHING, _NOTHING)
+    total: Histogram = (_NOTHING, _NOTHING)
     for b in range(begin, end, 16 * STRETCH):
-        found = merged([found, *for_chunks(piece, min(end - b, 16 * STRETCH), b, chunk=STRETCH)])
-    return found
+        total = merged([total, *for_chunks(piece, min(end - b, 16 * STRETCH), b, chunk=STRETCH)])
+    return total
 
 
-def _blocks(count: Callable[[int, int], Tally], n: int, known: Int64s, wanted: int) -> Int64s | None:
+def _blocks(count: Callable[[int, int], Histogram], n: int, known: Int64s, wanted: int) -> Int64s | None:
     """The counts of known numbers in contiguous blocks of n samples, equal but for one sample, int64 [B, K]."""
-    made = min(int(wanted), n, MOST_BLOCK_CELLS // max(1, len(known)))
-    if made < LEAST_BLOCKS:
+    blocks = min(int(wanted), n, MOST_BLOCK_CELLS // max(1, len(known)))
+    if blocks < LEAST_BLOCKS:
         return None
-    out = np.zeros((made, len(known)), np.int64)
+    out = np.zeros((blocks, len(known)), np.int64)
 
     def piece(begin: int, end: int) -> None:
         for b in range(begin, end):
-            found, times = count(n * b // made, n * (b + 1) // made)
-            out[b, np.searchsorted(known, found)] = times
+            numbers, times = count(n * b // blocks, n * (b + 1) // blocks)
+            out[b, np.searchsorted(known, numbers)] = times
 
-    for_chunks(piece, made)
+    for_chunks(piece, blocks)
     return out
 
 

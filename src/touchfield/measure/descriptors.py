@@ -48,7 +48,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float32s, Float64s, Int32s
-from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
+from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion, require_one_of
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.field import brick_keys
@@ -171,11 +171,11 @@ def octree_levels(
         # a hair inwards, so that rounding does not decide which cell a sample on a border lies in
         x, y, z = np.clip(np.floor(places * cells + 1e-9).astype(np.int64), 0, cells - 1).T
         of_sample = (x * cells + y) * cells + z
-        held, cell = np.unique(of_sample, return_inverse=True)
+        occupied, cell = np.unique(of_sample, return_inverse=True)
         means = np.bincount(cell.reshape(-1), amplitudes_n) / np.bincount(cell.reshape(-1))
         counts = np.bincount(np.searchsorted(thresholds_n, means, side="right"))
-        fractions[level - 1] = len(held) / cells**3
-        entropies[level - 1] = entropy_bits(np.append(counts, cells**3 - len(held)))
+        fractions[level - 1] = len(occupied) / cells**3
+        entropies[level - 1] = entropy_bits(np.append(counts, cells**3 - len(occupied)))
     return fractions, entropies
 
 
@@ -235,10 +235,8 @@ class Descriptor:
 
     def __getitem__(self, part: str) -> Float64s:
         """One part by name."""
-        for name, slot in part_slots():
-            if name == part:
-                return self.values[slot]
-        raise InvalidArgument("part", repr(part), f"one of {', '.join(PARTS)}")
+        require_one_of("part", part, PARTS)
+        return self.values[dict(part_slots())[part]]
 
     def __eq__(self, other: object) -> bool:
         return np.array_equal(self.values, other.values) if isinstance(other, Descriptor) else NotImplemented

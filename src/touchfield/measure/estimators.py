@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.medium.field import frozen
 
 
@@ -67,9 +67,6 @@ def entropy_bits(counts: ArrayLike) -> float:
 def binary_entropy_bits(p: float) -> float:
     """h2(p), bits."""
     return entropy_bits([p, 1.0 - p])
-
-
-# -- Entropy from counts (paper section 3, which defines the entropy of known probabilities only)
 
 
 @dataclass(frozen=True)
@@ -213,13 +210,6 @@ ESTIMATORS: Final[Mapping[str, Callable[[Tally], float]]] = MappingProxyType(
 that an interval must not take it off again (`touchfield.measure.quantity.interval`)."""
 
 
-def checked_estimator(name: str, where: str = "estimator") -> str:
-    """The name; InvalidArgument if there is no such estimator."""
-    if name not in ESTIMATORS:
-        raise InvalidArgument(where, repr(name), f"one of {', '.join(ESTIMATORS)}")
-    return name
-
-
 def estimate_bits(counts: ArrayLike, estimator: str = "plug-in", alphabet: int | None = None) -> float:
     """The entropy that counts speak of, bits a sample.
 
@@ -227,7 +217,7 @@ def estimate_bits(counts: ArrayLike, estimator: str = "plug-in", alphabet: int |
     `alphabet`, K, is given. InvalidArgument if the estimator is unknown, the counts are negative, not whole, not
     finite or without a sample, or the alphabet is smaller than the number of observed symbols.
     """
-    checked_estimator(estimator)
+    require_one_of("estimator", estimator, ESTIMATORS)
     t = tally(counts)
     if alphabet is not None and not (t.observed <= alphabet < math.inf and alphabet == int(alphabet)):
         raise InvalidArgument(

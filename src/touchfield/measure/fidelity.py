@@ -65,13 +65,12 @@ class FidelityMeter:
             self._add_bricks(original.forces_at(part), decoded.forces_at(part), around)
 
     def _add_bricks(self, original: Float32s, decoded: Float32s, hidden: Float32s) -> None:
-        x = original.reshape(-1, 3)
-        y = decoded.reshape(-1, 3)
-        held = (x != 0).any(axis=1) | (y != 0).any(axis=1)
-        x, y = np.ascontiguousarray(x[held]), np.ascontiguousarray(y[held])
-        found = violations(x, y, self.k, self.f0_n, masking_n=hidden.reshape(-1)[held])
-        self.mask_violations += found.count
-        self.worst_mask_ratio = max(self.worst_mask_ratio, found.worst_ratio or 0.0)
+        x, y = original.reshape(-1, 3), decoded.reshape(-1, 3)
+        is_held = (x != 0).any(axis=1) | (y != 0).any(axis=1)
+        x, y = np.ascontiguousarray(x[is_held]), np.ascontiguousarray(y[is_held])
+        beyond = violations(x, y, self.k, self.f0_n, masking_n=hidden.reshape(-1)[is_held])
+        self.mask_violations += beyond.count
+        self.worst_mask_ratio = max(self.worst_mask_ratio, beyond.worst_ratio or 0.0)
         force2 = (x.astype(np.float64) ** 2).sum(axis=1)
         error2 = ((y.astype(np.float64) - x) ** 2).sum(axis=1)
         force, error = np.sqrt(force2), np.sqrt(error2)

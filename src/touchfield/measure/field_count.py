@@ -17,6 +17,7 @@ neighbouring bricks of the support.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -26,11 +27,11 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.counts import LEAST_BLOCKS, MOST_BLOCK_CELLS, Counts
+from touchfield.measure.counts import MOST_BLOCK_CELLS, Counts
 from touchfield.measure.field_symbols import Fields, FramePairs, Frames, frames_changed
 from touchfield.measure.information import entropy
-from touchfield.measure.quantity import Quantity
-from touchfield.medium.field import brick_keys
+from touchfield.measure.quantity import LEAST_BLOCKS, Quantity
+from touchfield.medium.field import brick_keys, bricks_of
 from touchfield.medium.grid import BRICK, Grid
 
 BLOCKS = 27
@@ -47,12 +48,7 @@ LEAST_BLOCK_BRICKS = 8
 class BrickGroups:
     """Equal numbers of the bricks of a support, neighbours along a Morton curve, so that groups are compact.
 
-    Attributes
-    ----------
-    keys : int64 [n]
-        `brick_keys` of the support, ascending, at least one.
-    owners : int64 [n]
-        The block of each.
+    `keys` int64 [n]: `brick_keys` of the support, ascending, at least one. `owners` int64 [n]: the block of each.
     """
 
     keys: Int64s
@@ -61,7 +57,7 @@ class BrickGroups:
     @classmethod
     def of(cls, grid: Grid, keys: Int64s, most: int) -> BrickGroups:
         """At most so many groups of the bricks with these keys, ascending."""
-        bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1)
+        bricks = bricks_of(grid, keys).astype(np.int64)
         along = np.zeros(len(keys), np.int64)
         for bit in range(max(grid.brick_shape).bit_length()):  # the bits of the three places, in turn
             along |= ((bricks >> bit & 1) << (3 * bit + np.arange(3))).sum(axis=1)
@@ -99,10 +95,33 @@ def _cuts(sides: ArrayLike, room: Sequence[int], most: int) -> tuple[int, int, i
 
 
 @dataclass(frozen=True)
-class BrickBoxes:
-    """Boxes of bricks that fill the lattice, `cuts` of them along each axis."""
+class Boxes(ABC):
+    """Boxes that fill a lattice, `cuts` of them along each axis."""
 
     cuts: tuple[int, int, int]
+
+    @property
+    def count(self) -> int:
+        """B."""
+        return math.prod(self.cuts)
+
+    def voxels(self, grid: Grid) -> Int64s:
+        """Samples of a lattice in each box, int64 [B]."""
+        x, y, z = (np.bincount(o, minlength=n) for o, n in zip(self.along(grid), self.cuts, strict=True))
+        samples: Int64s = (x[:, None, None] * y[:, None] * z).reshape(-1)
+        return samples
+
+    @abstractmethod
+    def owner(self, grid: Grid, bricks: Int32s) -> Int64s:
+        """The block of each brick, int64 [m], or of each of its samples, int64 [m, 512], of int32 [m, 3]."""
+
+    @abstractmethod
+    def along(self, grid: Grid) -> list[Int64s]:
+        """For each axis the cut that each sample lies in."""
+
+
+class BrickBoxes(Boxes):
+    """Boxes of bricks."""
 
     @classmethod
     def of(cls, grid: Grid, most: int) -> BrickBoxes:
@@ -110,26 +129,16 @@ class BrickBoxes:
         most = _wanted(most, math.prod(grid.brick_shape))
         return cls(_cuts(grid.brick_shape, grid.brick_shape, most))
 
-    @property
-    def count(self) -> int:
-        """B."""
-        return math.prod(self.cuts)
-
     def owner(self, grid: Grid, bricks: Int32s) -> Int64s:
-        """The block of each brick, int64 [m], of int32 [m, 3]."""
+        """See `Boxes`; of bricks."""
         a, b, c = (bricks.astype(np.int64) * self.cuts // grid.brick_shape).T
         owner: Int64s = (a * self.cuts[1] + b) * self.cuts[2] + c
         return owner
 
-    def voxels(self, grid: Grid) -> Int64s:
-        """Samples of the lattice in each box, int64 [B]."""
-        along = []
-        for n, size, cuts in zip(grid.brick_shape, grid.shape, self.cuts, strict=True):
-            first = -(-np.arange(cuts + 1, dtype=np.int64) * n // cuts)  # brick i is in box i * cuts // n
-            along.append(np.diff(np.minimum(first * BRICK, size)))
-        x, y, z = along
-        samples: Int64s = (x[:, None, None] * y[:, None] * z).reshape(-1)
-        return samples
+    def along(self, grid: Grid) -> list[Int64s]:
+        """See `Boxes`; brick i is in box i * cuts // n."""
+        axes = zip(grid.brick_shape, grid.shape, self.cuts, strict=True)
+        return [np.repeat(np.arange(n, dtype=np.int64) * cuts // n, BRICK)[:size] for n, size, cuts in axes]
 
 
 # -- counting
@@ -149,8 +158,8 @@ def field_entropy(
     "object" for those whose symbol is not 0; over visits there is `interaction_entropy`. `blocks`: of the bootstrap,
     8 or more; about as many are made. InvalidArgument as of `field_counts`, and if over "object" there is no support.
     """
-    found = supported(field_counts(fields, overs=(over,), interval=interval, blocks=blocks)[over])
-    return entropy(found, estimator=estimator, interval=interval)
+    counts = supported(field_counts(fields, overs=(over,), interval=interval, blocks=blocks)[over])
+    return entropy(counts, estimator=estimator, interval=interval)
 
 
 def field_counts(
@@ -163,22 +172,14 @@ def field_counts(
 ) -> dict[str, Counts]:
     """The symbols of all frames over each weighting of `overs`, or the joint symbols of two media, voxel by voxel.
 
-    Over the object there are no cells if there is none. InvalidArgument if the frames differ in grid or Q, or from
-    one pass to the next, or the two media in grid or length; a weighting is unknown; there are 2^63 voxels or more.
-
-    Parameters
-    ----------
-    first, second : FieldSymbols, or sequences of as many
-        S and T, of one grid; their quantisers may differ. Sequences may make their frames when asked for them: they
-        are asked for one by one, in order, the second's before the first's, and none is held longer than it is
-        counted. Each is asked for once without an interval, and over "voxel" alone if `blocks` times the alphabet is
-        at most 2^24; twice otherwise.
-    overs : tuple of "voxel" and "object"
-        All voxels; those whose symbol is not 0, of two media those where one of the two has a force.
-    interval : bool
-        Whether blocks are wanted.
-    blocks : int
-        How many; 8 or more.
+    `first`, `second`: FieldSymbols, or sequences of as many, S and T, of one grid; their quantisers may differ.
+    Sequences may make their frames when asked for them: they are asked for one by one, in order, the second's before
+    the first's, and none is held longer than it is counted. Each is asked for once without an interval, and over
+    "voxel" alone if `blocks` times the alphabet is at most 2^24; twice otherwise. `overs`: "voxel" for all voxels,
+    "object" for those whose symbol is not 0, of two media those where one of the two has a force; no cells if there
+    is none. `interval`: whether blocks are wanted. `blocks`: how many, 8 or more. InvalidArgument if the frames
+    differ in grid or Q, or from one pass to the next, or the two media in grid or length; a weighting is unknown;
+    there are 2^63 voxels or more.
     """
     if not overs or any(over not in ("voxel", "object") for over in overs):
         raise InvalidArgument("over", repr(overs), '"voxel" or "object"')
@@ -188,12 +189,14 @@ def field_counts(
         return _count(Frames(first, "fields"), overs, interval, blocks)
     a, b = Frames(first, "first"), Frames(second, "second")
     if a.count != b.count:
-        raise InvalidArgument("second", f"{b.count} frames", f"{a.count}, as many as the first")
+        raise InvalidArgument(
+            "second", f"{b.count} frames", f"{a.count}, as many as the first", "Take the frames that both have."
+        )
     if a.grid != b.grid:
         raise InvalidArgument("second", f"the grid {b.grid}", f"{a.grid}, as of the first")
-    found = _count(FramePairs(a, b), overs, interval, blocks)
-    pairs = {over: np.stack(np.divmod(c.cells[:, 0], b.alphabet), axis=1) for over, c in found.items()}
-    return {over: replace(c, cells=pairs[over]) for over, c in found.items()}
+    counts = _count(FramePairs(a, b), overs, interval, blocks)
+    pairs = {over: np.stack(np.divmod(c.cells[:, 0], b.alphabet), axis=1) for over, c in counts.items()}
+    return {over: replace(c, cells=pairs[over]) for over, c in counts.items()}
 
 
 def supported(counts: Counts) -> Counts:
@@ -213,47 +216,39 @@ def _count(frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, 
     if overs == ("voxel",) and interval and blocks * frames.alphabet <= MOST_BLOCK_CELLS:
         boxes = BrickBoxes.of(frames.grid, blocks)
         if boxes.count >= LEAST_BLOCKS:
-            seen, table = _in_one_pass(frames, boxes)
-            return {"voxel": of(seen[:, None], table.sum(axis=0), table, weighting="voxel", alphabet=frames.alphabet)}
+            seen, each = _in_one_pass(frames, boxes)
+            return {"voxel": of(seen[:, None], each.sum(axis=0), each, weighting="voxel", alphabet=frames.alphabet)}
     held, support = _held_symbols(frames, interval and "object" in overs)
     symbols, weights = held.cells[:, 0], np.asarray(held.weights, np.int64)
     tallies = {"object": (symbols, weights), "voxel": (symbols, weights)}
     if empty_count := everywhere - held.total:
         tallies["voxel"] = np.append(0, symbols), np.append(empty_count, weights)
-    parts: dict[str, BrickBoxes | BrickGroups] = {}
+    parts: dict[str, Boxes | BrickGroups] = {}
     for over in overs if interval else ():
         most = min(blocks, MOST_BLOCK_CELLS // max(1, len(tallies[over][0])))
         part = BrickGroups.of(frames.grid, support, most) if over == "object" else BrickBoxes.of(frames.grid, most)
         if min(most, part.count) >= LEAST_BLOCKS:
             parts[over] = part
-    found = _held_by_part(frames, symbols, parts)
+    tables = _held_by_part(frames, symbols, parts)
     few = f"no interval: fewer than {LEAST_BLOCKS} blocks, for there are too few bricks or too many symbols"
     counts = {}
     for over in overs:
-        made, (seen, times) = found.get(over), tallies[over]
-        if made is not None:
-            made = _with_empty(frames, made, parts[over], frames.grid, times)
-        alphabet = frames.alphabet - (over == "object")
-        notes = (few,) if interval and made is None else ()
-        counts[over] = of(seen[:, None], times, made, weighting=over, alphabet=alphabet, notes=notes)
+        (seen, times), alphabet, space = tallies[over], frames.alphabet - (over == "object"), parts.get(over)
+        table = None if space is None else _with_empty(tables[over], space, frames.grid, frames.count, times)
+        notes = (few,) if interval and table is None else ()
+        counts[over] = of(seen[:, None], times, table, weighting=over, alphabet=alphabet, notes=notes)
     return counts
 
 
-def _with_empty(
-    frames: Frames | FramePairs,
-    held: Int64s,
-    part: BrickBoxes | BrickGroups | SharedBoxes,
-    grid: Grid,
-    counts: Int64s,
-) -> Int64s:
+def _with_empty(table: Int64s, part: Boxes | BrickGroups, grid: Grid, frames: int, counts: Int64s) -> Int64s:
     """The counts of each part with those of symbol 0 before them, where `counts` of all parts have it."""
-    if len(counts) > held.shape[1]:
-        assert not isinstance(part, BrickGroups)
-        empty = part.voxels(grid) * frames.count - held.sum(axis=1)
-        held = np.concatenate([empty[:, None], held], axis=1)
-    if not np.array_equal(held.sum(axis=0), counts):
+    if len(counts) > table.shape[1]:
+        assert isinstance(part, Boxes)
+        empty = part.voxels(grid) * frames - table.sum(axis=1)
+        table = np.concatenate([empty[:, None], table], axis=1)
+    if not np.array_equal(table.sum(axis=0), counts):
         raise frames_changed()
-    return held
+    return table
 
 
 def _in_one_pass(frames: Frames | FramePairs, boxes: BrickBoxes) -> tuple[Int64s, Int64s]:
@@ -262,9 +257,9 @@ def _in_one_pass(frames: Frames | FramePairs, boxes: BrickBoxes) -> tuple[Int64s
 
     table = np.zeros((boxes.count, frames.alphabet), np.int64)
     for bricks, symbols in frames.parts():
-        held = symbols != 0
-        owner = np.repeat(boxes.owner(frames.grid, bricks), held.sum(axis=1))
-        add_counts(owner * frames.alphabet + symbols[held], table.reshape(-1))
+        is_held = symbols != 0
+        owner = np.repeat(boxes.owner(frames.grid, bricks), is_held.sum(axis=1))
+        add_counts(owner * frames.alphabet + symbols[is_held], table.reshape(-1))
     table[:, 0] = boxes.voxels(frames.grid) * frames.count - table.sum(axis=1)
     seen = np.flatnonzero(table.any(axis=0))
     return seen, table[:, seen]
@@ -287,7 +282,7 @@ def _held_symbols(frames: Frames | FramePairs, keep_support: bool) -> tuple[Coun
 def _held_by_part(
     frames: Frames | FramePairs,
     known: Int64s,
-    parts: Mapping[str, BrickBoxes | BrickGroups | SharedBoxes],
+    parts: Mapping[str, Boxes | BrickGroups],
     grid: Grid | None = None,
 ) -> dict[str, Int64s]:
     """The counts of the `known` symbols in each part, int64 [B, K], for every way to part the space: one pass.
@@ -314,15 +309,14 @@ LEAST_SAMPLES = (BRICK, 2)
 
 
 @dataclass(frozen=True)
-class SharedBoxes:
+class SharedBoxes(Boxes):
     """The box of a lattice, cut into equal boxes; what lies beyond belongs to the nearest.
 
-    `low_m`, `high_m` float64 [3]: the box that is cut. `cuts` (int, int, int): boxes along each axis.
+    `low_m`, `high_m` float64 [3]: the box that is cut.
     """
 
     low_m: Float64s
     high_m: Float64s
-    cuts: tuple[int, int, int]
 
     @classmethod
     def of(cls, grid: Grid, other: Grid, most: int) -> SharedBoxes | None:
@@ -334,41 +328,30 @@ class SharedBoxes:
         `grid`, `other`: of one space.
         """
         low, high = grid.box_m
-        inside = [
-            int(((x >= lo) & (x < hi)).sum()) for x, lo, hi in zip(_along_m(other), low, high, strict=True)
-        ]  # samples of the other along each axis
+        places = [other.axis_m(axis) for axis in range(3)]
+        inside = [int(((x >= lo) & (x < hi)).sum()) for x, lo, hi in zip(places, low, high, strict=True)]
         room = [
             max(1, min(n // LEAST_SAMPLES[0], m // LEAST_SAMPLES[1])) for n, m in zip(grid.shape, inside, strict=True)
         ]
-        found = cls(low, high, _cuts(high - low, room, most))
-        both = (found.voxels(grid) > 0) & (found.voxels(other) > 0)
-        return found if found.count >= LEAST_BLOCKS and both.all() else None
-
-    @property
-    def count(self) -> int:
-        """B."""
-        return math.prod(self.cuts)
+        boxes = cls(_cuts(high - low, room, most), low, high)
+        both = (boxes.voxels(grid) > 0) & (boxes.voxels(other) > 0)
+        return boxes if boxes.count >= LEAST_BLOCKS and both.all() else None
 
     def owner(self, grid: Grid, bricks: Int32s) -> Int64s:
-        """The box of each sample of bricks of a lattice, int64 [m, 512], of int32 [m, 3]."""
+        """See `Boxes`; of samples."""
         x, y, z = (
             np.pad(o, (0, -len(o) % BRICK)).reshape(-1, BRICK)[b]
-            for o, b in zip(self._along(grid), bricks.T, strict=True)
+            for o, b in zip(self.along(grid), bricks.T, strict=True)
         )
         owner = (x[:, :, None, None] * self.cuts[1] + y[:, None, :, None]) * self.cuts[2] + z[:, None, None, :]
         flat: Int64s = owner.reshape(len(bricks), -1)
         return flat
 
-    def voxels(self, grid: Grid) -> Int64s:
-        """Samples of a lattice in each box, int64 [B]."""
-        x, y, z = (np.bincount(o, minlength=n) for o, n in zip(self._along(grid), self.cuts, strict=True))
-        samples: Int64s = (x[:, None, None] * y[:, None] * z).reshape(-1)
-        return samples
-
-    def _along(self, grid: Grid) -> list[Int64s]:
-        """For each axis the cut that each sample lies in."""
-        axes = zip(_along_m(grid), self.low_m, self.high_m, self.cuts, strict=True)
-        return [np.clip((x - lo) / (hi - lo) * n, 0, n - 1).astype(np.int64) for x, lo, hi, n in axes]
+    def along(self, grid: Grid) -> list[Int64s]:
+        """See `Boxes`."""
+        axes = enumerate(zip(self.low_m, self.high_m, self.cuts, strict=True))
+        shares = ((grid.axis_m(a) - low) / (high - low) * n for a, (low, high, n) in axes)
+        return [np.clip(share, 0, n - 1).astype(np.int64) for share, n in zip(shares, self.cuts, strict=True)]
 
 
 def shared_counts(
@@ -388,17 +371,9 @@ def shared_counts(
     boxes = SharedBoxes.of(*grids, min(most, MOST_BLOCK_CELLS // sum(len(c.cells) for c in counts)))
     if boxes is None:
         return None
-    found = []
+    shared = []
     for f, grid, c in zip(frames, grids, counts, strict=True):
         known = c.cells[int(c.cells[0, 0] == 0) :, 0]
-        held = _held_by_part(f, known, {"voxel": boxes}, grid)["voxel"]
-        found.append(replace(c, blocks=_with_empty(f, held, boxes, grid, np.asarray(c.weights))))
-    return found[0], found[1]
-
-
-def _along_m(grid: Grid) -> Sequence[Float64s]:
-    """Where the samples lie along each axis, metres."""
-    return [
-        o + h * np.arange(n, dtype=np.float64)
-        for o, h, n in zip(grid.origin_m, grid.spacing_m, grid.shape, strict=True)
-    ]
+        table = _held_by_part(f, known, {"voxel": boxes}, grid)["voxel"]
+        shared.append(replace(c, blocks=_with_empty(table, boxes, grid, f.count, np.asarray(c.weights))))
+    return shared[0], shared[1]

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.medium.field import brick_keys, frozen
+from touchfield.medium.field import brick_keys, bricks_of, check_bricks, frozen, tiled, values_at
 from touchfield.medium.grid import BRICK, Grid
 
 
@@ -38,31 +38,16 @@ class FieldSymbols:
 
     def __post_init__(self) -> None:
         b, s = self.bricks, self.symbols
-        if b.dtype != np.int32 or b.ndim != 2 or b.shape[1] != 3:
-            raise InvalidArgument("FieldSymbols bricks", f"{b.dtype} {b.shape}", "int32 [n, 3]")
-        if s.dtype != np.int32 or s.shape != (len(b), BRICK, BRICK, BRICK):
-            raise InvalidArgument("FieldSymbols symbols", f"{s.dtype} {s.shape}", f"int32 [{len(b)}, 8, 8, 8]")
+        check_bricks("FieldSymbols", self.grid, b, "symbols", s, "int32")
         if s.size and not (s.min() >= 0 and s.max() < self.alphabet):
             raise InvalidArgument("FieldSymbols symbols", f"{s.min()} to {s.max()}", f"0 to {self.alphabet - 1}")
-        if len(b):
-            self._check_places()
-        object.__setattr__(self, "bricks", frozen(np.ascontiguousarray(b)))
-        object.__setattr__(self, "symbols", frozen(np.ascontiguousarray(s)))
-
-    def _check_places(self) -> None:
-        b, s = self.bricks, self.symbols
-        if b.min() < 0 or (b.max(0) >= self.grid.brick_shape).any():
-            raise InvalidArgument("FieldSymbols bricks", "one outside the grid", f"within {self.grid.brick_shape}")
-        if (np.diff(brick_keys(self.grid, b)) <= 0).any():
-            raise InvalidArgument("FieldSymbols bricks", "bricks out of order or twice", "ascending order")
         for axis, (size, bricks) in enumerate(zip(self.grid.shape, self.grid.brick_shape, strict=True)):
             # only the last bricks of an axis can reach beyond the grid, and only where 8 does not divide its samples
             if size % BRICK and np.moveaxis(s, axis + 1, 1)[b[:, axis] == bricks - 1, size % BRICK :].any():
-                raise InvalidArgument(
-                    "FieldSymbols symbols",
-                    f"a symbol beyond the grid along {'xyz'[axis]}",
-                    f"0 from sample {size} on",
-                )
+                found = f"a symbol beyond the grid along {'xyz'[axis]}"
+                raise InvalidArgument("FieldSymbols symbols", found, f"0 from sample {size} on")
+        object.__setattr__(self, "bricks", frozen(np.ascontiguousarray(b)))
+        object.__setattr__(self, "symbols", frozen(np.ascontiguousarray(s)))
 
     @classmethod
     def from_dense(cls, grid: Grid, symbols: ArrayLike, alphabet: int, quantiser: str) -> FieldSymbols:
@@ -70,29 +55,25 @@ class FieldSymbols:
 
         InvalidArgument if the shape is not that of the grid, or the symbols are no integers of 0 .. alphabet - 1.
         """
-        given = np.asarray(symbols)
-        if given.shape != grid.shape:
-            raise InvalidArgument("symbols", f"shape {given.shape}", f"{grid.shape}, as the grid says")
-        if given.dtype.kind not in "biu":
-            raise InvalidArgument("symbols", f"{given.dtype}", "integers or booleans", "Quantise the values first.")
-        low, high, last = int(given.min()), int(given.max()), min(alphabet, 1 << 31) - 1
+        dense = np.asarray(symbols)
+        if dense.shape != grid.shape:
+            raise InvalidArgument("symbols", f"shape {dense.shape}", f"{grid.shape}, as the grid says")
+        if dense.dtype.kind not in "biu":
+            raise InvalidArgument("symbols", f"{dense.dtype}", "integers or booleans", "Quantise the values first.")
+        low, high, last = int(dense.min()), int(dense.max()), min(alphabet, 1 << 31) - 1
         if low < 0 or high > last:  # before the cast, which would wrap them into the range
             raise InvalidArgument("symbols", f"{low} to {high}", f"0 to {last}")
-        full = [n * BRICK for n in grid.brick_shape]
-        dense = given.astype(np.int32)
-        dense = np.pad(dense, [(0, n - m) for n, m in zip(full, grid.shape, strict=True)])
-        bx, by, bz = grid.brick_shape
-        tiled = dense.reshape(bx, BRICK, by, BRICK, bz, BRICK).transpose(0, 2, 4, 1, 3, 5)
-        held = np.argwhere(tiled.any(axis=(3, 4, 5))).astype(np.int32)
-        return cls(grid, held, np.ascontiguousarray(tiled[tuple(held.T)]), alphabet, quantiser)
+        tiles = tiled(dense.astype(np.int32))
+        bricks = np.argwhere(tiles.any(axis=(3, 4, 5))).astype(np.int32)
+        return cls(grid, bricks, tiles[tuple(bricks.T)], alphabet, quantiser)
 
     def to_dense(self) -> Int32s:
         """All symbols, int32 [nx, ny, nz]."""
         bx, by, bz = self.grid.brick_shape
-        tiled = np.zeros((bx, by, bz, BRICK, BRICK, BRICK), np.int32)
-        tiled[tuple(self.bricks.T)] = self.symbols
-        dense = tiled.transpose(0, 3, 1, 4, 2, 5).reshape(bx * BRICK, by * BRICK, bz * BRICK)
+        tiles = np.zeros((bx, by, bz, BRICK, BRICK, BRICK), np.int32)
+        tiles[tuple(self.bricks.T)] = self.symbols
         nx, ny, nz = self.grid.shape
+        dense = tiles.transpose(0, 3, 1, 4, 2, 5).reshape(bx * BRICK, by * BRICK, bz * BRICK)
         return np.ascontiguousarray(dense[:nx, :ny, :nz])
 
     @property
@@ -112,18 +93,7 @@ class FieldSymbols:
 
     def symbols_at(self, index: ArrayLike) -> Int32s:
         """The symbols at lattice points, int32 [m], of indices int [m, 3]; 0 outside the grid."""
-        i = np.asarray(index, np.int64).reshape(-1, 3)
-        inside = ((i >= 0) & (i < self.grid.shape)).all(axis=1)
-        found = np.zeros(len(i), np.int32)
-        if not len(self.bricks) or not inside.any():
-            return found
-        places = i[inside]
-        keys = brick_keys(self.grid, self.bricks)
-        wanted = brick_keys(self.grid, places // BRICK)
-        slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        x, y, z = (places % BRICK).T
-        found[inside] = np.where(keys[slot] == wanted, self.symbols[slot, x, y, z], 0)
-        return found
+        return values_at(self.grid, self.bricks, self.symbols, np.asarray(index, np.int64).reshape(-1, 3))
 
 
 Part = tuple["Int32s", "Int64s"]
@@ -157,13 +127,18 @@ class Frames:
             first, self._first = self._first, None
             return first
         f = self._checked_type(n)
-        where = f"{self._where}, frame {n}"
-        if f.grid != self.grid:
-            raise InvalidArgument(where, f"the grid {f.grid}", f"{self.grid}, as of frame 0")
-        if (f.quantiser, f.alphabet) != (self.quantiser, self.alphabet):
-            found, expected = (f"{of.quantiser} with {of.alphabet} symbols" for of in (f, self))
-            raise InvalidArgument(where, f"the quantiser {found}", f"{expected}, as of frame 0")
+        self.check_like(f, f"{self._where}, frame {n}", "frame 0")
         return f
+
+    def check_like(
+        self, other: FieldSymbols | Frames, where: str, of: str, mends: tuple[str, str] = ("", "")
+    ) -> None:
+        """InvalidArgument naming `where` if another has not the grid and Q of these, which are those `of` a name."""
+        if other.grid != self.grid:
+            raise InvalidArgument(where, f"the grid {other.grid}", f"{self.grid}, as of {of}", mends[0])
+        if (other.quantiser, other.alphabet) != (self.quantiser, self.alphabet):
+            found, expected = (f"{each.quantiser} with {each.alphabet} symbols" for each in (other, self))
+            raise InvalidArgument(where, f"the quantiser {found}", f"{expected}, as of {of}", mends[1])
 
     def __iter__(self) -> Iterator[FieldSymbols]:
         return (self.take(n) for n in range(self.count))
@@ -180,34 +155,18 @@ class Frames:
         return f
 
 
-@dataclass(frozen=True)
 class FramePairs:
-    """The frames of two sequences together, as joint symbols s * K_T + t."""
+    """The frames of two sequences of one grid and one length together, as joint symbols s * K_T + t."""
 
-    first: Frames
-    second: Frames
-
-    @property
-    def grid(self) -> Grid:
-        return self.first.grid
-
-    @property
-    def count(self) -> int:
-        return self.first.count
-
-    @property
-    def alphabet(self) -> int:
-        return self.first.alphabet * self.second.alphabet
-
-    @property
-    def quantiser(self) -> str:
-        a, b = self.first.quantiser, self.second.quantiser
-        return a if a == b else f"{a}; {b}"
+    def __init__(self, first: Frames, second: Frames) -> None:
+        self._first, self._second = first, second
+        self.grid, self.count, self.alphabet = first.grid, first.count, first.alphabet * second.alphabet
+        self.quantiser = "; ".join(dict.fromkeys((first.quantiser, second.quantiser)))
 
     def parts(self) -> Iterator[Part]:
         """One pass. The second is usually the frame before: asked for first, it is still there if two are kept."""
         for n in range(self.count):
-            yield from _joint_parts(second=self.second.take(n), first=self.first.take(n))
+            yield from _joint_parts(second=self._second.take(n), first=self._first.take(n))
 
 
 def _parts(f: FieldSymbols) -> Iterator[Part]:
@@ -227,8 +186,7 @@ def _joint_parts(first: FieldSymbols, second: FieldSymbols) -> Iterator[Part]:
         for f, k, out in zip(both, own, symbols, strict=True):
             low, high = np.searchsorted(k, [some[0], some[-1] + 1])
             out[np.searchsorted(some, k[low:high])] = f.symbols[low:high].reshape(-1, BRICK**3)
-        bricks = np.stack(np.unravel_index(some, grid.brick_shape), axis=1)
-        yield bricks.astype(np.int32), symbols[0] * second.alphabet + symbols[1]
+        yield bricks_of(grid, some), symbols[0] * second.alphabet + symbols[1]
 
 
 def frames_changed() -> InvalidArgument:

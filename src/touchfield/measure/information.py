@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument
-from touchfield.measure.counts import ABSENT, BLOCKS, LEAST_BLOCKS, Counts
-from touchfield.measure.estimators import checked_estimator, entropy_bits, estimate_bits
-from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity, interval
+from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.measure.counts import ABSENT, BLOCKS, Counts
+from touchfield.measure.estimators import ESTIMATORS, entropy_bits, estimate_bits
+from touchfield.measure.quantity import LEAST_BLOCKS, FewSamplesWarning, Interval, Quantity, interval
 
 Statistic = Callable[["Int64s | Float64s"], float]
 """Of the weights [K] of cells; NaN where it does not exist."""
@@ -44,16 +44,10 @@ def entropy(
 ) -> Quantity:
     """H(X) of one variable, bits a sample, or H(X,Y,..) of all; of one `column` of counts where it is named.
 
-    Parameters
-    ----------
-    samples : Counts, or arrays of integers or booleans of one shape
-    column : int, optional
-    estimator : str
-        One of `touchfield.measure.estimators.ESTIMATORS`; given probabilities have an exact entropy.
-    interval : bool
-        Whether to make one; it takes about as long again as the counting, and 200 evaluations of the estimator.
-    blocks : int
-        Of the bootstrap of arrays, 8 or more.
+    `samples`: Counts, or arrays of integers or booleans of one shape. `estimator`: one of
+    `touchfield.measure.estimators.ESTIMATORS`; given probabilities have an exact entropy. `interval`: whether to make
+    one; it takes about as long again as the counting, and 200 evaluations of the estimator. `blocks`: of the
+    bootstrap of arrays, 8 or more.
     """
     e = _Entropies(samples, estimator, interval, blocks)
     if column is not None:
@@ -153,8 +147,8 @@ def jensen_shannon_bits(p: Float64s, q: Float64s) -> float:
     middle = p + q
     total = 0.0
     for one in (p, q):
-        held = one > 0
-        total += float((one[held] * (np.log2(one[held]) - np.log2(middle[held]) + 1)).sum())
+        is_there = one > 0
+        total += float((one[is_there] * (np.log2(one[is_there]) - np.log2(middle[is_there]) + 1)).sum())
     return min(1.0, max(0.0, total / 2))
 
 
@@ -162,14 +156,11 @@ def _counted(samples: tuple[ArrayLike | Counts, ...], interval: bool, blocks: in
     if interval and blocks < LEAST_BLOCKS:
         raise InvalidArgument("blocks", f"{blocks}", "8 or more", "Give interval=False for none.")
     if len(samples) == 1 and isinstance(samples[0], Counts):
-        return samples[0] if interval else replace(samples[0], blocks=None, notes=_without_why(samples[0].notes))
+        notes = tuple(note for note in samples[0].notes if not note.startswith("no interval"))
+        return samples[0] if interval else replace(samples[0], blocks=None, notes=notes)
     if any(isinstance(s, Counts) for s in samples):
         raise InvalidArgument("samples", "several Counts", "one, of all variables together")
     return Counts.of(*samples, blocks=blocks if interval else 0)  # type: ignore[arg-type]
-
-
-def _without_why(notes: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(n for n in notes if not n.startswith("no interval"))
 
 
 class _Entropies:
@@ -188,8 +179,8 @@ class _Entropies:
         if d < least:
             raise InvalidArgument("samples", f"{d} variable", f"{least}")
         self.names = self.counts.variables[:d]
-        is_exact = self.counts.weights.dtype.kind == "f"
-        self.estimator = "exact" if is_exact else checked_estimator(estimator)
+        require_one_of("estimator", estimator, ESTIMATORS)
+        self.estimator = "exact" if self.counts.weights.dtype.kind == "f" else estimator
         self.symbols, self.fewest = len(self.counts.cells), self.counts.total
         self._places: dict[int, Int64s] = {}
 
@@ -256,9 +247,9 @@ class _Entropies:
         )
 
     def _interval(self, statistic: Statistic, blocks: Int64s, most: float) -> tuple[Interval | None, list[str]]:
-        held = int(np.count_nonzero(blocks.any(axis=1)))
-        if held < LEAST_BLOCKS:
-            return None, [f"no interval: {held} blocks with samples, fewer than {LEAST_BLOCKS}"]
+        filled = int(np.count_nonzero(blocks.any(axis=1)))
+        if filled < LEAST_BLOCKS:
+            return None, [f"no interval: {filled} blocks with samples, fewer than {LEAST_BLOCKS}"]
         missing = 0
 
         def defined(counts: Int64s) -> float:

@@ -19,10 +19,10 @@ import numpy as np
 
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.counts import LEAST_BLOCKS, Counts
+from touchfield.measure.counts import Counts
 from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.information import entropy
-from touchfield.measure.quantity import Quantity
+from touchfield.measure.quantity import LEAST_BLOCKS, Quantity
 from touchfield.medium.field import frozen
 from touchfield.medium.grid import Grid
 from touchfield.medium.trace import Trace
@@ -79,23 +79,14 @@ def interaction_counts(
     """The symbols that a probe met, one for each sample of its trace that lies in the medium.
 
     Samples before the first frame or after the last are left out, and so are those during the frames that lie outside
-    the box of the grid; a note counts each of the two. InvalidArgument if no sample meets the field, the frames do
-    not fit each other, or an argument is out of range.
+    the box of the grid; a note counts each of the two.
 
-    Parameters
-    ----------
-    trace : Trace
-    symbols : FieldSymbols or sequence of FieldSymbols
-        The quantised field; or one for each frame, of one grid and one quantiser, which may be made when asked for.
-        Frame f is felt from f / rate_hz until (f + 1) / rate_hz; only the first frame and those that the trace meets
-        are asked for.
-    interval : bool
-        With blocks over time for a bootstrap.
-    rate_hz : float, optional
-        Frames per second; needed for a sequence.
-    blocks : int
-        Blocks of consecutive samples, at least 8. A block should last longer than a hand stays in one place: take
-        fewer for a short trace.
+    `symbols`: the quantised field; or a sequence of one for each frame, of one grid and one quantiser, which may be
+    made when asked for. Frame f is felt from f / rate_hz until (f + 1) / rate_hz; only the first frame and those that
+    the trace meets are asked for. `interval`: with blocks over time for a bootstrap. `rate_hz`: frames per second;
+    needed for a sequence. `blocks`: of consecutive samples, at least 8. A block should last longer than a hand stays
+    in one place: take fewer for a short trace. InvalidArgument if no sample meets the field, the frames do not fit
+    each other, or an argument is out of range.
     """
     if blocks < LEAST_BLOCKS:
         raise InvalidArgument("blocks", repr(blocks), f"at least {LEAST_BLOCKS}")

@@ -11,9 +11,11 @@ Time: one pass over the frames, which may be made when asked for. Memory: two fr
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -33,7 +35,7 @@ from touchfield.measure.counts import checked_symbols
 from touchfield.measure.estimators import entropy_bits, estimate_bits
 from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, bricks_of, slots_of
 from touchfield.medium.grid import BRICK
 
 MOST_IN_BLOCK = 64
@@ -71,44 +73,39 @@ class BlockCounter:
     def add_lines(self, lines: NDArray[Any]) -> None:
         """Count the blocks of rings, int [m, n]."""
         count, length = lines.shape
-        if self.longest > length:
-            raise InvalidArgument(
-                "longest", f"blocks of {self.longest} in a line of {length} samples", f"1 to {length}"
-            )
-        rows_at_once = max(1, _SAMPLES_AT_ONCE // length)
-        for row in range(0, count, rows_at_once):
-            for begin in range(0, length, _SAMPLES_AT_ONCE):
-                end = min(length, begin + _SAMPLES_AT_ONCE)
-                places = np.arange(begin, end + self.longest - 1) % length
-                some = lines[row : row + rows_at_once, places]
-                self._cells.zeros += len(some) * (end - begin) - self._add_windows(some, end - begin)
-
-    def _add_windows(self, lines: NDArray[Any], begins: int) -> int:
-        """Count the blocks that begin at the first samples of lines and are not all 0; how many there are."""
-        per_word = 64 // self._bits
-        rows = np.zeros((len(lines), begins, self._cells.words), np.uint64)
-        for k in range(self.longest):
-            shift = np.uint64(k % per_word * self._bits)
-            rows[:, :, k // per_word] |= lines[:, k : k + begins].astype(np.uint64) << shift
-        flat = rows.reshape(-1, self._cells.words)
-        held = np.ascontiguousarray(flat[flat.any(axis=1)])
-        self._cells.add(held)
-        return len(held)
+        places = np.arange(length + self.longest - 1) % length
+        rows, samples = max(1, _SAMPLES_AT_ONCE // length), _SAMPLES_AT_ONCE + self.longest - 1
+        starts = product(range(0, count, rows), range(0, length, _SAMPLES_AT_ONCE))
+        pieces = (lines[row : row + rows, places[begin : begin + samples]] for row, begin in starts)
+        self._add(pieces, length, lines.size)
 
     def add_field(self, frame: FieldSymbols, axis: int) -> None:
         """Count the blocks of the scan lines of a sparse frame along an axis; empty space in closed form."""
-        if self.longest > frame.grid.shape[axis]:
-            raise InvalidArgument(
-                "longest", f"blocks of {self.longest} along an axis of {frame.grid.shape[axis]} samples",
-                f"1 to {frame.grid.shape[axis]}",
-            )  # fmt: skip
-        counted = 0
-        for lines in _scan_lines(frame, axis, self.longest):
-            held = lines[lines.any(axis=1)]
-            rows_at_once = max(1, _SAMPLES_AT_ONCE // lines.shape[1])
-            for row in range(0, len(held), rows_at_once):
-                counted += self._add_windows(held[row : row + rows_at_once], lines.shape[1] - self.longest + 1)
-        self._cells.zeros += frame.voxel_count - counted
+        self._add(_scan_lines(frame, axis, self.longest), frame.grid.shape[axis], frame.voxel_count)
+
+    def _add(self, pieces: Iterable[NDArray[Any]], length: int, samples: int) -> None:
+        """Count the blocks of lines of some length, of so many samples in all.
+
+        Of each piece int [m, b + longest - 1] they begin at the first b samples; what no piece has is nothing but 0.
+        """
+        if self.longest > length:
+            found = f"blocks of {self.longest} along an axis of {length} samples"
+            raise InvalidArgument("longest", found, f"1 to {length}")
+        self._cells.zeros += samples
+        per_word = 64 // self._bits
+        for lines in pieces:
+            held, begins = lines[lines.any(axis=1)], lines.shape[1] - self.longest + 1
+            at_once = max(1, _SAMPLES_AT_ONCE // lines.shape[1])
+            for row in range(0, len(held), at_once):
+                some = held[row : row + at_once]
+                words = np.zeros((len(some), begins, self._cells.words), np.uint64)
+                for k in range(self.longest):
+                    shift = np.uint64(k % per_word * self._bits)
+                    words[:, :, k // per_word] |= some[:, k : k + begins].astype(np.uint64) << shift
+                flat = words.reshape(-1, self._cells.words)
+                filled = np.ascontiguousarray(flat[flat.any(axis=1)])
+                self._cells.add(filled)
+                self._cells.zeros -= len(filled)
 
     def result(self, estimator: str = "plug-in") -> BlockRates:
         """H(B_k) and h_k of what was counted; each entropy by the named estimator."""
@@ -151,12 +148,12 @@ def _scan_lines(frame: FieldSymbols, axis: int, longest: int) -> Iterator[Int32s
 def _begins(frame: FieldSymbols, axis: int, longest: int) -> Int64s:
     """The bricks at whose samples blocks begin that reach a symbol but 0, each once, int64 [n, 3]."""
     grid = frame.grid
-    held = frame.bricks[frame.symbols.any(axis=(1, 2, 3))].astype(np.int64)
-    there = np.repeat(held[:, None], longest, axis=1)
+    bricks = frame.bricks[frame.symbols.any(axis=(1, 2, 3))].astype(np.int64)
+    there = np.repeat(bricks[:, None], longest, axis=1)
     # the first samples of blocks that end with the first of a brick, or later in it; lines are rings
-    there[:, :, axis] = (held[:, None, axis] * BRICK - np.arange(longest)) % grid.shape[axis] // BRICK
+    there[:, :, axis] = (bricks[:, None, axis] * BRICK - np.arange(longest)) % grid.shape[axis] // BRICK
     keys = np.unique(brick_keys(grid, there.reshape(-1, 3)))
-    return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int64)
+    return bricks_of(grid, keys).astype(np.int64)
 
 
 def _lines_from(frame: FieldSymbols, axis: int, bricks: Int64s, width: int) -> Int32s:
@@ -169,10 +166,9 @@ def _lines_from(frame: FieldSymbols, axis: int, bricks: Int64s, width: int) -> I
     for i in range(width):
         sample = (bricks[:, axis] * BRICK + i) % grid.shape[axis]
         there[:, axis] = sample // BRICK
-        wanted = brick_keys(grid, there)
-        slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        found = keys[slot] == wanted
-        lines[found, :, :, i] = symbols[slot[found], sample[found] % BRICK]
+        slot = slots_of(keys, brick_keys(grid, there))
+        stored = slot >= 0
+        lines[stored, :, :, i] = symbols[slot[stored], sample[stored] % BRICK]
     return lines.reshape(-1, width)
 
 
@@ -211,11 +207,11 @@ def scan_line_rates(frames: Fields, longest: int = 4, *, axis: int = 2, estimato
     return _warned(counter.result(estimator))
 
 
-def _warned(found: BlockRates) -> BlockRates:
-    few = [q for q in found.rates if q.notes]
+def _warned(result: BlockRates) -> BlockRates:
+    few = [q for q in result.rates if q.notes]
     if few:
         warnings.warn(f"{few[0].name} to {few[-1].name}: {few[-1].notes[0]}", FewSamplesWarning, stacklevel=3)
-    return found
+    return result
 
 
 LINE_AXIS: Final = 2
@@ -243,9 +239,9 @@ class CodingLimits:
 
     def context(self, neighbourhood: str, *, previous_frame: bool = False) -> ContextEntropy:
         """One of `contexts`; KeyError if it is not among them."""
-        for found in self.contexts:
-            if (found.neighbourhood, found.previous_frame) == (neighbourhood, previous_frame):
-                return found
+        for one in self.contexts:
+            if (one.neighbourhood, one.previous_frame) == (neighbourhood, previous_frame):
+                return one
         raise KeyError((neighbourhood, previous_frame))
 
     def summary(self) -> dict[str, Any]:
@@ -301,23 +297,17 @@ def coding_limits(frames: Fields, *, longest: int = 4) -> CodingLimits:
     asked = [(name, False) for name in NEIGHBOURHOODS if name != "none"]
     if count > 1:
         asked += [(name, True) for name in NEIGHBOURHOODS]
-    supported, name = int(held.sum()), "H(S | S != 0)"
-    if supported:
-        on_object = Quantity(
-            name, entropy_bits(held), "bit/sample", quantiser, "object", samples=supported, symbols=len(held)
-        )
-    else:
-        on_object = Quantity(name, float("nan"), "bit/sample", quantiser, "object", notes=("no voxel is supported",))
+    supported, unit = int(held.sum()), "bit/sample"
+    bits, notes = (entropy_bits(held), ()) if supported else (math.nan, ("no voxel is supported",))
     return CodingLimits(
         count,
         supported + empty,
         supported,
         Quantity(
-            "H(S)", entropy_bits(every), "bit/sample", quantiser, "voxel", samples=supported + empty,
-            symbols=len(every),
+            "H(S)", entropy_bits(every), unit, quantiser, "voxel", samples=supported + empty, symbols=len(every)
         ),
-        on_object,
+        Quantity("H(S | S != 0)", bits, unit, quantiser, "object", samples=supported, symbols=len(held), notes=notes),
         blocks.result(),
         tuple(contexts.result(name, previous_frame=before) for name, before in asked),
         "xyz"[axis],
-    )  # fmt: skip
+    )

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.counts import Tally, merged
+from touchfield.measure.counts import Histogram, merged
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium.grid import BRICK, Grid
 
@@ -78,12 +78,6 @@ class DyadicLattice:
         x, y, z = (m * b for m, b in zip(self.device_shape, self.boxes(depth), strict=True))
         return Grid.over_box(*self.grid.box_m, (x, y, z))
 
-    def box_grid(self, depth: int, index: tuple[int, int, int]) -> Grid:
-        """The device's lattice in one box."""
-        level = self.lattice(depth)
-        origin = level.to_m(np.multiply(index, self.device_shape)).tolist()
-        return Grid(self.device_shape, level.spacing_m, tuple(origin))
-
 
 class BoxLosses:
     """Adds up the symbols of frames, and tells what each dyadic box loses."""
@@ -91,7 +85,7 @@ class BoxLosses:
     def __init__(self, lattice: DyadicLattice) -> None:
         self.lattice = lattice
         self.frame_count, self._alphabet, self._quantiser = 0, 0, ""
-        none: Tally = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+        none: Histogram = (np.zeros(0, np.int64), np.zeros(0, np.int64))
         self._rows = [none] * lattice.depth  # of (box, k), k > 0: fine samples
         self._pairs = [none] * lattice.depth  # of (box, k, s), s > 0
 
@@ -111,14 +105,14 @@ class BoxLosses:
             raise InvalidArgument("quantiser", f"{self._alphabet} symbols", "fewer", "Take a coarser quantiser.")
         places, symbols = _held(last)
         for d in range(d_most):
-            ratio = self._ratio(d)
+            ratio: Int64s = np.array(self.lattice.grid.shape) // np.array(self.lattice.lattice(d).shape)
             cells = places // ratio
-            told = levels[d].symbols_at(cells).astype(np.int64)
+            coarse = levels[d].symbols_at(cells).astype(np.int64)
             boxes = self._box_of(cells, d)
-            pairs = (boxes * self._alphabet + told) * self._alphabet + symbols
+            pairs = (boxes * self._alphabet + coarse) * self._alphabet + symbols
             self._pairs[d] = merged([self._pairs[d], np.unique(pairs, return_counts=True)])
-            cells, told = _held(levels[d])
-            rows, counts = np.unique(self._box_of(cells, d) * self._alphabet + told, return_counts=True)
+            cells, coarse = _held(levels[d])
+            rows, counts = np.unique(self._box_of(cells, d) * self._alphabet + coarse, return_counts=True)
             self._rows[d] = merged([self._rows[d], (rows, counts * int(ratio.prod()))])
         self.frame_count += 1
 
@@ -129,8 +123,8 @@ class BoxLosses:
         """
         if not self.frame_count:
             raise InvalidArgument("box losses", "no frame", "at least one")
-        found = [self._bits(d) / self.frame_count for d in range(self.lattice.depth)]
-        return (*found, np.zeros(self.lattice.boxes(self.lattice.depth)))
+        coarser = [self._bits(d) / self.frame_count for d in range(self.lattice.depth)]
+        return (*coarser, np.zeros(self.lattice.boxes(self.lattice.depth)))
 
     def _bits(self, d: int) -> Float64s:
         """L times the frames."""
@@ -138,14 +132,14 @@ class BoxLosses:
         box_count = int(np.prod(shape))
         (rows, row_counts), (pairs, pair_counts) = self._rows[d], self._pairs[d]
         row_of_pair = pairs // self._alphabet
-        held, first = np.unique(row_of_pair, return_index=True)
-        box, told = np.divmod(held, self._alphabet)
+        paired, first = np.unique(row_of_pair, return_index=True)
+        box, coarse = np.divmod(paired, self._alphabet)
         in_rows = np.zeros(box_count, np.int64)
         np.add.at(in_rows, rows // self._alphabet, row_counts)
         per_box = self.lattice.grid.voxel_count // box_count * self.frame_count
         total = per_box - in_rows[box]  # of k = 0
-        known = told > 0
-        total[known] = row_counts[np.searchsorted(rows, held[known])]
+        known = coarse > 0
+        total[known] = row_counts[np.searchsorted(rows, paired[known])]
         empty = total - (np.add.reduceat(pair_counts, first) if len(first) else 0)
         bits = _xlog2x(total) - _xlog2x(empty)
         if len(first):
@@ -153,10 +147,6 @@ class BoxLosses:
         loss = np.zeros(box_count)
         np.add.at(loss, box, np.maximum(bits, 0.0))
         return loss.reshape(shape)
-
-    def _ratio(self, d: int) -> Int64s:
-        ratio: Int64s = np.array(self.lattice.grid.shape) // np.array(self.lattice.lattice(d).shape)
-        return ratio
 
     def _box_of(self, cells: Int64s, d: int) -> Int64s:
         index = cells // np.array(self.lattice.device_shape)
@@ -214,7 +204,8 @@ class Partition:
 
     def grid(self, box: DyadicBox) -> Grid:
         """The device's lattice in a box, metres of the hand."""
-        return self.lattice.box_grid(box.depth, box.index)
+        level, shape = self.lattice.lattice(box.depth), self.lattice.device_shape
+        return Grid(shape, level.spacing_m, tuple(level.to_m(np.multiply(box.index, shape)).tolist()))
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -257,7 +248,9 @@ def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalt
         for index in np.argwhere(reached & whole).tolist():
             boxes.append(DyadicBox(d, (index[0], index[1], index[2]), float(losses[d][tuple(index)])))
         if d < lattice.depth:
-            reached = _to_children(reached & ~whole, shapes[d + 1])
+            reached = reached & ~whole
+            for axis, n in enumerate(shapes[d + 1]):  # all their children
+                reached = np.repeat(reached, n // reached.shape[axis], axis=axis)
     assert len(boxes) == int(count.sum())
     return Partition(lattice, float(penalty_bits), tuple(boxes))
 
@@ -268,9 +261,3 @@ def _of_children(values: NDArray[Any], shape: tuple[int, int, int]) -> NDArray[A
     nx, ny, nz = values.shape
     total: NDArray[Any] = values.reshape(bx, nx // bx, by, ny // by, bz, nz // bz).sum(axis=(1, 3, 5))
     return total
-
-
-def _to_children(values: Bools, shape: tuple[int, int, int]) -> Bools:
-    for axis in range(3):
-        values = np.repeat(values, shape[axis] // values.shape[axis], axis=axis)
-    return values

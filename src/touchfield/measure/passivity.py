@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import ForceField, brick_keys, dilated, frozen, neighbour_slots
+from touchfield.medium.field import ForceField, dilated, frozen, slots_around, values_at
 from touchfield.medium.grid import BRICK, Grid
 
 _MOST_LOOPS: Final = 1 << 12
@@ -120,18 +120,11 @@ def _fit(force_field: ForceField, paths_m: Float64s) -> Bools:
 
 def _cells_held(force_field: ForceField, index: Float64s) -> Bools:
     """True where the eight lattice points around fractional indices [m, 3] are in the support, bool [m]."""
-    grid = force_field.grid
-    low = np.floor(index)
-    held = np.asarray(((low >= 0) & (low + 1 < grid.shape)).all(axis=1))
-    keys = brick_keys(grid, force_field.bricks)
+    low, is_held = np.floor(index).astype(np.int64), np.ones(len(index), np.bool_)
     for corner in np.ndindex(2, 2, 2):
-        there = np.flatnonzero(held)
-        places = low[there].astype(np.int64) + corner
-        wanted = brick_keys(grid, places // BRICK)
-        slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        x, y, z = (places % BRICK).T
-        held[there] = (keys[slot] == wanted) & force_field.mask[slot, x, y, z]
-    return held
+        there = np.flatnonzero(is_held)
+        is_held[there] = values_at(force_field.grid, force_field.bricks, force_field.mask, low[there] + corner)
+    return is_held
 
 
 def _works_j(force_field: ForceField, paths_m: Float64s) -> Float64s:
@@ -218,19 +211,11 @@ class Passivity:
 def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, seed: int = 0) -> Passivity:
     """Curl, and work around closed loops, of a field; the same bits for any number of threads.
 
-    InvalidArgument if the field is empty, or `loops` or `seed` is out of range.
-
-    Parameters
-    ----------
-    force_field : ForceField
-    edges : bool
-        Count what lies half outside the support, too, with no force outside.
-    loops : int
-        Random loops, 0 to 4096. Each is a star of 16 corners around a supported sample, half of them in the plane
-        across the force (where a conservative wall does no work at all), up to half the size of the support; one
-        that leaves the support is halved until it fits, or given up.
-    seed : int
-        Of the loops.
+    `edges`: whether to count what lies half outside the support, too, with no force outside. `loops`: random loops, 0
+    to 4096. Each is a star of 16 corners around a supported sample, half of them in the plane across the force (where
+    a conservative wall does no work at all), up to half the size of the support; one that leaves the support is
+    halved until it fits, or given up. `seed`: of the loops. InvalidArgument if the field is empty, or `loops` or
+    `seed` is out of range.
     """
     if isinstance(loops, bool) or not isinstance(loops, int) or not 0 <= loops <= _MOST_LOOPS:
         raise InvalidArgument("loops", repr(loops), f"0 to {_MOST_LOOPS}")
@@ -285,15 +270,9 @@ def _looked_at(force_field: ForceField, edges: bool, keep: bool) -> tuple[Float6
     """Rows of `kernels.COLUMNS`, the bricks they are of, and their curls [m, 512, 3], NaN where unseen."""
     from touchfield.measure.kernels import curl_and_loops
 
-    grid, bricks = force_field.grid, force_field.bricks
-    if not edges:
-        slots = neighbour_slots(grid, bricks)
-    else:
-        bricks = dilated(grid, bricks, (1, 1, 1))
-        own, stored = brick_keys(grid, bricks), brick_keys(grid, force_field.bricks)
-        stored_at = np.full(len(bricks) + 1, -1, np.int32)  # the last for "no neighbour", which has the number -1
-        stored_at[np.searchsorted(own, stored)] = np.arange(len(stored))
-        slots = stored_at[neighbour_slots(grid, bricks)]
+    grid = force_field.grid
+    bricks = dilated(grid, force_field.bricks, (1, 1, 1)) if edges else force_field.bricks
+    slots = slots_around(bricks, force_field.bricks, grid.brick_shape).astype(np.int32)
     curls = zero_forces(len(bricks) if keep else 0).reshape(-1, BRICK**3, 3)
     curls.fill(np.nan)
     return curl_and_loops(grid, bricks, slots, force_field.forces_n, edges, curls), bricks, curls

@@ -24,18 +24,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.estimators import as_array
 
-MIN_BLOCKS: Final = 8
-MIN_REPLICATES: Final = 50
+LEAST_BLOCKS: Final = 8
+LEAST_REPLICATES: Final = 50
 _CHUNK_VALUES: Final = 1 << 22
 
 
@@ -88,8 +88,7 @@ class Quantity:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.weighting not in WEIGHTINGS:
-            raise InvalidArgument("weighting", repr(self.weighting), f"one of {', '.join(WEIGHTINGS)}")
+        require_one_of("weighting", self.weighting, WEIGHTINGS)
         if math.isnan(self.value) and not self.notes:
             raise InvalidArgument(self.name, "NaN without a reason", "a note that says why")
 
@@ -108,25 +107,13 @@ class Quantity:
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; NaN becomes None, which JSON can hold."""
-        i = self.interval
+        i, of = self.interval, ("quantiser", "weighting", "estimator", "samples", "symbols")
         return {
             "name": self.name,
             "value": None if math.isnan(self.value) else self.value,
             "unit": self.unit,
-            "interval": None
-            if i is None
-            else {
-                "low": i.low,
-                "high": i.high,
-                "level": i.level,
-                "method": i.method,
-                "population": i.population,
-            },
-            "quantiser": self.quantiser,
-            "weighting": self.weighting,
-            "estimator": self.estimator,
-            "samples": self.samples,
-            "symbols": self.symbols,
+            "interval": None if i is None else {**asdict(i), "population": i.population},
+            **{name: getattr(self, name) for name in of},
             "notes": list(self.notes),
         }
 
@@ -154,26 +141,16 @@ def interval(
 
     It always holds the statistic of the sum of the blocks, and has no width only where the statistic is the same for
     every resample. Blocks without a sample are left out. The memory is 16 bytes for each of the B x cells counts, and
-    64 MiB. InvalidArgument if there are fewer than 8 blocks with a sample or 50 replicates; a count is negative or
-    not whole; the level is outside (0, 1); or the statistic is not finite.
+    64 MiB.
 
-    Parameters
-    ----------
-    statistic : callable
-        ``statistic(counts)``: a finite number, of counts int64 [*cells] (such as a joint histogram).
-    block_counts : int [B, *cells]
-        The counts of each block, at least 8 of them with a sample.
-    replicates : int
-        How many resamples, at least 50; the statistic is called once for each.
-    level : float
-        Inside (0, 1).
-    seed : int
-        Of the draws; the same seed gives the same bits on any number of threads.
-    bounds : (float, float)
-        The least and the greatest value that what is estimated can have. The interval is cut there; where the
-        estimate lies beyond one of them, the interval reaches from it to that bound at least.
-    corrects_bias : bool
-        Whether the statistic takes its own bias off: the interval is then the normal one, not the basic.
+    `statistic`: ``statistic(counts)``, a finite number, of counts int64 [*cells] (such as a joint histogram).
+    `block_counts` int [B, *cells]: the counts of each block, at least 8 of them with a sample. `replicates`: how many
+    resamples, at least 50; the statistic is called once for each. `level`: inside (0, 1). `seed`: of the draws; the
+    same seed gives the same bits on any number of threads. `bounds`: the least and the greatest value that what is
+    estimated can have. The interval is cut there; where the estimate lies beyond one of them, the interval reaches
+    from it to that bound at least. `corrects_bias`: whether the statistic takes its own bias off: the interval is
+    then the normal one, not the basic. InvalidArgument if there are fewer than 8 blocks with a sample or 50
+    replicates; a count is negative or not whole; the level is outside (0, 1); or the statistic is not finite.
     """
     from scipy.special import ndtri, stdtrit
 
@@ -182,24 +159,24 @@ def interval(
     estimate = _finite(statistic(counts.sum(axis=0)))
     values = _resampled(statistic, counts, replicates, seed)
 
-    def held(low: float, high: float) -> tuple[float, float]:
+    def cut(low: float, high: float) -> tuple[float, float]:
         """Cut at the bounds, and stretched to hold the estimate; 0, and not -0."""
         low, high = (min(max(edge, bounds[0]), bounds[1]) for edge in (low, high))
         return min(low, estimate) + 0.0, max(high, estimate) + 0.0
 
     # few blocks are spread too little
     wider = float(math.sqrt(blocks / (blocks - 1)) * stdtrit(blocks - 1, upper) / ndtri(upper))
-    kind, made = "basic", (estimate, estimate)
+    kind, ends = "basic", (estimate, estimate)
     if not corrects_bias:
         centre = float(values.mean())
         low, high = np.quantile(values, [1 - upper, upper])
         middle = 2 * estimate - centre
-        made = held(middle - wider * float(high - centre), middle + wider * float(centre - low))
-    if corrects_bias or made[0] == made[1]:  # what the bias takes to a bound has a spread nevertheless
+        ends = cut(middle - wider * float(high - centre), middle + wider * float(centre - low))
+    if corrects_bias or ends[0] == ends[1]:  # what the bias takes to a bound has a spread nevertheless
         deviation = float(values.std(ddof=1)) if values.min() < values.max() else 0.0  # no rounding where all agree
         half = wider * float(ndtri(upper)) * deviation
-        kind, made = "normal", held(estimate - half, estimate + half)
-    return Interval(*made, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
+        kind, ends = "normal", cut(estimate - half, estimate + half)
+    return Interval(*ends, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
 
 
 def ratio_interval(
@@ -233,30 +210,30 @@ def ratio_interval(
 
     together = np.concatenate([first, second], axis=1)
     try:
-        made = interval(ratio, together, replicates, level, seed, (0.0, math.inf), corrects_bias=corrects_bias)
+        spread = interval(ratio, together, replicates, level, seed, (0.0, math.inf), corrects_bias=corrects_bias)
     except ZeroDivisionError:
         return None
-    return Interval(made.low, made.high, level, f"paired {made.method}")
+    return replace(spread, method=f"paired {spread.method}")
 
 
 def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
-    given = as_array(block_counts, "block_counts")
-    if given.ndim < 2:
-        raise InvalidArgument("block_counts", f"shape {given.shape}", "[B, cells]")
-    if given.dtype.kind not in "biu":
-        raise InvalidArgument("block_counts", f"values of type {given.dtype}", "whole numbers")
-    if given.size and given.min() < 0:
-        raise InvalidArgument("block_counts", f"{given.min()}", "counts of at least 0")
-    if not (replicates >= MIN_REPLICATES and int(replicates) == replicates):
-        raise InvalidArgument("replicates", f"{replicates}", f"a whole number of at least {MIN_REPLICATES}")
+    counts = as_array(block_counts, "block_counts")
+    if counts.ndim < 2:
+        raise InvalidArgument("block_counts", f"shape {counts.shape}", "[B, cells]")
+    if counts.dtype.kind not in "biu":
+        raise InvalidArgument("block_counts", f"values of type {counts.dtype}", "whole numbers")
+    if counts.size and counts.min() < 0:
+        raise InvalidArgument("block_counts", f"{counts.min()}", "counts of at least 0")
+    if not (replicates >= LEAST_REPLICATES and int(replicates) == replicates):
+        raise InvalidArgument("replicates", f"{replicates}", f"a whole number of at least {LEAST_REPLICATES}")
     if not 0 < level < 1:
         raise InvalidArgument("level", f"{level}", "inside (0, 1), such as 0.95")
-    held = given[given.any(axis=tuple(range(1, given.ndim)))]
-    if len(held) < MIN_BLOCKS:
+    filled = counts[counts.any(axis=tuple(range(1, counts.ndim)))]
+    if len(filled) < LEAST_BLOCKS:
         raise InvalidArgument(
-            "block_counts", f"{len(held)} blocks with a sample", f"at least {MIN_BLOCKS}", "Take smaller blocks."
+            "block_counts", f"{len(filled)} blocks with a sample", f"at least {LEAST_BLOCKS}", "Take smaller blocks."
         )
-    return held.astype(np.int64, copy=False)
+    return filled.astype(np.int64, copy=False)
 
 
 def _finite(value: float) -> float:
@@ -270,13 +247,13 @@ def _resampled(statistic: Callable[[Int64s], float], counts: Int64s, replicates:
     blocks, cells = len(counts), counts.shape[1:]
     flat = counts.reshape(blocks, -1)
     used = np.flatnonzero(flat.any(axis=0))
-    held = flat[:, used].astype(np.float64)  # products and sums of whole numbers below 2^53 are exact, in any order
+    floats = flat[:, used].astype(np.float64)  # products and sums of whole numbers below 2^53 are exact, in any order
     rng = np.random.default_rng(seed)
     weights = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=replicates).astype(np.float64)
     at_once = max(1, _CHUNK_VALUES // max(1, flat.shape[1]))
     values = np.empty(replicates)
     for begin in range(0, replicates, at_once):
-        drawn = weights[begin : begin + at_once] @ held
+        drawn = weights[begin : begin + at_once] @ floats
         full = np.zeros((len(drawn), flat.shape[1]), np.int64)
         full[:, used] = drawn
         for i, resample in enumerate(full):

@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_one_of
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, DESCRIPTOR_VERSION, PARTS, Descriptor, part_slots
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.npz import NpzArchive
@@ -210,9 +210,8 @@ def _names(archive: NpzArchive) -> list[str]:
 
 def _factors(weights: Mapping[str, float]) -> Float64s:
     """The square root of each number's weight, float64 [DESCRIPTOR_LENGTH]."""
-    unknown = [name for name in weights if name not in PARTS]
-    if unknown:
-        raise InvalidArgument("weights", repr(unknown[0]), f"one of {', '.join(PARTS)}")
+    for name in weights:
+        require_one_of("weights", name, PARTS)
     factors = np.ones(DESCRIPTOR_LENGTH)
     for name, slot in part_slots():
         weight = float(weights.get(name, 1.0))

@@ -41,7 +41,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.counts import ABSENT
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.field_count import field_counts, supported
@@ -53,7 +53,7 @@ from touchfield.measure.information import (
     variation_of_information,
 )
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, values_at
 from touchfield.medium.grid import BRICK
 
 if TYPE_CHECKING:
@@ -64,6 +64,10 @@ MOST_BYTES: Final = 1 << 25
 """Of the packed symbols of both media; lzma takes about twelve times as much memory."""
 
 _COUNT_BYTES: Final = 8
+_MENDS: Final = (
+    "Resample one onto the lattice of the other (touchfield.filters.resample), then quantise both.",
+    "Fit one quantiser to both media at once.",
+)
 _NOT_A_METRIC: Final = "not a metric: NCD(x,x) is not 0, and the triangle inequality holds only nearly"
 
 
@@ -75,8 +79,7 @@ def compression_distance(first: Fields, second: Fields) -> Quantity:
     when packed.
     """
     a, b = Frames(first, "first"), Frames(second, "second")
-    if (a.grid, a.quantiser, a.alphabet) != (b.grid, b.quantiser, b.alphabet):
-        raise InvalidArgument("second", "another lattice or quantiser", "those of the first")
+    a.check_like(b, "second", "the first", _MENDS)
     voxels = a.grid.voxel_count * (a.count + b.count)
     one = packed(a, MOST_BYTES)
     x, y = sorted([one, packed(b, MOST_BYTES - len(one))], key=lambda d: (len(d), d))  # in whatever order
@@ -101,15 +104,15 @@ def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
     total = 0
     for n in range(frames.count):
         field = frames.take(n)
-        held = field.symbols.any(axis=(1, 2, 3))
-        total += _COUNT_BYTES + int(held.sum()) * (_COUNT_BYTES + BRICK**3 * width)
+        is_held = field.symbols.any(axis=(1, 2, 3))
+        total += _COUNT_BYTES + int(is_held.sum()) * (_COUNT_BYTES + BRICK**3 * width)
         if total > most_bytes:
             raise InvalidArgument(
                 "symbols to compress", f"more than {MOST_BYTES >> 20} MiB of both media",
                 f"up to {MOST_BYTES >> 20} MiB", "Take fewer frames, a coarser lattice, or no NCD.",
             )  # fmt: skip
-        keys = brick_keys(field.grid, field.bricks[held])
-        symbols = field.symbols[held].reshape(len(keys), BRICK**3).astype("<u4")
+        keys = brick_keys(field.grid, field.bricks[is_held])
+        symbols = field.symbols[is_held].reshape(len(keys), BRICK**3).astype("<u4")
         planes = symbols.view(np.uint8).reshape(len(keys), BRICK**3, 4)[:, :, :width].transpose(0, 2, 1)
         parts += [len(keys).to_bytes(_COUNT_BYTES, "little"), np.diff(keys, prepend=0).astype("<u8").tobytes()]
         parts.append(planes.tobytes())
@@ -149,30 +152,13 @@ def similarity(
     one, of 27 parts of space. InvalidArgument if the media differ in lattice, Q or length, an option is unknown, over
     "object" one of them has no force, or the symbols are too many to compress.
     """
-    _check_alike(Frames(first, "first"), Frames(second, "second"))
+    Frames(first, "first").check_like(Frames(second, "second"), "second", "the first", _MENDS)
     counts = supported(field_counts(first, second, (over,), interval=interval)[over])
     apart = jensen_shannon_distance(counts, absent=0 if over == "object" else ABSENT)
     if math.isnan(apart.value):
         supported(replace(counts, cells=counts.cells[:0], weights=counts.weights[:0]))
     compression = compression_distance(first, second) if compressed else None
     return Similarity(normalised_mutual_information(counts), variation_of_information(counts), apart, compression)
-
-
-def _check_alike(a: Frames, b: Frames) -> None:
-    if a.grid != b.grid:
-        raise InvalidArgument(
-            "second", f"the grid {b.grid}", f"{a.grid}, as of the first",
-            "Resample one onto the lattice of the other (touchfield.filters.resample), then quantise both.",
-        )  # fmt: skip
-    if (a.quantiser, a.alphabet) != (b.quantiser, b.alphabet):
-        raise InvalidArgument(
-            "second", f"the quantiser {b.quantiser} with {b.alphabet} symbols",
-            f"{a.quantiser} with {a.alphabet}, as of the first", "Fit one quantiser to both media at once.",
-        )  # fmt: skip
-    if a.count != b.count:
-        raise InvalidArgument(
-            "second", f"{b.count} frames", f"{a.count}, as many as the first", "Take the frames that both have."
-        )
 
 
 # -- a picture and a medium
@@ -203,8 +189,7 @@ def contact_along_rays(field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike
     InvalidArgument if a point is not finite, the shapes do not fit, the reading is unknown, or rays and steps are too
     many.
     """
-    if reading not in READINGS:
-        raise InvalidArgument("reading", repr(reading), f"one of {', '.join(READINGS)}")
+    require_one_of("reading", reading, READINGS)
     begin, end = (np.asarray(p, np.float64) for p in (starts_m, ends_m))
     try:
         shape = np.broadcast_shapes(begin.shape, end.shape)
@@ -223,12 +208,11 @@ def contact_along_rays(field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike
             "Take fewer pixels, or shorter rays.",
         )  # fmt: skip
     looked_at = np.linspace(0.0, 1.0, 1 + math.ceil(steps))
-    found, at = np.full(len(begin), np.nan), np.full(len(begin), np.nan)
-    for b in range(0, len(begin), _RAYS):
-        some = slice(b, b + _RAYS)
-        found[some], at[some] = _followed(field, begin[some], end[some], looked_at, reading == "first")
+    some = [slice(b, b + _RAYS) for b in range(0, len(begin), _RAYS)]
+    followed = [_followed(field, begin[s], end[s], looked_at, reading == "first") for s in some]
+    amplitudes, at = np.concatenate(followed, axis=1)
     lengths = np.sqrt(((end - begin) ** 2).sum(axis=1))
-    return Contact(found.reshape(shape[:-1]), (at * lengths).reshape(shape[:-1]))
+    return Contact(amplitudes.reshape(shape[:-1]), (at * lengths).reshape(shape[:-1]))
 
 
 def contact_along_axis(field: ForceField, axis: int = 2, from_low: bool = True, reading: str = "first") -> Contact:
@@ -249,42 +233,26 @@ def contact_along_axis(field: ForceField, axis: int = 2, from_low: bool = True, 
     return Contact(met.amplitudes_n.squeeze(axis), met.distances_m.squeeze(axis))
 
 
-def _followed(
-    field: ForceField, begin: Float64s, end: Float64s, looked_at: Float64s, first: bool
-) -> tuple[Float64s, Float64s]:
-    """|F| and the share of the way, float64 [n] each, NaN where there is none."""
+def _followed(field: ForceField, begin: Float64s, end: Float64s, looked_at: Float64s, first: bool) -> Float64s:
+    """|F| and the share of the way, float64 [2, n], NaN where there is none."""
     low, across = field.grid.to_index(begin), (end - begin) / np.asarray(field.grid.spacing_m)
-    found, at = np.full(len(begin), np.nan), np.full(len(begin), np.nan)
+    best = np.full((2, len(begin)), np.nan)
     open_ = np.arange(len(begin))
     for share in looked_at.tolist():
         # ties to the lower sample, but for what rounding leaves of a column of the lattice
         index = np.ceil(low[open_] + share * across[open_] - 0.5 - 1e-9).astype(np.int64)
-        amplitudes = _amplitudes_at(field, index)
-        better = amplitudes > (0.0 if first else np.nan_to_num(found[open_]))
-        found[open_[better]], at[open_[better]] = amplitudes[better], share
+        forces = values_at(field.grid, field.bricks, field.forces_n, index).astype(np.float64)
+        amplitudes = np.sqrt((forces**2).sum(axis=1))
+        better = amplitudes > (0.0 if first else np.nan_to_num(best[0, open_]))
+        best[0, open_[better]], best[1, open_[better]] = amplitudes[better], share
         if first:
             open_ = open_[~better]
             if not len(open_):
                 break
-    return found, at
+    return best
 
 
-def _amplitudes_at(field: ForceField, index: Int64s) -> Float64s:
-    """|F| at lattice points, newtons, float64 [n], of int64 [n, 3]; 0 outside the grid."""
-    found = np.zeros(len(index))
-    inside = ((index >= 0) & (index < field.grid.shape)).all(axis=1)
-    if not len(field.bricks) or not inside.any():
-        return found
-    places = index[inside]
-    keys, wanted = brick_keys(field.grid, field.bricks), brick_keys(field.grid, places // BRICK)
-    slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    x, y, z = (places % BRICK).T
-    forces = field.forces_n[slot, x, y, z].astype(np.float64)
-    found[inside] = np.where(keys[slot] == wanted, np.sqrt((forces**2).sum(axis=1)), 0.0)
-    return found
-
-
-LEAST_BLOCKS: Final = 16
+_WHOLE_BLOCKS: Final = 16  # that a picture is to hold
 BLOCK_LENGTHS: Final = 4
 """Side of a block over the correlation length of both."""
 
@@ -375,15 +343,15 @@ def classes_of_equal_share(values: ArrayLike, count: int) -> Int64s:
 
     Equal values are of one class, that of the middle of their ranks.
     """
-    given = np.asarray(values, np.float64)
-    known = ~np.isnan(given)
-    found, place, times = np.unique(given[known], return_inverse=True, return_counts=True)
+    numbers = np.asarray(values, np.float64)
+    known = ~np.isnan(numbers)
+    distinct, place, times = np.unique(numbers[known], return_inverse=True, return_counts=True)
     middle = np.cumsum(times) - times / 2
-    made = np.full(given.shape, -1, np.int64)
-    if len(found):
+    classes = np.full(numbers.shape, -1, np.int64)
+    if len(distinct):
         of_value = np.minimum((middle / times.sum() * count).astype(np.int64), count - 1)
-        made[known] = of_value[place.reshape(-1)]
-    return made
+        classes[known] = of_value[place.reshape(-1)]
+    return classes
 
 
 def correlation_length_px(first: ArrayLike, second: ArrayLike) -> float:
@@ -419,10 +387,10 @@ def _autocorrelation(values: Float64s, axis: int) -> Float64s:
 def _maps(picture: ArrayLike, touched: ArrayLike) -> tuple[Float64s, Float64s]:
     maps = []
     for name, values in (("picture", picture), ("touched", touched)):
-        given = np.asarray(values)
-        if given.ndim != 2 or given.dtype.kind not in "biuf" or not given.size:
-            raise InvalidArgument(name, f"{given.dtype} {given.shape}", "one number a pixel, [height, width]")
-        maps.append(given.astype(np.float64))
+        numbers = np.asarray(values)
+        if numbers.ndim != 2 or numbers.dtype.kind not in "biuf" or not numbers.size:
+            raise InvalidArgument(name, f"{numbers.dtype} {numbers.shape}", "one number a pixel, [height, width]")
+        maps.append(numbers.astype(np.float64))
         if np.isinf(maps[-1]).any():
             raise InvalidArgument(name, "infinity", "finite numbers, NaN where unknown")
     if maps[0].shape != maps[1].shape:
@@ -443,7 +411,7 @@ def _block_side(v: Float64s, a: Float64s, asked_px: int | None) -> tuple[int, tu
     while wanted < BLOCK_LENGTHS * length:
         wanted *= 2
     block = wanted
-    while block > 1 and (v.shape[0] // block) * (v.shape[1] // block) < LEAST_BLOCKS:
+    while block > 1 and (v.shape[0] // block) * (v.shape[1] // block) < _WHOLE_BLOCKS:
         block //= 2
     if block == wanted:
         return block, ()

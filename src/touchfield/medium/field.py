@@ -48,6 +48,24 @@ def bricks_of(grid: Grid, keys: Int64s) -> Int32s:
     return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
 
 
+def check_bricks(
+    owner: str, grid: Grid, bricks: Int32s, name: str, values: NDArray[Any], kind: str, *components: int
+) -> None:
+    """`InvalidArgument` if bricks are not int32 [n, 3], ascending and within the grid, or the values of their samples
+    not [n, 8, 8, 8, *components] of a kind, "float32"; it names the owner of both, and the values.
+    """
+    if bricks.dtype != np.int32 or bricks.ndim != 2 or bricks.shape[1] != 3:
+        raise InvalidArgument(f"{owner} bricks", f"{bricks.dtype} {bricks.shape}", "int32 [n, 3]")
+    shape = (len(bricks), BRICK, BRICK, BRICK, *components)
+    if values.dtype != kind or values.shape != shape:
+        raise InvalidArgument(f"{owner} {name}", f"{values.dtype} {values.shape}", f"{kind} {list(shape)}")
+    if len(bricks):
+        if bricks.min() < 0 or (bricks.max(0) >= grid.brick_shape).any():
+            raise InvalidArgument(f"{owner} bricks", "a brick outside the grid", f"{grid.brick_shape}")
+        if (np.diff(brick_keys(grid, bricks)) <= 0).any():
+            raise InvalidArgument(f"{owner} bricks", "bricks out of order or twice", "ascending order")
+
+
 def slots_of(known: Int64s, keys: Int64s) -> Int64s:
     """Places of keys among ascending ones, int64 of their shape; -1 where there is none."""
     if not len(known):
@@ -62,6 +80,18 @@ def tiled(dense: NDArray[Any]) -> NDArray[Any]:
     padded = np.pad(dense, short) if any(after for _, after in short) else dense
     x, y, z = (n // BRICK for n in padded.shape[:3])
     return np.moveaxis(padded.reshape(x, BRICK, y, BRICK, z, BRICK, *dense.shape[3:]), (2, 4), (1, 2))
+
+
+def values_at(grid: Grid, bricks: Int32s, values: NDArray[Any], places: NDArray[np.integer[Any]]) -> NDArray[Any]:
+    """Values [n, 8, 8, 8, ...] of ascending bricks at lattice points int [m, 3], [m, ...]; 0 where no brick is."""
+    inside = ((places >= 0) & (places < grid.shape)).all(axis=1)
+    slots = np.full(len(places), -1)
+    slots[inside] = slots_of(brick_keys(grid, bricks), brick_keys(grid, places[inside] // BRICK))
+    stored = np.flatnonzero(slots >= 0)
+    x, y, z = (places[stored] % BRICK).T
+    out = np.zeros((len(places), *values.shape[4:]), values.dtype)
+    out[stored] = values[slots[stored], x, y, z]
+    return out
 
 
 def slots_around(
@@ -186,15 +216,7 @@ class ForceField:
 
     def __post_init__(self) -> None:
         b, f = self.bricks, self.forces_n
-        if b.dtype != np.int32 or b.ndim != 2 or b.shape[1] != 3:
-            raise InvalidArgument("ForceField bricks", f"{b.dtype} {b.shape}", "int32 [n, 3]")
-        if f.dtype != np.float32 or f.shape != (len(b), BRICK, BRICK, BRICK, 3):
-            raise InvalidArgument("ForceField forces_n", f"{f.dtype} {f.shape}", f"float32 [{len(b)}, 8, 8, 8, 3]")
-        if len(b):
-            if b.min() < 0 or (b.max(0) >= self.grid.brick_shape).any():
-                raise InvalidArgument("ForceField bricks", "a brick outside the grid", f"{self.grid.brick_shape}")
-            if (np.diff(brick_keys(self.grid, b)) <= 0).any():
-                raise InvalidArgument("ForceField bricks", "bricks out of order or twice", "ascending order")
+        check_bricks("ForceField", self.grid, b, "forces_n", f, "float32", 3)
         object.__setattr__(self, "bricks", frozen(np.ascontiguousarray(b)))
         object.__setattr__(self, "forces_n", frozen(np.ascontiguousarray(f)))
 

@@ -162,8 +162,7 @@ def _pass_y(tmp, low, high, first, weights, n0, n1, run, out):
     for i in range(8):
         for j in range(n0, n1):
             target = out[i, j - n0]
-            for r in range(run):
-                target[r] = 0
+            target[:run] = 0
             for t in range(max(0, low - first[j]), min(weights.shape[1], high - first[j])):
                 w = weights[j, t]
                 if w != 0:
@@ -194,15 +193,6 @@ def _pass_z(tmp, rows, columns, low, high, first, weights, n0, n1, n, out):
     return held
 
 
-@inlined
-def _cleared(tmp):
-    for i in range(tmp.shape[0]):
-        for j in range(tmp.shape[1]):
-            line = tmp[i, j]
-            for k in range(line.shape[0]):
-                line[k] = 0
-
-
 @lean
 def _footprint(first, taps, brick, source_count):
     """Target samples of one output brick along one axis, and the source samples that they need."""
@@ -224,7 +214,7 @@ def _resampled(begin, end, source, x, y, z, scratch, out, held):
         i0, i1, low[0], high_x = _footprint(x_first, x_w.shape[1], bricks[n, 0], shape[0])
         j0, j1, low[1], high_y = _footprint(y_first, y_w.shape[1], bricks[n, 1], shape[1])
         k0, k1, low[2], high_z = _footprint(z_first, z_w.shape[1], bricks[n, 2], shape[2])
-        _cleared(tmp)
+        tmp[:] = 0
         any_source = False
         for a in range(low[0] >> 3, (high_x + 7) >> 3):
             span[0], span[1] = max(low[0], a * 8), min(high_x, a * 8 + 8)

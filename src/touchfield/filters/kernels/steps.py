@@ -165,8 +165,7 @@ def _brick_sum(n, bricks, slots, forces, shape, i, j, offsets, scale, total):
     x, y, z = bricks[n, 0] * 8, bricks[n, 1] * 8, bricks[n, 2] * 8
     step = 3 * scale
     last = (shape[2] - 1) // scale * scale - z  # the last site of the grid, as a sample of this brick
-    for r in range(24):
-        total[r] = 0
+    total[:] = 0
     for o in range(offsets.shape[0]):
         a, b = i + offsets[o, 0] * scale, j + offsets[o, 1] * scale
         if x + a < 0 or x + a >= shape[0]:
