@@ -171,7 +171,7 @@ def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, hand):
         put(f8, W.PROXY_PULL, nothing)
     q = three(f8, W.PROXY)
     force = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, *q)
-    j = gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, *q)
+    j = gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, *q, force)
     pull = along(force, k, less(hand, q))
     c = k + _turned_back(f8, along(pull, -k, less(hand, three(f8, W.PROXY_HAND))))
     c += max(0.0, _greatest_eigenvalue(j[0], j[4], j[8], (j[1] + j[3]) / 2, (j[2] + j[6]) / 2, (j[5] + j[7]) / 2))
