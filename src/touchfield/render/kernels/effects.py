@@ -30,17 +30,7 @@ import math
 from numba import njit
 
 from touchfield.render.block import words as W
-from touchfield.render.kernels.frames import (
-    arm,
-    ends,
-    force_at,
-    gradient_at,
-    is_far,
-    part_count,
-    part_force,
-    stored_place,
-    vibration_at,
-)
+from touchfield.render.kernels.frames import force_at, gradient_at, stored_place, strongest, vibration_at
 from touchfield.render.kernels.vectors import along, dot, is_finite, length, less, plus, put, three, times
 
 _FORCE = (W.FORCE, W.HEAT, W.LIMIT, W.PEAK, W.CONTINUOUS, W.SLEW)
@@ -310,7 +300,7 @@ def material_at(i8, u8, f8, f4, frame_a, frame_b, blend, p):
         inside = inside and f8[box + 2] <= p[2] <= f8[box + 5]
         if inside and own >= 0:
             if part == _UNKNOWN:
-                part = _strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p)
+                part = strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p)
             inside = part == own
         if inside:
             f8[W.FRICTION_NOW] = _friction(f8, row)
@@ -318,23 +308,6 @@ def material_at(i8, u8, f8, f4, frame_a, frame_b, blend, p):
         row += W.MATERIAL_WORDS
     f8[W.FRICTION_NOW] = f8[W.FRICTION]
     return 0
-
-
-@njit(cache=True, nogil=True)
-def _strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p):
-    """The part of the frame that pushes most at a point; -1 for none."""
-    a, b, blend = ends(frame_a, frame_b, blend)
-    parts = part_count(i8, a, b)
-    a, b = a + W.FRAME_WORDS, b + W.FRAME_WORDS
-    best, most = -1, 0.0
-    for part in range(parts):
-        d = arm(f8, a, b, blend, p)
-        if not is_far(i8, f8, a, b, d):
-            size = length(part_force(i8, u8, f8, f4, a, b, blend, d))
-            if size > most:
-                best, most = part, size
-        a, b = a + W.PART_WORDS, b + W.PART_WORDS
-    return best
 
 
 @njit(cache=True, nogil=True)

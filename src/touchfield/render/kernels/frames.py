@@ -20,6 +20,7 @@ from touchfield.render.kernels.vectors import (
     along,
     cross,
     dot,
+    length,
     less,
     matrix_of,
     plus,
@@ -273,6 +274,23 @@ def part_force(i8, u8, f8, f4, a, b, blend, d):
             break
         field, share = last, blend
     return turned(r, g) if is_turned else g
+
+
+@njit(**UNCOUNTED, cache=True)
+def strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p):
+    """The number of the part that pushes most at a point; -1 for none."""
+    a, b, blend = ends(frame_a, frame_b, blend)
+    parts = part_count(i8, a, b)
+    a, b = a + W.FRAME_WORDS, b + W.FRAME_WORDS
+    best, most = -1, 0.0
+    for part in range(parts):
+        d = arm(f8, a, b, blend, p)
+        if not is_far(i8, f8, a, b, d):
+            size = length(part_force(i8, u8, f8, f4, a, b, blend, d))
+            if size > most:
+                best, most = part, size
+        a, b = a + W.PART_WORDS, b + W.PART_WORDS
+    return best
 
 
 @njit(**UNCOUNTED, forceinline=True)
