@@ -341,7 +341,7 @@ def _ahead(x):
     return x + (1e-8 + 1e-12 * abs(x))
 
 
-@njit(**UNCOUNTED, cache=True)
+@njit(**UNCOUNTED, forceinline=True)
 def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, force):
     """dF_i/dx_j of `force_at`, N/m, row by row, by differences from the `force` at (x, y, z) to those just ahead.
 
