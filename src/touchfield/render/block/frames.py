@@ -235,8 +235,8 @@ class FrameStore:
     """The latest frames of a medium in one block of this process, made when asked for and kept while there is room.
 
     Two frames, between which a query lies, and behind them fields of `memory_bytes`, about twice those of their
-    bricks; when it is full, the older half goes and the rest moves forward. `cells_of` makes cells, by default those of
-    the parts. `memory` is another one when it had to grow.
+    bricks; when it is full, the older half goes and the rest moves forward. `cells_of` makes cells, by default as
+    `parts` do. `memory` is another one when it had to grow.
     """
 
     def __init__(

@@ -30,7 +30,7 @@ import math
 from numba import njit
 
 from touchfield.render.block import words as W
-from touchfield.render.kernels.frames import force_at, gradient_at, stored_place, strongest, vibration_at
+from touchfield.render.kernels.frames import force_at, gradient_at, strongest, vibration_between
 from touchfield.render.kernels.vectors import along, dot, is_finite, length, less, plus, put, three, times
 
 _FORCE = (W.FORCE, W.HEAT, W.LIMIT, W.PEAK, W.CONTINUOUS, W.SLEW)
@@ -226,16 +226,8 @@ def braked(f8, force, velocity):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt):
-    """The sine beside the force at a point of the field, newtons, at the frequency of the frame that says more."""
-    p = stored_place(i8, f8, frame_a, frame_b, min(max(blend, 0.0), 1.0), p)
-    amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, *p)
-    if frame_b != frame_a and blend > 0.0:
-        blend = min(blend, 1.0)
-        other, beside = vibration_at(i8, u8, f8, f4, frame_b, *p)
-        amplitude, other = (1 - blend) * amplitude, blend * other
-        if other > amplitude:
-            frequency = beside
-        amplitude += other
+    """The sine beside the force at a point of the field, newtons."""
+    amplitude, frequency = vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, *p)
     if not (amplitude > 0.0 and frequency > 0.0 and 2 * frequency < f8[W.RATE_HZ]):
         return 0.0
     turns = f8[W.PHASE] / (2 * math.pi) + frequency * dt

@@ -81,12 +81,6 @@ def bent(i8, f8, frame_a, frame_b, blend, p):
 
 
 @njit(**UNCOUNTED, forceinline=True)
-def stored_place(i8, f8, frame_a, frame_b, blend, p):
-    """Where in the medium as it is stored a point is looked up."""
-    return plus(p, bent(i8, f8, frame_a, frame_b, blend, p)[0]) if warp_of(i8, frame_a) > 0 else p
-
-
-@njit(**UNCOUNTED, forceinline=True)
 def _control(i8, f8, a, b, blend, i, j, k):
     """A control point of two frames, blended, and what it yields."""
     at = 3 * ((i * i8[np.uint64(a + 1)] + j) * i8[np.uint64(a + 2)] + k)
@@ -381,13 +375,14 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
 
 @njit(**UNCOUNTED, cache=True)
 def vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
-    """Between two frames: the amplitude linear in time, the frequency that of the nearer frame that vibrates."""
+    """Between two frames: the amplitude linear in time, the frequency that of the frame that says more."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
-    x, y, z = stored_place(i8, f8, frame_a, frame_b, blend, (x, y, z))
+    if warp_of(i8, frame_a) > 0:
+        x, y, z = plus((x, y, z), bent(i8, f8, frame_a, frame_b, blend, (x, y, z))[0])
     amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, x, y, z)
     if blend > 0.0:
         later_n, later_hz = vibration_at(i8, u8, f8, f4, frame_b, x, y, z)
-        if frequency == 0.0 or (blend > 0.5 and later_hz > 0.0):
+        if blend * later_n > (1.0 - blend) * amplitude:
             frequency = later_hz
         amplitude += blend * (later_n - amplitude)
     return amplitude, frequency
