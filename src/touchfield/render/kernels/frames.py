@@ -130,7 +130,6 @@ ON_PLANE = 1e-9
 """Samples: a point so near to a plane of the lattice lies on it, whatever the rounding of its metres says."""
 
 _1, _2 = np.uint64(1), np.uint64(2)
-_BY, _BZ = np.uint64(W.FIELD_BOX + 1), np.uint64(W.FIELD_BOX + 2)
 
 UNTURNED = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
@@ -159,21 +158,6 @@ def slot_of(i8, table, shift, key):
 
 
 @njit(**UNCOUNTED, forceinline=True)
-def corner_of(i8, u8, field, i, j, k):
-    """Where in `f4` the first corner of cell (i, j, k) of the box lies; `NONE` where all its corners are zero."""
-    at = np.uint64(field)
-    key = ((i >> 3) * i8[at + _BY] + (j >> 3)) * i8[at + _BZ] + (k >> 3)
-    slot = slot_of(i8, field + i8[at + np.uint64(W.FIELD_TABLE)], i8[at + np.uint64(W.FIELD_SHIFT)], key)
-    if slot < 0:
-        return NONE
-    row = u8[np.uint64(field + i8[at + np.uint64(W.FIELD_HELD)] + 8 * slot + (i & 7))]
-    if not (row >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
-        return NONE
-    first = 2 * (field + i8[at + np.uint64(W.FIELD_CELLS)])
-    return np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
-
-
-@njit(**UNCOUNTED, forceinline=True)
 def locate(i8, u8, f8, field, p):
     """Corner in `f4` (`NONE`: zero there) of a point of the field's own frame, metres, and its place in the cell."""
     corner, inverse = three(f8, field + W.FIELD_CORNER), three(f8, field + W.FIELD_INVERSE)
@@ -182,10 +166,17 @@ def locate(i8, u8, f8, field, p):
     nx, ny, nz = three(i8, field + W.FIELD_BOX)
     if not (0.0 <= x < 8.0 * nx - near and 0.0 <= y < 8.0 * ny - near and 0.0 <= z < 8.0 * nz - near):
         return NONE, (0.0, 0.0, 0.0)
-    i, fx = on_axis(x)
-    j, fy = on_axis(y)
-    k, fz = on_axis(z)
-    return corner_of(i8, u8, field, i, j, k), (fx, fy, fz)
+    (i, fx), (j, fy), (k, fz) = on_axis(x), on_axis(y), on_axis(z)
+    at, place = np.uint64(field), (fx, fy, fz)
+    key = ((i >> 3) * ny + (j >> 3)) * nz + (k >> 3)
+    slot = slot_of(i8, field + i8[at + np.uint64(W.FIELD_TABLE)], i8[at + np.uint64(W.FIELD_SHIFT)], key)
+    if slot < 0:
+        return NONE, place
+    row = u8[np.uint64(field + i8[at + np.uint64(W.FIELD_HELD)] + 8 * slot + (i & 7))]
+    if not (row >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
+        return NONE, place
+    first = 2 * (field + i8[at + np.uint64(W.FIELD_CELLS)])
+    return np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3), place
 
 
 @njit(**UNCOUNTED, forceinline=True)
