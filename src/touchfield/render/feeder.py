@@ -124,16 +124,15 @@ class Feeder:
         memory.i8[W.NEEDS] = (FIRST_GENERATION << W.FRAME_BITS) | first_frame
         self._ready: Prepared | None = None
         self._is_published, self._place = False, 0
-        self._wake, self._is_closing = threading.Condition(), False
+        self._wake, self._is_closing = threading.Event(), False
         self._thread: threading.Thread | None = None
         self.error: Exception | None = None
         self.decode_s: list[float] = []
 
     def seek(self, generation: int, frame: int) -> None:
         """Go on with an unrolled frame, as a generation of its own; returns at once."""
-        with self._wake:
-            self._target = generation, frame
-            self._wake.notify()
+        self._target = generation, frame
+        self._wake.set()
 
     def step(self) -> bool:
         """Decode and write one frame; False where there is nothing to be done now, or the feed has failed."""
@@ -147,8 +146,7 @@ class Feeder:
             return False
 
     def _step(self) -> bool:
-        with self._wake:
-            generation, frame = self._target
+        generation, frame = self._target
         if generation != self._generation:
             self._generation, self._next, self._ready = generation, frame, None
             self._ring.clear()
@@ -252,20 +250,16 @@ class Feeder:
     def _run(self) -> None:
         pause = _SHORTEST_PAUSE_S
         while not self._is_closing:
-            before = self._target
-            if self.step():
+            self._wake.clear()  # before the step: what is told meanwhile is seen by the next one
+            if self.step() or self._wake.wait(pause):
                 pause = _SHORTEST_PAUSE_S
-                continue
-            with self._wake:
-                if not self._is_closing and self._target == before and self._wake.wait(pause):
-                    pause = 0.0
-            pause = min(2 * max(pause, 0.5 * _SHORTEST_PAUSE_S), _LONGEST_PAUSE_S)
+            else:
+                pause = min(2 * pause, _LONGEST_PAUSE_S)
 
     def close(self, timeout_s: float = 10.0) -> None:
         """End the thread; what is being decoded is finished. May be called twice."""
-        with self._wake:
-            self._is_closing = True
-            self._wake.notify()
+        self._is_closing = True
+        self._wake.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(timeout_s)
 

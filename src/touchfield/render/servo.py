@@ -218,7 +218,7 @@ def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> Non
             error if isinstance(error, TouchfieldError) else DeviceError("device", f"{type(error).__name__}: {error}")
         )
         with contextlib.suppress(OSError):
-            pipe.send(("error", (isinstance(own, InvalidArgument), own.where, own.found, own.expected, own.mend)))
+            pipe.send(("error", own))
     finally:
         with contextlib.suppress(OSError):
             pipe.close()
@@ -380,8 +380,7 @@ class ServoProcess:
                 elif kind == "done":
                     self.is_done = True
                 else:
-                    is_argument, *words = content
-                    self.error = (InvalidArgument if is_argument else DeviceError)(*words)
+                    self.error = content
         if not is_alive and not self.is_done and self.error is None:
             self.is_lost = self.is_ready
             self.error = DeviceError(
