@@ -151,7 +151,7 @@ def test_what_is_decoded_ahead_is_bounded() -> None:
     ahead.thread.start()
     ahead.wait_for(200.0)
     time.sleep(0.05)
-    assert len(frames.asked) <= MOST_AHEAD and len(ahead._held) <= MOST_AHEAD
+    assert len(frames.asked) <= MOST_AHEAD and len(ahead._buffer) <= MOST_AHEAD
     ahead.stop()
     ahead.thread.join(5.0)
 

@@ -237,9 +237,9 @@ class PairsAhead:
         return place
 
     def _make(self, a: int, b: int) -> Place:
-        kept = self._cells
+        before = self._cells
         names = dict.fromkeys(name for frame in (a, b) for name in self._parts.names(frame))
-        self._cells = {name: kept[name] if name in kept else self._parts.cells(name) for name in names}
+        self._cells = {name: before[name] if name in before else self._parts.cells(name) for name in names}
         store = FrameStore(self._parts, self._memory_bytes, self._cells.__getitem__)
         first, second = store.places(a, b)
         return store.memory, first, second

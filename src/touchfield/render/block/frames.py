@@ -285,14 +285,14 @@ class FrameStore:
 
     def _let_go(self, words: int, needed: dict[FieldName, None]) -> None:
         """Drop old fields until half of the room is free and `words` fit, and move what is kept to the front."""
-        held = self._top - self._begin
+        in_use = self._top - self._begin
         half = max((self._bound - self._begin) // 2, words)
         for name in [name for name in self._fields if name not in needed]:
-            if self._bound - self._begin - held >= half:
+            if self._bound - self._begin - in_use >= half:
                 break
-            held -= self._fields.pop(name)[1]
-        if self._begin + held + words > self._bound:
-            needed_now = f"{(held + words) * W.WORD / 2**20:.1f} MiB for the fields of one instant"
+            in_use -= self._fields.pop(name)[1]
+        if self._begin + in_use + words > self._bound:
+            needed_now = f"{(in_use + words) * W.WORD / 2**20:.1f} MiB for the fields of one instant"
             allowed = f"at most {(self._bound - self._begin) * W.WORD / 2**20:.1f} MiB"
             raise InvalidArgument("memory_bytes", needed_now, allowed, "Allow more memory, or take a coarser grid.")
         self._top = self._begin
