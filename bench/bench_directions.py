@@ -15,7 +15,7 @@ import numpy as np
 from machine import Bar, Figures, at_least, bench, column, figure, timed
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.quantisers import AmplitudeLevels, lloyd_max_levels, weber_ladder, weber_levels
-from touchfield.perception.weber import READINGS, gate, gate_in_time, held_values
+from touchfield.perception.weber import READINGS, gate, gate_in_time
 
 
 def best_ms(job: Callable[[], Any], runs: int) -> float:
@@ -76,7 +76,6 @@ def deadbands(smooth: np.ndarray) -> dict[str, Any]:
             "m_per_s": rate_m(lambda r=reading: gate(scan, 0.1, r), len(scan)),
         }
     found["in time"] = {"m_per_s": rate_m(lambda: gate_in_time(scan, smooth, 0.1), len(scan))}
-    found["held values"] = {"m_per_s": rate_m(lambda: held_values(sent, scan), len(scan))}
     return found
 
 

@@ -86,6 +86,13 @@ def test_every_frame_in_its_turn_and_all_off_at_the_end() -> None:
     assert len(steps) + told.skipped >= 5 and told.mean_rate_hz > 0
 
 
+def test_the_mean_rate_is_that_of_the_intervals_between_frames() -> None:
+    player = ArrayPlayer(Frames(lambda i: 0.5, 5), Recorder())
+    assert player.statistics.mean_rate_hz == 0
+    player._sent, player._span_s = 11, 2.0
+    assert player.statistics.mean_rate_hz == 5.0
+
+
 def test_linear_between_frames_and_the_last_is_held() -> None:
     ahead = DrivesAhead(Frames(lambda i: [0.0, 1.0, 0.5][i], 3), SHAPE, 0.0, 0.25, 50, False)
     ahead.thread.start()
@@ -151,7 +158,7 @@ def test_what_is_decoded_ahead_is_bounded() -> None:
     ahead.thread.start()
     ahead.wait_for(200.0)
     time.sleep(0.05)
-    assert len(frames.asked) <= MOST_AHEAD and len(ahead._held) <= MOST_AHEAD
+    assert len(frames.asked) <= MOST_AHEAD and len(ahead._buffer) <= MOST_AHEAD
     ahead.stop()
     ahead.thread.join(5.0)
 

@@ -193,7 +193,7 @@ def test_a_weight_that_leaves_nothing_is_told() -> None:
 def test_a_block_without_parameters_gives_no_force() -> None:
     memory = Memory.empty(W.FREE)
     assert tick(*memory.views, 0, 0, 0.0, 0.01, 0.0, 0.0, 0.001) == (0, 0, 0)
-    assert release(*memory.views, 0.001) == (0, 0, 0)
+    assert release(memory.f8, 0.001) == (0, 0, 0)
     assert not memory.u8.any()
 
 

@@ -111,7 +111,7 @@ class Bench:
 
     def release(self, dt: float | None = None) -> Vector:
         """One force on the way to zero, newtons."""
-        return np.array(release(*self.memory.views, self.dt if dt is None else dt))
+        return np.array(release(self.memory.f8, self.dt if dt is None else dt))
 
     def settled(self, x: float, y: float, z: float, ticks: int = 60) -> Vector:
         """The force at a place where the hand rests."""

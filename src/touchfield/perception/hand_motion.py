@@ -116,10 +116,8 @@ def slide_m(walks: SurfaceWalks, walk: int, speed_m_per_s: float, duration_s: fl
     knots_s = np.arange(0.0, min(duration_s, (walks.steps[walk] - 1) * per_step_s) + 1e-9, _KNOT_S)
     if len(knots_s) < 4:
         return np.zeros((0, 3))
-    index = knots_s / per_step_s
-    low = np.minimum(index.astype(np.int64), walks.steps[walk] - 2)
-    share = (index - low)[:, None]
-    points = (1 - share) * walks.points_m[low, walk] + share * walks.points_m[low + 1, walk]
+    steps, at = np.arange(len(walks.points_m)), knots_s / per_step_s
+    points = np.stack([np.interp(at, steps, column) for column in walks.points_m[:, walk].T], axis=1)
     return np.asarray(CubicSpline(knots_s, points)(np.arange(0.0, knots_s[-1], 1 / rate_hz)))
 
 
@@ -160,12 +158,12 @@ def in_band(signal: Float64s, rate_hz: float) -> Float64s:
 
 def third_octave_power(signal: Float64s, rate_hz: float) -> Float64s:
     """Mean square of a signal [samples, components] in each third of `THIRDS_HZ`, components added, float64 [11]."""
+    from scipy.signal import periodogram
+
     n = len(signal)
     _check(n, rate_hz)
-    window = np.hanning(n)
-    power = np.abs(np.fft.rfft(window[:, None] * (signal - signal.mean(axis=0)), axis=0)) ** 2
-    power = 2 * power.sum(axis=1) / (n * (window**2).sum())
-    frequency_hz = np.fft.rfftfreq(n, 1 / rate_hz)
+    frequency_hz, density = periodogram(signal, rate_hz, np.hanning(n), axis=0)
+    power = density.sum(axis=1) * rate_hz / n
     edges = np.searchsorted(frequency_hz, np.outer(THIRDS_HZ, [10**-0.05, 10**0.05]))
     return np.array([power[a:b].sum() for a, b in edges])
 
@@ -461,16 +459,16 @@ class _HoldSum:
 
     def add_band(self, forces_n: Float64s, rate_hz: float) -> None:
         """Add what of a part lies in the band; a part below 0.25 s tells nothing."""
+        from scipy.interpolate import make_interp_spline
+
         frames = forces_n.shape[1]
         servo_hz = max(_SERVO_HZ, rate_hz)
         at = np.arange(0.0, frames - 1 + 1e-9, rate_hz / servo_hz)
         if len(at) < LEAST_S * servo_hz:
             return
-        low = np.minimum(at.astype(np.int64), frames - 2)
-        share = (at - low)[:, None]
         margin = ((round(MARGIN_S * servo_hz),) * 2, (0, 0))
         for point in range(forces_n.shape[2]):
-            source, decoded = ((1 - share) * f[low, point] + share * f[low + 1, point] for f in forces_n)
+            source, decoded = make_interp_spline(np.arange(frames), forces_n[:, :, point], k=1, axis=1)(at)
             error = np.pad(decoded - source, margin, "edge")
             self._band.add(0, error, servo_hz, len(at))
             self._band.add(1, np.pad(source, margin, "edge"), servo_hz)

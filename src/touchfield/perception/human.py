@@ -97,8 +97,8 @@ def vibration_thresholds() -> Mapping[str, VibrationThreshold]:
     text = (resources.files("touchfield.perception") / "vibration_threshold.toml").read_text("utf-8")
     profiles = {}
     for name, entry in tomllib.loads(text).items():
-        given = {"name": name} | entry | entry["impedance"]
-        values = [given[f.name] for f in fields(VibrationThreshold)]
+        profile = {"name": name} | entry | entry["impedance"]
+        values = [profile[f.name] for f in fields(VibrationThreshold)]
         clean: list[Any] = [
             tuple(v) if isinstance(v, list) else v.strip() if isinstance(v, str) else v for v in values
         ]

@@ -22,9 +22,9 @@ def gate_closed(vectors, decoded, fraction, sent):
         dx = np.float64(vectors[i, 0]) - rx
         dy = np.float64(vectors[i, 1]) - ry
         dz = np.float64(vectors[i, 2]) - rz
-        held = dx * dx + dy * dy + dz * dz <= limit
-        sent[i] = not held
-        if not held:
+        is_held = dx * dx + dy * dy + dz * dz <= limit
+        sent[i] = not is_held
+        if not is_held:
             rx, ry, rz = np.float64(decoded[i, 0]), np.float64(decoded[i, 1]), np.float64(decoded[i, 2])
             limit = squared * (rx * rx + ry * ry + rz * rz)
 
@@ -39,9 +39,9 @@ def gate_amplitudes(vectors, k, reading, sent):
     for i in range(vectors.shape[0]):
         x, y, z = np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
         amplitude = math.sqrt(x * x + y * y + z * z)
-        held = low < amplitude and amplitude < high
-        sent[i] = not held
-        if reading == _PREVIOUS or not held:
+        is_held = low < amplitude and amplitude < high
+        sent[i] = not is_held
+        if reading == _PREVIOUS or not is_held:
             low, high = amplitude - k * amplitude, amplitude + k * amplitude
         elif reading == _ZERO:
             low, high = 0.0, 0.0

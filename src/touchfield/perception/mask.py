@@ -221,8 +221,6 @@ def body_mask_n(amplitudes_n: ArrayLike, positions_m: ArrayLike, sites: Sequence
     if not (np.isfinite(levels) & (levels >= 0)).all():
         raise InvalidArgument("amplitudes_n", "a negative number or one that is not finite", "newtons, 0 or more")
     weights = site_weights(positions_m, [s.radius_m for s in sites])
-    if len(weights) != len(sites):
-        raise InvalidArgument("positions_m", f"{len(weights)} places", f"{len(sites)}, one for each site")
     # not a matrix product: its order of additions, and so its last bits, may differ between machines
     hidden = [s.beta * (levels * row).sum(axis=-1) for s, row in zip(sites, weights, strict=True)]
     own = levels * np.array([s.k for s in sites])

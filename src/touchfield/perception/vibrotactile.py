@@ -332,7 +332,7 @@ def reduced(
     stft = Stft(1 << max(4, round(math.log2(0.064 * rate_hz))))
     spectra, band = stft.real_spectra(x), _bands_of_bins(stft.length, rate_hz)
 
-    def made(exponents: NDArray[np.int16]) -> Reduced:
+    def with_steps(exponents: NDArray[np.int16]) -> Reduced:
         parts = spectra / _steps(exponents)[band]
         if np.abs(parts).max(initial=0.0) >= 2**31:
             found = f"{np.abs(parts).max():g} steps"
@@ -342,7 +342,7 @@ def reduced(
         return Reduced(symbols, exponents, rate_hz, len(x))
 
     def beyond(exponents: NDArray[np.int16]) -> Bools:
-        lost = _window_power(x - made(exponents).decoded(), rate_hz, edges)
+        lost = _window_power(x - with_steps(exponents).decoded(), rate_hz, edges)
         return np.asarray(np.sqrt(lost.max(axis=0)) > limits)
 
     bins = np.maximum(np.bincount(band, minlength=len(limits)), 1)
@@ -356,7 +356,7 @@ def reduced(
             if beyond(coarser).any():
                 break
             exponents = coarser
-    return made(exponents)
+    return with_steps(exponents)
 
 
 def _fine_enough(

@@ -231,12 +231,3 @@ def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
     sent = np.empty(len(x), np.bool_)
     for_chunks(kernels.gate_in_time, len(x), x, ref, fraction, sent, chunk=1 << 15)
     return sent
-
-
-def held_values(sent: Bools, decoded: Float32s) -> Float32s:
-    """The decoder's values float32 [L, 3]: the last of the samples `decoded` that was sent; zero before the first."""
-    values = _vectors("decoded", decoded)
-    if sent.dtype != np.bool_ or sent.shape != (len(values),):
-        raise InvalidArgument("sent", f"{sent.dtype} {sent.shape}", f"bool [{len(values)}]")
-    latest = np.maximum.accumulate(np.where(sent, np.arange(len(sent)), -1))
-    return np.where(latest[:, None] >= 0, values[latest], np.float32(0))

@@ -77,7 +77,7 @@ class DrivesAhead:
         self._frames, self._shape, self._loop = frames, shape, loop
         self._steps = stride * np.arange(max(2, math.ceil(AHEAD_S * rate_hz)))
         self._position = first
-        self._held: dict[int, Shown] = {}
+        self._buffer: dict[int, Shown] = {}
         self._changed = threading.Condition()
         self._error: BaseException | None = None
         self._is_stopped = False
@@ -94,7 +94,7 @@ class DrivesAhead:
         with self._changed:
             needed = self._needed(position)
             self._changed.wait_for(
-                lambda: self._is_stopped or self._error is not None or all(n in self._held for n in needed)
+                lambda: self._is_stopped or self._error is not None or all(n in self._buffer for n in needed)
             )
 
     def at(self, position: float) -> Shown | None:
@@ -107,7 +107,7 @@ class DrivesAhead:
             self._position = position
             self._changed.notify_all()
             needed = self._needed(position)
-            shown = [self._held.get(n) for n in needed]
+            shown = [self._buffer.get(n) for n in needed]
             missing = any(one is None for one in shown)
             if missing and self._error is not None:
                 raise self._error
@@ -136,7 +136,7 @@ class DrivesAhead:
                 drives = np.clip(np.nan_to_num(drives, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float32)
                 shown = drives, self._frames.frequencies(frame)
                 with self._changed:
-                    self._held[at] = shown
+                    self._buffer[at] = shown
                     self._changed.notify_all()
         except BaseException as error:
             with self._changed:
@@ -153,9 +153,9 @@ class DrivesAhead:
         elif not self._loop:
             plan = plan[plan < self._frames.frame_count]
         plan = plan[:MOST_AHEAD]
-        for gone in self._held.keys() - set(plan.tolist()):
-            del self._held[gone]
-        return next((int(n) for n in plan if int(n) not in self._held), None)
+        for gone in self._buffer.keys() - set(plan.tolist()):
+            del self._buffer[gone]
+        return next((int(n) for n in plan if int(n) not in self._buffer), None)
 
     def _needed(self, position: float) -> list[int]:
         """One or two positions of frames for a position of the player; the last frame of the medium is held."""

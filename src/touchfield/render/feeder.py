@@ -77,8 +77,8 @@ class Pace:
             return 1
         own = frame % self._count
         start = frame - own + self._starts[bisect_right(self._starts, own) - 1]
-        begun = self._latest is not None and start <= self._latest < frame
-        return frame - (self._latest if begun and self._latest is not None else start - 1)
+        latest = -1 if self._latest is None else self._latest
+        return frame - (latest if start <= latest < frame else start - 1)
 
 
 def arena_words(source: FrameSource, memory_bytes: int) -> int:
@@ -112,7 +112,8 @@ class Feeder:
         self._clock_s, self._pace = clock_s, Pace(source.starts, source.frame_count, source.rate_hz)
         self._tell_stiffness = tell_stiffness
         self.left_out = 0
-        self._source, self._memory, self._is_loop = source, memory, is_loop
+        self._source, self._memory = source, memory
+        self._is_loop = is_loop and source.frame_count > 1  # one that stays needs its frame once
         self._slots, self._reserve, self._is_timed = layout.slots, reserve, is_timed
         begin = layout.arena + source.shared_words
         if reserve is not None:
@@ -124,16 +125,15 @@ class Feeder:
         memory.i8[W.NEEDS] = (FIRST_GENERATION << W.FRAME_BITS) | first_frame
         self._ready: Prepared | None = None
         self._is_published, self._place = False, 0
-        self._wake, self._is_closing = threading.Condition(), False
+        self._wake, self._is_closing = threading.Event(), False
         self._thread: threading.Thread | None = None
         self.error: Exception | None = None
         self.decode_s: list[float] = []
 
     def seek(self, generation: int, frame: int) -> None:
         """Go on with an unrolled frame, as a generation of its own; returns at once."""
-        with self._wake:
-            self._target = generation, frame
-            self._wake.notify()
+        self._target = generation, frame
+        self._wake.set()
 
     def step(self) -> bool:
         """Decode and write one frame; False where there is nothing to be done now, or the feed has failed."""
@@ -147,32 +147,26 @@ class Feeder:
             return False
 
     def _step(self) -> bool:
-        with self._wake:
-            generation, frame = self._target
+        generation, frame = self._target
         if generation != self._generation:
             self._generation, self._next, self._ready = generation, frame, None
             self._ring.clear()
             self._source.forget()
             self._is_published, self._place = False, 0
         source, count = self._source, self._source.frame_count
-        if count == 1:
-            if self._is_published:
-                return False
-            self._next = 0
         needs = int(self._memory.i8[W.NEEDS])
         seen, needed = needs >> W.FRAME_BITS, needs & _FRAME
         is_taken_up = seen == generation
-        if is_taken_up and needed > self._next and count > 1:  # the servo is beyond it: what is past is not decoded
+        if is_taken_up and needed > self._next:  # the servo is beyond it: what is past is not decoded
             self.left_out += needed - self._next if self._is_published else 0
             self._next, self._ready = needed, None
-        if (count > 1 and not self._is_loop and self._next >= count) or (
-            is_taken_up and self._next >= needed + self._slots - 1
-        ):
+        is_over = not self._is_loop and self._next >= count
+        if is_over or (is_taken_up and self._next >= needed + self._slots - 1):
             return False
         if self._ready is None:
             if not source.is_there(self._next % count):
                 return False
-            if is_taken_up and count > 1 and not self._leave_out(needed):
+            if is_taken_up and not self._leave_out(needed):
                 return True
             began = self._clock_s()
             self._ready = source.prepare(self._next % count)
@@ -252,20 +246,16 @@ class Feeder:
     def _run(self) -> None:
         pause = _SHORTEST_PAUSE_S
         while not self._is_closing:
-            before = self._target
-            if self.step():
+            self._wake.clear()  # before the step: what is told meanwhile is seen by the next one
+            if self.step() or self._wake.wait(pause):
                 pause = _SHORTEST_PAUSE_S
-                continue
-            with self._wake:
-                if not self._is_closing and self._target == before and self._wake.wait(pause):
-                    pause = 0.0
-            pause = min(2 * max(pause, 0.5 * _SHORTEST_PAUSE_S), _LONGEST_PAUSE_S)
+            else:
+                pause = min(2 * pause, _LONGEST_PAUSE_S)
 
     def close(self, timeout_s: float = 10.0) -> None:
         """End the thread; what is being decoded is finished. May be called twice."""
-        with self._wake:
-            self._is_closing = True
-            self._wake.notify()
+        self._is_closing = True
+        self._wake.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(timeout_s)
 

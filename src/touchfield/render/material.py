@@ -97,14 +97,14 @@ class Material:
 
 def materials_json(materials: Iterable[Material]) -> str:
     """The table as JSON, levels to four digits; what is as by default is left out."""
-    usual, told = Material(""), []
+    usual, entries = Material(""), []
     for one in materials:
         own = {f.name: getattr(one, f.name) for f in fields(one) if getattr(one, f.name) != getattr(usual, f.name)}
         if one.texture_rms_n:
             own["texture_rms_n"] = [[[float(f"{v:.4g}") for v in row] for row in rows] for rows in one.texture_rms_n]
-        told.append(own)
+        entries.append(own)
     bands = [float(f"{hz:.4g}") for hz in BANDS_HZ]
-    return json.dumps({"bands_hz": bands, "materials": told}, separators=(",", ":"), allow_nan=False)
+    return json.dumps({"bands_hz": bands, "materials": entries}, separators=(",", ":"), allow_nan=False)
 
 
 def _materials_of(text: str, where: str) -> tuple[Material, ...]:

@@ -79,8 +79,7 @@ class Player:
         if memory_bytes < 1:
             raise InvalidArgument("memory_bytes", repr(memory_bytes), "a positive number of bytes")
         bound = min(memory_bytes, int(_SHARE_OF_FREE * free_bytes()))
-        self._spec = RenderSpec() if spec is None else spec
-        self._session = Session(medium, device_profile, self._spec, bound, loop, speed, start_s)
+        self._session = Session(medium, device_profile, spec or RenderSpec(), bound, loop, speed, start_s)
         self._opener, self._log_rows, self._is_realtime = opener, log_rows, is_realtime
         self._lock = threading.RLock()
         self._block: Block | None = None
@@ -374,7 +373,7 @@ class Session:
         """The unrolled frame at a media time."""
         from touchfield.render.kernels.tick import unrolled_frame
 
-        return 0 if self.source.frame_count == 1 else int(unrolled_frame(time_s, self.source.rate_hz))
+        return int(unrolled_frame(time_s, self.source.rate_hz))
 
     def set_up(self, memory: Memory, mode: int = W.IDLE) -> None:
         """Write all that the servo needs before its first tick."""

@@ -213,45 +213,35 @@ Place = tuple["Memory", int, int]  # block of a pair, and where its two frames l
 class PairsAhead:
     """Pairs (a, b) of frames that `FieldSampler.at` looks between: while one is asked for, the next is being made.
 
-    Two stores take turns, each with what one instant needs: what is asked for is never written to meanwhile. Cells of
-    a frame are made once and copied into both. Frames are made by one thread at a time, the caller's or a background
-    one.
+    Each pair has a block of its own, with what one instant needs. Cells of a frame are made once and copied into both
+    of its pairs. Frames are made by one thread at a time, the caller's or a background one.
     """
 
     def __init__(self, parts: FrameParts, memory_bytes: int) -> None:
-        self._count = parts.frame_count
-        self._parts = parts
+        self._parts, self._memory_bytes = parts, memory_bytes
         self._cells: dict[FieldName, CellPool] = {}  # of the pair made last
-
-        def cells_of(name: FieldName) -> CellPool:
-            if name not in self._cells:
-                self._cells[name] = parts.cells(name)
-            return self._cells[name]
-
-        self._stores = [FrameStore(parts, memory_bytes, cells_of) for _ in range(2)]
-        self._used = 0
         self._coming: tuple[tuple[int, int], Future[Place]] | None = None
 
     def take(self, a: int, b: int) -> Place:
-        """The pair, valid until the next call; the one that follows is begun, and its error comes in its turn."""
+        """The pair; the one that follows is begun, and its error comes in its turn."""
         coming, self._coming = self._coming, None
-        self._used = 1 - self._used
         if coming is not None and coming[0] == (a, b):
             place = coming[1].result()
         else:
             if coming is not None and not coming[1].cancel():
                 coming[1].exception()  # both would make frames at once
-            place = self._make(self._used, a, b)
+            place = self._make(a, b)
         after = (b, b + 1) if b > a else (a, a + 1)
-        if after[1] < self._count:
-            self._coming = after, _pool().submit(self._make, 1 - self._used, *after)
+        if after[1] < self._parts.frame_count:
+            self._coming = after, _pool().submit(self._make, *after)
         return place
 
-    def _make(self, which: int, a: int, b: int) -> Place:
-        store = self._stores[which]
+    def _make(self, a: int, b: int) -> Place:
+        before = self._cells
+        names = dict.fromkeys(name for frame in (a, b) for name in self._parts.names(frame))
+        self._cells = {name: before[name] if name in before else self._parts.cells(name) for name in names}
+        store = FrameStore(self._parts, self._memory_bytes, self._cells.__getitem__)
         first, second = store.places(a, b)
-        names = {name for frame in (a, b) for name in self._parts.names(frame)}
-        self._cells = {name: cells for name, cells in self._cells.items() if name in names}
         return store.memory, first, second
 
     def settle(self) -> None:

@@ -135,8 +135,8 @@ def _let_go(memory: Memory, device: PointDevice, grip: Grip, clock: Clock, cycle
         now_ns = clock.sleep_until(int(i8[W.DEADLINE_NS]))
         if now_ns > ends_ns:  # it takes its time to answer; zero, but no sooner than the slew limit allows
             limits = ((W.FORCE, W.SLEW), (W.TORQUE, W.TORQUE_SLEW))
-            held = [(math.hypot(*f8[at : at + 3]), float(f8[slew])) for at, slew in limits]
-            clock.sleep_until(now_ns + math.ceil(1e9 * max(size / slew if size else 0.0 for size, slew in held)))
+            forces = [(math.hypot(*f8[at : at + 3]), float(f8[slew])) for at, slew in limits]
+            clock.sleep_until(now_ns + math.ceil(1e9 * max(size / slew if size else 0.0 for size, slew in forces)))
             f8[W.TORQUE : W.TORQUE + 3] = 0.0
             with contextlib.suppress(Exception):
                 grip.put((0.0, 0.0, 0.0))
@@ -218,7 +218,7 @@ def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> Non
             error if isinstance(error, TouchfieldError) else DeviceError("device", f"{type(error).__name__}: {error}")
         )
         with contextlib.suppress(OSError):
-            pipe.send(("error", (isinstance(own, InvalidArgument), own.where, own.found, own.expected, own.mend)))
+            pipe.send(("error", own))
     finally:
         with contextlib.suppress(OSError):
             pipe.close()
@@ -380,8 +380,7 @@ class ServoProcess:
                 elif kind == "done":
                     self.is_done = True
                 else:
-                    is_argument, *words = content
-                    self.error = (InvalidArgument if is_argument else DeviceError)(*words)
+                    self.error = content
         if not is_alive and not self.is_done and self.error is None:
             self.is_lost = self.is_ready
             self.error = DeviceError(

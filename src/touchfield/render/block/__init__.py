@@ -185,39 +185,39 @@ class Ring:
 
     def __init__(self, begin: int, words: int) -> None:
         self._begin, self._end, self.words = begin, begin + words, words
-        self._held: deque[tuple[int, int]] = deque()  # frame, first word
+        self._frames: deque[tuple[int, int]] = deque()  # frame, first word
         self._head = begin
 
     def clear(self) -> None:
         """Give all back."""
-        self._held.clear()
+        self._frames.clear()
         self._head = self._begin
 
     def free_before(self, frame: int) -> None:
         """Give back what lies before a frame."""
-        while self._held and self._held[0][0] < frame:
-            self._held.popleft()
-        if not self._held:
+        while self._frames and self._frames[0][0] < frame:
+            self._frames.popleft()
+        if not self._frames:
             self._head = self._begin
 
     def hold(self, frame: int) -> bool:
         """Keep what was taken last until a later frame is past; False where it was given back."""
-        if not self._held:
+        if not self._frames:
             return False
-        self._held[-1] = max(frame, self._held[-1][0]), self._held[-1][1]
+        self._frames[-1] = max(frame, self._frames[-1][0]), self._frames[-1][1]
         return True
 
     def take(self, frame: int, words: int) -> int | None:
         """Room for a frame; None where there is none now."""
-        oldest = self._held[0][1] if self._held else self._end
-        is_wrapped = bool(self._held) and self._head <= oldest
+        oldest = self._frames[0][1] if self._frames else self._end
+        is_wrapped = bool(self._frames) and self._head <= oldest
         if self._head + words <= (oldest if is_wrapped else self._end):
             at = self._head
-        elif not is_wrapped and self._held and self._begin + words <= oldest:
+        elif not is_wrapped and self._frames and self._begin + words <= oldest:
             at = self._begin
         else:
             return None
-        self._held.append((frame, at))
+        self._frames.append((frame, at))
         self._head = at + words
         return at
 

@@ -235,15 +235,14 @@ class FrameStore:
     """The latest frames of a medium in one block of this process, made when asked for and kept while there is room.
 
     Two frames, between which a query lies, and behind them fields of `memory_bytes`, about twice those of their
-    bricks; when it is full, the older half goes and the rest moves forward. With `cells_of`, which makes cells for
-    others as well, fields are kept for one instant only. `memory` is another one when it had to grow.
+    bricks; when it is full, the older half goes and the rest moves forward. `cells_of` makes cells, by default as
+    `parts` do. `memory` is another one when it had to grow.
     """
 
     def __init__(
         self, parts: FrameParts, memory_bytes: int, cells_of: Callable[[FieldName], CellPool] | None = None
     ) -> None:
-        self._parts = parts
-        self._cells_of, self._is_brief = cells_of or parts.cells, cells_of is not None
+        self._parts, self._cells_of = parts, cells_of or parts.cells
         self._slots = (_NOWHERE, _NOWHERE + parts.words)
         self._begin = self._top = _NOWHERE + 2 * parts.words
         self._bound = self._begin + memory_bytes // W.WORD
@@ -258,8 +257,6 @@ class FrameStore:
         for name in names:
             if name in self._fields:
                 self._fields.move_to_end(name)
-        if missing and self._is_brief:
-            self._pack({name: place for name, place in self._fields.items() if name in names})
         for name in missing:
             pool = self._cells_of(name)
             words = field_words(pool)
@@ -288,23 +285,18 @@ class FrameStore:
 
     def _let_go(self, words: int, needed: dict[FieldName, None]) -> None:
         """Drop old fields until half of the room is free and `words` fit, and move what is kept to the front."""
-        held = self._top - self._begin
+        in_use = self._top - self._begin
         half = max((self._bound - self._begin) // 2, words)
         for name in [name for name in self._fields if name not in needed]:
-            if self._bound - self._begin - held >= half:
+            if self._bound - self._begin - in_use >= half:
                 break
-            held -= self._fields.pop(name)[1]
-        if self._begin + held + words > self._bound:
-            needed_now = f"{(held + words) * W.WORD / 2**20:.1f} MiB for the fields of one instant"
+            in_use -= self._fields.pop(name)[1]
+        if self._begin + in_use + words > self._bound:
+            needed_now = f"{(in_use + words) * W.WORD / 2**20:.1f} MiB for the fields of one instant"
             allowed = f"at most {(self._bound - self._begin) * W.WORD / 2**20:.1f} MiB"
             raise InvalidArgument("memory_bytes", needed_now, allowed, "Allow more memory, or take a coarser grid.")
-        self._pack(self._fields)
-
-    def _pack(self, kept: Mapping[FieldName, tuple[int, int]]) -> None:
-        """Move what is kept to the front, and forget the rest."""
-        self._fields = OrderedDict(kept)
         self._top = self._begin
-        for name, (at, size) in sorted(kept.items(), key=lambda item: item[1][0]):
+        for name, (at, size) in sorted(self._fields.items(), key=lambda item: item[1][0]):
             self.memory.i8[self._top : self._top + size] = self.memory.i8[at : at + size]
             self._fields[name] = self._top, size  # in its place in the order of use
             self._top += size

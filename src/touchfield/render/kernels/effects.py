@@ -30,17 +30,7 @@ import math
 from numba import njit
 
 from touchfield.render.block import words as W
-from touchfield.render.kernels.frames import (
-    arm,
-    ends,
-    force_at,
-    gradient_at,
-    is_far,
-    part_count,
-    part_force,
-    stored_place,
-    vibration_at,
-)
+from touchfield.render.kernels.frames import force_at, gradient_at, strongest, vibration_between
 from touchfield.render.kernels.vectors import along, dot, is_finite, length, less, plus, put, three, times
 
 _FORCE = (W.FORCE, W.HEAT, W.LIMIT, W.PEAK, W.CONTINUOUS, W.SLEW)
@@ -171,7 +161,7 @@ def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, hand):
         put(f8, W.PROXY_PULL, nothing)
     q = three(f8, W.PROXY)
     force = force_at(i8, u8, f8, f4, frame_a, frame_b, blend, *q)
-    j = gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, *q)
+    j = gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, *q, force)
     pull = along(force, k, less(hand, q))
     c = k + _turned_back(f8, along(pull, -k, less(hand, three(f8, W.PROXY_HAND))))
     c += max(0.0, _greatest_eigenvalue(j[0], j[4], j[8], (j[1] + j[3]) / 2, (j[2] + j[6]) / 2, (j[5] + j[7]) / 2))
@@ -236,16 +226,8 @@ def braked(f8, force, velocity):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt):
-    """The sine beside the force at a point of the field, newtons, at the frequency of the frame that says more."""
-    p = stored_place(i8, f8, frame_a, frame_b, min(max(blend, 0.0), 1.0), p)
-    amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, *p)
-    if frame_b != frame_a and blend > 0.0:
-        blend = min(blend, 1.0)
-        other, beside = vibration_at(i8, u8, f8, f4, frame_b, *p)
-        amplitude, other = (1 - blend) * amplitude, blend * other
-        if other > amplitude:
-            frequency = beside
-        amplitude += other
+    """The sine beside the force at a point of the field, newtons."""
+    amplitude, frequency = vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, *p)
     if not (amplitude > 0.0 and frequency > 0.0 and 2 * frequency < f8[W.RATE_HZ]):
         return 0.0
     turns = f8[W.PHASE] / (2 * math.pi) + frequency * dt
@@ -310,7 +292,7 @@ def material_at(i8, u8, f8, f4, frame_a, frame_b, blend, p):
         inside = inside and f8[box + 2] <= p[2] <= f8[box + 5]
         if inside and own >= 0:
             if part == _UNKNOWN:
-                part = _strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p)
+                part = strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p)
             inside = part == own
         if inside:
             f8[W.FRICTION_NOW] = _friction(f8, row)
@@ -318,23 +300,6 @@ def material_at(i8, u8, f8, f4, frame_a, frame_b, blend, p):
         row += W.MATERIAL_WORDS
     f8[W.FRICTION_NOW] = f8[W.FRICTION]
     return 0
-
-
-@njit(cache=True, nogil=True)
-def _strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p):
-    """The part of the frame that pushes most at a point; -1 for none."""
-    a, b, blend = ends(frame_a, frame_b, blend)
-    parts = part_count(i8, a, b)
-    a, b = a + W.FRAME_WORDS, b + W.FRAME_WORDS
-    best, most = -1, 0.0
-    for part in range(parts):
-        d = arm(f8, a, b, blend, p)
-        if not is_far(i8, f8, a, b, d):
-            size = length(part_force(i8, u8, f8, f4, a, b, blend, d))
-            if size > most:
-                best, most = part, size
-        a, b = a + W.PART_WORDS, b + W.PART_WORDS
-    return best
 
 
 @njit(cache=True, nogil=True)

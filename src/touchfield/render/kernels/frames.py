@@ -14,12 +14,13 @@ import numpy as np
 from numba import njit
 
 from touchfield.lean import UNCOUNTED
-from touchfield.medium.kernels.placed import CELLS, GOLDEN, INSIDE, XY, XYZ, XZ, YZ, X, Y, Z, between, shortened
+from touchfield.medium.kernels.placed import CELLS, GOLDEN, between, shortened
 from touchfield.render.block import words as W
 from touchfield.render.kernels.vectors import (
     along,
     cross,
     dot,
+    length,
     less,
     matrix_of,
     plus,
@@ -40,12 +41,10 @@ def warp_of(i8, frame):
 
 @njit(**UNCOUNTED, forceinline=True)
 def _weights(t, inverse):
-    """A cubic B-spline in a cell: weights of four control points, their first and second slopes."""
-    r = 1.0 - t
-    slope, second = 0.5 * inverse, inverse * inverse
+    """A cubic B-spline in a cell: weights of four control points, and their slopes."""
+    r, slope = 1.0 - t, 0.5 * inverse
     w = r * r * r / 6, (3 * t * t * t - 6 * t * t + 4) / 6, (3 * r * r * r - 6 * r * r + 4) / 6, t * t * t / 6
-    d = -slope * r * r, slope * (3 * t * t - 4 * t), -slope * (3 * r * r - 4 * r), slope * t * t
-    return w, d, (second * r, second * (3 * t - 2), second * (3 * r - 2), second * t)
+    return w, (-slope * r * r, slope * (3 * t * t - 4 * t), -slope * (3 * r * r - 4 * r), slope * t * t)
 
 
 @njit(**UNCOUNTED, forceinline=True)
@@ -67,7 +66,7 @@ def bent(i8, f8, frame_a, frame_b, blend, p):
     i, tx, hx = _cell(f8, i8, a, 0, p[0])
     j, ty, hy = _cell(f8, i8, a, 1, p[1])
     k, tz, hz = _cell(f8, i8, a, 2, p[2])
-    (wx, dx, _), (wy, dy, _), (wz, dz, _) = _weights(tx, hx), _weights(ty, hy), _weights(tz, hz)
+    (wx, dx), (wy, dy), (wz, dz) = _weights(tx, hx), _weights(ty, hy), _weights(tz, hz)
     u, gx, gy, gz = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for m in range(4):
         for n in range(4):
@@ -79,34 +78,6 @@ def bent(i8, f8, frame_a, frame_b, blend, p):
             u, gz = along(u, wx[m] * wy[n], c), along(gz, wx[m] * wy[n], g)
             gx, gy = along(gx, dx[m] * wy[n], c), along(gy, wx[m] * dy[n], c)
     return u, gx, gy, gz
-
-
-@njit(**UNCOUNTED, forceinline=True)
-def stored_place(i8, f8, frame_a, frame_b, blend, p):
-    """Where in the medium as it is stored a point is looked up."""
-    return plus(p, bent(i8, f8, frame_a, frame_b, blend, p)[0]) if warp_of(i8, frame_a) > 0 else p
-
-
-@njit(**UNCOUNTED, cache=True)
-def bends(i8, f8, frame_a, frame_b, blend, p, force):
-    """Second slopes of force . u at a point: xx, xy, xz, yy, yz, zz."""
-    a, b = warp_of(i8, frame_a), warp_of(i8, frame_b)
-    i, tx, hx = _cell(f8, i8, a, 0, p[0])
-    j, ty, hy = _cell(f8, i8, a, 1, p[1])
-    k, tz, hz = _cell(f8, i8, a, 2, p[2])
-    (wx, dx, ex), (wy, dy, ey), (wz, dz, ez) = _weights(tx, hx), _weights(ty, hy), _weights(tz, hz)
-    xx = xy = xz = yy = yz = zz = 0.0
-    for m in range(4):
-        for n in range(4):
-            for o in range(4):
-                v = dot(force, _control(i8, f8, a, b, blend, i + m, j + n, k + o))
-                xx += ex[m] * wy[n] * wz[o] * v
-                xy += dx[m] * dy[n] * wz[o] * v
-                xz += dx[m] * wy[n] * dz[o] * v
-                yy += wx[m] * ey[n] * wz[o] * v
-                yz += wx[m] * dy[n] * dz[o] * v
-                zz += wx[m] * wy[n] * ez[o] * v
-    return xx, xy, xz, yy, yz, zz
 
 
 @njit(**UNCOUNTED, forceinline=True)
@@ -159,7 +130,6 @@ ON_PLANE = 1e-9
 """Samples: a point so near to a plane of the lattice lies on it, whatever the rounding of its metres says."""
 
 _1, _2 = np.uint64(1), np.uint64(2)
-_BY, _BZ = np.uint64(W.FIELD_BOX + 1), np.uint64(W.FIELD_BOX + 2)
 
 UNTURNED = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
@@ -188,21 +158,6 @@ def slot_of(i8, table, shift, key):
 
 
 @njit(**UNCOUNTED, forceinline=True)
-def corner_of(i8, u8, field, i, j, k):
-    """Where in `f4` the first corner of cell (i, j, k) of the box lies; `NONE` where all its corners are zero."""
-    at = np.uint64(field)
-    key = ((i >> 3) * i8[at + _BY] + (j >> 3)) * i8[at + _BZ] + (k >> 3)
-    slot = slot_of(i8, field + i8[at + np.uint64(W.FIELD_TABLE)], i8[at + np.uint64(W.FIELD_SHIFT)], key)
-    if slot < 0:
-        return NONE
-    row = u8[np.uint64(field + i8[at + np.uint64(W.FIELD_HELD)] + 8 * slot + (i & 7))]
-    if not (row >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
-        return NONE
-    first = 2 * (field + i8[at + np.uint64(W.FIELD_CELLS)])
-    return np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
-
-
-@njit(**UNCOUNTED, forceinline=True)
 def locate(i8, u8, f8, field, p):
     """Corner in `f4` (`NONE`: zero there) of a point of the field's own frame, metres, and its place in the cell."""
     corner, inverse = three(f8, field + W.FIELD_CORNER), three(f8, field + W.FIELD_INVERSE)
@@ -211,23 +166,17 @@ def locate(i8, u8, f8, field, p):
     nx, ny, nz = three(i8, field + W.FIELD_BOX)
     if not (0.0 <= x < 8.0 * nx - near and 0.0 <= y < 8.0 * ny - near and 0.0 <= z < 8.0 * nz - near):
         return NONE, (0.0, 0.0, 0.0)
-    i, fx = on_axis(x)
-    j, fy = on_axis(y)
-    k, fz = on_axis(z)
-    return corner_of(i8, u8, field, i, j, k), (fx, fy, fz)
-
-
-@njit(**UNCOUNTED, forceinline=True)
-def slopes(f4, o, f):
-    """Derivatives of `between` along x, y and z, for one sample, at the place f in its cell."""
-    fx, fy, fz = f
-    a0, b0 = np.float64(f4[o]), np.float64(f4[o + Y])
-    c0, d0 = np.float64(f4[o + X]), np.float64(f4[o + XY])
-    az, bz = np.float64(f4[o + Z]) - a0, np.float64(f4[o + YZ]) - b0
-    cz, dz = np.float64(f4[o + XZ]) - c0, np.float64(f4[o + XYZ]) - d0
-    a, b, c, d = a0 + fz * az, b0 + fz * bz, c0 + fz * cz, d0 + fz * dz
-    low, high = az + fy * (bz - az), cz + fy * (dz - cz)
-    return c + fy * (d - c) - (a + fy * (b - a)), (b - a) + fx * ((d - c) - (b - a)), low + fx * (high - low)
+    (i, fx), (j, fy), (k, fz) = on_axis(x), on_axis(y), on_axis(z)
+    at, place = np.uint64(field), (fx, fy, fz)
+    key = ((i >> 3) * ny + (j >> 3)) * nz + (k >> 3)
+    slot = slot_of(i8, field + i8[at + np.uint64(W.FIELD_TABLE)], i8[at + np.uint64(W.FIELD_SHIFT)], key)
+    if slot < 0:
+        return NONE, place
+    row = u8[np.uint64(field + i8[at + np.uint64(W.FIELD_HELD)] + 8 * slot + (i & 7))]
+    if not (row >> np.uint64(8 * (j & 7) + (k & 7))) & _1:
+        return NONE, place
+    first = 2 * (field + i8[at + np.uint64(W.FIELD_CELLS)])
+    return np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3), place
 
 
 @njit(**UNCOUNTED, forceinline=True)
@@ -312,6 +261,23 @@ def part_force(i8, u8, f8, f4, a, b, blend, d):
     return turned(r, g) if is_turned else g
 
 
+@njit(**UNCOUNTED, cache=True)
+def strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p):
+    """The number of the part that pushes most at a point; -1 for none."""
+    a, b, blend = ends(frame_a, frame_b, blend)
+    parts = part_count(i8, a, b)
+    a, b = a + W.FRAME_WORDS, b + W.FRAME_WORDS
+    best, most = -1, 0.0
+    for part in range(parts):
+        d = arm(f8, a, b, blend, p)
+        if not is_far(i8, f8, a, b, d):
+            size = length(part_force(i8, u8, f8, f4, a, b, blend, d))
+            if size > most:
+                best, most = part, size
+        a, b = a + W.PART_WORDS, b + W.PART_WORDS
+    return best
+
+
 @njit(**UNCOUNTED, forceinline=True)
 def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """`force_at`, to be part of a loop over points."""
@@ -355,83 +321,22 @@ def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
 
 
 @njit(**UNCOUNTED, forceinline=True)
-def _part_gradient(i8, u8, f8, f4, a, b, blend, d):
-    """R J R^T: the slopes of `part_force`, N/m, by columns: how the force changes along x, y and z."""
-    field, last = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
-    r = rotation(f8, a, b, blend)
-    d = turned_back(r, d)
-    p, q, s = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    share = 1.0 if field == last else 1.0 - blend
-    while True:
-        o, f = locate(i8, u8, f8, field, d)
-        if o != NONE:
-            h = times(share, three(f8, field + W.FIELD_INVERSE))
-            t, u, v = slopes(f4, o, f), slopes(f4, o + _1, f), slopes(f4, o + _2, f)
-            p = p[0] + h[0] * t[0], p[1] + h[1] * t[1], p[2] + h[2] * t[2]
-            q = q[0] + h[0] * u[0], q[1] + h[1] * u[1], q[2] + h[2] * u[2]
-            s = s[0] + h[0] * v[0], s[1] + h[1] * v[1], s[2] + h[2] * v[2]
-        if field == last:
-            break
-        field, share = last, blend
-    p, q, s = turned(r, p), turned(r, q), turned(r, s)
-    return turned(r, (p[0], q[0], s[0])), turned(r, (p[1], q[1], s[1])), turned(r, (p[2], q[2], s[2]))
+def _ahead(x):
+    """A coordinate a little farther on, metres: far less than any spacing, far more than the rounding of a place."""
+    return x + (1e-8 + 1e-12 * abs(x))
 
 
 @njit(**UNCOUNTED, forceinline=True)
-def _cut(column, share, u):
-    """A column of slopes of a force cut to a length: its share across the direction u, nothing along it."""
-    return times(share, along(column, -dot(column, u), u))
+def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, force):
+    """dF_i/dx_j of `force_at`, N/m, row by row, by differences from the `force` at (x, y, z) to those just ahead.
 
-
-@njit(**UNCOUNTED, cache=True)
-def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
-    """dF_i/dx_j of `force_at`, N/m, row by row; on a plane of a lattice that of the cell towards greater indices.
-
-    Where a deformation bends the field, it is J^T S J of the slopes S, J = I + grad u, and a term of u's second.
+    On a plane of a lattice they are those of the cell towards greater indices.
     """
-    frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
-    if warp_of(i8, frame_a) == 0:
-        return _plain_gradient(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
-    u, gx, gy, gz = bent(i8, f8, frame_a, frame_b, blend, (x, y, z))
-    at = x + u[0], y + u[1], z + u[2]
-    f = _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, *at)
-    s = _plain_gradient(i8, u8, f8, f4, frame_a, frame_b, blend, *at)
-    rows = (s[0], s[1], s[2]), (s[3], s[4], s[5]), (s[6], s[7], s[8])
-    jx, jy, jz = plus((1.0, 0.0, 0.0), gx), plus((0.0, 1.0, 0.0), gy), plus((0.0, 0.0, 1.0), gz)  # columns of J
-    sx, sy, sz = turned(rows, jx), turned(rows, jy), turned(rows, jz)
-    xx, xy, xz, yy, yz, zz = bends(i8, f8, frame_a, frame_b, blend, (x, y, z), f)
-    p = dot(jx, sx) + xx, dot(jx, sy) + xy, dot(jx, sz) + xz
-    q = dot(jy, sx) + xy, dot(jy, sy) + yy, dot(jy, sz) + yz
-    r = dot(jz, sx) + xz, dot(jz, sy) + yz, dot(jz, sz) + zz
-    return p[0], p[1], p[2], q[0], q[1], q[2], r[0], r[1], r[2]
-
-
-@njit(**UNCOUNTED, cache=True)
-def _plain_gradient(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
-    """The slopes of `_plain_force`, row by row."""
-    least, limit = f8[np.uint64(frame_a + W.FRAME_FLOOR)], f8[np.uint64(frame_a + W.FRAME_LIMIT)]
-    total, p, q, r = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    a, b = frame_a + W.FRAME_WORDS, frame_b + W.FRAME_WORDS
-    for _ in range(part_count(i8, frame_a, frame_b)):
-        d = arm(f8, a, b, blend, (x, y, z))
-        if not is_far(i8, f8, a, b, d):
-            t, u, v = _part_gradient(i8, u8, f8, f4, a, b, blend, d)
-            g = part_force(i8, u8, f8, f4, a, b, blend, d)
-            wx, wy, wz = 0.0, 0.0, 0.0
-            if dot(g, g) > least:
-                total = plus(plus(total, g), motion(f8, a, b, blend, d))
-                wx, wy, wz = spin(f8, a, b, blend)
-            p = plus(p, (t[0], t[1] + wz, t[2] - wy))
-            q = plus(q, (u[0] - wz, u[1], u[2] + wx))
-            r = plus(r, (v[0] + wy, v[1] - wx, v[2]))
-        a, b = a + W.PART_WORDS, b + W.PART_WORDS
-    square = dot(total, total)
-    if not square < np.inf:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    if square > limit * limit:
-        length = math.sqrt(square)
-        share, u = limit * INSIDE / length, times(1.0 / length, total)
-        p, q, r = _cut(p, share, u), _cut(q, share, u), _cut(r, share, u)
+    ahead = _ahead(x), _ahead(y), _ahead(z)
+    p = less(force_between(i8, u8, f8, f4, frame_a, frame_b, blend, ahead[0], y, z), force)
+    q = less(force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, ahead[1], z), force)
+    r = less(force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, ahead[2]), force)
+    p, q, r = times(1.0 / (ahead[0] - x), p), times(1.0 / (ahead[1] - y), q), times(1.0 / (ahead[2] - z), r)
     return p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2]
 
 
@@ -461,13 +366,14 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
 
 @njit(**UNCOUNTED, cache=True)
 def vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
-    """Between two frames: the amplitude linear in time, the frequency that of the nearer frame that vibrates."""
+    """Between two frames: the amplitude linear in time, the frequency that of the frame that says more."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
-    x, y, z = stored_place(i8, f8, frame_a, frame_b, blend, (x, y, z))
+    if warp_of(i8, frame_a) > 0:
+        x, y, z = plus((x, y, z), bent(i8, f8, frame_a, frame_b, blend, (x, y, z))[0])
     amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, x, y, z)
     if blend > 0.0:
         later_n, later_hz = vibration_at(i8, u8, f8, f4, frame_b, x, y, z)
-        if frequency == 0.0 or (blend > 0.5 and later_hz > 0.0):
+        if blend * later_n > (1.0 - blend) * amplitude:
             frequency = later_hz
         amplitude += blend * (later_n - amplitude)
     return amplitude, frequency

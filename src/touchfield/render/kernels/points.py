@@ -90,7 +90,9 @@ def gradients_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, fra
     last = blends.shape[0] - 1
     for p in range(begin, end):
         blend = blends[min(p, last)]
-        rows = frames.gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, points[p, 0], points[p, 1], points[p, 2])
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        force = frames.force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
+        rows = frames.gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, force)
         for c in range(9):
             out[p, c] = rows[c]
 
@@ -277,7 +279,7 @@ def slope_of_bin(n: int) -> float:
     return float(2.0 ** ((n + 1) / _PER_DOUBLING))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def count_slopes(cells, held, inverse, counts):
     """Add to `counts`, int64 [BINS], the cells of a pool by what their force grows with a way against it, N/m."""
     for slot in range(len(held)):
@@ -285,26 +287,27 @@ def count_slopes(cells, held, inverse, counts):
             if not (held[slot, n >> 6] >> np.uint64(n & 63)) & _1:
                 continue
             o = np.uint64(slot * CELLS + (n >> 6) * 243 + ((n >> 3) & 7) * 27 + (n & 7) * 3)
-            fx, fy, fz = _middle(cells, o), _middle(cells, o + _1), _middle(cells, o + _2)
+            (fx, sx), (fy, sy), (fz, sz) = _middle(cells, o), _middle(cells, o + _1), _middle(cells, o + _2)
             square = fx * fx + fy * fy + fz * fz
             if not 0.0 < square < math.inf:
                 continue
-            a, b = frames.slopes(cells, o, (0.5, 0.5, 0.5)), frames.slopes(cells, o + _1, (0.5, 0.5, 0.5))
-            c = frames.slopes(cells, o + _2, (0.5, 0.5, 0.5))
-            hx, hy, hz = fx * inverse[0], fy * inverse[1], fz * inverse[2]
-            along = fx * (a[0] * hx + a[1] * hy + a[2] * hz) + fy * (b[0] * hx + b[1] * hy + b[2] * hz)
-            along += fz * (c[0] * hx + c[1] * hy + c[2] * hz)
+            way = fx * inverse[0], fy * inverse[1], fz * inverse[2]
+            along = fx * dot(sx, way) + fy * dot(sy, way) + fz * dot(sz, way)
             if along < -square:
                 counts[min(int(_PER_DOUBLING * math.log2(-along / square)), BINS - 1)] += 1
 
 
 @njit(nogil=True, forceinline=True)
 def _middle(cells, o):
-    """The mean of the eight corners."""
-    total = 0.0
+    """The mean of the eight corners, and how it grows along x, y and z, a sample each."""
+    total, x, y, z = 0.0, 0.0, 0.0, 0.0
     for c in range(8):
-        total += cells[o + np.uint64(243 * (c >> 2) + 27 * ((c >> 1) & 1) + 3 * (c & 1))]
-    return total / 8.0
+        value = cells[o + np.uint64(243 * (c >> 2) + 27 * ((c >> 1) & 1) + 3 * (c & 1))]
+        total += value
+        x += value if c & 4 else -value
+        y += value if c & 2 else -value
+        z += value if c & 1 else -value
+    return total / 8.0, (x / 4.0, y / 4.0, z / 4.0)
 
 
 @njit(cache=True, nogil=True)

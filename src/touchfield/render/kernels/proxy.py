@@ -18,7 +18,7 @@ from numba import njit
 
 from touchfield.lean import UNCOUNTED
 from touchfield.render.block import words as W
-from touchfield.render.kernels.frames import arm, ends, force_at, is_far, mixed, part_count, part_force, rotation
+from touchfield.render.kernels.frames import ends, force_at, mixed, part_count, rotation, strongest
 from touchfield.render.kernels.vectors import along, cross, dot, less, plus, put, three, times, turned, turned_back
 
 _MOST_STEPS = 8  # of one tick: some four samples
@@ -210,38 +210,36 @@ def _goal(at, q, hand):
 
 
 @njit(**UNCOUNTED)
+def _pose(at, part):
+    """Rotation of a part of the frame, and where it lies."""
+    a, b, blend = ends(at.frame_a, at.frame_b, at.blend)
+    a, b = a + W.FRAME_WORDS + part * W.PART_WORDS, b + W.FRAME_WORDS + part * W.PART_WORDS
+    return rotation(at.f8, a, b, blend), mixed(at.f8, a + W.PART_POSITION, b + W.PART_POSITION, blend)
+
+
+@njit(**UNCOUNTED)
 def _carried(at):
     """Where the proxy of the tick before has been carried to."""
-    f8 = at.f8
-    a, b, blend = ends(at.frame_a, at.frame_b, at.blend)
-    part = int(f8[W.PROXY_PART])
-    if part < 0 or part >= part_count(at.i8, a, b):
-        return three(f8, W.PROXY)
-    a, b = a + W.FRAME_WORDS + part * W.PART_WORDS, b + W.FRAME_WORDS + part * W.PART_WORDS
-    r = rotation(f8, a, b, blend)
-    return plus(turned(r, three(f8, W.PROXY_LOCAL)), mixed(f8, a + W.PART_POSITION, b + W.PART_POSITION, blend))
+    part = int(at.f8[W.PROXY_PART])
+    if part < 0 or part >= part_count(at.i8, at.frame_a, at.frame_b):
+        return three(at.f8, W.PROXY)
+    r, place = _pose(at, part)
+    return plus(turned(r, three(at.f8, W.PROXY_LOCAL)), place)
 
 
 @njit(**UNCOUNTED)
 def _keep(at, q, is_held):
-    """Remember the place of the proxy, in the axes of the body that pushes most there."""
-    i8, f8 = at.i8, at.f8
+    """Remember the place of the proxy, in the axes of the part that pushes most there."""
+    f8 = at.f8
     f8[W.IS_COUPLED], f8[W.IS_HELD], f8[W.PROXY_PART] = 1.0, 1.0 if is_held else 0.0, -1.0
     put(f8, W.PROXY, q)
-    if not is_held:
-        return
-    a, b, blend = ends(at.frame_a, at.frame_b, at.blend)
-    parts = part_count(i8, a, b)
-    a, b = a + W.FRAME_WORDS, b + W.FRAME_WORDS
-    most = 0.0
-    for part in range(parts):
-        d = arm(f8, a, b, blend, q)
-        if not is_far(i8, f8, a, b, d) and not i8[a + W.PART_IS_IDENTITY] & i8[b + W.PART_IS_IDENTITY]:
-            size = _size(part_force(i8, at.u8, f8, at.f4, a, b, blend, d))
-            if size > most:
-                most, f8[W.PROXY_PART] = size, float(part)
-                put(f8, W.PROXY_LOCAL, turned_back(rotation(f8, a, b, blend), d))
-        a, b = a + W.PART_WORDS, b + W.PART_WORDS
+    if not is_held or at.i8[at.frame_a + W.FRAME_WORDS + W.PART_IS_IDENTITY]:
+        return  # voxels carry nothing
+    part = strongest(at.i8, at.u8, f8, at.f4, at.frame_a, at.frame_b, at.blend, q)
+    if part >= 0:
+        r, place = _pose(at, part)
+        f8[W.PROXY_PART] = part
+        put(f8, W.PROXY_LOCAL, turned_back(r, less(q, place)))
 
 
 @njit(**UNCOUNTED)

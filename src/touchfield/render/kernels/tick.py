@@ -82,7 +82,7 @@ def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
 
 
 @njit(cache=True, nogil=True)
-def release(i8, u8, f8, f4, dt):
+def release(f8, dt):
     """The next force on the way to zero within the ramp or the slew limit, newtons; zero for ever in the end."""
     if not effects.has_passed(f8, dt):
         return three(f8, W.FORCE)
@@ -399,7 +399,7 @@ def cycle(i8, u8, f8, f4, x, y, z, now_ns):
     is_stopping = i8[W.STOP_NOW] != 0 or i8[W.STOP_HERE] != 0
     frame_a, frame_b, blend, wanted = frames_now(i8, f8, clock_s, now_ns, is_silent)
     if is_stopping:
-        force = release(i8, u8, f8, f4, dt_s)
+        force = release(f8, dt_s)
     else:
         force = tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt_s)
     is_zero = force == (0.0, 0.0, 0.0) and three(f8, W.TORQUE) == (0.0, 0.0, 0.0)
