@@ -50,7 +50,7 @@ class StreamScene(StoredScene):
 
     def __init__(self, path: str | Path) -> None:
         reader = TouchReader(path)
-        stream = opened(reader, reader.size)
+        stream = opened(reader)
         weakref.finalize(stream.held, reader.close)
         super().__init__(stream.medium)
         self.objects: HapticScene | None = stream.scene

@@ -354,7 +354,7 @@ class LiveStream(OpenStream):
 
     def __init__(self, name: str, opened: Opened, frames: LiveFrames, vibrates: bool) -> None:
         reader: Any = _LiveReader(name, opened.head, opened.provenance)
-        super().__init__(reader, 0)
+        super().__init__(reader)
         self.frames, self._vibrates = frames, vibrates
 
     def keep_up(self, player: Playing) -> bool:

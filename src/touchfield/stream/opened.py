@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -27,7 +26,7 @@ from touchfield.stream.frames import SegmentFrames, VibrationFrames, segments_of
 
 if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
-    from touchfield.codec.segment import FrameCost
+    from touchfield.codec.segment import FrameCost, Worst
     from touchfield.devices import Device
     from touchfield.medium.grid import Placement
 
@@ -53,8 +52,8 @@ class OpenStream(ABC):
     is_native = False
     """True if `touchfield_core` decodes its frames, and no kernel."""
 
-    def __init__(self, reader: TouchReader, file_bytes: int) -> None:
-        self.reader, self.file_bytes = reader, file_bytes
+    def __init__(self, reader: TouchReader) -> None:
+        self.reader, self.file_bytes = reader, reader.size
         head = reader.head
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
 
@@ -182,8 +181,8 @@ class VoxelStream(OpenStream):
     A frame costs the decoding of its segment up to it, or one frame in sequence, then on all cores.
     """
 
-    def __init__(self, reader: TouchReader, file_bytes: int) -> None:
-        super().__init__(reader, file_bytes)
+    def __init__(self, reader: TouchReader) -> None:
+        super().__init__(reader)
         self.decoder: Any = coder(reader.head.coder).decoder_class(self.grid, reader.head.coder_parameters)
         decoder: FieldDecoder = self.decoder  # and not `self`: the frames outlive the stream
 
@@ -247,79 +246,30 @@ class VoxelStream(OpenStream):
         told["guesses"] = sum(cost.guess_bits > 0 for cost in costs)
         told["bits_guesses"] = sum(cost.guess_bits for cost in costs)
         told["bits_sent_apart"] = sum(cost.exception_bits for cost in costs)
-        segments = enumerate(self.reader.segments)
-        return told | _promise_kept(
-            (s.first_frame, self.decoder.promise(self.reader.read_segment(i))) for i, s in segments
-        )
+        segments = self.reader.segments
+        promises: list[Promise] = [self.decoder.promise(self.reader.read_segment(i)) for i in range(len(segments))]
+        told["mode"], jnd_deg = promises[-1].mode, promises[-1].direction_jnd_deg
+        if jnd_deg is not None:
+            told["direction_jnd_deg"] = jnd_deg
+        return told | worst_keys((s.first_frame, promise.worst) for s, promise in zip(segments, promises))
 
 
-def _promise_kept(segments: Iterable[tuple[int, Promise]]) -> dict[str, Any]:
-    """Keys of the promise of a whole file: its mode, and the largest |error| / allowed and where it is.
+def worst_keys(segments: Iterable[tuple[int, Worst | None]]) -> dict[str, Any]:
+    """Keys of a file's largest |error| / allowed and where it is; None in each where nothing is promised.
 
-    In mode "nmse", which promises nothing, the ratio and its place are None. `segments` are the first frame of each,
-    and its promise.
+    `segments` are the first frame of each, and its worst voxel.
     """
-    mode, jnd_deg, worst = "", None, None
-    for first, promise in segments:
-        mode, jnd_deg, own = promise.mode, promise.direction_jnd_deg, promise.worst
-        if own is not None and (worst is None or own.ratio > worst[0]):
-            worst = own.ratio, first + own.frame, list(own.voxel)
+    worst: Worst | None = None
+    for first, own in segments:
+        if own is not None and (worst is None or own.ratio > worst.ratio):
+            worst = own._replace(frame=first + own.frame)
     ratio, frame, voxel = worst or (None, None, None)
     return {
-        "mode": mode,
-        **({} if jnd_deg is None else {"direction_jnd_deg": jnd_deg}),
         "promise_kept": None if ratio is None else ratio <= 1,
         "worst_mask_ratio": ratio,
         "worst_frame": frame,
-        "worst_voxel": voxel,
+        "worst_voxel": None if voxel is None else list(voxel),
     }
-
-
-class SceneStream(OpenStream):
-    """A file of coder `objects`; a voxel frame costs one query of the scene for each voxel near an object."""
-
-    def __init__(self, reader: TouchReader, file_bytes: int) -> None:
-        super().__init__(reader, file_bytes)
-        from touchfield.stream.objects import ObjectStream
-
-        self.objects = ObjectStream(reader)
-
-    @property
-    def scene(self) -> HapticScene:
-        return self.objects.scene
-
-    @property
-    def medium(self) -> HapticMedium:
-        return replace(self.scene.voxelise(), vibration=None if self._vibration is None else self._vibration.band)
-
-    @property
-    def held(self) -> object:
-        return self.objects
-
-    @property
-    def bits(self) -> BitAccount:
-        return self.objects.bits
-
-    def bits_by_kind(self) -> dict[str, float]:
-        """See `OpenStream`: no frame of its own, but poses, and what the fields take spread over all frames."""
-        count, bits = self.reader.head.frame_count, self.objects.bits
-        return {"poses": bits.poses / count, "fields": (bits.total - bits.poses) / count}
-
-    def quantiser(self) -> Callable[[ForceField], Int64s]:
-        """See `OpenStream`: the Weber ladder and directions that measures take by default."""
-        from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
-
-        fitted = FieldQuantiserSpec.parse(DEFAULT_QUANTISER).fit((), self.reader.head.force_max_n)
-        return lambda field: fitted.symbols_of(field.vectors_n()).astype(np.int64)
-
-    def _coder(self) -> dict[str, Any]:
-        bits = self.objects.bits
-        told = {
-            "bits_poses": bits.poses,
-            "bits_fields": bits.total - bits.poses,
-            "frame_kinds": {"object": self.reader.head.frame_count},
-        }
-        return {**self.objects.decoder.describe(), **told, **self.objects.promise()}
 
 
 @contextmanager
@@ -339,16 +289,19 @@ def open_stream(
             yield live
         return
     with TouchReader(path) as reader:
-        yield opened(reader, reader.size)
+        yield opened(reader)
 
 
-def opened(reader: TouchReader, file_bytes: int) -> OpenStream:
+def opened(reader: TouchReader) -> OpenStream:
     """The stream of a reader, by its coder.
 
     Raises UnsupportedVersion if there is no such coder.
     """
-    is_scene = coder(reader.head.coder).spec is None
-    return SceneStream(reader, file_bytes) if is_scene else VoxelStream(reader, file_bytes)
+    if coder(reader.head.coder).spec is not None:
+        return VoxelStream(reader)
+    from touchfield.stream.objects import SceneStream
+
+    return SceneStream(reader)
 
 
 def write_field(
