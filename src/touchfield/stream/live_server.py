@@ -108,7 +108,7 @@ class LiveServer(Background):
                 if message is not None:
                     async with asyncio.timeout(_PATIENCE_S):
                         await socket.send_bytes(message)
-                elif sender.is_over(receiver):
+                elif receiver.is_over:
                     break
                 else:
                     waits = asyncio.ensure_future(news.wait())
