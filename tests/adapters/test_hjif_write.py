@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from effect_makers import RATES_HZ, effects, schema_errors
-from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
+from effect_makers import RATES_HZ, effects, read_force, schema_errors
+from touchfield.adapters.hjif_import import read_hjif_array
 from touchfield.adapters.hjif_write import AMPLITUDE_STEP, MAX_SPAN_TICKS, write_hjif_array, write_hjif_force
 from touchfield.adapters.symbolic import DEFAULT_CARRIER_HZ, ArrayEffect
 from touchfield.errors import InvalidArgument, SourceError
@@ -174,7 +174,7 @@ def test_a_trace_comes_back_to_within_a_step(
     assert perception["perception_unit_exponent"] == 0 and document["timescale"] == timescale
     greatest = np.abs(forces).max(axis=0)
     assert [one["gain"] for one in perception["channels"]] == pytest.approx(greatest)
-    back_s, back_n = read_hjif_force(path)
+    back_s, back_n = read_force(path)
     times_s = np.arange(len(forces)) / timescale
     found = np.stack([np.interp(times_s, back_s, back_n[:, axis]) for axis in range(3)], axis=1)
     assert np.abs(found - forces).max() <= greatest.max() * AMPLITUDE_STEP * 1.01

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
+from effect_makers import read_force
+from touchfield.adapters.hjif_import import read_hjif_array
 from touchfield.errors import SourceError
 
 Fields = list[tuple[int, int]]  # value, bits
@@ -94,7 +95,7 @@ def test_a_force_comes_in_with_its_gain(tmp_path: Path) -> None:
     data = head(9, channel(0, 0.02, (0, 127, 0)), band(0, 0, 1, LINEAR)) + unit(
         1, 128, curve(0, (0, -1.0), (90, 1.0))
     )
-    times, forces = read_hjif_force(written(tmp_path / "f.hmpg", data))
+    times, forces = read_force(written(tmp_path / "f.hmpg", data))
     assert times.tolist() == [0, 0.09] and forces[:, 1] == pytest.approx([-0.02, 0.02], abs=1e-5)
 
 

@@ -22,6 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from touchfield.adapters.hmpg_read import BANDS, CURVES, KINDS, MODALITIES, SIGNALS, read_hmpg
 from touchfield.adapters.json_values import JsonValue, read_json
 from touchfield.arrays import Float64s, Int64s
 from touchfield.medium.medium import MAX_FREQUENCY_HZ
@@ -34,14 +35,7 @@ MAX_CHANNELS: Final = 65535
 
 MAX_BYTES: Final = 1 << 26
 _MAX_TICK: Final = (1 << 31) - 1
-_MODALITIES: Final = (
-    "Pressure", "Acceleration", "Velocity", "Position", "Temperature", "Vibrotactile", "Water", "Wind", "Force",
-    "Electrotactile", "Vibrotactile Texture", "Stiffness", "Friction", "Humidity", "User-defined Temporal",
-    "User-defined Spatial", "Other",
-)  # fmt: skip
-_BANDS: Final = ("WaveletWave", "VectorialWave", "Curve", "Transient")
-_CURVES: Final = ("Linear", "Cubic", "Akima", "Bezier", "BSpline", "Unknown")
-_SIGNALS: Final = ("Sine", "Square", "Triangle", "SawToothUp", "SawToothDown")
+_MODALITIES: Final = (*MODALITIES, "Humidity", "User-defined Temporal", "User-defined Spatial")
 _LARGEST_VECTOR: Final = 127
 _MAX_MASK: Final = (1 << 32) - 1
 _MOST_SAMPLES: Final = 1 << 21
@@ -133,16 +127,13 @@ class _Clock:
 
 
 def read_hjif(path: str | Path) -> Hjif:
-    """The perceptions of an ``.hjif`` file.
+    """The perceptions of an ``.hjif`` file, or of its binary form ``.hmpg``.
 
     Raises SourceError if the file cannot be read, is longer than 64 MiB, is no JSON or breaks the schema; and where
     an effect refers to a library or is composed of others, or a curve is of a type that nobody draws alike.
     """
-    return hjif_of(read_json(path, MAX_BYTES, "an HJIF file"))
-
-
-def hjif_of(root: JsonValue) -> Hjif:
-    """The perceptions of a document that was read; errors as `read_hjif`."""
+    is_binary = Path(path).suffix.lower() == ".hmpg"
+    root = read_hmpg(path) if is_binary else read_json(path, MAX_BYTES, "an HJIF file")
     version = root.at("version")
     if not re.fullmatch(r"[0-9]{4}(-[0-9])?", version.text()):
         raise version.refused('a year such as "2023"')
@@ -218,11 +209,11 @@ def _vector(one: JsonValue, low: int) -> tuple[int, int, int]:
 
 
 def _band(one: JsonValue, clock: _Clock) -> Band:
-    kind = one.at("band_type").text(_BANDS)
+    kind = one.at("band_type").text(BANDS)
     limits = [one.at(f"{end}_frequency_limit").number(0, MAX_FREQUENCY_HZ) for end in ("lower", "upper")]
     if limits[0] > limits[1]:
         raise one.wrong(f"limits of {limits[0]:g} and {limits[1]:g} Hz", "the lower one first")
-    shape = one.at("curve_type", "Linear").text(_CURVES)
+    shape = one.at("curve_type", "Linear").text(CURVES)
     if kind == "Curve" and shape not in ("Linear", "Cubic", "Akima", "Unknown"):
         raise one.wrong(f"a curve of type {shape}", "Linear, Cubic or Akima")
     if kind == "WaveletWave":
@@ -259,7 +250,7 @@ def _wavelets(one: JsonValue, rate_hz: float, clock: _Clock) -> list[Effect]:
 
 
 def _basis(one: JsonValue) -> None:
-    kind = one.at("effect_type").text(("Basis", "Composite", "Reference"))
+    kind = one.at("effect_type").text(KINDS)
     if kind != "Basis":
         raise one.wrong(f"an effect of type {kind}", "Basis", "Effect libraries and compositions are not read.")
 
@@ -267,7 +258,7 @@ def _basis(one: JsonValue) -> None:
 def _effect(one: JsonValue) -> Effect:
     _basis(one)
     one.at("phase", 0).number(0, 6.2832)
-    one.at("base_signal", "Sine").text(_SIGNALS)
+    one.at("base_signal", "Sine").text(SIGNALS)
     ticks, amplitudes, hertz = _keyframes(one.at("keyframes", []))
     return Effect(
         one.at("position", 0).whole(0, _MAX_TICK),

@@ -23,14 +23,16 @@ _UNIT_HEAD: Final = 9
 _PACKET_HEAD: Final = 3
 _TIMING, _HAPTICS, _PERCEPTION, _CHANNEL, _BAND, _DATA, _LIBRARY = range(7)
 _INITIAL_TIMING: Final = 11
-_MODALITIES: Final = (
+MODALITIES: Final = (
     "Other", "Pressure", "Acceleration", "Velocity", "Position", "Temperature", "Vibrotactile", "Water", "Wind",
     "Force", "Vibrotactile Texture", "Stiffness", "Friction", "Electrotactile",
 )  # fmt: skip
-_BANDS: Final = ("Transient", "Curve", "VectorialWave", "WaveletWave")
-_CURVES: Final = ("Unknown", "Cubic", "Linear", "Akima", "Bezier", "BSpline")
-_SIGNALS: Final = ("Sine", "Square", "Triangle", "SawToothUp", "SawToothDown")
-_KINDS: Final = ("Basis", "Reference", "Composite")
+"""Words of HJIF in the order of the binary form's numbers, as the tables below."""
+
+BANDS: Final = ("Transient", "Curve", "VectorialWave", "WaveletWave")
+CURVES: Final = ("Unknown", "Cubic", "Linear", "Akima", "Bezier", "BSpline")
+SIGNALS: Final = ("Sine", "Square", "Triangle", "SawToothUp", "SawToothDown")
+KINDS: Final = ("Basis", "Reference", "Composite")
 _SPATIAL: Final = 2
 _GREATEST: Final = 10000.0
 _LARGEST_PHASE: Final = 6.28318
@@ -149,7 +151,7 @@ def _haptics(document: _Document, bits: _Bits) -> None:
 def _perception(document: _Document, bits: _Bits) -> None:
     number, _ = bits.whole(8), bits.whole(8)
     description = bits.text()
-    modality, avatar = bits.one_of(8, _MODALITIES, "a modality of number"), bits.whole(8)
+    modality, avatar = bits.one_of(8, MODALITIES, "a modality of number"), bits.whole(8)
     bits.whole(16)  # effects of the library
     if bits.whole(1):
         bits.text()
@@ -201,9 +203,9 @@ def _channel(document: _Document, bits: _Bits) -> None:
 def _band(document: _Document, bits: _Bits) -> None:
     number, perception, channel = bits.whole(8), bits.whole(8), bits.whole(16)
     bits.whole(8)  # priority
-    own: dict[str, Any] = {"band_type": bits.one_of(3, _BANDS, "a band of type")}
+    own: dict[str, Any] = {"band_type": bits.one_of(3, BANDS, "a band of type")}
     if own["band_type"] == "Curve":
-        own["curve_type"] = bits.one_of(4, _CURVES, "a curve of type")
+        own["curve_type"] = bits.one_of(4, CURVES, "a curve of type")
     elif own["band_type"] == "WaveletWave":
         own["block_length"] = bits.whole(8)
     own["lower_frequency_limit"], own["upper_frequency_limit"] = bits.whole(16), bits.whole(16)
@@ -223,7 +225,7 @@ def _data(document: _Document, bits: _Bits, is_spatial: bool) -> None:
     band = document.bands[number]
     for _ in range(bits.whole(16)):
         name = (number, bits.whole(16))
-        own: dict[str, Any] = {"effect_type": bits.one_of(2, _KINDS, "an effect of type")}
+        own: dict[str, Any] = {"effect_type": bits.one_of(2, KINDS, "an effect of type")}
         if band["band_type"] == "WaveletWave":
             _semantic(bits)
             own["position"] = len(band["effects"]) * band["block_length"]
@@ -252,7 +254,7 @@ def _keyframes(bits: _Bits, kind: str, effect: dict[str, Any]) -> list[dict[str,
     is_wave = kind == "VectorialWave"
     if is_wave:
         effect["phase"] = bits.number(16, 0, _LARGEST_PHASE)
-        effect["base_signal"] = bits.one_of(4, _SIGNALS, "a signal of number")
+        effect["base_signal"] = bits.one_of(4, SIGNALS, "a signal of number")
     for _ in range(count):
         told = bits.whole(2) if is_wave else 1 if kind == "Curve" else 3
         own: dict[str, Any] = {}

@@ -128,11 +128,11 @@ class Drive:
         """Nothing to be felt."""
         return cls(np.zeros(frames), np.zeros(frames))
 
-    def add(self, other: Drive) -> None:
-        """Amplitudes add up; the frequency is that of the stronger."""
-        stronger = other.amplitudes > self.amplitudes
-        self.frequencies_hz[stronger] = other.frequencies_hz[stronger]
-        self.amplitudes += other.amplitudes
+    def add(self, other: Drive, frames: slice = slice(None)) -> None:
+        """Amplitudes add up in these frames; the frequency is that of the stronger."""
+        stronger = other.amplitudes > self.amplitudes[frames]
+        self.frequencies_hz[frames][stronger] = other.frequencies_hz[stronger]
+        self.amplitudes[frames] += other.amplitudes
 
 
 def filled_hz(drives: Float32s, frequencies_hz: Float32s | None) -> Float32s:

@@ -21,7 +21,7 @@ from touchfield.codec.registry import coder
 from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import FormatError, SourceError, UnsupportedVersion
 from touchfield.filters.resample import halved, rebuilt
-from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.stream.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
 from touchfield.stream.opened import OpenStream
@@ -380,11 +380,6 @@ class LiveStream(OpenStream):
             self.grid, head.rate_hz, ENDLESS, self.frames, head.axes, head.friction, head.damping_n_s_per_m,
             tuple(head.tags), dict(self.reader.provenance), band,
         )  # fmt: skip
-
-    @property
-    def scene(self) -> HapticScene | None:
-        """None: live objects are sent as voxels."""
-        return None
 
     @property
     def held(self) -> LiveFrames:

@@ -157,7 +157,7 @@ def _copy(
     try:
         with av.open(str(temporary), "w", format=form, options=options) as sink:
             tracks = {one.index: sink.add_stream_from_template(one) for one in kept}
-            touch = sink.add_data_stream("bin_data") if samples else None
+            touch: Any = sink.add_data_stream("bin_data") if samples else None
 
             def put(until_s: float) -> None:
                 while waiting and waiting[-1][0] <= until_s:
