@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import base64
 import binascii
+import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -228,7 +228,7 @@ def _wavelets(one: JsonValue, rate_hz: float, clock: _Clock) -> list[Effect]:
     """The blocks of a band of wavelets."""
     ticks = one.at("block_length").whole(1, _MAX_TICK)
     length = round(ticks * rate_hz / clock.timescale)
-    if length not in [MIN_BLOCK << n for n in range(20) if MIN_BLOCK << n <= MAX_BLOCK]:
+    if not MIN_BLOCK <= length <= MAX_BLOCK or length.bit_count() != 1:
         expected = f"a power of two from {MIN_BLOCK} to {MAX_BLOCK}"
         raise one.at("block_length").wrong(f"{ticks} ticks, {length} samples at {rate_hz:g} Hz", expected)
     effects = one.at("effects")
@@ -259,41 +259,21 @@ def _effect(one: JsonValue) -> Effect:
     _basis(one)
     one.at("phase", 0).number(0, 6.2832)
     one.at("base_signal", "Sine").text(SIGNALS)
-    ticks, amplitudes, hertz = _keyframes(one.at("keyframes", []))
-    return Effect(
-        one.at("position", 0).whole(0, _MAX_TICK),
-        np.array(ticks, np.int64),
-        np.array(amplitudes, np.float64),
-        np.array(hertz, np.float64),
-    )
-
-
-def _keyframes(keyframes: JsonValue) -> tuple[list[int], list[float], list[float]]:
-    """Ticks, amplitudes and frequencies; there are many of them, so that the usual case is checked in passing."""
+    begin = one.at("position", 0).whole(0, _MAX_TICK)
+    before = 0
     ticks: list[int] = []
     amplitudes: list[float] = []
     hertz: list[float] = []
-    last = 0
-    for i, one in enumerate(keyframes.items()):
-        if not isinstance(one, Mapping):
-            raise keyframes.item(i).refused("an object")
-        tick = one.get("relative_position", 0)
-        if type(tick) is not int or not last <= tick <= _MAX_TICK:
-            where = keyframes.item(i).at("relative_position")
-            where.whole(0, _MAX_TICK)
-            raise where.refused(f"a tick not before {last}, that of the keyframe before it")
-        last = tick
-        ticks.append(tick)
-        amplitudes.append(_number(one, "amplitude_modulation", -1.0, 1.0, keyframes, i))
-        hertz.append(_number(one, "frequency_modulation", 0.0, MAX_FREQUENCY_HZ, keyframes, i))
-    return ticks, amplitudes, hertz
-
-
-def _number(one: Mapping[str, Any], key: str, low: float, high: float, keyframes: JsonValue, index: int) -> float:
-    value = one.get(key, np.nan)
-    if type(value) is float and (low <= value <= high or value is np.nan):
-        return value
-    return keyframes.item(index).at(key).number(low, high)
+    for keyframe in one.at("keyframes", []).each():
+        tick = keyframe.at("relative_position", 0)
+        if tick.whole(0, _MAX_TICK) < before:
+            raise tick.refused(f"a tick not before {before}, that of the keyframe before it")
+        before = tick.value
+        ticks.append(before)
+        amplitude, frequency = keyframe.get("amplitude_modulation"), keyframe.get("frequency_modulation")
+        amplitudes.append(math.nan if amplitude is None else amplitude.number(-1, 1))
+        hertz.append(math.nan if frequency is None else frequency.number(0, MAX_FREQUENCY_HZ))
+    return Effect(begin, np.array(ticks, np.int64), np.array(amplitudes, np.float64), np.array(hertz, np.float64))
 
 
 class _Coder:
