@@ -8,8 +8,7 @@ top left, `Tactot` the type of the layout.
 
 A project is written as one effect on one track: its feedback is a list of spans, each with the dots that are on.
 
-A vest with fewer rows is written to all 20 dots, as the adapter of bHaptics drives it: of four rows the lowest is the
-fourth and the fifth, of two the upper is the first two and the lower the other three.
+A vest with fewer rows is written to all 20 dots, as `touchfield.adapters.bhaptics` drives it.
 
 **Resolution.** Intensities are whole hundredths. A span is at least `LEAST_SPAN_MS` long, the designer's interval; of
 the frames that fall into one span each dot takes its greatest drive, so that no tap is lost. Times are whole
@@ -96,28 +95,15 @@ def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front", n
         for row in range(ROWS)
         for column in range(COLUMNS)
     ]
-    track = {
-        "enable": True,
-        "effects": [{"name": called, "startTime": 0, "offsetTime": length_ms, "modes": modes}],
-    }
+    effects = [{"name": called, "startTime": 0, "offsetTime": length_ms, "modes": modes}]
     project = {
-        "name": called,
-        "id": called,
-        "description": "",
-        "createdAt": 0,
-        "updatedAt": 0,
+        "name": called, "id": called, "description": "", "createdAt": 0, "updatedAt": 0,
         "mediaFileDuration": math.ceil(length_ms / 1000),
         "layout": {"name": "Tactot", "type": "Tactot", "layouts": dict.fromkeys(POSITIONS, layout)},
-        "tracks": [track],
-    }
-    document = {
-        "project": project,
-        "durationMillis": length_ms,
-        "intervalMillis": LEAST_SPAN_MS,
-        "size": COLUMNS * ROWS,
-    }
-    with atomic_path(Path(path)) as temporary:
-        temporary.write_text(json.dumps(document) + "\n", encoding="utf-8")
+        "tracks": [{"enable": True, "effects": effects}],
+    }  # fmt: skip
+    size = {"durationMillis": length_ms, "intervalMillis": LEAST_SPAN_MS, "size": COLUMNS * ROWS}
+    _write(path, {"project": project, **size})
 
 
 def _spans(effect: ArrayEffect) -> Iterator[tuple[int, int, Int64s]]:
@@ -281,7 +267,7 @@ def _without_taps(
     return left, tuple(taps)
 
 
-def _points(values: Float64s, rate_hz: float) -> tuple[tuple[float, float], ...]:
+def _points(values: Float64s, rate_hz: float) -> Points:
     kept = thinned(np.arange(len(values)), np.round(values, DIGITS)[:, None], (_HALF_STEP,))
     return tuple((round(n / rate_hz, 6), round(float(values[n]), DIGITS)) for n in kept.tolist())
 
@@ -293,9 +279,7 @@ _LONGEST_S: Final = 30.0
 def write_haptic(path: str | Path, effect: ArrayEffect, name: str = "", description: str = "") -> tuple[str, ...]:
     """Write the drives of an array as ``.haptic``.
 
-    Returns tuple of str: what is lost on the way.
-
-    Raises SourceError if the system refuses to write.
+    Returns tuple of str: what is lost on the way. Raises SourceError if the system refuses to write.
     """
     track = OneTrack.of(effect)
     times = [time for time, _ in track.amplitudes]
@@ -325,7 +309,7 @@ def write_haptic(path: str | Path, effect: ArrayEffect, name: str = "", descript
             }
         },
     }  # fmt: skip
-    _write(path, document)
+    _write(path, document, indent=1)
     return track.notes
 
 
@@ -344,7 +328,7 @@ def write_ahap(path: str | Path, effect: ArrayEffect, name: str = "", descriptio
         for parameter, points in (("Intensity", track.amplitudes), ("Sharpness", track.sharpness)):
             pattern += _curves(f"Haptic{parameter}Control", points)
     told = {"Project": name, "Created": "", "Description": description}
-    _write(path, {"Version": 1.0, "Metadata": told, "Pattern": pattern})
+    _write(path, {"Version": 1.0, "Metadata": told, "Pattern": pattern}, indent=1)
     return track.notes
 
 
@@ -357,7 +341,7 @@ def _event(
     return {"Event": {"EventType": kind, "Time": round(time_s, 6), **duration, "EventParameters": parameters}}
 
 
-def _curves(parameter: str, points: tuple[tuple[float, float], ...]) -> Iterator[dict[str, Any]]:
+def _curves(parameter: str, points: Points) -> Iterator[dict[str, Any]]:
     """Curves end to end: the last point of one is the first of the next."""
     for first in range(0, max(1, len(points) - 1), _MOST_POINTS - 1):
         some = points[first : first + _MOST_POINTS]
@@ -366,6 +350,6 @@ def _curves(parameter: str, points: tuple[tuple[float, float], ...]) -> Iterator
         yield {"ParameterCurve": {"ParameterID": parameter, "Time": begin, "ParameterCurveControlPoints": told}}
 
 
-def _write(path: str | Path, document: dict[str, Any]) -> None:
+def _write(path: str | Path, document: dict[str, Any], indent: int | None = None) -> None:
     with atomic_path(Path(path)) as temporary:
-        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(document, indent=indent) + "\n", encoding="utf-8")

@@ -46,7 +46,6 @@ _VIEWER_WEIGHT: Final = 1.8
 _CANDIDATES: Final = 24
 _POINTS: Final = 4096  # of one way out
 _DIRECTIONS: Final = 8
-_WAYS: Final = 96  # on which the probe may leave
 _STEPS: Final = 32  # along the surface
 _ACROSS: Final = 65  # points of the line on which it is found again
 _LEAD, _SLIDE = 0.12, 0.2  # of the diagonal: how far outside the probe comes from, and how far it slides
@@ -259,7 +258,7 @@ def _slide(query: Query, touched: Float64s, out: Float64s, length: float, slack:
 
 
 def _left(query: Query, last: Float64s, out: Float64s, length: float) -> Float64s:
-    """Where the probe goes from its last touch: out, along the force there, or any way that is free sooner.
+    """Where the probe goes from its last touch: out, or along the force there, whichever is free sooner.
 
     A way on which the field pushes harder than at the touch itself, as through another wall, is the last choice.
     """
@@ -268,7 +267,7 @@ def _left(query: Query, last: Float64s, out: Float64s, length: float) -> Float64
     normal = force / touch_n
     distances = np.linspace(0.0, length, _ACROSS)
     best, end = -math.inf, last
-    for way in (out, normal, -normal, *_around(_WAYS)):
+    for way in (out, normal, -normal):
         sizes = _sizes(query(last + way * distances[:, None]))
         free = np.append(sizes <= 1e-6 * sizes.max(), False)
         begin = int(np.argmax(free))
@@ -282,23 +281,13 @@ def _left(query: Query, last: Float64s, out: Float64s, length: float) -> Float64
     return end
 
 
-def _around(count: int) -> Float64s:
-    """Unit vectors spread evenly over the sphere, float64 [count, 3]: a spiral of the golden angle."""
-    height = 1 - (2 * np.arange(count) + 1) / count
-    turn = np.pi * (3 - math.sqrt(5)) * np.arange(count)
-    ring = np.sqrt(1 - height * height)
-    return np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
-
-
 def _crossing(grid: Grid, viewer: Float64s) -> dict[str, Float64s]:
     """Through the middle of an empty workspace, as if a plane lay there."""
     low, high = grid.box_m
-    middle, up = (low + high) / 2, viewer
-    height, aside = float(high[2] - low[2]) / 2, np.array([_SLIDE * _diagonal(grid), 0.0, 0.0])
-    above = up * (height + _LEAD * _diagonal(grid))
+    middle, aside = (low + high) / 2, np.array([_SLIDE * _diagonal(grid), 0.0, 0.0])
+    above = viewer * (float(high[2] - low[2]) / 2 + _LEAD * _diagonal(grid))
     return {
-        "come": np.stack([middle + above, middle + up * height / 4]),
-        "press": np.stack([middle + up * height / 4, middle]),
+        "come": np.stack([middle + above, middle]),
         "slide": np.stack([middle, middle + aside]),
         "leave": np.stack([middle + aside, middle + aside + above]),
     }

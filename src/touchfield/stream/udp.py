@@ -99,7 +99,7 @@ class _Protocol(asyncio.DatagramProtocol):
             self._take(data)
 
 
-async def listen(address: str, take: Callable[[bytes], bool], is_layered: bool = False) -> Gathering:
+async def listen(address: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
     """Receive datagrams at an address, until ``take(message)`` says that the stream is over.
 
     With `is_layered` another layer is felt for what is lost: it is given up once it could have come.
@@ -117,6 +117,6 @@ async def listen(address: str, take: Callable[[bytes], bool], is_layered: bool =
         while True:
             for message in gathering.receive(await coming.get()):
                 if await asyncio.to_thread(take, message):
-                    return gathering
+                    return
     finally:
         transport.close()
