@@ -23,12 +23,13 @@ from typing import Final
 
 import numpy as np
 
-from touchfield.arrays import Float64s, Int64s
+from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
-from touchfield.medium.pose_track import rotation_matrices, slerp
+from touchfield.medium.pose_track import rotation_matrices
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace
 from touchfield.render.point_device import BOX_AXES, axes_matrix
+from touchfield.sources.poses import poses_between
 
 Query = Callable[[Float64s], Float64s]
 
@@ -110,18 +111,12 @@ def _following(scene: HapticScene, frame: int, met: Float64s, places: Float64s, 
     track = scene.objects[int(np.argmax(np.linalg.norm(felt, axis=-1)))].track
     if track.is_still:
         return places
-    before, after, share = _between(at, len(track))
-    shifts = track.positions_m[before] + share[:, None] * (track.positions_m[after] - track.positions_m[before])
-    before, after, share = _between(np.maximum(at, frame), len(track))
-    turns = rotation_matrices(slerp(track.quaternions[before], track.quaternions[after], share))
+    at = np.clip(at, 0, len(track) - 1)
+    _, shifts = poses_between(track.quaternions, track.positions_m, at)
+    quaternions, _ = poses_between(track.quaternions, track.positions_m, np.maximum(at, frame))
+    turns = rotation_matrices(quaternions)
     moved: Float64s = (turns @ track.to_body(places, frame)[:, :, None])[:, :, 0] + shifts
     return moved
-
-
-def _between(at: Float64s, count: int) -> tuple[Int64s, Int64s, Float64s]:
-    """The frames before and after each place in time, and its share of the way between them."""
-    before = np.clip(at, 0, count - 1).astype(np.int64)
-    return before, np.minimum(before + 1, count - 1), np.clip(at - before, 0.0, 1.0)
 
 
 def _frame(touched: HapticMedium | HapticScene | ForceField, at_s: float) -> tuple[Grid, Query, Float64s, int]:
