@@ -127,14 +127,14 @@ class _Client:
             form = self._url.lower().partition(":")[0].removesuffix("s")
             follow = {"w": self._by_socket, "udp": self._by_datagrams}.get(form, self._by_manifest)
             while True:
-                came = dict(self._frames.arrived) if self._frames is not None else {}
+                came_s = None if self._frames is None else self._frames.came_s
                 try:
                     if await follow(session):
                         return
                     found = "a connection that ended"
                 except (aiohttp.ClientError, OSError, TimeoutError) as error:
                     found = str(error) or type(error).__name__
-                tries = 0 if self._frames is not None and self._frames.arrived != came else tries + 1
+                tries = 0 if self._frames is not None and self._frames.came_s != came_s else tries + 1
                 if tries >= _MOST_TRIES or self._opened is None:
                     raise SourceError(self._name, found, "a live stream", "Check the address, and that it is on.")
                 self._tell(f"{found}: connecting again")
