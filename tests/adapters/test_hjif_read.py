@@ -112,6 +112,11 @@ def test_channels_without_an_array_lie_in_a_row_and_body_parts_side_by_side(tmp_
     assert "2 body parts" in made.notes[0]
 
 
+def test_thousands_of_channels_lie_in_a_row(tmp_path: Path) -> None:
+    made = read(tmp_path, *[channel(steady(0.5))] * 5000).effect
+    assert made.lattice == (5000, 1, 1) and (made.drives == 0.5).all()
+
+
 def test_perceptions_that_cannot_be_shown_are_left_out_or_refused(tmp_path: Path) -> None:
     both = document(channel(steady(0.5)))
     both["perceptions"].insert(0, document(channel(steady(1.0)), modality="Temperature")["perceptions"][0])

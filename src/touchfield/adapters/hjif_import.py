@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.hjif_read import Band, Channel, Effect, Hjif, Perception, read_hjif
+from touchfield.adapters.hjif_read import Band, Effect, Hjif, Perception, read_hjif
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
     MAX_SECONDS,
@@ -171,40 +171,28 @@ def _cells(perception: Perception, frames: int) -> tuple[list[Int64s], int, int,
     parts: dict[tuple[str, ...], list[int]] = {}
     for n, channel in enumerate(channels):
         parts.setdefault(channel.body, []).append(n)
-    sizes, rows, columns, offsets = {}, 1, 0, {}
-    for body, members in parts.items():
-        sizes[body] = _extent([channels[n] for n in members])
-        offsets[body] = columns
-        columns, rows = columns + sizes[body][0], max(rows, sizes[body][1])
-    untargeted = [(channels[n], sizes[body]) for body in parts for n in parts[body] if not channels[n].targets]
-    reached = sum(len(one.targets or ()) for one in channels)
-    reached += sum(math.prod(one.resolution or size) for one, size in untargeted)
-    if max(reached, rows * columns) * frames > MAX_VALUES:
-        found = f"{frames} frames of {max(reached, rows * columns)} actuators"
-        raise perception.place.wrong(found, f"at most {MAX_VALUES} drives", "Take a lower rate.")
-    cells: list[Int64s] = [np.zeros(0, np.int64)] * len(channels)
-    for body, members in parts.items():
-        in_a_row = not any(channels[n].resolution or channels[n].targets for n in members)
+    places = {}
+    rows, columns, reached = 1, 0, 0
+    for members in parts.values():
+        extents = [one.resolution for one in (channels[n] for n in members) if one.resolution]
+        extents += [(x + 1, y + 1) for n in members for x, y in channels[n].targets or ()]
+        width, height = map(max, zip(*extents)) if extents else (len(members), 1)
+        rows = max(rows, height)
         for place, n in enumerate(members):
-            at = np.array([(place, 0)]) if in_a_row else _targets(channels[n], sizes[body])
-            cells[n] = at[:, 1] * columns + at[:, 0] + offsets[body]
-    return cells, rows, columns, len(parts)
-
-
-def _extent(channels: list[Channel]) -> tuple[int, int]:
-    """Columns and rows of one body part."""
-    told = [one.resolution for one in channels if one.resolution]
-    told += [(x + 1, y + 1) for one in channels for x, y in one.targets or ()]
-    if not told:
-        return (len(channels), 1)
-    return (max(x for x, _ in told), max(y for _, y in told))
-
-
-def _targets(channel: Channel, size: tuple[int, int]) -> Int64s:
-    if channel.targets:
-        return np.array(sorted(set(channel.targets)), np.int64)
-    columns, rows = channel.resolution or size
-    return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+            across, up = channels[n].resolution or (width, height)
+            if not extents:
+                x, y = np.array([place]), np.array([0])
+            elif targets := channels[n].targets:
+                x, y = np.array(sorted(set(targets)), np.int64).T
+            else:
+                y, x = np.divmod(np.arange(across * up), across)
+            places[n], reached = (columns + x, y), reached + len(x)
+            actuators = max(reached, rows * (columns + width))
+            if actuators * frames > MAX_VALUES:
+                found = f"{frames} frames of {actuators} actuators"
+                raise perception.place.wrong(found, f"at most {MAX_VALUES} drives", "Take a lower rate.")
+        columns += width
+    return [y * columns + x for _, (x, y) in sorted(places.items())], rows, columns, len(parts)
 
 
 def _images(of: Float32s, rows: int, columns: int) -> Float32s:
@@ -259,7 +247,7 @@ _SLACK: Final = 0.5
 def end_tick(band: Band, timescale: int) -> float:
     """The tick at which the last effect of a band is over; 0 for a band without any."""
     if band.kind == "WaveletWave":
-        return max((one.position + _length(one) * timescale / band.upper_hz for one in band.effects), default=0)
+        return max((one.position + len(one.samples) * timescale / band.upper_hz for one in band.effects), default=0)
     after = math.ceil(TRANSIENT_S * timescale) if band.kind == "Transient" else 0
     return max((one.position + int(one.ticks[-1]) + after for one in band.effects if len(one.ticks)), default=0)
 
@@ -287,10 +275,6 @@ def _governed(band: Band, places: Float64s) -> Iterable[tuple[Effect, int, int]]
         yield effect, first, max(first, min(stop, following))
 
 
-def _length(block: Effect) -> int:
-    return 0 if block.samples is None else len(block.samples)
-
-
 def _wavelets(band: Band, places: Float64s, timescale: int) -> Drive:
     """Blocks end to end, each run of them that is not silent as one wave."""
     drive = Drive.silent(len(places))
@@ -298,7 +282,7 @@ def _wavelets(band: Band, places: Float64s, timescale: int) -> Drive:
     runs: list[tuple[float, list[Float64s]]] = []
     end = -math.inf
     for block in band.effects:
-        if block.samples is None or not block.samples.any():
+        if not block.samples.any():
             continue
         if abs(block.position - end) > 1:
             runs.append((block.position, []))

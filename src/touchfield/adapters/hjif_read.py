@@ -59,14 +59,14 @@ class Effect:
     """One effect of a band, from `position` on.
 
     The ticks of its keyframes count from there and never fall; amplitudes and frequencies [n] are NaN where a
-    keyframe has none. A block of wavelets has samples instead: so many of the band's upper limit a second.
+    keyframe has none. A block of wavelets has samples instead, else none: so many of the band's upper limit a second.
     """
 
     position: int
     ticks: Int64s
     amplitudes: Float64s
     frequencies_hz: Float64s
-    samples: Float64s | None = None
+    samples: Float64s
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ def _effect(one: JsonValue) -> Effect:
         amplitude, frequency = keyframe.get("amplitude_modulation"), keyframe.get("frequency_modulation")
         amplitudes.append(math.nan if amplitude is None else amplitude.number(-1, 1))
         hertz.append(math.nan if frequency is None else frequency.number(0, MAX_FREQUENCY_HZ))
-    return Effect(begin, np.array(ticks, np.int64), np.array(amplitudes, np.float64), np.array(hertz, np.float64))
+    return Effect(begin, np.array(ticks, np.int64), np.array(amplitudes), np.array(hertz), np.zeros(0))
 
 
 class _Coder:

@@ -76,20 +76,13 @@ class _Bits:
 class _Document:
     """The document as far as the packets have come."""
 
-    def __init__(self, file: str) -> None:
-        self.file, self.timescale, self.time = file, 1000, 0
+    def __init__(self) -> None:
+        self.timescale, self.time = 1000, 0
         self.root: dict[str, Any] = {}
         self.perceptions: dict[int, dict[str, Any]] = {}
         self.channels: dict[tuple[int, int], dict[str, Any]] = {}
         self.bands: dict[int, dict[str, Any]] = {}
         self.effects: dict[tuple[int, int], dict[str, Any]] = {}
-
-    def value(self) -> JsonValue:
-        if not self.root:
-            raise SourceError(self.file, "no packet of metadata", _WHAT)
-        return JsonValue(
-            {**self.root, "timescale": self.timescale, "perceptions": list(self.perceptions.values())}, self.file
-        )
 
 
 def read_hmpg(path: str | Path) -> JsonValue:
@@ -99,7 +92,7 @@ def read_hmpg(path: str | Path) -> JsonValue:
     has not told.
     """
     data = read_bytes(path, _MOST_BYTES, _WHAT)
-    document, at, unit = _Document(str(path)), 0, 0
+    document, at, unit = _Document(), 0, 0
     while at < len(data):
         head = _Bits(data[at : at + _UNIT_HEAD], f"{path}: unit {unit}")
         kind, _, _, duration, length, _ = (head.whole(n) for n in (6, 2, 4, 24, 32, 4))
@@ -110,7 +103,10 @@ def read_hmpg(path: str | Path) -> JsonValue:
         _unit(document, data[begin : begin + length], f"{path}: unit {unit}", kind == _SPATIAL)
         at, unit = begin + length, unit + 1
         document.time += duration
-    return document.value()
+    if not document.root:
+        raise SourceError(str(path), "no packet of metadata", _WHAT)
+    perceptions = list(document.perceptions.values())
+    return JsonValue({**document.root, "timescale": document.timescale, "perceptions": perceptions}, str(path))
 
 
 def _unit(document: _Document, data: bytes, where: str, is_spatial: bool) -> None:
