@@ -231,16 +231,15 @@ class OneTrack:
     def of(cls, effect: ArrayEffect, has_taps: bool = True) -> OneTrack:
         """The track of an effect; an only frame is held for the time of a frame, taps may stay in the envelope."""
         frames, actuators = len(effect), effect.drives[0].size
-        every = effect.drives.reshape(frames, -1)
-        strongest = np.argmax(every, axis=1)
-        drives = every[np.arange(frames), strongest].astype(np.float64)
+        every, frequencies = effect.drives.reshape(frames, -1), effect.frequencies_hz
+        strongest = np.arange(frames), np.argmax(every, axis=1)
+        own = None if frequencies is None else frequencies.reshape(frames, -1)[strongest]
+        hertz = filled_hz(every[strongest], own).astype(np.float64)
+        drives = every[strongest].astype(np.float64)
         low, high = SHARPNESS_HZ
         notes: tuple[str, ...] = ()
         if actuators > 1:
             notes = (f"{actuators} actuators become one: the strongest at each moment is told.",)
-        own = effect.frequencies_hz
-        own = None if own is None else own.reshape(frames, -1)[np.arange(frames), strongest]
-        hertz = filled_hz(drives.astype(np.float32), own).astype(np.float64)
         if hertz.min() < low or hertz.max() > high:
             notes += (f"Frequencies beyond {low:g} to {high:g} Hz are told as the nearer of these.",)
         sharp = np.clip((hertz - low) / (high - low), 0, 1)
@@ -327,8 +326,8 @@ def write_ahap(path: str | Path, effect: ArrayEffect, name: str = "", descriptio
             begin += length
         for parameter, points in (("Intensity", track.amplitudes), ("Sharpness", track.sharpness)):
             pattern += _curves(f"Haptic{parameter}Control", points)
-    told = {"Project": name, "Created": "", "Description": description}
-    _write(path, {"Version": 1.0, "Metadata": told, "Pattern": pattern}, indent=1)
+    metadata = {"Project": name, "Created": "", "Description": description}
+    _write(path, {"Version": 1.0, "Metadata": metadata, "Pattern": pattern}, indent=1)
     return track.notes
 
 
@@ -346,8 +345,8 @@ def _curves(parameter: str, points: Points) -> Iterator[dict[str, Any]]:
     for first in range(0, max(1, len(points) - 1), _MOST_POINTS - 1):
         some = points[first : first + _MOST_POINTS]
         begin = some[0][0]
-        told = [{"Time": round(time - begin, 6), "ParameterValue": value} for time, value in some]
-        yield {"ParameterCurve": {"ParameterID": parameter, "Time": begin, "ParameterCurveControlPoints": told}}
+        controls = [{"Time": round(time - begin, 6), "ParameterValue": value} for time, value in some]
+        yield {"ParameterCurve": {"ParameterID": parameter, "Time": begin, "ParameterCurveControlPoints": controls}}
 
 
 def _write(path: str | Path, document: dict[str, Any], indent: int | None = None) -> None:

@@ -213,11 +213,11 @@ def wave_drive(times_s: Float64s, values: Float64s, at_s: Float64s, window_s: fl
     the amplitude is then its magnitude.
     """
     slow = np.abs(np.interp(at_s, times_s, values)), np.zeros(len(at_s))
-    held = np.flatnonzero(values)
-    turns = np.flatnonzero(np.diff(np.sign(values[held])))
+    nonzero = np.flatnonzero(values)
+    turns = np.flatnonzero(np.diff(np.sign(values[nonzero])))
     if len(turns) < 2:
         return slow
-    before, after = held[turns], held[turns + 1]
+    before, after = nonzero[turns], nonzero[turns + 1]
     share = values[before] / (values[before] - values[after])
     crossings_s = times_s[before] + share * (times_s[after] - times_s[before])
     bounds = np.concatenate([[0], after, [len(values)]])
@@ -267,11 +267,11 @@ def drive_of(bands: Iterable[Band], frames: int, ticks_per_frame: float, timesca
 
 def _governed(band: Band, places: Float64s) -> Iterable[tuple[Effect, int, int]]:
     """Each effect with the places, from and to, at which it is felt."""
-    held = [one for one in band.effects if len(one.ticks)]
-    low, high = [one.position - _SLACK for one in held], [one.position + one.ticks[-1] + _SLACK for one in held]
+    effects = [one for one in band.effects if len(one.ticks)]
+    low, high = [one.position - _SLACK for one in effects], [one.position + one.ticks[-1] + _SLACK for one in effects]
     begins = np.searchsorted(places, low, side="left").tolist()
     ends = np.searchsorted(places, high, side="right").tolist()
-    for effect, first, stop, following in zip(held, begins, ends, [*begins[1:], len(places)]):
+    for effect, first, stop, following in zip(effects, begins, ends, [*begins[1:], len(places)]):
         yield effect, first, max(first, min(stop, following))
 
 

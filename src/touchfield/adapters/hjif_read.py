@@ -295,8 +295,8 @@ class _Coder:
         width = self.high - self.low
         share = int(self.zeros[context] / self.seen[context] * _FULL + 0.5)
         split = min(max(width * share // _FULL, 1), width - 1)
-        found = int(self.lead - self.low >= split)
-        if found:
+        bit = int(self.lead - self.low >= split)
+        if bit:
             self.low += split
         else:
             self.high = self.low + split
@@ -310,7 +310,7 @@ class _Coder:
             elif self.low >= _QUARTER and self.high <= _THREE_QUARTERS:
                 off = _QUARTER
             else:
-                return found
+                return bit
             self.low, self.high = 2 * (self.low - off), 2 * (self.high - off)
             self.lead -= off
             self._take()

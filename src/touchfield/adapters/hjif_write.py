@@ -154,8 +154,8 @@ def write_hjif_force(
         }
         for axis, name in enumerate("XYZ")
     ]
-    told = "Force", f"force at a point, in units of {full_scale_n:g} N"
-    _write(path, description or "force over time", timescale, told, device_name, channels, len(channels))
+    perception = "Force", f"force at a point, in units of {full_scale_n:g} N"
+    _write(path, description or "force over time", timescale, perception, device_name, channels, len(channels))
 
 
 def _write(

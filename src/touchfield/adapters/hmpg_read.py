@@ -164,8 +164,8 @@ def _perception(document: _Document, bits: _Bits) -> None:
 def _device(bits: _Bits) -> dict[str, Any]:
     number, name = bits.whole(8), bits.text()
     bits.whole(32)  # body parts
-    told = bits.whole(12)
-    bits.whole(32 * (told >> 1).bit_count() + 4 * (told & 1))  # none of which we use
+    flags = bits.whole(12)
+    bits.whole(32 * (flags >> 1).bit_count() + 4 * (flags & 1))  # none of which we use
     return {"id": max(1, number), "name": name}
 
 
@@ -176,16 +176,16 @@ def _channel(document: _Document, bits: _Bits) -> None:
     bits.whole(8)  # its device
     own["gain"] = max(0.0, round(bits.number(32, -_GREATEST, _GREATEST), 5))
     own["mixing_coefficient"] = round(bits.number(32, 0, _GREATEST), 5)
-    told = bits.whole(8)
-    if told & 1:
+    flags = bits.whole(8)
+    if flags & 1:
         own["body_part_mask"] = bits.whole(32)
-    elif told & 2:
+    elif flags & 2:
         own["actuator_resolution"] = bits.vector()
         own["body_part_target"] = [f"part {bits.whole(8)}" for _ in range(bits.whole(8))]
         own["actuator_target"] = [bits.vector() for _ in range(bits.whole(8))]
     if bits.whole(32):
         bits.whole(32)
-    if told & 4:
+    if flags & 4:
         own["direction"] = bits.vector()
     if perception not in document.perceptions:
         raise SourceError(bits.where, f"a channel of perception {perception}", "one that was told before it")
@@ -252,12 +252,12 @@ def _keyframes(bits: _Bits, kind: str, effect: dict[str, Any]) -> list[dict[str,
         effect["phase"] = bits.number(16, 0, _LARGEST_PHASE)
         effect["base_signal"] = bits.one_of(4, SIGNALS, "a signal of number")
     for _ in range(count):
-        told = bits.whole(2) if is_wave else 1 if kind == "Curve" else 3
+        flags = bits.whole(2) if is_wave else 1 if kind == "Curve" else 3
         own: dict[str, Any] = {}
-        if told & 1:
+        if flags & 1:
             own["amplitude_modulation"] = bits.number(8, -1, 1)
         own["relative_position"] = bits.whole(16)
-        if told & 2:
+        if flags & 2:
             own["frequency_modulation"] = float(min(bits.whole(16), _GREATEST))
         keyframes.append(own)
     return keyframes

@@ -205,9 +205,9 @@ def effect_medium(effect: ArrayEffect, grid: Grid, force_max_n: float, provenanc
     def vibration(i: int) -> VibrationFrame:
         assert effect.frequencies_hz is not None
         hertz, amplitudes_n = effect.frequencies_hz[i][::-1].T, effect.drives[i][::-1].T * scale
-        held = np.argwhere((hertz > 0) & (amplitudes_n > 0))
-        x, y = held.T
-        positions = np.concatenate([held, np.zeros((len(held), 1), np.int64)], axis=1).astype(np.int32)
+        driven = np.argwhere((hertz > 0) & (amplitudes_n > 0))
+        x, y = driven.T
+        positions = np.concatenate([driven, np.zeros((len(driven), 1), np.int64)], axis=1).astype(np.int32)
         return VibrationFrame(grid, positions, amplitudes_n[x, y], hertz[x, y])
 
     band = None if effect.frequencies_hz is None else VibrationBand(grid, len(effect), vibration)

@@ -196,30 +196,30 @@ def _way_out(
     distances = step * np.arange(math.ceil(diagonal / step) + 1)
     gap = max(3, len(distances) // 32)
     centre = points.mean(axis=0)
-    best, found = -math.inf, None
+    best, way = -math.inf, None
     for point, normal, strength in zip(points, along, strengths / strengths.max(), strict=True):
         for out in (normal, -normal):
             line = query(point + out * distances[:, None])
             sizes = _sizes(line)
-            held = sizes > 1e-6 * sizes.max()
-            ends = np.append(np.flatnonzero(held), len(held) + gap)  # the way beyond the last point is free
+            felt = sizes > 1e-6 * sizes.max()
+            ends = np.append(np.flatnonzero(felt), len(felt) + gap)  # the way beyond the last point is free
             last = int(np.argmax(np.diff(ends) > gap))  # the first of them that free space follows
-            exit_, beyond = int(ends[last]) + 1, min(int(ends[last + 1]), len(held))
+            exit_, beyond = int(ends[last]) + 1, min(int(ends[last + 1]), len(felt))
             near = slice(max(0, exit_ - 6), exit_)
             resisting = float((line[near] @ out).sum() / sizes[near].sum())
             free = step * (beyond - exit_)
             score = (
                 2 * min(1.0, free / (_LEAD * diagonal))
-                + 1.5 * (ends[last + 1] >= len(held))
+                + 1.5 * (ends[last + 1] >= len(felt))
                 + 2 * resisting
                 + strength
             )
             score += _VIEWER_WEIGHT * float(out @ viewer)
             score -= 0.5 * (step * exit_ + float(np.linalg.norm(point - centre))) / diagonal
             if score > best:
-                best, found = score, (point, out, step * exit_, free)
-    assert found is not None
-    return found
+                best, way = score, (point, out, step * exit_, free)
+    assert way is not None
+    return way
 
 
 def _slide(query: Query, touched: Float64s, out: Float64s, length: float, slack: float) -> Float64s:

@@ -96,9 +96,9 @@ class Datagrams:
         return datagrams
 
     def _datagram(self, length: int, symbol: int, packet: bytes) -> bytes:
-        told = (_MAGIC, self._stream, self._number, length, symbol)
-        crc = zlib.crc32(packet, zlib.crc32(_HEAD.pack(*told, 0)))
-        return _HEAD.pack(*told, crc) + packet
+        head = (_MAGIC, self._stream, self._number, length, symbol)
+        crc = zlib.crc32(packet, zlib.crc32(_HEAD.pack(*head, 0)))
+        return _HEAD.pack(*head, crc) + packet
 
 
 class _Part:
@@ -139,11 +139,11 @@ class Gathering:
 
     def receive(self, datagram: bytes) -> list[bytes]:
         """Take a datagram; the messages that are whole now, and next in order."""
-        told = self._told(datagram)
-        if told is None:
+        parts = self._told(datagram)
+        if parts is None:
             self.refused += 1
             return []
-        number, length, symbol, packet = told
+        number, length, symbol, packet = parts
         if not self._is_begun:
             self._is_begun, self._next, self._newest = True, number, number
         if number < self._next:

@@ -206,10 +206,10 @@ def _found(source: Any, name: str) -> tuple[list[bytes], float]:
             track[-1] += bytes(packet)
         else:
             track.append(bytearray(packet))
-    found = next(((index, track) for index, track in tracks.items() if index not in foreign and track), None)
-    if found is None:
+    first = next(((index, track) for index, track in tracks.items() if index not in foreign and track), None)
+    if first is None:
         raise SourceError(name, "no track of touch", "a movie that touchfield mux made")
-    return [bytes(one) for one in found[1]], max(0.0, times[found[0]] - (begins if name.endswith(".ts") else 0.0))
+    return [bytes(one) for one in first[1]], max(0.0, times[first[0]] - (begins if name.endswith(".ts") else 0.0))
 
 
 _Head = tuple[Any, dict[str, str], list[ObjectRecord]]
@@ -290,9 +290,9 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
     kept = [one for one in source.streams if one.type in ("video", "audio")]
     names = {"single_file": "1", "single_file_name": f"{out.stem}-$RepresentationID$.mp4"}
     with TemporaryDirectory(prefix=".touchfield-", dir=out.parent) as folder:
-        made = Path(folder) / out.name
-        _copy(source, kept, out, made, "dash", names)
-        _add_touch(made, f"{out.stem}.touch", at_s, rate_bits)
+        manifest = Path(folder) / out.name
+        _copy(source, kept, out, manifest, "dash", names)
+        _add_touch(manifest, f"{out.stem}.touch", at_s, rate_bits)
         try:
             shutil.copyfile(stream, Path(folder) / f"{out.stem}.touch")
             for path in Path(folder).iterdir():
@@ -312,8 +312,8 @@ def _add_touch(manifest: Path, name: str, at_s: float, rate_bits: float) -> None
     period = tree.getroot().find(f"{{{_SPACE}}}Period")
     assert period is not None
 
-    def add(parent: ElementTree.Element, kind: str, **given: str) -> ElementTree.Element:
-        return ElementTree.SubElement(parent, f"{{{_SPACE}}}{kind}", given)
+    def add(parent: ElementTree.Element, kind: str, **attributes: str) -> ElementTree.Element:
+        return ElementTree.SubElement(parent, f"{{{_SPACE}}}{kind}", attributes)
 
     touch = add(period, "AdaptationSet", contentType="application", mimeType=MEDIA_TYPE)
     add(touch, "SupplementalProperty", schemeIdUri=BEGINS, value=f"{at_s:g}")

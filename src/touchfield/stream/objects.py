@@ -154,7 +154,7 @@ class SceneStream(OpenStream):
         return lambda field: fitted.symbols_of(field.vectors_n()).astype(np.int64)
 
     def _coder(self) -> dict[str, Any]:
-        told = {
+        keys = {
             **self.decoder.describe(),
             "bits_poses": self.bits.poses,
             "bits_fields": self.bits.total - self.bits.poses,
@@ -163,11 +163,11 @@ class SceneStream(OpenStream):
         described = [decoder.describe() for decoder in self.decoder.field_decoders]
         modes = {keys["mode"] for keys in described if "mode" in keys}
         if not modes:  # nothing is promised of the composed field
-            return told
+            return keys
         segments = enumerate(self.reader.segments)
         worst = worst_keys((entry.first_frame, self.decoder.parts(self._body(i)).worst) for i, entry in segments)
         tolerance_um = 1e6 * self.decoder.place_tolerance_m
-        return {**told, "mode": ", ".join(sorted(modes)), **worst, "place_tolerance_um": tolerance_um}
+        return {**keys, "mode": ", ".join(sorted(modes)), **worst, "place_tolerance_um": tolerance_um}
 
     def _medium(self, index: int, one: CodedObject) -> HapticMedium:
         """The fields of one object."""

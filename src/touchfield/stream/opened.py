@@ -140,14 +140,14 @@ class OpenStream(ABC):
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; those of the vibration only where there is one."""
         head = self.reader.head
-        size, bits, told = self.file_bytes, self.bits, self._coder()
-        told |= {f"bits_{name}": getattr(bits, name) for name in ("support", "amplitude", "direction", "models")}
-        told["bits_side"] = 8 * size - (bits.total - bits.side)
+        size, bits, keys = self.file_bytes, self.bits, self._coder()
+        keys |= {f"bits_{name}": getattr(bits, name) for name in ("support", "amplitude", "direction", "models")}
+        keys["bits_side"] = 8 * size - (bits.total - bits.side)
         band = {} if self._vibration is None else self._vibration.summary()
         if band:
-            told["bits_side"] -= band["bits_vibration"]
-        if "promise_kept" in told:
-            told["promise_against"] = self.reader.provenance.get("reference", FILTERED)
+            keys["bits_side"] -= band["bits_vibration"]
+        if "promise_kept" in keys:
+            keys["promise_against"] = self.reader.provenance.get("reference", FILTERED)
         return {
             "file_bytes": size,
             "frames": head.frame_count,
@@ -167,7 +167,7 @@ class OpenStream(ABC):
             "f0_n": head.force_threshold_n,
             "coder": head.coder,
             "representation": "voxel" if self.scene is None else "object",
-            **told,
+            **keys,
             "cr_full": compression_ratio(8 * size, head.frame_count, self.grid.voxel_count),
             "cr_literal": compression_ratio(bits.amplitude + bits.direction, head.frame_count, self.grid.voxel_count),
             **band,
@@ -205,8 +205,8 @@ class VoxelStream(OpenStream):
 
     @property
     def masking(self) -> tuple[float, float] | None:
-        told = self.decoder.describe()
-        return (told["masking"], told["masking_radius_m"]) if "masking" in told else None
+        keys = self.decoder.describe()
+        return (keys["masking"], keys["masking_radius_m"]) if "masking" in keys else None
 
     @property
     def held(self) -> SegmentFrames:
@@ -235,23 +235,23 @@ class VoxelStream(OpenStream):
 
     def _coder(self) -> dict[str, Any]:
         kinds = [c.kind.name.lower() for c in self.costs]
-        told: dict[str, Any] = {
+        keys: dict[str, Any] = {
             **self.decoder.describe(),
             "frame_kinds": {k: kinds.count(k) for k in dict.fromkeys(kinds)},
             "bits_per_frame_by_kind": self.bits_by_kind(),
         }
         if not coder(self.reader.head.coder).has_promise:
-            return told
+            return keys
         costs = [cost for cost in self.costs if isinstance(cost, TouchCost)]
-        told["guesses"] = sum(cost.guess_bits > 0 for cost in costs)
-        told["bits_guesses"] = sum(cost.guess_bits for cost in costs)
-        told["bits_sent_apart"] = sum(cost.exception_bits for cost in costs)
+        keys["guesses"] = sum(cost.guess_bits > 0 for cost in costs)
+        keys["bits_guesses"] = sum(cost.guess_bits for cost in costs)
+        keys["bits_sent_apart"] = sum(cost.exception_bits for cost in costs)
         segments = self.reader.segments
         promises: list[Promise] = [self.decoder.promise(self.reader.read_segment(i)) for i in range(len(segments))]
-        told["mode"], jnd_deg = promises[-1].mode, promises[-1].direction_jnd_deg
+        keys["mode"], jnd_deg = promises[-1].mode, promises[-1].direction_jnd_deg
         if jnd_deg is not None:
-            told["direction_jnd_deg"] = jnd_deg
-        return told | worst_keys((s.first_frame, promise.worst) for s, promise in zip(segments, promises))
+            keys["direction_jnd_deg"] = jnd_deg
+        return keys | worst_keys((s.first_frame, promise.worst) for s, promise in zip(segments, promises))
 
 
 def worst_keys(segments: Iterable[tuple[int, Worst | None]]) -> dict[str, Any]:
@@ -317,25 +317,24 @@ def write_field(
     from touchfield.medium.npz import write_npz
     from touchfield.medium.vti import write_vti
 
+    def progress(done: int) -> None:
+        report(done, len(medium))
+
     path = Path(path)
-    told = placement.told() if placement is not None else {}
+    attributes = placement.told() if placement is not None else {}
     if path.suffix == ".zarr":
         from touchfield.medium.zarr_store import write_zarr
 
-        write_zarr(path, medium, lambda done: report(done, len(medium)), told)
+        write_zarr(path, medium, progress, attributes)
         return path
     needed, allowed = 12 * medium.grid.voxel_count, memory_budget_bytes()
     if needed > allowed:
         size = f"{needed / 2**30:.1f} GiB for each dense frame of {medium.grid.shape} samples"
         mend = "Keep the .touch file, which is sparse, or set TOUCHFIELD_MEMORY_GIB."
         raise InvalidArgument(str(path), size, f"at most {allowed / 2**30:.1f} GiB", mend)
-
-    def progress(done: int) -> None:
-        report(done, len(medium))
-
     if path.suffix == ".npz":
-        write_npz(path, medium, progress, told)
+        write_npz(path, medium, progress, attributes)
         return path
     if path.suffix == ".vti":
-        return write_vti(path, medium, progress=progress, told=told)
+        return write_vti(path, medium, progress=progress, told=attributes)
     raise InvalidArgument(str(path), f"the ending {path.suffix!r}", "FIELD.npz, FIELD.zarr or FIELD.vti")
