@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -51,7 +50,6 @@ class StreamScene(StoredScene):
     def __init__(self, path: str | Path) -> None:
         reader = TouchReader(path)
         stream = opened(reader)
-        weakref.finalize(stream.held, reader.close)
         super().__init__(stream.medium)
         self.objects: HapticScene | None = stream.scene
         head = reader.head

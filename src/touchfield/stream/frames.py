@@ -140,12 +140,10 @@ class VibrationFrames:
     reader : TouchReader
     grid : Grid
         Of the stream's head.
-    held : object
-        What keeps the reader open as long as it is in use.
     """
 
-    def __init__(self, reader: TouchReader, grid: Grid, held: object) -> None:
-        self._reader, self._grid, self._held = reader, grid, held
+    def __init__(self, reader: TouchReader, grid: Grid) -> None:
+        self._reader, self._grid = reader, grid
         self._lock = Lock()
         self._latest: tuple[int, list[VibrationFrame]] | None = None
 

@@ -376,10 +376,6 @@ class LiveStream(OpenStream):
         )  # fmt: skip
 
     @property
-    def held(self) -> LiveFrames:
-        return self.frames
-
-    @property
     def bits(self) -> BitAccount:
         raise SourceError(self.reader.name, "a live stream", "a file, whose bits can be counted")
 

@@ -183,22 +183,17 @@ def _copy(
 
 
 def _found(source: Any, name: str) -> tuple[list[bytes], float]:
-    """The samples of the track whose first one is touch, and the movie's second at which that is."""
+    """The samples of the first track of touch, from its first head on, and the movie's second at which that is."""
     begins = min((float(one.start_time * one.time_base) for one in source.streams if one.start_time), default=0.0)
     times: dict[int, float] = {}
     data = [one for one in source.streams if one.type == "data"]
     tracks: dict[int, list[bytearray]] = {}
-    foreign: set[int] = set()
     size = 0
     for packet in source.demux(data) if data else ():
-        index = packet.stream.index
-        if index in foreign or not packet.size:
+        track = tracks.setdefault(packet.stream.index, [])
+        if not packet.size or not (track or bytes(packet).startswith(MAGIC)):
             continue
-        track = tracks.setdefault(index, [])
-        if not track and not bytes(packet).startswith(MAGIC):
-            foreign.add(index)
-            continue
-        times.setdefault(index, float((packet.pts or 0) * packet.time_base))
+        times.setdefault(packet.stream.index, float((packet.pts or 0) * packet.time_base))
         size += packet.size
         if size > _MOST_BYTES:
             raise SourceError(name, f"more than {_MOST_BYTES} bytes of touch", "less")
@@ -206,7 +201,7 @@ def _found(source: Any, name: str) -> tuple[list[bytes], float]:
             track[-1] += bytes(packet)
         else:
             track.append(bytearray(packet))
-    first = next(((index, track) for index, track in tracks.items() if index not in foreign and track), None)
+    first = next(((index, track) for index, track in tracks.items() if track), None)
     if first is None:
         raise SourceError(name, "no track of touch", "a movie that touchfield mux made")
     return [bytes(one) for one in first[1]], max(0.0, times[first[0]] - (begins if name.endswith(".ts") else 0.0))

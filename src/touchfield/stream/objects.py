@@ -129,10 +129,6 @@ class SceneStream(OpenStream):
     def medium(self) -> HapticMedium:
         return replace(self.scene.voxelise(), vibration=None if self._vibration is None else self._vibration.band)
 
-    @property
-    def held(self) -> object:
-        return self
-
     @cached_property
     def bits(self) -> BitAccount:
         """See `OpenStream`: of the objects and of all segments; nothing is decoded."""

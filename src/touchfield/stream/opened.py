@@ -99,11 +99,6 @@ class OpenStream(ABC):
 
     @property
     @abstractmethod
-    def held(self) -> object:
-        """The object that `medium` and `scene` hold on to, and that needs the reader to be open."""
-
-    @property
-    @abstractmethod
     def bits(self) -> BitAccount:
         """Bits by what they tell; those of the file's frame are not counted."""
 
@@ -122,7 +117,7 @@ class OpenStream(ABC):
     @property
     def _vibration(self) -> VibrationFrames | None:
         """The vibration beside the force; None where the file tells of nothing."""
-        return VibrationFrames(self.reader, self.grid, self.held) if self.reader.has_vibration else None
+        return VibrationFrames(self.reader, self.grid) if self.reader.has_vibration else None
 
     def supported_voxels(self, report: Report = silent) -> int:
         """Voxels that hold a force, over all frames; all are decoded."""
@@ -207,10 +202,6 @@ class VoxelStream(OpenStream):
     def masking(self) -> tuple[float, float] | None:
         keys = self.decoder.describe()
         return (keys["masking"], keys["masking_radius_m"]) if "masking" in keys else None
-
-    @property
-    def held(self) -> SegmentFrames:
-        return self._frames
 
     @cached_property
     def costs(self) -> tuple[FrameCost, ...]:
