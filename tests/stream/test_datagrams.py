@@ -163,7 +163,6 @@ def test_a_hand_feels_what_is_live_through_a_network_that_loses() -> None:
                 link.add(sender.add(segment(5 * i)))
                 if done.wait(0.05):
                     return
-        assert link.sent_bytes > 0
 
     thread = threading.Thread(target=send, daemon=True)
     with suppress(Exception):

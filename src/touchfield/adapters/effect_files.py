@@ -76,14 +76,12 @@ def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front", n
     """Write the drives of a vest, four columns and five, four or two rows, as ``.tact``.
 
     `panel` is "front" or "back", `name` that of the pattern, by default the file's. Raises InvalidArgument if the
-    array is another, or there is no such panel; SourceError if the system refuses to write.
+    array is another; SourceError if the system refuses to write.
     """
     columns, rows, _ = effect.lattice
     if not fits_vest(effect.lattice):
         found, expected = f"{columns} columns, {rows} rows", f"{COLUMNS} columns, and 5, 4 or 2 rows"
         raise InvalidArgument("array", found, expected, "Take --device tactsuit-x40.")
-    if panel not in _PANELS:
-        raise InvalidArgument("panel", repr(panel), " or ".join(_PANELS))
     spans = list(_spans(effect))
     length_ms = max(1, round(1000 * len(effect) / effect.rate_hz))
     modes = {

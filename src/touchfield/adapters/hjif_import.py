@@ -62,14 +62,13 @@ def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> Impor
     """
     checked_rate(rate_hz)
     document = read_hjif(path)
-    felt = [one for one in document.perceptions if one.modality in MODALITIES[:-1]]
-    felt = felt or [one for one in document.perceptions if one.modality in MODALITIES]
+    felt = [one for one in document.perceptions if one.modality in MODALITIES]
     if not felt:
         raise document.place.wrong(
             "perceptions of " + ", ".join(sorted({one.modality for one in document.perceptions})),
             "one of " + ", ".join(MODALITIES),
         )
-    perception = felt[0]
+    perception = next((one for one in felt if one.modality != "Other"), felt[0])
     notes = _notes(document, perception)
     frames = _frames(document, perception, rate_hz)
     if perception.modality == "Force" and any(one.direction for one in perception.channels):

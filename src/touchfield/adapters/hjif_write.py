@@ -74,14 +74,12 @@ def write_hjif_array(
         "front" or "back" of the chest.
     description : str
 
-    Raises InvalidArgument if the array has more than 127 columns or rows, there is no such panel, or a frame takes
-    less than one tick of a millisecond or more than 65535; SourceError if the system refuses to write.
+    Raises InvalidArgument if the array has more than 127 columns or rows, or a frame takes less than one tick of a
+    millisecond or more than 65535; SourceError if the system refuses to write.
     """
     columns, rows, _ = effect.lattice
     if max(columns, rows) > _LARGEST_TARGET or columns * rows > MAX_CHANNELS:
         raise InvalidArgument("array", f"{columns} x {rows} actuators", "at most 127 columns and rows in HJIF")
-    if panel not in _PANELS:
-        raise InvalidArgument("panel", repr(panel), " or ".join(_PANELS))
     gap = DEFAULT_TIMESCALE / effect.rate_hz
     if not 1 <= gap <= MAX_SPAN_TICKS:
         found = f"{effect.rate_hz:g} frames a second, {gap:g} ticks to a frame"

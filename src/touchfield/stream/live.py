@@ -100,16 +100,9 @@ Event = Opened | LiveSegment | Lost | Refused | Ended
 
 
 class LiveReceiver:
-    """The receiving end of a live stream.
-
-    Attributes
-    ----------
-    head : Head or None
-        Of the programme that is on.
-    """
+    """The receiving end of a live stream."""
 
     def __init__(self) -> None:
-        self.head: Head | None = None
         self._opening, self._is_over = b"", False
         self._next: int | None = None
 
@@ -130,7 +123,7 @@ class LiveReceiver:
             if message == self._opening:  # told again, for those who come later
                 return []
             opened = _opened(message)
-            self.head, self._opening, self._next = opened.head, message, None
+            self._opening, self._next = message, None
             return [opened]
         if message[:4] not in (b"SEGM", b"VIBR"):
             return [Refused("neither an opening nor a segment")]

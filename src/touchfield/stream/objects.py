@@ -167,25 +167,16 @@ class SceneStream(OpenStream):
 
     def _medium(self, index: int, one: CodedObject) -> HapticMedium:
         """The fields of one object."""
-        if one.is_deforming:
-            coder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {index}")
-            fields_of, head = self._deforming(index), self.reader.head
-            segments = segments_of(self.reader, coder.describe())
-            return HapticMedium(one.grid, head.rate_hz, head.frame_count, fields_of, segments=segments)
-
-        @cache
-        def make(_: int) -> ForceField:
-            return self.decoder.rigid_field(index)
-
-        return HapticMedium(one.grid, self.reader.head.rate_hz, 1, make)
-
-    def _deforming(self, index: int) -> SegmentFrames:
-        """The fields of an object that deforms."""
+        head = self.reader.head
+        if not one.is_deforming:
+            return HapticMedium(one.grid, head.rate_hz, 1, cache(lambda _: self.decoder.rigid_field(index)))
 
         def decode(segment: int) -> Iterator[ForceField]:
             return self.decoder.fields(self._body(segment), index, self.reader.segments[segment].frame_count)
 
-        return SegmentFrames(self.reader, decode)
+        coder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {index}")
+        frames, segments = SegmentFrames(self.reader, decode), segments_of(self.reader, coder.describe())
+        return HapticMedium(one.grid, head.rate_hz, head.frame_count, frames, segments=segments)
 
     def _body(self, segment: int) -> bytes:
         """The body of a segment; the latest is kept, as each object that deforms asks for it."""
