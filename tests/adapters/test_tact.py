@@ -62,6 +62,7 @@ def test_the_shape_of_a_project(tmp_path: Path) -> None:
     assert (made["size"], made["intervalMillis"], made["durationMillis"]) == (20, 20, 100)
     project = made["project"]
     assert project["name"] == "wave" and project["layout"]["type"] == "Tactot"
+    assert project["mediaFileDuration"] == 1  # whole seconds, begun
     layout = project["layout"]["layouts"]["VestFront"]
     assert [one["index"] for one in layout] == list(range(20)) and layout[-1] == {"index": 19, "x": 1.0, "y": 1.0}
     ((effect,),) = [track["effects"] for track in project["tracks"]]
