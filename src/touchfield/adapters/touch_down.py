@@ -24,7 +24,6 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.pose_track import rotation_matrices
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace
@@ -53,8 +52,7 @@ _LEAD, _SLIDE = 0.12, 0.2  # of the diagonal: how far outside the probe comes fr
 
 
 def touch_down(
-    touched: HapticMedium | HapticScene | ForceField,
-    seconds: float = SECONDS,
+    touched: HapticMedium | HapticScene,
     stiffness_n_per_m: float = math.inf,
     force_max_n: float = math.inf,
     start_s: float = 0.0,
@@ -64,11 +62,9 @@ def touch_down(
 
     Parameters
     ----------
-    touched : HapticMedium, HapticScene or ForceField
-        Of a medium the frame of the moment at which the probe arrives is looked at; where that is empty, the first
-        that is not, of some.
-    seconds : float
-        How long it takes, 0.1 to 600; a medium of several frames that is shorter is touched within its own time.
+    touched : HapticMedium or HapticScene
+        The frame of the moment at which the probe arrives is looked at; where that is empty, the first that is not,
+        of some. What has several frames and is shorter than `SECONDS` is touched within its own time.
     stiffness_n_per_m : float
         That of the hand which will follow the trace; with it the trace runs F / k deeper, so that a hand on a spring
         comes to rest where a stiff one would be.
@@ -78,19 +74,13 @@ def touch_down(
     start_s, speed : float
         The moment of the medium at which the hand begins, and its seconds in one of the hand's.
 
-    The trace is at 1 kHz, from 0 s on, in the axes and metres of the field. Raises InvalidArgument if a number is out
-    of range.
+    The trace is at 1 kHz, from 0 s on, in the axes and metres of the field.
     """
-    if not 0.1 <= seconds <= 600:
-        raise InvalidArgument("seconds", repr(seconds), "0.1 to 600")
-    if not stiffness_n_per_m > 0:
-        raise InvalidArgument("stiffness_n_per_m", repr(stiffness_n_per_m), "a positive number, or inf")
-    if not force_max_n > 0:
-        raise InvalidArgument("force_max_n", repr(force_max_n), "a positive number of newtons, or inf")
-    if not isinstance(touched, ForceField) and len(touched) > 1:
-        seconds = min(seconds, max(0.1, (len(touched) / touched.rate_hz - start_s) / speed))
+    seconds = SECONDS
+    if len(touched) > 1:
+        seconds = min(SECONDS, max(0.1, (len(touched) / touched.rate_hz - start_s) / speed))
     grid, query, points, frame = _frame(touched, start_s + speed * seconds * _LEGS[0][1])
-    viewer = axes_matrix(BOX_AXES, "" if isinstance(touched, ForceField) else touched.axes)[:, 2]
+    viewer = axes_matrix(BOX_AXES, touched.axes)[:, 2]
     legs = _touch(grid, query, points, force_max_n, viewer) if len(points) else _crossing(grid, viewer)
     places = _timed(legs, max(2, round(seconds * HAPTIC_RATE_HZ) + 1))
     met = legs["slide"][0]
@@ -119,10 +109,8 @@ def _following(scene: HapticScene, frame: int, met: Float64s, places: Float64s, 
     return moved
 
 
-def _frame(touched: HapticMedium | HapticScene | ForceField, at_s: float) -> tuple[Grid, Query, Float64s, int]:
+def _frame(touched: HapticMedium | HapticScene, at_s: float) -> tuple[Grid, Query, Float64s, int]:
     """The lattice, the query and the places of some strong samples, float64 [m, 3], of one frame, and its number."""
-    if isinstance(touched, ForceField):
-        return touched.grid, _query_of(touched), _strong(touched), 0
     count = len(touched)
     first = min(int(at_s * touched.rate_hz), count - 1)
     for frame in dict.fromkeys([first, *np.linspace(0, count - 1, min(count, 8)).astype(int).tolist()]):
