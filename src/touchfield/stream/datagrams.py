@@ -33,6 +33,9 @@ _SYMBOLS: Final = 36
 """Least number of pieces of a message: the fewer there are, the larger the share of repair."""
 
 _LEAST_REPAIR: Final = 3
+_SPREAD: Final = 8
+"""Messages over whose time the datagrams of one are spread; the last ones come so many messages later."""
+
 _LEAST_SYMBOL, _MOST_SYMBOL = 128, 1152
 MOST_DATAGRAM: Final = _HEAD.size + _PACKET + _MOST_SYMBOL
 MOST_OPEN: Final = 24
@@ -54,18 +57,10 @@ class Datagrams:
         Names this stream among others that may come to the same place, 0 to 2^32 - 1.
     repair : float
         Repair symbols, share of the others.
-    spread : int
-        Messages over whose time the datagrams of one are spread; the last ones come so many messages later.
-
-    Raises InvalidArgument if a number is out of range.
     """
 
-    def __init__(self, stream: int, repair: float = 0.22, spread: int = 8) -> None:
-        if not 0 <= repair <= 4:
-            raise InvalidArgument("repair", f"{repair:g}", "0 to 4, such as 0.22")
-        if not 1 <= spread <= MOST_OPEN // 2:
-            raise InvalidArgument("spread", f"{spread}", f"1 to {MOST_OPEN // 2}")
-        self._stream, self._repair, self._spread, self._number = stream, repair, spread, 0
+    def __init__(self, stream: int, repair: float = 0.22) -> None:
+        self._stream, self._repair, self._number = stream, repair, 0
         self._waiting: deque[list[list[bytes]]] = deque()
 
     def add(self, message: bytes) -> list[bytes]:
@@ -78,7 +73,7 @@ class Datagrams:
         )
         datagrams = [self._datagram(len(message), symbol, packet) for packet in packets]
         self._number = (self._number + 1) & 0xFFFFFFFF
-        self._waiting.append([datagrams[i :: self._spread] for i in range(self._spread)])
+        self._waiting.append([datagrams[i::_SPREAD] for i in range(_SPREAD)])
         return self._due()
 
     def flush(self) -> list[bytes]:
