@@ -63,8 +63,8 @@ def test_repeated_mixed_up_damaged_and_foreign_datagrams() -> None:
     mixed = [own[i] for i in np.argsort(np.arange(len(own)) + rng.uniform(0, 12, len(own)))]
     bad = [bytes(b ^ (i == len(one) // 2) for i, b in enumerate(one)) for one in own[::7]]
     foreign = Datagrams(8).add(MESSAGES[1])
-    gathering = Gathering(7)
-    out = [m for one in (*foreign, *bad, *mixed, *own[::3]) for m in gathering.receive(one)]
+    gathering = Gathering()
+    out = [m for one in (*bad, mixed[0], *foreign, *mixed[1:], *own[::3]) for m in gathering.receive(one)]
     assert len(out) >= 7 and out == MESSAGES[-len(out) :] and gathering.refused >= len(bad) + len(foreign) > 20
 
 

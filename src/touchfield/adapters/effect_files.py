@@ -72,11 +72,11 @@ def fits_vest(lattice: tuple[int, int, int]) -> bool:
     return columns == COLUMNS and rows in ROWS_OF and depth == 1
 
 
-def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front", name: str = "") -> None:
+def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front") -> None:
     """Write the drives of a vest, four columns and five, four or two rows, as ``.tact``.
 
-    `panel` is "front" or "back", `name` that of the pattern, by default the file's. Raises InvalidArgument if the
-    array is another; SourceError if the system refuses to write.
+    `panel` is "front" or "back". Raises InvalidArgument if the array is another; SourceError if the system refuses to
+    write.
     """
     columns, rows, _ = effect.lattice
     if not fits_vest(effect.lattice):
@@ -87,7 +87,7 @@ def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front", n
     modes = {
         position: _dot_mode(spans if panel == side else [], length_ms) for side, position in zip(_PANELS, POSITIONS)
     }
-    called = name or Path(path).stem
+    called = Path(path).stem
     layout = [
         {"index": COLUMNS * row + column, "x": round(column / (COLUMNS - 1), 3), "y": round(row / (ROWS - 1), 3)}
         for row in range(ROWS)

@@ -36,7 +36,7 @@ STIFFNESS_N_PER_M: Final = 500.0
 
 _MASS_KG: Final = 0.1
 _SPRING: Final = (_MASS_KG, STIFFNESS_N_PER_M, 2.0 * math.sqrt(STIFFNESS_N_PER_M * _MASS_KG))
-"""Mass m, stiffness k, critical damping b: of the order of a hand that holds a stylus, a choice and no measurement."""
+"""m, k and critical damping b: of the order of a hand that holds a stylus; they are a choice, not a measurement."""
 
 _KINDS: Final = ("follow", "spring")
 _LONGEST_S: Final = 10.0

@@ -108,12 +108,10 @@ class _Part:
 
 
 class Gathering:
-    """The receiving end: datagrams in, messages out, in their order; safe against whatever comes.
+    """The receiving end of the first stream that comes: datagrams in, messages out, in their order, whatever comes.
 
     Parameters
     ----------
-    stream : int, optional
-        The stream that is wanted; by default the first that comes.
     most_open : int
         Messages that are waited for at once; fewer where something else is felt meanwhile, 1 to 24.
 
@@ -125,11 +123,11 @@ class Gathering:
         Messages that were given up.
     """
 
-    def __init__(self, stream: int | None = None, most_open: int = MOST_OPEN) -> None:
-        self._stream, self._next, self._newest = stream, 0, -1
+    def __init__(self, most_open: int = MOST_OPEN) -> None:
+        self._stream: int | None = None
+        self._next, self._newest = 0, -1
         self._most_open, self._opening = most_open, b""
         self._parts: dict[int, _Part] = {}
-        self._is_begun = False
         self.refused = self.lost = 0
 
     def receive(self, datagram: bytes) -> list[bytes]:
@@ -139,8 +137,6 @@ class Gathering:
             self.refused += 1
             return []
         number, length, symbol, packet = parts
-        if not self._is_begun:
-            self._is_begun, self._next, self._newest = True, number, number
         if number < self._next:
             return []  # late, or what was sent beyond need
         if number > self._newest + _WINDOW:
@@ -167,13 +163,13 @@ class Gathering:
             return None
         magic, stream, number, length, symbol, crc = _HEAD.unpack_from(datagram)
         packet = datagram[_HEAD.size :]
-        is_ours = magic == _MAGIC and 0 < length <= MOST_BYTES and stream in (self._stream, stream)
+        is_ours = magic == _MAGIC and 0 < length <= MOST_BYTES
         is_ours &= symbol % 8 == 0 and 0 < symbol <= _MOST_SYMBOL and len(packet) == symbol + _PACKET
         is_ours &= length <= symbol * 65536
         if not is_ours or zlib.crc32(packet, zlib.crc32(_HEAD.pack(magic, stream, number, length, symbol, 0))) != crc:
             return None
         if self._stream is None:
-            self._stream = stream
+            self._stream, self._next, self._newest = stream, number, number
         return (number, length, symbol, packet) if stream == self._stream else None
 
     def _released(self) -> list[bytes]:
