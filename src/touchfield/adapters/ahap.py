@@ -35,8 +35,8 @@ from touchfield.adapters.symbolic import (
     ArrayEffect,
     Drive,
     ImportedEffect,
+    check_rate,
     checked_frames,
-    checked_rate,
 )
 from touchfield.arrays import Float64s
 
@@ -99,7 +99,7 @@ def read_ahap(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEff
     if no event can be felt, or it is longer than an hour. InvalidArgument if the rate is out of range, or there would
     be too many drives.
     """
-    checked_rate(rate_hz)
+    check_rate(rate_hz)
     root = read_json(path, _MAX_BYTES, "an AHAP file")
     pattern = root.at("Pattern")
     events: list[_Event] = []

@@ -37,8 +37,8 @@ from touchfield.adapters.symbolic import (
     ArrayEffect,
     Drive,
     ImportedEffect,
+    check_rate,
     checked_frames,
-    checked_rate,
 )
 from touchfield.arrays import Float32s, Float64s, Int64s
 
@@ -60,7 +60,7 @@ def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> Impor
     and if nothing in it can be felt, or it is longer than an hour; InvalidArgument if the rate is out of range, or
     there would be too many drives.
     """
-    checked_rate(rate_hz)
+    check_rate(rate_hz)
     document = read_hjif(path)
     felt = [one for one in document.perceptions if one.modality in MODALITIES]
     if not felt:

@@ -36,7 +36,7 @@ MAX_CHANNELS: Final = 65535
 MAX_BYTES: Final = 1 << 26
 _MAX_TICK: Final = (1 << 31) - 1
 _MODALITIES: Final = (*MODALITIES, "Humidity", "User-defined Temporal", "User-defined Spatial")
-_LARGEST_VECTOR: Final = 127
+LARGEST_VECTOR: Final = 127
 _MAX_MASK: Final = (1 << 32) - 1
 _MOST_SAMPLES: Final = 1 << 21
 """Of all wavelets of a file: four minutes at 8 kHz."""
@@ -184,7 +184,7 @@ def _channel(one: JsonValue, clock: _Clock) -> Channel:
         None if size is None else size[:2],
         _targets(one.get("actuator_target"), size),
         body or ((f"mask {bits:#x}",) if bits else ()),
-        None if direction is None else _vector(direction, -_LARGEST_VECTOR),
+        None if direction is None else _vector(direction, -LARGEST_VECTOR),
         tuple(_band(band, clock) for band in one.at("bands").each()),
         one,
     )
@@ -204,7 +204,7 @@ def _targets(targets: JsonValue | None, size: tuple[int, int, int] | None) -> tu
 
 
 def _vector(one: JsonValue, low: int) -> tuple[int, int, int]:
-    x, y, z = (one.at(key).whole(low, _LARGEST_VECTOR) for key in ("X", "Y", "Z"))
+    x, y, z = (one.at(key).whole(low, LARGEST_VECTOR) for key in ("X", "Y", "Z"))
     return x, y, z
 
 

@@ -35,7 +35,7 @@ SIGNALS: Final = ("Sine", "Square", "Triangle", "SawToothUp", "SawToothDown")
 KINDS: Final = ("Basis", "Reference", "Composite")
 _SPATIAL: Final = 2
 _GREATEST: Final = 10000.0
-_LARGEST_PHASE: Final = 6.28318
+LARGEST_PHASE: Final = 6.28318
 
 
 class _Bits:
@@ -77,7 +77,7 @@ class _Document:
     """The document as far as the packets have come."""
 
     def __init__(self) -> None:
-        self.timescale, self.time = 1000, 0
+        self.timescale, self.time, self.is_spatial = 1000, 0, False
         self.root: dict[str, Any] = {}
         self.perceptions: dict[int, dict[str, Any]] = {}
         self.channels: dict[tuple[int, int], dict[str, Any]] = {}
@@ -100,7 +100,8 @@ def read_hmpg(path: str | Path) -> JsonValue:
             found = f"{len(data) - at - _UNIT_HEAD} bytes left"
             raise SourceError(head.where, found, f"the {length} of its length", f"It should be {_WHAT}.")
         begin = at + _UNIT_HEAD
-        _unit(document, data[begin : begin + length], f"{path}: unit {unit}", kind == _SPATIAL)
+        document.is_spatial = kind == _SPATIAL
+        _unit(document, data[begin : begin + length], f"{path}: unit {unit}")
         at, unit = begin + length, unit + 1
         document.time += duration
     if not document.root:
@@ -109,7 +110,7 @@ def read_hmpg(path: str | Path) -> JsonValue:
     return JsonValue({**document.root, "timescale": document.timescale, "perceptions": perceptions}, str(path))
 
 
-def _unit(document: _Document, data: bytes, where: str, is_spatial: bool) -> None:
+def _unit(document: _Document, data: bytes, where: str) -> None:
     at = 0
     while at < len(data):
         head = _Bits(data[at : at + _PACKET_HEAD], f"{where}, byte {at}")
@@ -120,8 +121,6 @@ def _unit(document: _Document, data: bytes, where: str, is_spatial: bool) -> Non
         bits = _Bits(data[at : at + length], f"{head.where}, packet of type {kind}")
         if kind in _READERS:
             _READERS[kind](document, bits)
-        elif kind == _DATA:
-            _data(document, bits, is_spatial)
         elif kind == _LIBRARY and length > _PACKET_HEAD:
             raise SourceError(bits.where, "a library of effects", "effects of their own")
         at += length
@@ -213,7 +212,7 @@ def _band(document: _Document, bits: _Bits) -> None:
     document.bands[number].update(own)
 
 
-def _data(document: _Document, bits: _Bits, is_spatial: bool) -> None:
+def _data(document: _Document, bits: _Bits) -> None:
     bits.whole(1 + 8 + 16)  # kind of access; perception and channel, which the band knows
     number = bits.whole(8)
     if number not in document.bands:
@@ -228,7 +227,7 @@ def _data(document: _Document, bits: _Bits, is_spatial: bool) -> None:
             own["wavelet_stream"] = base64.b64encode(bytes(bits.whole(8) for _ in range(bits.whole(16)))).decode()
             band["effects"].append(own)
             return  # one to a packet
-        own["position"] = bits.signed(25) + (0 if is_spatial else document.time)
+        own["position"] = bits.signed(25) + (0 if document.is_spatial else document.time)
         if own["effect_type"] == "Basis":
             _semantic(bits)
             own["keyframes"] = _keyframes(bits, band["band_type"], own)
@@ -249,7 +248,7 @@ def _keyframes(bits: _Bits, kind: str, effect: dict[str, Any]) -> list[dict[str,
     count, keyframes = bits.whole(16), []
     is_wave = kind == "VectorialWave"
     if is_wave:
-        effect["phase"] = bits.number(16, 0, _LARGEST_PHASE)
+        effect["phase"] = bits.number(16, 0, LARGEST_PHASE)
         effect["base_signal"] = bits.one_of(4, SIGNALS, "a signal of number")
     for _ in range(count):
         flags = bits.whole(2) if is_wave else 1 if kind == "Curve" else 3
@@ -265,5 +264,5 @@ def _keyframes(bits: _Bits, kind: str, effect: dict[str, Any]) -> list[dict[str,
 
 _READERS: Final = {
     _TIMING: _timing, _HAPTICS: _haptics, _PERCEPTION: _perception, _CHANNEL: _channel, _BAND: _band,
-    _INITIAL_TIMING: _initial_timing,
+    _DATA: _data, _INITIAL_TIMING: _initial_timing,
 }  # fmt: skip

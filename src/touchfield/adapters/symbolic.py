@@ -150,11 +150,10 @@ def filled_hz(drives: Float32s, frequencies_hz: Float32s | None) -> Float32s:
     return np.where(known.any(axis=0), hertz, np.float32(DEFAULT_CARRIER_HZ))
 
 
-def checked_rate(rate_hz: float) -> float:
-    """Frames a second that an effect can be sampled at; else InvalidArgument."""
+def check_rate(rate_hz: float) -> None:
+    """InvalidArgument unless an effect can be sampled at so many frames a second."""
     if not 1 <= rate_hz <= MAX_RATE_HZ:
         raise InvalidArgument("rate_hz", repr(rate_hz), f"1 to {MAX_RATE_HZ:g} frames a second")
-    return rate_hz
 
 
 def checked_frames(where: str, frames: int, actuators: int, most: int = MAX_VALUES) -> int:
