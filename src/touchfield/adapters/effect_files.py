@@ -38,7 +38,6 @@ from __future__ import annotations
 import json
 import math
 import wave
-from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,11 +81,10 @@ def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front") -
     if not fits_vest(effect.lattice):
         found, expected = f"{columns} columns, {rows} rows", f"{COLUMNS} columns, and 5, 4 or 2 rows"
         raise InvalidArgument("array", found, expected, "Take --device tactsuit-x40.")
-    spans = list(_spans(effect))
     length_ms = max(1, round(1000 * len(effect) / effect.rate_hz))
-    modes = {
-        position: _dot_mode(spans if panel == side else [], length_ms) for side, position in zip(_PANELS, POSITIONS)
-    }
+    silence = [(0, length_ms, np.zeros((ROWS, COLUMNS), np.int64))]
+    spans = list(_spans(effect)) or silence
+    modes = {position: _dot_mode(spans if panel == side else silence) for side, position in zip(_PANELS, POSITIONS)}
     called = Path(path).stem
     layout = [
         {"index": COLUMNS * row + column, "x": round(column / (COLUMNS - 1), 3), "y": round(row / (ROWS - 1), 3)}
@@ -118,7 +116,7 @@ def _spans(effect: ArrayEffect) -> Iterator[tuple[int, int, Int64s]]:
             yield times[first], max(times[stop], times[first] + 1), steps[first]
 
 
-def _dot_mode(spans: list[tuple[int, int, Int64s]], length_ms: int) -> dict[str, Any]:
+def _dot_mode(spans: list[tuple[int, int, Int64s]]) -> dict[str, Any]:
     feedback = [
         {
             "startTime": start,
@@ -131,11 +129,10 @@ def _dot_mode(spans: list[tuple[int, int, Int64s]], length_ms: int) -> dict[str,
         }
         for start, end, steps in spans
     ]
-    silence = {"startTime": 0, "endTime": length_ms, "playbackType": "NONE", "pointList": []}
     path = {"movingPattern": "CONST_SPEED", "playbackType": "NONE", "visible": True, "pointList": []}
     return {
         "mode": "DOT_MODE",
-        "dotMode": {"dotConnected": False, "feedback": feedback or [silence]},
+        "dotMode": {"dotConnected": False, "feedback": feedback},
         "pathMode": {"feedback": [path]},
     }
 
@@ -279,16 +276,14 @@ def write_haptic(path: str | Path, effect: ArrayEffect, name: str = "", descript
     Returns tuple of str: what is lost on the way. Raises SourceError if the system refuses to write.
     """
     track = OneTrack.of(effect)
-    times = [time for time, _ in track.amplitudes]
+    times, amplitudes = np.transpose(track.amplitudes)
     points: dict[float, dict[str, Any]] = {
         time: {"time": time, "amplitude": amplitude} for time, amplitude in track.amplitudes
     }
     for at, amplitude, sharpness in track.taps:
         time = round(at, 6)
         if time not in points:
-            after = min(max(bisect_left(times, time), 1), len(times) - 1)
-            (t0, a0), (t1, a1) = track.amplitudes[after - 1], track.amplitudes[after]
-            points[time] = {"time": time, "amplitude": round(a0 + (a1 - a0) * (time - t0) / (t1 - t0), DIGITS)}
+            points[time] = {"time": time, "amplitude": round(float(np.interp(time, times, amplitudes)), DIGITS)}
         own = points[time]
         own["emphasis"] = {"amplitude": max(amplitude, own["amplitude"]), "frequency": sharpness}
     document = {
