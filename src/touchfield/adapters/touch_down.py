@@ -279,9 +279,8 @@ def _crossing(grid: Grid, viewer: Float64s) -> dict[str, Float64s]:
 def _timed(legs: dict[str, Float64s], count: int) -> Float64s:
     """Where the probe is at `count` equal times, float64 [count, 3]: each leg begins and ends at rest."""
     places = np.empty((count, 3))
-    edges = np.rint(np.cumsum([0.0, *(share for _, share in _LEGS)]) / sum(s for _, s in _LEGS) * (count - 1)).astype(
-        int
-    )
+    shares = np.cumsum([0.0, *(share for _, share in _LEGS)])
+    edges = np.rint(shares / shares[-1] * (count - 1)).astype(int)
     here = legs["come"][0]
     for (name, _), begin, end in zip(_LEGS, edges[:-1], edges[1:], strict=True):
         corners = legs.get(name, here[None])
