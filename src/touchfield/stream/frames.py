@@ -118,7 +118,7 @@ def _resumed(fields: deque[ForceField], coming: Iterator[ForceField]) -> Iterato
 
 
 def segments_of(reader: TouchReader, keys: Mapping[str, Any]) -> Segments | None:
-    """The first frames of a stream's segments, by the `keys` that its coder of fields tells (`describe`); None if it keeps no mask.
+    """The first frames of a stream's segments, by what its field coder tells (`describe`); None if it keeps no mask.
 
     A mask that bounds length and direction apart is none here: what lies between two of its forces may leave it.
     """
