@@ -20,6 +20,7 @@ most, and the frequency is that of the strongest.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -30,7 +31,6 @@ from touchfield.adapters.json_values import JsonValue, read_json
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
     MAX_SECONDS,
-    MAX_VALUES,
     TRANSIENT_S,
     ArrayEffect,
     Drive,
@@ -114,10 +114,7 @@ def read_ahap(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEff
         if parameter is not None:  # it jumps
             curves += _curve(parameter, 0.0, [parameter])
         if curve is not None:
-            points = curve.at("ParameterCurveControlPoints")
-            if len(points.items()) > MAX_VALUES:
-                raise points.wrong(f"{len(points.items())} points", f"at most {MAX_VALUES}")
-            curves += _curve(curve, _seconds(curve, "Time"), list(points.each()))
+            curves += _curve(curve, _seconds(curve, "Time"), curve.at("ParameterCurveControlPoints").each())
     if not events:
         raise pattern.wrong(f"{sounds} events of sound and none to feel" if sounds else "no event", "haptic events")
     notes = (f"Left out: {sounds} events of sound.",) if sounds else ()
@@ -179,7 +176,7 @@ def _seconds(one: JsonValue, key: str) -> float:
     return max(0.0, one.at(key, 0.0).number(high=MAX_SECONDS))
 
 
-def _curve(one: JsonValue, begin_s: float, points: list[JsonValue]) -> list[_Curve]:
+def _curve(one: JsonValue, begin_s: float, points: Iterable[JsonValue]) -> list[_Curve]:
     """A curve of a parameter through points, if it is one of touch."""
     name = one.at("ParameterID").text()
     low = 0.0 if name == "HapticIntensityControl" else -1.0
