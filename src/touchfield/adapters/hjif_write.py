@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.adapters.hjif_read import DEFAULT_TIMESCALE, LARGEST_VECTOR, MAX_CHANNELS
+from touchfield.adapters.hjif_read import DEFAULT_TIMESCALE, LARGEST_VECTOR
 from touchfield.adapters.hmpg_read import LARGEST_PHASE
 from touchfield.adapters.symbolic import filled_hz
 from touchfield.arrays import Float32s, Float64s, Int64s
@@ -77,7 +77,7 @@ def write_hjif_array(
     millisecond or more than 65535; SourceError if the system refuses to write.
     """
     columns, rows, _ = effect.lattice
-    if max(columns, rows) > LARGEST_VECTOR or columns * rows > MAX_CHANNELS:
+    if max(columns, rows) > LARGEST_VECTOR:
         raise InvalidArgument("array", f"{columns} x {rows} actuators", "at most 127 columns and rows in HJIF")
     gap = DEFAULT_TIMESCALE / effect.rate_hz
     if not 1 <= gap <= MAX_SPAN_TICKS:
