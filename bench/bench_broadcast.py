@@ -239,7 +239,7 @@ def large(folder: Path, mib: int) -> Figures:
     with TouchReader(address[0]) as reader:
         remote: RemoteFile = reader._source.remote  # type: ignore[assignment]
         opening = {"requests": remote.requests, "bytes": remote.received, "segments": count}
-        field = opened(reader, reader.size).medium[count // 2]
+        field = opened(reader).medium[count // 2]
         took = time.perf_counter() - began
         told = {
             "file_bytes": reader.size,

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
+from touchfield.adapters.hjif_import import force_n, keyframe_ticks
+from touchfield.adapters.hjif_read import read_hjif
 from touchfield.adapters.symbolic import ArrayEffect
 
 RATES_HZ = (1.0, 20.0, 25.0, 30.0, 50.0, 100.0, 1000 / 3)
@@ -121,3 +123,11 @@ def read_tact(path: Path) -> list[TactSpan]:
                     span_ms = (begin + span["startTime"], begin + span["endTime"])
                     spans.append(TactSpan(position, *span_ms, dots.reshape(5, 4)))
     return sorted((one for one in spans if one.intensities.any()), key=lambda one: (one.start_ms, one.position))
+
+
+def read_force(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """The force that a file holds, at its keyframes: ascending seconds [n], and newtons along x, y, z [n, 3]."""
+    document = read_hjif(path)
+    perception = next((one for one in document.perceptions if one.modality == "Force"), document.perceptions[0])
+    ticks = keyframe_ticks(perception)
+    return ticks / document.timescale, force_n(perception, ticks)

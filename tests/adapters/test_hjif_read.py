@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from effect_makers import band, channel, document, effect, keyframe, written
+from effect_makers import band, channel, document, effect, keyframe, read_force, written
 from touchfield.adapters import hjif_read
-from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
+from touchfield.adapters.hjif_import import read_hjif_array
 from touchfield.adapters.hjif_read import block_samples
 from touchfield.adapters.symbolic import TRANSIENT_S, ImportedEffect
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
@@ -112,6 +112,11 @@ def test_channels_without_an_array_lie_in_a_row_and_body_parts_side_by_side(tmp_
     assert "2 body parts" in made.notes[0]
 
 
+def test_thousands_of_channels_lie_in_a_row(tmp_path: Path) -> None:
+    made = read(tmp_path, *[channel(steady(0.5))] * 5000).effect
+    assert made.lattice == (5000, 1, 1) and (made.drives == 0.5).all()
+
+
 def test_perceptions_that_cannot_be_shown_are_left_out_or_refused(tmp_path: Path) -> None:
     both = document(channel(steady(0.5)))
     both["perceptions"].insert(0, document(channel(steady(1.0)), modality="Temperature")["perceptions"][0])
@@ -132,19 +137,17 @@ def test_a_force_along_any_direction(tmp_path: Path) -> None:
         force_channel((0, -90, 90), keyframe(0, 0.0), keyframe(50, 1.0), keyframe(100, 0.0)),
         modality="Force", perception_unit_exponent=1,
     )  # fmt: skip
-    times, forces = read_hjif_force(written(tmp_path / "f.hjif", made))
+    times, forces = read_force(written(tmp_path / "f.hjif", made))
     assert times.tolist() == [0, 0.05, 0.1]
     assert forces == pytest.approx(np.array([[5, 0, 0], [0, -3.5355, 3.5355], [-5, 0, 0]]), abs=1e-4)
     one = read_hjif_array(tmp_path / "f.hjif")
     assert one.force_max_n == 5 and one.effect.drives[[0, 5, 10], 0, 0] == pytest.approx([1, 1, 1], abs=1e-6)
     assert one.effect.drives[2, 0, 0] == pytest.approx(np.hypot(0.6, 0.4))
-    with pytest.raises(SourceError, match="modality Force"):
-        read_hjif_force(written(tmp_path / "g.hjif", document(channel(steady(1.0)))))
     with pytest.raises(SourceError, match="direction"):
-        read_hjif_force(written(tmp_path / "g.hjif", document(channel(steady(1.0)), modality="Force")))
+        read_force(written(tmp_path / "g.hjif", document(channel(steady(1.0)), modality="Force")))
     wave = document(channel(steady(1.0), direction={"X": 127, "Y": 0, "Z": 0}), modality="Force")
     with pytest.raises(SourceError, match=r"bands\[0\].*Curve"):
-        read_hjif_force(written(tmp_path / "g.hjif", wave))
+        read_force(written(tmp_path / "g.hjif", wave))
 
 
 def test_a_vibration_that_a_curve_draws_keeps_its_frequency(tmp_path: Path) -> None:
@@ -370,7 +373,7 @@ def test_only_named_errors_come_out(
     else:
         inner[place[-1]] = value
     path = written(tmp_path_factory.mktemp("hjif") / "a.hjif", made)
-    for reader in (read_hjif_array, read_hjif_force):
+    for reader in (read_hjif_array, read_force):
         check_error(reader, path)
 
 

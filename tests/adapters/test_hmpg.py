@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
+from effect_makers import read_force
+from touchfield.adapters.hjif_import import read_hjif_array
+from touchfield.adapters.hjif_read import read_hjif
 from touchfield.errors import SourceError
 
 Fields = list[tuple[int, int]]  # value, bits
@@ -90,11 +92,33 @@ def test_an_effect_in_several_units(tmp_path: Path) -> None:
     )
 
 
+def test_numbers_are_the_words_of_the_standard(tmp_path: Path) -> None:
+    modalities = (
+        "Other", "Pressure", "Acceleration", "Velocity", "Position", "Temperature", "Vibrotactile", "Water", "Wind",
+        "Force", "Vibrotactile Texture", "Stiffness", "Friction", "Electrotactile",
+    )  # fmt: skip
+    for number, modality in enumerate(modalities):
+        data = head(number, channel(0, 1.0), *(band(n, 0, 1, [(n, 4)]) for n in (0, 1, 2, 3)), band(9, 0, 0, []))
+        (perception,) = read_hjif(written(tmp_path / "a.hmpg", data)).perceptions
+        assert perception.modality == modality
+        told = [(one.kind, one.curve) for one in perception.channels[0].bands]
+        assert told == [
+            *(("Curve", shape) for shape in ("Unknown", "Cubic", "Linear", "Akima")),
+            ("Transient", "Linear"),
+        ]
+    for number, shape in ((4, "Bezier"), (5, "BSpline")):  # which nobody draws alike
+        data = head(6, channel(0, 1.0), band(0, 0, 1, [(number, 4)]))
+        with pytest.raises(SourceError, match=f"a curve of type {shape}"):
+            read_hjif(written(tmp_path / "a.hmpg", data))
+    with pytest.raises(SourceError, match="a modality of number 14"):
+        read_hjif(written(tmp_path / "a.hmpg", head(14, channel(0, 1.0))))
+
+
 def test_a_force_comes_in_with_its_gain(tmp_path: Path) -> None:
     data = head(9, channel(0, 0.02, (0, 127, 0)), band(0, 0, 1, LINEAR)) + unit(
         1, 128, curve(0, (0, -1.0), (90, 1.0))
     )
-    times, forces = read_hjif_force(written(tmp_path / "f.hmpg", data))
+    times, forces = read_force(written(tmp_path / "f.hmpg", data))
     assert times.tolist() == [0, 0.09] and forces[:, 1] == pytest.approx([-0.02, 0.02], abs=1e-5)
 
 

@@ -23,7 +23,7 @@ NAMES = st.sampled_from(sorted(STREAMS) or [""])
 
 def decode(data: bytes) -> int:
     with TouchReader(io.BytesIO(data)) as reader:
-        medium = opened(reader, len(data)).medium
+        medium = opened(reader).medium
         band = medium.vibration  # read apart from the frames, when it is asked for
         return sum(frame.support_count for frame in medium) + (sum(map(len, band)) if band else 0)
 

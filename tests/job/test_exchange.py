@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from effect_makers import band, channel, document, effect, keyframe, read_tact, schema_errors, written
+from effect_makers import band, channel, document, effect, keyframe, read_force, read_tact, schema_errors, written
 from touchfield.adapters.ahap import read_ahap
-from touchfield.adapters.hjif_import import read_hjif_array, read_hjif_force
+from touchfield.adapters.hjif_import import read_hjif_array
 from touchfield.adapters.symbolic import DEFAULT_CARRIER_HZ
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import MOST_RELATIVE_ERROR
@@ -104,7 +104,7 @@ def test_a_force_along_a_trajectory(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
     rows = [(0.0, 0, 0, -0.035), (0.05, 0, 0, 0.005), (0.1, 0, 0, 0.005), (0.2, 0, 0, 0.02), (0.3, 9, 9, 9)]
     done = export(path, tmp_path / "f.hjif", trajectory=probe(tmp_path / "p.csv", rows))
-    times, forces = read_hjif_force(tmp_path / "f.hjif")
+    times, forces = read_force(tmp_path / "f.hjif")
     expected = np.array([0, 2.0 * 0.75, 2.0 * 0.5, 2.75 * 0.5, 0])  # frame 1 holds half of frame 0, from 0.1 s on
     found = np.interp([0, 0.05, 0.1, 0.2, 0.3], times, forces[:, 2])
     assert found == pytest.approx(expected, rel=2 * K, abs=1e-4) and np.abs(forces[:, :2]).max() < 0.01
@@ -115,7 +115,7 @@ def test_a_probe_seen_seldom_meets_what_lies_between(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
     fast = probe(tmp_path / "p.csv", [(0.0, 0, 0, -0.2), (0.04, 0, 0, 0.2)])  # both ends lie outside
     export(path, tmp_path / "f.hjif", trajectory=fast)
-    _, forces = read_hjif_force(tmp_path / "f.hjif")
+    _, forces = read_force(tmp_path / "f.hjif")
     assert not forces[0].any() and not forces[-1].any() and forces[:, 2].max() > 2.5
     for rows, ticks in (([0.0, 0.0001], 10000), ([0.0, 131.07], 500), ([5.0], 1000)):
         slow = probe(tmp_path / "p.csv", [(t, 0, 0, 0) for t in rows])
@@ -166,7 +166,7 @@ def test_what_exceeds_the_peak_is_shortened(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
     deep = probe(tmp_path / "p.csv", [(0.0, 0, 0, 0.035), (0.01, 0, 0, 0.035), (0.02, 0, 0, 0.0)])
     done = export(path, tmp_path / "f.hjif", trajectory=deep)
-    _, forces = read_hjif_force(tmp_path / "f.hjif")
+    _, forces = read_force(tmp_path / "f.hjif")
     peak_n = device("phantom-omni").force_max_n
     assert np.abs(forces).max() == pytest.approx(peak_n) and "shortened" in done.notes[0]
     other = export(path, tmp_path / "g.hjif", "novint-falcon", deep)

@@ -25,8 +25,8 @@ from touchfield.stream.udp import UdpSender, place_of
 MESSAGES = [np.random.default_rng(i).bytes(n) for i, n in enumerate((300, 40_000, 1, 5_000, 70_000, 128, 12_345, 20))]
 
 
-def sent(messages: list[bytes], **options: float) -> list[bytes]:
-    datagrams = Datagrams(7, **options)  # type: ignore[arg-type]
+def sent(messages: list[bytes]) -> list[bytes]:
+    datagrams = Datagrams(7)
     return [one for message in messages for one in datagrams.add(message)] + datagrams.flush()
 
 
@@ -63,8 +63,8 @@ def test_repeated_mixed_up_damaged_and_foreign_datagrams() -> None:
     mixed = [own[i] for i in np.argsort(np.arange(len(own)) + rng.uniform(0, 12, len(own)))]
     bad = [bytes(b ^ (i == len(one) // 2) for i, b in enumerate(one)) for one in own[::7]]
     foreign = Datagrams(8).add(MESSAGES[1])
-    gathering = Gathering(7)
-    out = [m for one in (*foreign, *bad, *mixed, *own[::3]) for m in gathering.receive(one)]
+    gathering = Gathering()
+    out = [m for one in (*bad, mixed[0], *foreign, *mixed[1:], *own[::3]) for m in gathering.receive(one)]
     assert len(out) >= 7 and out == MESSAGES[-len(out) :] and gathering.refused >= len(bad) + len(foreign) > 20
 
 
@@ -90,12 +90,11 @@ def test_an_opening_that_is_told_again_holds_up_no_short_segment() -> None:
 
 
 def test_what_is_lost_is_counted_and_the_rest_goes_on() -> None:
-    datagrams = Datagrams(7, spread=1)
-    parts = [datagrams.add(bytes([i]) * 3000) for i in range(60)]
-    out, gathering = received([one for i, part in enumerate(parts) if i not in (5, 6, 30) for one in part])
-    assert len(out) >= 60 - 3 - 24 and gathering.lost == 3
-    assert [m[0] for m in out] == [i for i in range(len(out) + 3) if i not in (5, 6, 30)]
-    out, gathering = received([*parts[0], *(one for part in parts[36:] for one in part)])  # a long silence
+    numbered = [(int.from_bytes(one[6:10], "little"), one) for one in sent([bytes([i]) * 3000 for i in range(60)])]
+    out, gathering = received([one for number, one in numbered if number not in (5, 6, 30)])
+    assert [m[0] for m in out] == [i for i in range(60) if i not in (5, 6, 30)] and gathering.lost == 3
+    silence = [one for number, one in numbered if number == 0 or number >= 36]
+    out, gathering = received(silence)
     assert [m[0] for m in out] == [0, *range(36, 60)] and gathering.lost == 35
 
 
@@ -106,12 +105,6 @@ def test_whatever_comes_nothing_is_raised(coming: list[bytes | int]) -> None:
     gathering = Gathering()
     out = [m for one in coming for m in gathering.receive(one if isinstance(one, bytes) else own[one % len(own)])]
     assert all(m in MESSAGES for m in out)
-
-
-@pytest.mark.parametrize("wrong", [{"repair": -0.1}, {"repair": float("nan")}, {"spread": 0}, {"spread": 99}])
-def test_options_that_cannot_be(wrong: dict[str, float]) -> None:
-    with pytest.raises(InvalidArgument):
-        Datagrams(1, **wrong)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("text", ["", "host", "host:", ":9", "host:0", "host:99999", "host:x"])
@@ -163,7 +156,6 @@ def test_a_hand_feels_what_is_live_through_a_network_that_loses() -> None:
                 link.add(sender.add(segment(5 * i)))
                 if done.wait(0.05):
                     return
-        assert link.sent_bytes > 0
 
     thread = threading.Thread(target=send, daemon=True)
     with suppress(Exception):

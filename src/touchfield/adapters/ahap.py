@@ -20,6 +20,7 @@ most, and the frequency is that of the strongest.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -30,13 +31,12 @@ from touchfield.adapters.json_values import JsonValue, read_json
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
     MAX_SECONDS,
-    MAX_VALUES,
     TRANSIENT_S,
     ArrayEffect,
     Drive,
     ImportedEffect,
+    check_rate,
     checked_frames,
-    checked_rate,
 )
 from touchfield.arrays import Float64s
 
@@ -99,7 +99,7 @@ def read_ahap(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEff
     if no event can be felt, or it is longer than an hour. InvalidArgument if the rate is out of range, or there would
     be too many drives.
     """
-    checked_rate(rate_hz)
+    check_rate(rate_hz)
     root = read_json(path, _MAX_BYTES, "an AHAP file")
     pattern = root.at("Pattern")
     events: list[_Event] = []
@@ -111,10 +111,10 @@ def read_ahap(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEff
             own = _event(event)
             sounds += own is None
             events += [] if own is None else [own]
-        if parameter is not None:
-            curves += _parameter(parameter)
+        if parameter is not None:  # it jumps
+            curves += _curve(parameter, 0.0, [parameter])
         if curve is not None:
-            curves += _curve(curve)
+            curves += _curve(curve, _seconds(curve, "Time"), curve.at("ParameterCurveControlPoints").each())
     if not events:
         raise pattern.wrong(f"{sounds} events of sound and none to feel" if sounds else "no event", "haptic events")
     notes = (f"Left out: {sounds} events of sound.",) if sounds else ()
@@ -135,7 +135,7 @@ def _sampled(pattern: JsonValue, events: list[_Event], curves: list[_Curve], rat
     for curve in sorted(curves, key=lambda one: one.times_s[0]):
         begin = int(np.searchsorted(times, curve.times_s[0] - 1e-9))
         controls[curve.parameter][begin:] = np.interp(times[begin:], curve.times_s, curve.values)
-    total = Drive.silent(frames)
+    total, (low, high) = Drive.silent(frames), SHARPNESS_HZ
     for one in events:
         first = min(round(one.start_s * rate_hz), frames - 1)
         stop = max(first + 1, min(frames, math.floor(one.end_s * rate_hz + 1e-6) + 1))
@@ -143,13 +143,10 @@ def _sampled(pattern: JsonValue, events: list[_Event], curves: list[_Curve], rat
         start_s = times[first] if one.is_transient else one.start_s
         where = slice(first, stop)
         share = one.envelope(np.maximum(times[where] - start_s, 0))
-        own = Drive(share * one.intensity, np.clip(one.sharpness + controls["HapticSharpnessControl"][where], 0, 1))
-        stronger = own.amplitudes > total.amplitudes[where]
-        total.frequencies_hz[where][stronger] = own.frequencies_hz[stronger]
-        total.amplitudes[where] = np.maximum(total.amplitudes[where] + own.amplitudes, 0)
+        sharpness = np.clip(one.sharpness + controls["HapticSharpnessControl"][where], 0, 1)
+        total.add(Drive(share * one.intensity, low + (high - low) * sharpness), where)
     drives = np.clip(total.amplitudes * controls["HapticIntensityControl"], 0, 1).astype(np.float32)
-    low, high = SHARPNESS_HZ
-    hertz = np.where(drives > 0, low + (high - low) * total.frequencies_hz, 0).astype(np.float32)
+    hertz = np.where(drives > 0, total.frequencies_hz, 0).astype(np.float32)
     return ArrayEffect(float(rate_hz), drives.reshape(-1, 1, 1), hertz.reshape(-1, 1, 1))
 
 
@@ -179,25 +176,15 @@ def _seconds(one: JsonValue, key: str) -> float:
     return max(0.0, one.at(key, 0.0).number(high=MAX_SECONDS))
 
 
-def _parameter(one: JsonValue) -> list[_Curve]:
-    """A parameter that jumps, if it is one of touch."""
+def _curve(one: JsonValue, begin_s: float, points: Iterable[JsonValue]) -> list[_Curve]:
+    """A curve of a parameter through points, if it is one of touch."""
     name = one.at("ParameterID").text()
-    value, time_s = one.at("ParameterValue").number(), _seconds(one, "Time")
-    return [_Curve(name, (time_s,), (_limited(name, value),))] if name in _NEUTRAL else []
-
-
-def _curve(one: JsonValue) -> list[_Curve]:
-    """A curve of a parameter, if it is one of touch."""
-    name, begin = one.at("ParameterID").text(), _seconds(one, "Time")
-    points = one.at("ParameterCurveControlPoints")
-    if name not in _NEUTRAL or not points.items():
+    low = 0.0 if name == "HapticIntensityControl" else -1.0
+    drawn = [
+        (begin_s + _seconds(point, "Time"), min(max(point.at("ParameterValue").number(), low), 1.0))
+        for point in points
+    ]
+    if name not in _NEUTRAL or not drawn:
         return []
-    if len(points.items()) > MAX_VALUES:
-        raise points.wrong(f"{len(points.items())} points", f"at most {MAX_VALUES}")
-    told = [(begin + _seconds(point, "Time"), point.at("ParameterValue").number()) for point in points.each()]
-    told.sort(key=lambda point: point[0])
-    return [_Curve(name, tuple(t for t, _ in told), tuple(_limited(name, v) for _, v in told))]
-
-
-def _limited(name: str, value: float) -> float:
-    return min(max(value, 0.0 if name == "HapticIntensityControl" else -1.0), 1.0)
+    times_s, values = zip(*sorted(drawn, key=lambda point: point[0]))
+    return [_Curve(name, times_s, values)]

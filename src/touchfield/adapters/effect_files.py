@@ -8,8 +8,7 @@ top left, `Tactot` the type of the layout.
 
 A project is written as one effect on one track: its feedback is a list of spans, each with the dots that are on.
 
-A vest with fewer rows is written to all 20 dots, as the adapter of bHaptics drives it: of four rows the lowest is the
-fourth and the fifth, of two the upper is the first two and the lower the other three.
+A vest with fewer rows is written to all 20 dots, as `touchfield.adapters.bhaptics` drives it.
 
 **Resolution.** Intensities are whole hundredths. A span is at least `LEAST_SPAN_MS` long, the designer's interval; of
 the frames that fall into one span each dot takes its greatest drive, so that no tap is lost. Times are whole
@@ -39,7 +38,6 @@ from __future__ import annotations
 import json
 import math
 import wave
-from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,51 +71,35 @@ def fits_vest(lattice: tuple[int, int, int]) -> bool:
     return columns == COLUMNS and rows in ROWS_OF and depth == 1
 
 
-def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front", name: str = "") -> None:
+def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front") -> None:
     """Write the drives of a vest, four columns and five, four or two rows, as ``.tact``.
 
-    `panel` is "front" or "back", `name` that of the pattern, by default the file's. Raises InvalidArgument if the
-    array is another, or there is no such panel; SourceError if the system refuses to write.
+    `panel` is "front" or "back". Raises InvalidArgument if the array is another; SourceError if the system refuses to
+    write.
     """
     columns, rows, _ = effect.lattice
     if not fits_vest(effect.lattice):
         found, expected = f"{columns} columns, {rows} rows", f"{COLUMNS} columns, and 5, 4 or 2 rows"
         raise InvalidArgument("array", found, expected, "Take --device tactsuit-x40.")
-    if panel not in _PANELS:
-        raise InvalidArgument("panel", repr(panel), " or ".join(_PANELS))
-    spans = list(_spans(effect))
     length_ms = max(1, round(1000 * len(effect) / effect.rate_hz))
-    modes = {
-        position: _dot_mode(spans if panel == side else [], length_ms) for side, position in zip(_PANELS, POSITIONS)
-    }
-    called = name or Path(path).stem
+    silence = [(0, length_ms, np.zeros((ROWS, COLUMNS), np.int64))]
+    spans = list(_spans(effect)) or silence
+    modes = {position: _dot_mode(spans if panel == side else silence) for side, position in zip(_PANELS, POSITIONS)}
+    called = Path(path).stem
     layout = [
         {"index": COLUMNS * row + column, "x": round(column / (COLUMNS - 1), 3), "y": round(row / (ROWS - 1), 3)}
         for row in range(ROWS)
         for column in range(COLUMNS)
     ]
-    track = {
-        "enable": True,
-        "effects": [{"name": called, "startTime": 0, "offsetTime": length_ms, "modes": modes}],
-    }
+    effects = [{"name": called, "startTime": 0, "offsetTime": length_ms, "modes": modes}]
     project = {
-        "name": called,
-        "id": called,
-        "description": "",
-        "createdAt": 0,
-        "updatedAt": 0,
+        "name": called, "id": called, "description": "", "createdAt": 0, "updatedAt": 0,
         "mediaFileDuration": math.ceil(length_ms / 1000),
         "layout": {"name": "Tactot", "type": "Tactot", "layouts": dict.fromkeys(POSITIONS, layout)},
-        "tracks": [track],
-    }
-    document = {
-        "project": project,
-        "durationMillis": length_ms,
-        "intervalMillis": LEAST_SPAN_MS,
-        "size": COLUMNS * ROWS,
-    }
-    with atomic_path(Path(path)) as temporary:
-        temporary.write_text(json.dumps(document) + "\n", encoding="utf-8")
+        "tracks": [{"enable": True, "effects": effects}],
+    }  # fmt: skip
+    size = {"durationMillis": length_ms, "intervalMillis": LEAST_SPAN_MS, "size": COLUMNS * ROWS}
+    _write(path, {"project": project, **size})
 
 
 def _spans(effect: ArrayEffect) -> Iterator[tuple[int, int, Int64s]]:
@@ -134,7 +116,7 @@ def _spans(effect: ArrayEffect) -> Iterator[tuple[int, int, Int64s]]:
             yield times[first], max(times[stop], times[first] + 1), steps[first]
 
 
-def _dot_mode(spans: list[tuple[int, int, Int64s]], length_ms: int) -> dict[str, Any]:
+def _dot_mode(spans: list[tuple[int, int, Int64s]]) -> dict[str, Any]:
     feedback = [
         {
             "startTime": start,
@@ -147,11 +129,10 @@ def _dot_mode(spans: list[tuple[int, int, Int64s]], length_ms: int) -> dict[str,
         }
         for start, end, steps in spans
     ]
-    silence = {"startTime": 0, "endTime": length_ms, "playbackType": "NONE", "pointList": []}
     path = {"movingPattern": "CONST_SPEED", "playbackType": "NONE", "visible": True, "pointList": []}
     return {
         "mode": "DOT_MODE",
-        "dotMode": {"dotConnected": False, "feedback": feedback or [silence]},
+        "dotMode": {"dotConnected": False, "feedback": feedback},
         "pathMode": {"feedback": [path]},
     }
 
@@ -245,16 +226,15 @@ class OneTrack:
     def of(cls, effect: ArrayEffect, has_taps: bool = True) -> OneTrack:
         """The track of an effect; an only frame is held for the time of a frame, taps may stay in the envelope."""
         frames, actuators = len(effect), effect.drives[0].size
-        every = effect.drives.reshape(frames, -1)
-        strongest = np.argmax(every, axis=1)
-        drives = every[np.arange(frames), strongest].astype(np.float64)
+        every, frequencies = effect.drives.reshape(frames, -1), effect.frequencies_hz
+        strongest = np.arange(frames), np.argmax(every, axis=1)
+        own = None if frequencies is None else frequencies.reshape(frames, -1)[strongest]
+        hertz = filled_hz(every[strongest], own).astype(np.float64)
+        drives = every[strongest].astype(np.float64)
         low, high = SHARPNESS_HZ
         notes: tuple[str, ...] = ()
         if actuators > 1:
             notes = (f"{actuators} actuators become one: the strongest at each moment is told.",)
-        own = effect.frequencies_hz
-        own = None if own is None else own.reshape(frames, -1)[np.arange(frames), strongest]
-        hertz = filled_hz(drives.astype(np.float32), own).astype(np.float64)
         if hertz.min() < low or hertz.max() > high:
             notes += (f"Frequencies beyond {low:g} to {high:g} Hz are told as the nearer of these.",)
         sharp = np.clip((hertz - low) / (high - low), 0, 1)
@@ -281,7 +261,7 @@ def _without_taps(
     return left, tuple(taps)
 
 
-def _points(values: Float64s, rate_hz: float) -> tuple[tuple[float, float], ...]:
+def _points(values: Float64s, rate_hz: float) -> Points:
     kept = thinned(np.arange(len(values)), np.round(values, DIGITS)[:, None], (_HALF_STEP,))
     return tuple((round(n / rate_hz, 6), round(float(values[n]), DIGITS)) for n in kept.tolist())
 
@@ -293,21 +273,17 @@ _LONGEST_S: Final = 30.0
 def write_haptic(path: str | Path, effect: ArrayEffect, name: str = "", description: str = "") -> tuple[str, ...]:
     """Write the drives of an array as ``.haptic``.
 
-    Returns tuple of str: what is lost on the way.
-
-    Raises SourceError if the system refuses to write.
+    Returns tuple of str: what is lost on the way. Raises SourceError if the system refuses to write.
     """
     track = OneTrack.of(effect)
-    times = [time for time, _ in track.amplitudes]
+    times, amplitudes = np.transpose(track.amplitudes)
     points: dict[float, dict[str, Any]] = {
         time: {"time": time, "amplitude": amplitude} for time, amplitude in track.amplitudes
     }
     for at, amplitude, sharpness in track.taps:
         time = round(at, 6)
         if time not in points:
-            after = min(max(bisect_left(times, time), 1), len(times) - 1)
-            (t0, a0), (t1, a1) = track.amplitudes[after - 1], track.amplitudes[after]
-            points[time] = {"time": time, "amplitude": round(a0 + (a1 - a0) * (time - t0) / (t1 - t0), DIGITS)}
+            points[time] = {"time": time, "amplitude": round(float(np.interp(time, times, amplitudes)), DIGITS)}
         own = points[time]
         own["emphasis"] = {"amplitude": max(amplitude, own["amplitude"]), "frequency": sharpness}
     document = {
@@ -325,7 +301,7 @@ def write_haptic(path: str | Path, effect: ArrayEffect, name: str = "", descript
             }
         },
     }  # fmt: skip
-    _write(path, document)
+    _write(path, document, indent=1)
     return track.notes
 
 
@@ -343,8 +319,8 @@ def write_ahap(path: str | Path, effect: ArrayEffect, name: str = "", descriptio
             begin += length
         for parameter, points in (("Intensity", track.amplitudes), ("Sharpness", track.sharpness)):
             pattern += _curves(f"Haptic{parameter}Control", points)
-    told = {"Project": name, "Created": "", "Description": description}
-    _write(path, {"Version": 1.0, "Metadata": told, "Pattern": pattern})
+    metadata = {"Project": name, "Created": "", "Description": description}
+    _write(path, {"Version": 1.0, "Metadata": metadata, "Pattern": pattern}, indent=1)
     return track.notes
 
 
@@ -357,15 +333,15 @@ def _event(
     return {"Event": {"EventType": kind, "Time": round(time_s, 6), **duration, "EventParameters": parameters}}
 
 
-def _curves(parameter: str, points: tuple[tuple[float, float], ...]) -> Iterator[dict[str, Any]]:
+def _curves(parameter: str, points: Points) -> Iterator[dict[str, Any]]:
     """Curves end to end: the last point of one is the first of the next."""
     for first in range(0, max(1, len(points) - 1), _MOST_POINTS - 1):
         some = points[first : first + _MOST_POINTS]
         begin = some[0][0]
-        told = [{"Time": round(time - begin, 6), "ParameterValue": value} for time, value in some]
-        yield {"ParameterCurve": {"ParameterID": parameter, "Time": begin, "ParameterCurveControlPoints": told}}
+        controls = [{"Time": round(time - begin, 6), "ParameterValue": value} for time, value in some]
+        yield {"ParameterCurve": {"ParameterID": parameter, "Time": begin, "ParameterCurveControlPoints": controls}}
 
 
-def _write(path: str | Path, document: dict[str, Any]) -> None:
+def _write(path: str | Path, document: dict[str, Any], indent: int | None = None) -> None:
     with atomic_path(Path(path)) as temporary:
-        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(document, indent=indent) + "\n", encoding="utf-8")

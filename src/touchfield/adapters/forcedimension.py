@@ -71,8 +71,7 @@ class ForceDimension(PointDevice):
         self._has_wrist = bool(self._library.dhdHasWrist(device))
         self._has_gripper = bool(self._library.dhdHasGripper(device))
         try:
-            if self._library.dhdEnableForce(1, device) < 0:
-                raise self._error("switch forces on")
+            self._call("dhdEnableForce", "switch forces on", 1)
             self.put_force_n(0.0, 0.0, 0.0)
         except DeviceError:
             self.close()
@@ -80,9 +79,7 @@ class ForceDimension(PointDevice):
 
     def position_m(self) -> tuple[float, float, float]:
         """Where the device says it is."""
-        self._check_open()
-        if self._library.dhdGetPosition(*self._at, self._device) < 0:  # 1: the same as a moment ago
-            raise self._error("get position")
+        self._call("dhdGetPosition", "get position", *self._at)  # 1: the same as a moment ago
         x, y, z = (axis.value for axis in self._place)
         if not math.isfinite(x + y + z):
             raise DeviceError(_WHERE, f"a position of {x:g}, {y:g}, {z:g} m", "finite metres")
@@ -90,11 +87,9 @@ class ForceDimension(PointDevice):
 
     def orientation(self) -> Quaternion:
         """How the wrist is turned."""
-        self._check_open()
         if not self._has_wrist:
             return 1.0, 0.0, 0.0, 0.0
-        if self._library.dhdGetOrientationFrame(self._frame, self._device) < 0:
-            raise self._error("get orientation")
+        self._call("dhdGetOrientationFrame", "get orientation", self._frame)
         w, x, y, z = quaternion_of_rows(*self._frame)
         if not math.isfinite(w + x + y + z):
             raise DeviceError(_WHERE, "an orientation that is no rotation", "a rotation matrix")
@@ -102,16 +97,13 @@ class ForceDimension(PointDevice):
 
     def buttons(self) -> int:
         """Its button mask."""
-        self._check_open()
-        return int(self._library.dhdGetButtonMask(self._device))
+        return self._call("dhdGetButtonMask", "get buttons")
 
     def gripper_m(self) -> float:
         """The gap between thumb and finger."""
-        self._check_open()
         if not self._has_gripper:
             return 0.0
-        if self._library.dhdGetGripperGap(byref(self._gap), self._device) < 0:
-            raise self._error("get gripper")
+        self._call("dhdGetGripperGap", "get gripper", byref(self._gap))
         return float(self._gap.value)
 
     def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:
@@ -120,20 +112,16 @@ class ForceDimension(PointDevice):
         if not self._has_torque:
             self.put_force_n(fx, fy, fz)
             return
-        self._check_open()
         if not math.isfinite(fx + fy + fz + tx + ty + tz):
             found = f"a force of {fx:g}, {fy:g}, {fz:g} N and a torque of {tx:g}, {ty:g}, {tz:g} N m"
             raise DeviceError(_WHERE, found, "finite newtons and newton metres")
-        if self._library.dhdSetForceAndTorqueAndGripperForce(fx, fy, fz, tx, ty, tz, 0.0, self._device) < 0:
-            raise self._error("set force and torque")
+        self._call("dhdSetForceAndTorqueAndGripperForce", "set force and torque", fx, fy, fz, tx, ty, tz, 0.0)
 
     def put_force_n(self, x: float, y: float, z: float) -> None:
         """Set the force."""
-        self._check_open()
         if not math.isfinite(x + y + z):
             raise DeviceError(_WHERE, f"a force of {x:g}, {y:g}, {z:g} N", "finite newtons")
-        if self._library.dhdSetForce(x, y, z, self._device) < 0:  # 2: a motor is at its limit
-            raise self._error("set force")
+        self._call("dhdSetForce", "set force", x, y, z)  # 2: a motor is at its limit
 
     def close(self) -> None:
         """Force and torque of zero, forces off, device closed."""
@@ -147,9 +135,14 @@ class ForceDimension(PointDevice):
                 self._library.dhdEnableForce(0, device)
                 self._library.dhdClose(device)
 
-    def _check_open(self) -> None:
+    def _call(self, function: str, what: str, *arguments: Any) -> int:
+        """The result of a function that takes the device last; `DeviceError` if it tells a failure."""
         if self._device is None:
             raise DeviceError(_WHERE, "a device that is not open", "an open one")
+        result: int = getattr(self._library, function)(*arguments, self._device)
+        if result < 0:
+            raise self._error(what)
+        return result
 
     def _error(self, what: str, mend: str = "") -> DeviceError:
         words = self._library.dhdErrorGetLastStr() or b"no reason given"

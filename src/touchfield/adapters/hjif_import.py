@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.hjif_read import Band, Channel, Effect, Hjif, Perception, hjif_of, read_hjif
+from touchfield.adapters.hjif_read import Band, Effect, Hjif, Perception, read_hjif
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
     MAX_SECONDS,
@@ -37,8 +37,8 @@ from touchfield.adapters.symbolic import (
     ArrayEffect,
     Drive,
     ImportedEffect,
+    check_rate,
     checked_frames,
-    checked_rate,
 )
 from touchfield.arrays import Float32s, Float64s, Int64s
 
@@ -60,16 +60,15 @@ def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> Impor
     and if nothing in it can be felt, or it is longer than an hour; InvalidArgument if the rate is out of range, or
     there would be too many drives.
     """
-    checked_rate(rate_hz)
-    document = _read(path)
-    felt = [one for one in document.perceptions if one.modality in MODALITIES[:-1]]
-    felt = felt or [one for one in document.perceptions if one.modality in MODALITIES]
+    check_rate(rate_hz)
+    document = read_hjif(path)
+    felt = [one for one in document.perceptions if one.modality in MODALITIES]
     if not felt:
         raise document.place.wrong(
             "perceptions of " + ", ".join(sorted({one.modality for one in document.perceptions})),
             "one of " + ", ".join(MODALITIES),
         )
-    perception = felt[0]
+    perception = next((one for one in felt if one.modality != "Other"), felt[0])
     notes = _notes(document, perception)
     frames = _frames(document, perception, rate_hz)
     if perception.modality == "Force" and any(one.direction for one in perception.channels):
@@ -94,43 +93,21 @@ def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> Impor
     return ImportedEffect(effect, perception.device_name, notes=notes)
 
 
-def read_hjif_force(path: str | Path) -> tuple[Float64s, Float64s]:
-    """The force that a file holds, at its keyframes: ascending seconds [n], and newtons along x, y, z [n, 3].
-
-    It is linear in between. Raises SourceError as `read_hjif`, and if there is no perception of force, a channel has
-    no direction, or a band is no Curve.
-    """
-    document = _read(path)
-    perceptions = [one for one in document.perceptions if one.modality == "Force"]
-    if not perceptions:
-        raise document.place.wrong("no perception of force", "one of modality Force")
-    ticks = _keyframe_ticks(perceptions[0])
-    return ticks / document.timescale, _force_n(perceptions[0], ticks)
-
-
-def _read(path: str | Path) -> Hjif:
-    if Path(path).suffix.lower() == ".hmpg":
-        from touchfield.adapters.hmpg_read import read_hmpg
-
-        return hjif_of(read_hmpg(path))
-    return read_hjif(path)
-
-
-def _keyframe_ticks(perception: Perception) -> Float64s:
+def keyframe_ticks(perception: Perception) -> Float64s:
     """Every tick at which a line begins or ends; where an effect ends there is one more, at which it is over."""
     ends = [np.zeros(1, np.int64)]
     for channel in perception.channels:
         for band in channel.bands:
-            held = [effect for effect in band.effects if len(effect.ticks)]
-            ends += [effect.position + effect.ticks for effect in held]
-            ends += [one.position + one.ticks[-1:] + 1 for one in held[:-1]]
+            effects = [effect for effect in band.effects if len(effect.ticks)]
+            ends += [effect.position + effect.ticks for effect in effects]
+            ends += [one.position + one.ticks[-1:] + 1 for one in effects[:-1]]
     ticks = np.unique(np.concatenate(ends)).astype(np.float64)
     _check_work(perception, len(ticks))
     return ticks
 
 
-def _force_n(perception: Perception, ticks: Float64s) -> Float64s:
-    """The sum of all channels along their directions, float64 [n, 3]."""
+def force_n(perception: Perception, ticks: Float64s) -> Float64s:
+    """The force at ascending ticks [n], the sum of all channels along their directions, float64 [n, 3]."""
     forces, unit_n = np.zeros((len(ticks), 3)), 10.0**perception.unit_exponent
     for channel in perception.channels:
         if channel.direction is None or not any(channel.direction):
@@ -140,7 +117,9 @@ def _force_n(perception: Perception, ticks: Float64s) -> Float64s:
         for band in channel.bands:
             if band.kind != "Curve":
                 raise band.place.wrong(f"a band of type {band.kind}", "a Curve")
-            forces += curve_at(band, ticks)[:, None] * along
+            for effect, first, stop in _governed(band, ticks):
+                shares = _curve(band, effect, ticks[first:stop] - effect.position)
+                forces[first:stop] += shares[:, None] * along
     if not np.isfinite(forces).all():
         raise perception.place.wrong("forces that are not finite", "finite newtons")
     return forces
@@ -151,8 +130,8 @@ def _magnitude(
 ) -> ImportedEffect:
     """A force as the drive of one actuator."""
     ticks = np.arange(frames, dtype=np.float64) * (document.timescale / rate_hz)
-    magnitude_n = np.linalg.norm(_force_n(perception, ticks), axis=1)
-    greatest_n = float(np.linalg.norm(_force_n(perception, _keyframe_ticks(perception)), axis=1).max())
+    magnitude_n = np.linalg.norm(force_n(perception, ticks), axis=1)
+    greatest_n = float(np.linalg.norm(force_n(perception, keyframe_ticks(perception)), axis=1).max())
     if not 0 < greatest_n <= 1e6:
         raise perception.place.wrong(f"a greatest force of {greatest_n:g} N", "newtons above 0, up to a million")
     drives = np.minimum(magnitude_n / greatest_n, 1).astype(np.float32).reshape(-1, 1, 1)
@@ -191,40 +170,28 @@ def _cells(perception: Perception, frames: int) -> tuple[list[Int64s], int, int,
     parts: dict[tuple[str, ...], list[int]] = {}
     for n, channel in enumerate(channels):
         parts.setdefault(channel.body, []).append(n)
-    sizes, rows, columns, offsets = {}, 1, 0, {}
-    for body, members in parts.items():
-        sizes[body] = _extent([channels[n] for n in members])
-        offsets[body] = columns
-        columns, rows = columns + sizes[body][0], max(rows, sizes[body][1])
-    untargeted = [(channels[n], sizes[body]) for body in parts for n in parts[body] if not channels[n].targets]
-    reached = sum(len(one.targets or ()) for one in channels)
-    reached += sum(math.prod(one.resolution or size) for one, size in untargeted)
-    if max(reached, rows * columns) * frames > MAX_VALUES:
-        found = f"{frames} frames of {max(reached, rows * columns)} actuators"
-        raise perception.place.wrong(found, f"at most {MAX_VALUES} drives", "Take a lower rate.")
-    cells: list[Int64s] = [np.zeros(0, np.int64)] * len(channels)
-    for body, members in parts.items():
-        in_a_row = not any(channels[n].resolution or channels[n].targets for n in members)
+    places = {}
+    rows, columns, reached = 1, 0, 0
+    for members in parts.values():
+        extents = [one.resolution for one in (channels[n] for n in members) if one.resolution]
+        extents += [(x + 1, y + 1) for n in members for x, y in channels[n].targets or ()]
+        width, height = map(max, zip(*extents)) if extents else (len(members), 1)
+        rows = max(rows, height)
         for place, n in enumerate(members):
-            at = np.array([(place, 0)]) if in_a_row else _targets(channels[n], sizes[body])
-            cells[n] = at[:, 1] * columns + at[:, 0] + offsets[body]
-    return cells, rows, columns, len(parts)
-
-
-def _extent(channels: list[Channel]) -> tuple[int, int]:
-    """Columns and rows of one body part."""
-    told = [one.resolution for one in channels if one.resolution]
-    told += [(x + 1, y + 1) for one in channels for x, y in one.targets or ()]
-    if not told:
-        return (len(channels), 1)
-    return (max(x for x, _ in told), max(y for _, y in told))
-
-
-def _targets(channel: Channel, size: tuple[int, int]) -> Int64s:
-    if channel.targets:
-        return np.array(sorted(set(channel.targets)), np.int64)
-    columns, rows = channel.resolution or size
-    return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+            across, up = channels[n].resolution or (width, height)
+            if not extents:
+                x, y = np.array([place]), np.array([0])
+            elif targets := channels[n].targets:
+                x, y = np.array(sorted(set(targets)), np.int64).T
+            else:
+                y, x = np.divmod(np.arange(across * up), across)
+            places[n], reached = (columns + x, y), reached + len(x)
+            actuators = max(reached, rows * (columns + width))
+            if actuators * frames > MAX_VALUES:
+                found = f"{frames} frames of {actuators} actuators"
+                raise perception.place.wrong(found, f"at most {MAX_VALUES} drives", "Take a lower rate.")
+        columns += width
+    return [y * columns + x for _, (x, y) in sorted(places.items())], rows, columns, len(parts)
 
 
 def _images(of: Float32s, rows: int, columns: int) -> Float32s:
@@ -245,11 +212,11 @@ def wave_drive(times_s: Float64s, values: Float64s, at_s: Float64s, window_s: fl
     the amplitude is then its magnitude.
     """
     slow = np.abs(np.interp(at_s, times_s, values)), np.zeros(len(at_s))
-    held = np.flatnonzero(values)
-    turns = np.flatnonzero(np.diff(np.sign(values[held])))
+    nonzero = np.flatnonzero(values)
+    turns = np.flatnonzero(np.diff(np.sign(values[nonzero])))
     if len(turns) < 2:
         return slow
-    before, after = held[turns], held[turns + 1]
+    before, after = nonzero[turns], nonzero[turns + 1]
     share = values[before] / (values[before] - values[after])
     crossings_s = times_s[before] + share * (times_s[after] - times_s[before])
     bounds = np.concatenate([[0], after, [len(values)]])
@@ -279,7 +246,7 @@ _SLACK: Final = 0.5
 def end_tick(band: Band, timescale: int) -> float:
     """The tick at which the last effect of a band is over; 0 for a band without any."""
     if band.kind == "WaveletWave":
-        return max((one.position + _length(one) * timescale / band.upper_hz for one in band.effects), default=0)
+        return max((one.position + len(one.samples) * timescale / band.upper_hz for one in band.effects), default=0)
     after = math.ceil(TRANSIENT_S * timescale) if band.kind == "Transient" else 0
     return max((one.position + int(one.ticks[-1]) + after for one in band.effects if len(one.ticks)), default=0)
 
@@ -297,26 +264,14 @@ def drive_of(bands: Iterable[Band], frames: int, ticks_per_frame: float, timesca
     return total
 
 
-def curve_at(band: Band, ticks: Float64s) -> Float64s:
-    """The signed value of a Curve, before the channel's gain, float64 [n]; `ticks` [n] ascend."""
-    values = np.zeros(len(ticks))
-    for effect, first, stop in _governed(band, ticks):
-        values[first:stop] = _curve(band, effect, ticks[first:stop] - effect.position)
-    return values
-
-
 def _governed(band: Band, places: Float64s) -> Iterable[tuple[Effect, int, int]]:
     """Each effect with the places, from and to, at which it is felt."""
-    held = [one for one in band.effects if len(one.ticks)]
-    low, high = [one.position - _SLACK for one in held], [one.position + one.ticks[-1] + _SLACK for one in held]
+    effects = [one for one in band.effects if len(one.ticks)]
+    low, high = [one.position - _SLACK for one in effects], [one.position + one.ticks[-1] + _SLACK for one in effects]
     begins = np.searchsorted(places, low, side="left").tolist()
     ends = np.searchsorted(places, high, side="right").tolist()
-    for effect, first, stop, following in zip(held, begins, ends, [*begins[1:], len(places)]):
+    for effect, first, stop, following in zip(effects, begins, ends, [*begins[1:], len(places)]):
         yield effect, first, max(first, min(stop, following))
-
-
-def _length(block: Effect) -> int:
-    return 0 if block.samples is None else len(block.samples)
 
 
 def _wavelets(band: Band, places: Float64s, timescale: int) -> Drive:
@@ -326,7 +281,7 @@ def _wavelets(band: Band, places: Float64s, timescale: int) -> Drive:
     runs: list[tuple[float, list[Float64s]]] = []
     end = -math.inf
     for block in band.effects:
-        if block.samples is None or not block.samples.any():
+        if not block.samples.any():
             continue
         if abs(block.position - end) > 1:
             runs.append((block.position, []))
@@ -358,7 +313,8 @@ def _continuous(band: Band, places: Float64s, ticks_per_frame: float, timescale:
         if band.kind == "Curve":
             amplitudes, hertz = _drawn(band, effect, at, ticks_per_frame, timescale)
         else:
-            amplitudes, hertz = np.abs(_amplitudes(effect, at, 1.0)), _frequencies(band, effect, at)
+            amplitudes = np.abs(_linear(effect, effect.amplitudes, at, 1.0))
+            hertz = np.clip(_linear(effect, effect.frequencies_hz, at, _DEFAULT_HZ), band.lower_hz, band.upper_hz)
         if first == stop:
             strongest = int(np.argmax(amplitudes))
             if amplitudes[strongest] <= drive.amplitudes[where][0]:
@@ -368,20 +324,17 @@ def _continuous(band: Band, places: Float64s, ticks_per_frame: float, timescale:
     return drive
 
 
-def _amplitudes(effect: Effect, at: Float64s, default: float) -> Float64s:
-    held = ~np.isnan(effect.amplitudes)
-    if not held.any():
-        return np.full(len(at), default)
-    return np.interp(at, effect.ticks[held], effect.amplitudes[held])
+def _linear(effect: Effect, values: Float64s, at: Float64s, default: float) -> Float64s:
+    """The values of the keyframes that have one, with lines between them."""
+    known = ~np.isnan(values)
+    return np.interp(at, effect.ticks[known], values[known]) if known.any() else np.full(len(at), default)
 
 
 def _curve(band: Band, effect: Effect, at: Float64s) -> Float64s:
-    if band.curve not in ("Cubic", "Akima"):
-        return _amplitudes(effect, at, 0.0)
-    held = ~np.isnan(effect.amplitudes)
-    ticks, values = effect.ticks[held], effect.amplitudes[held]
-    if len(ticks) < 2:
-        return _amplitudes(effect, at, 0.0)
+    known = ~np.isnan(effect.amplitudes)
+    ticks, values = effect.ticks[known], effect.amplitudes[known]
+    if band.curve not in ("Cubic", "Akima") or len(ticks) < 2:
+        return _linear(effect, effect.amplitudes, at, 0.0)
     if band.curve == "Akima":
         from scipy.interpolate import Akima1DInterpolator
 
@@ -400,26 +353,16 @@ def _drawn(
     band: Band, effect: Effect, at: Float64s, ticks_per_frame: float, timescale: int
 ) -> tuple[Float64s, Float64s]:
     """A Curve: a wave where it swings about nothing, else its magnitude."""
-    held = ~np.isnan(effect.amplitudes)
-    magnitudes, none = np.abs(_curve(band, effect, at)), np.zeros(len(at))
-    if not held.any():
-        return magnitudes, none
-    times_s = effect.ticks[held] / timescale
-    amplitudes, hertz = wave_drive(times_s, effect.amplitudes[held], at / timescale, ticks_per_frame / timescale)
+    known, magnitudes = ~np.isnan(effect.amplitudes), np.abs(_curve(band, effect, at))
+    if not known.any():
+        return magnitudes, np.zeros(len(at))
+    times_s = effect.ticks[known] / timescale
+    amplitudes, hertz = wave_drive(times_s, effect.amplitudes[known], at / timescale, ticks_per_frame / timescale)
     is_wave = hertz > 0
     return (
         np.where(is_wave, amplitudes, magnitudes),
         np.where(is_wave, np.clip(hertz, max(band.lower_hz, 1), max(band.upper_hz, 1)), 0),
     )
-
-
-def _frequencies(band: Band, effect: Effect, at: Float64s) -> Float64s:
-    held = ~np.isnan(effect.frequencies_hz)
-    if not held.any():
-        return np.full(len(at), np.clip(_DEFAULT_HZ, band.lower_hz, band.upper_hz))
-    told = np.interp(at, effect.ticks[held], effect.frequencies_hz[held])
-    limited: Float64s = np.clip(told, band.lower_hz, band.upper_hz)
-    return limited
 
 
 def _transients(band: Band, frames: int, ticks_per_frame: float, timescale: int) -> Drive:
@@ -428,8 +371,8 @@ def _transients(band: Band, frames: int, ticks_per_frame: float, timescale: int)
         return drive
     ticks = np.concatenate([one.position + one.ticks for one in band.effects])
     amplitudes = np.abs(np.concatenate([one.amplitudes for one in band.effects]))
-    told = np.concatenate([one.frequencies_hz for one in band.effects])
-    hertz = np.where(np.isnan(told), np.clip(_DEFAULT_HZ, band.lower_hz, band.upper_hz), told)
+    hertz = np.concatenate([one.frequencies_hz for one in band.effects])
+    hertz[np.isnan(hertz)] = np.clip(_DEFAULT_HZ, band.lower_hz, band.upper_hz)
     begins = np.round(ticks / ticks_per_frame).astype(np.int64)
     length = TRANSIENT_S * timescale / ticks_per_frame
     for after in range(max(1, math.ceil(length))):

@@ -14,14 +14,15 @@ from __future__ import annotations
 
 import base64
 import binascii
+import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
+from touchfield.adapters.hmpg_read import BANDS, CURVES, KINDS, MODALITIES, SIGNALS, read_hmpg
 from touchfield.adapters.json_values import JsonValue, read_json
 from touchfield.arrays import Float64s, Int64s
 from touchfield.medium.medium import MAX_FREQUENCY_HZ
@@ -34,15 +35,8 @@ MAX_CHANNELS: Final = 65535
 
 MAX_BYTES: Final = 1 << 26
 _MAX_TICK: Final = (1 << 31) - 1
-_MODALITIES: Final = (
-    "Pressure", "Acceleration", "Velocity", "Position", "Temperature", "Vibrotactile", "Water", "Wind", "Force",
-    "Electrotactile", "Vibrotactile Texture", "Stiffness", "Friction", "Humidity", "User-defined Temporal",
-    "User-defined Spatial", "Other",
-)  # fmt: skip
-_BANDS: Final = ("WaveletWave", "VectorialWave", "Curve", "Transient")
-_CURVES: Final = ("Linear", "Cubic", "Akima", "Bezier", "BSpline", "Unknown")
-_SIGNALS: Final = ("Sine", "Square", "Triangle", "SawToothUp", "SawToothDown")
-_LARGEST_VECTOR: Final = 127
+_MODALITIES: Final = (*MODALITIES, "Humidity", "User-defined Temporal", "User-defined Spatial")
+LARGEST_VECTOR: Final = 127
 _MAX_MASK: Final = (1 << 32) - 1
 _MOST_SAMPLES: Final = 1 << 21
 """Of all wavelets of a file: four minutes at 8 kHz."""
@@ -65,14 +59,14 @@ class Effect:
     """One effect of a band, from `position` on.
 
     The ticks of its keyframes count from there and never fall; amplitudes and frequencies [n] are NaN where a
-    keyframe has none. A block of wavelets has samples instead: so many of the band's upper limit a second.
+    keyframe has none. A block of wavelets has samples instead, else none: so many of the band's upper limit a second.
     """
 
     position: int
     ticks: Int64s
     amplitudes: Float64s
     frequencies_hz: Float64s
-    samples: Float64s | None = None
+    samples: Float64s
 
 
 @dataclass(frozen=True)
@@ -133,16 +127,13 @@ class _Clock:
 
 
 def read_hjif(path: str | Path) -> Hjif:
-    """The perceptions of an ``.hjif`` file.
+    """The perceptions of an ``.hjif`` file, or of its binary form ``.hmpg``.
 
     Raises SourceError if the file cannot be read, is longer than 64 MiB, is no JSON or breaks the schema; and where
     an effect refers to a library or is composed of others, or a curve is of a type that nobody draws alike.
     """
-    return hjif_of(read_json(path, MAX_BYTES, "an HJIF file"))
-
-
-def hjif_of(root: JsonValue) -> Hjif:
-    """The perceptions of a document that was read; errors as `read_hjif`."""
+    is_binary = Path(path).suffix.lower() == ".hmpg"
+    root = read_hmpg(path) if is_binary else read_json(path, MAX_BYTES, "an HJIF file")
     version = root.at("version")
     if not re.fullmatch(r"[0-9]{4}(-[0-9])?", version.text()):
         raise version.refused('a year such as "2023"')
@@ -193,7 +184,7 @@ def _channel(one: JsonValue, clock: _Clock) -> Channel:
         None if size is None else size[:2],
         _targets(one.get("actuator_target"), size),
         body or ((f"mask {bits:#x}",) if bits else ()),
-        None if direction is None else _vector(direction, -_LARGEST_VECTOR),
+        None if direction is None else _vector(direction, -LARGEST_VECTOR),
         tuple(_band(band, clock) for band in one.at("bands").each()),
         one,
     )
@@ -213,16 +204,16 @@ def _targets(targets: JsonValue | None, size: tuple[int, int, int] | None) -> tu
 
 
 def _vector(one: JsonValue, low: int) -> tuple[int, int, int]:
-    x, y, z = (one.at(key).whole(low, _LARGEST_VECTOR) for key in ("X", "Y", "Z"))
+    x, y, z = (one.at(key).whole(low, LARGEST_VECTOR) for key in ("X", "Y", "Z"))
     return x, y, z
 
 
 def _band(one: JsonValue, clock: _Clock) -> Band:
-    kind = one.at("band_type").text(_BANDS)
+    kind = one.at("band_type").text(BANDS)
     limits = [one.at(f"{end}_frequency_limit").number(0, MAX_FREQUENCY_HZ) for end in ("lower", "upper")]
     if limits[0] > limits[1]:
         raise one.wrong(f"limits of {limits[0]:g} and {limits[1]:g} Hz", "the lower one first")
-    shape = one.at("curve_type", "Linear").text(_CURVES)
+    shape = one.at("curve_type", "Linear").text(CURVES)
     if kind == "Curve" and shape not in ("Linear", "Cubic", "Akima", "Unknown"):
         raise one.wrong(f"a curve of type {shape}", "Linear, Cubic or Akima")
     if kind == "WaveletWave":
@@ -237,7 +228,7 @@ def _wavelets(one: JsonValue, rate_hz: float, clock: _Clock) -> list[Effect]:
     """The blocks of a band of wavelets."""
     ticks = one.at("block_length").whole(1, _MAX_TICK)
     length = round(ticks * rate_hz / clock.timescale)
-    if length not in [MIN_BLOCK << n for n in range(20) if MIN_BLOCK << n <= MAX_BLOCK]:
+    if not MIN_BLOCK <= length <= MAX_BLOCK or length.bit_count() != 1:
         expected = f"a power of two from {MIN_BLOCK} to {MAX_BLOCK}"
         raise one.at("block_length").wrong(f"{ticks} ticks, {length} samples at {rate_hz:g} Hz", expected)
     effects = one.at("effects")
@@ -259,7 +250,7 @@ def _wavelets(one: JsonValue, rate_hz: float, clock: _Clock) -> list[Effect]:
 
 
 def _basis(one: JsonValue) -> None:
-    kind = one.at("effect_type").text(("Basis", "Composite", "Reference"))
+    kind = one.at("effect_type").text(KINDS)
     if kind != "Basis":
         raise one.wrong(f"an effect of type {kind}", "Basis", "Effect libraries and compositions are not read.")
 
@@ -267,42 +258,22 @@ def _basis(one: JsonValue) -> None:
 def _effect(one: JsonValue) -> Effect:
     _basis(one)
     one.at("phase", 0).number(0, 6.2832)
-    one.at("base_signal", "Sine").text(_SIGNALS)
-    ticks, amplitudes, hertz = _keyframes(one.at("keyframes", []))
-    return Effect(
-        one.at("position", 0).whole(0, _MAX_TICK),
-        np.array(ticks, np.int64),
-        np.array(amplitudes, np.float64),
-        np.array(hertz, np.float64),
-    )
-
-
-def _keyframes(keyframes: JsonValue) -> tuple[list[int], list[float], list[float]]:
-    """Ticks, amplitudes and frequencies; there are many of them, so that the usual case is checked in passing."""
+    one.at("base_signal", "Sine").text(SIGNALS)
+    begin = one.at("position", 0).whole(0, _MAX_TICK)
+    before = 0
     ticks: list[int] = []
     amplitudes: list[float] = []
     hertz: list[float] = []
-    last = 0
-    for i, one in enumerate(keyframes.items()):
-        if not isinstance(one, Mapping):
-            raise keyframes.item(i).refused("an object")
-        tick = one.get("relative_position", 0)
-        if type(tick) is not int or not last <= tick <= _MAX_TICK:
-            where = keyframes.item(i).at("relative_position")
-            where.whole(0, _MAX_TICK)
-            raise where.refused(f"a tick not before {last}, that of the keyframe before it")
-        last = tick
-        ticks.append(tick)
-        amplitudes.append(_number(one, "amplitude_modulation", -1.0, 1.0, keyframes, i))
-        hertz.append(_number(one, "frequency_modulation", 0.0, MAX_FREQUENCY_HZ, keyframes, i))
-    return ticks, amplitudes, hertz
-
-
-def _number(one: Mapping[str, Any], key: str, low: float, high: float, keyframes: JsonValue, index: int) -> float:
-    value = one.get(key, np.nan)
-    if type(value) is float and (low <= value <= high or value is np.nan):
-        return value
-    return keyframes.item(index).at(key).number(low, high)
+    for keyframe in one.at("keyframes", []).each():
+        tick = keyframe.at("relative_position", 0)
+        if tick.whole(0, _MAX_TICK) < before:
+            raise tick.refused(f"a tick not before {before}, that of the keyframe before it")
+        before = tick.value
+        ticks.append(before)
+        amplitude, frequency = keyframe.get("amplitude_modulation"), keyframe.get("frequency_modulation")
+        amplitudes.append(math.nan if amplitude is None else amplitude.number(-1, 1))
+        hertz.append(math.nan if frequency is None else frequency.number(0, MAX_FREQUENCY_HZ))
+    return Effect(begin, np.array(ticks, np.int64), np.array(amplitudes), np.array(hertz), np.zeros(0))
 
 
 class _Coder:
@@ -324,8 +295,8 @@ class _Coder:
         width = self.high - self.low
         share = int(self.zeros[context] / self.seen[context] * _FULL + 0.5)
         split = min(max(width * share // _FULL, 1), width - 1)
-        found = int(self.lead - self.low >= split)
-        if found:
+        bit = int(self.lead - self.low >= split)
+        if bit:
             self.low += split
         else:
             self.high = self.low + split
@@ -339,7 +310,7 @@ class _Coder:
             elif self.low >= _QUARTER and self.high <= _THREE_QUARTERS:
                 off = _QUARTER
             else:
-                return found
+                return bit
             self.low, self.high = 2 * (self.low - off), 2 * (self.high - off)
             self.lead -= off
             self._take()

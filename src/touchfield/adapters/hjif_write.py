@@ -29,7 +29,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.adapters.hjif_read import DEFAULT_TIMESCALE, MAX_CHANNELS
+from touchfield.adapters.hjif_read import DEFAULT_TIMESCALE, LARGEST_VECTOR
+from touchfield.adapters.hmpg_read import LARGEST_PHASE
 from touchfield.adapters.symbolic import filled_hz
 from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
@@ -53,8 +54,6 @@ _LEVEL_1_CHANNELS: Final = 127
 _PANELS: Final = {"front": ("Front", 0x10 | 0x20 | 0x40), "back": ("Back", 0x100 | 0x200)}
 """Body part, and its bits: chest right and left with abdomen, upper and lower back."""
 
-_LARGEST_PHASE: Final = 6.28318
-_LARGEST_TARGET: Final = 127
 _LARGEST_FORCE_N: Final = 1e6
 
 
@@ -74,14 +73,12 @@ def write_hjif_array(
         "front" or "back" of the chest.
     description : str
 
-    Raises InvalidArgument if the array has more than 127 columns or rows, there is no such panel, or a frame takes
-    less than one tick of a millisecond or more than 65535; SourceError if the system refuses to write.
+    Raises InvalidArgument if the array has more than 127 columns or rows, or a frame takes less than one tick of a
+    millisecond or more than 65535; SourceError if the system refuses to write.
     """
     columns, rows, _ = effect.lattice
-    if max(columns, rows) > _LARGEST_TARGET or columns * rows > MAX_CHANNELS:
+    if max(columns, rows) > LARGEST_VECTOR:
         raise InvalidArgument("array", f"{columns} x {rows} actuators", "at most 127 columns and rows in HJIF")
-    if panel not in _PANELS:
-        raise InvalidArgument("panel", repr(panel), " or ".join(_PANELS))
     gap = DEFAULT_TIMESCALE / effect.rate_hz
     if not 1 <= gap <= MAX_SPAN_TICKS:
         found = f"{effect.rate_hz:g} frames a second, {gap:g} ticks to a frame"
@@ -90,20 +87,19 @@ def write_hjif_array(
     side, mask = _PANELS[panel]
 
     def channels() -> Iterator[dict[str, Any]]:
-        for row in range(rows):
-            for column in range(columns):
-                hertz = None if effect.frequencies_hz is None else effect.frequencies_hz[:, row, column]
-                drives = effect.drives[:, row, column]
-                yield {
-                    "description": f"row {row + 1} from the top, column {column + 1} from the left",
-                    "gain": 1.0,
-                    "mixing_coefficient": 1.0,
-                    "body_part_mask": mask,
-                    "actuator_resolution": {"X": columns, "Y": rows, "Z": 1},
-                    "body_part_target": ["Chest", side],
-                    "actuator_target": [{"X": column, "Y": rows - 1 - row, "Z": 0}],
-                    "bands": [_wave(ticks, drives, filled_hz(drives, hertz))],
-                }
+        for row, column in np.ndindex(rows, columns):
+            hertz = None if effect.frequencies_hz is None else effect.frequencies_hz[:, row, column]
+            drives = effect.drives[:, row, column]
+            yield {
+                "description": f"row {row + 1} from the top, column {column + 1} from the left",
+                "gain": 1.0,
+                "mixing_coefficient": 1.0,
+                "body_part_mask": mask,
+                "actuator_resolution": {"X": columns, "Y": rows, "Z": 1},
+                "body_part_target": ["Chest", side],
+                "actuator_target": [{"X": column, "Y": rows - 1 - row, "Z": 0}],
+                "bands": [_wave(ticks, drives, filled_hz(drives, hertz))],
+            }
 
     size = f"{columns} x {rows} actuators"
     _write(
@@ -154,8 +150,8 @@ def write_hjif_force(
         }
         for axis, name in enumerate("XYZ")
     ]
-    told = "Force", f"force at a point, in units of {full_scale_n:g} N"
-    _write(path, description or "force over time", timescale, told, device_name, channels, len(channels))
+    perception = "Force", f"force at a point, in units of {full_scale_n:g} N"
+    _write(path, description or "force over time", timescale, perception, device_name, channels, len(channels))
 
 
 def _write(
@@ -216,7 +212,7 @@ def _effects(ticks: Int64s, samples: Float64s) -> Iterator[dict[str, Any]]:
             {"relative_position": tick, "amplitude_modulation": amplitude, "frequency_modulation": int(hertz)}
             for tick, (amplitude, hertz) in zip((ticks[kept] - ticks[first]).tolist(), samples[kept].tolist())
         ]
-        yield _effect(int(ticks[first]), min(round(phase, _DIGITS), _LARGEST_PHASE), keyframes)
+        yield _effect(int(ticks[first]), min(round(phase, _DIGITS), LARGEST_PHASE), keyframes)
         seconds, hertz = np.diff(ticks[kept]) / DEFAULT_TIMESCALE, samples[kept, 1]
         cycles = float(seconds @ (hertz[1:] + hertz[:-1])) / 2
         first, phase = last, math.fmod(phase + 2 * math.pi * cycles, 2 * math.pi)

@@ -23,17 +23,19 @@ _UNIT_HEAD: Final = 9
 _PACKET_HEAD: Final = 3
 _TIMING, _HAPTICS, _PERCEPTION, _CHANNEL, _BAND, _DATA, _LIBRARY = range(7)
 _INITIAL_TIMING: Final = 11
-_MODALITIES: Final = (
+MODALITIES: Final = (
     "Other", "Pressure", "Acceleration", "Velocity", "Position", "Temperature", "Vibrotactile", "Water", "Wind",
     "Force", "Vibrotactile Texture", "Stiffness", "Friction", "Electrotactile",
 )  # fmt: skip
-_BANDS: Final = ("Transient", "Curve", "VectorialWave", "WaveletWave")
-_CURVES: Final = ("Unknown", "Cubic", "Linear", "Akima", "Bezier", "BSpline")
-_SIGNALS: Final = ("Sine", "Square", "Triangle", "SawToothUp", "SawToothDown")
-_KINDS: Final = ("Basis", "Reference", "Composite")
+"""Words of HJIF in the order of the binary form's numbers, as the tables below."""
+
+BANDS: Final = ("Transient", "Curve", "VectorialWave", "WaveletWave")
+CURVES: Final = ("Unknown", "Cubic", "Linear", "Akima", "Bezier", "BSpline")
+SIGNALS: Final = ("Sine", "Square", "Triangle", "SawToothUp", "SawToothDown")
+KINDS: Final = ("Basis", "Reference", "Composite")
 _SPATIAL: Final = 2
 _GREATEST: Final = 10000.0
-_LARGEST_PHASE: Final = 6.28318
+LARGEST_PHASE: Final = 6.28318
 
 
 class _Bits:
@@ -74,20 +76,13 @@ class _Bits:
 class _Document:
     """The document as far as the packets have come."""
 
-    def __init__(self, file: str) -> None:
-        self.file, self.timescale, self.time = file, 1000, 0
+    def __init__(self) -> None:
+        self.timescale, self.time, self.is_spatial = 1000, 0, False
         self.root: dict[str, Any] = {}
         self.perceptions: dict[int, dict[str, Any]] = {}
         self.channels: dict[tuple[int, int], dict[str, Any]] = {}
         self.bands: dict[int, dict[str, Any]] = {}
         self.effects: dict[tuple[int, int], dict[str, Any]] = {}
-
-    def value(self) -> JsonValue:
-        if not self.root:
-            raise SourceError(self.file, "no packet of metadata", _WHAT)
-        return JsonValue(
-            {**self.root, "timescale": self.timescale, "perceptions": list(self.perceptions.values())}, self.file
-        )
 
 
 def read_hmpg(path: str | Path) -> JsonValue:
@@ -97,7 +92,7 @@ def read_hmpg(path: str | Path) -> JsonValue:
     has not told.
     """
     data = read_bytes(path, _MOST_BYTES, _WHAT)
-    document, at, unit = _Document(str(path)), 0, 0
+    document, at, unit = _Document(), 0, 0
     while at < len(data):
         head = _Bits(data[at : at + _UNIT_HEAD], f"{path}: unit {unit}")
         kind, _, _, duration, length, _ = (head.whole(n) for n in (6, 2, 4, 24, 32, 4))
@@ -105,13 +100,17 @@ def read_hmpg(path: str | Path) -> JsonValue:
             found = f"{len(data) - at - _UNIT_HEAD} bytes left"
             raise SourceError(head.where, found, f"the {length} of its length", f"It should be {_WHAT}.")
         begin = at + _UNIT_HEAD
-        _unit(document, data[begin : begin + length], f"{path}: unit {unit}", kind == _SPATIAL)
+        document.is_spatial = kind == _SPATIAL
+        _unit(document, data[begin : begin + length], f"{path}: unit {unit}")
         at, unit = begin + length, unit + 1
         document.time += duration
-    return document.value()
+    if not document.root:
+        raise SourceError(str(path), "no packet of metadata", _WHAT)
+    perceptions = list(document.perceptions.values())
+    return JsonValue({**document.root, "timescale": document.timescale, "perceptions": perceptions}, str(path))
 
 
-def _unit(document: _Document, data: bytes, where: str, is_spatial: bool) -> None:
+def _unit(document: _Document, data: bytes, where: str) -> None:
     at = 0
     while at < len(data):
         head = _Bits(data[at : at + _PACKET_HEAD], f"{where}, byte {at}")
@@ -122,8 +121,6 @@ def _unit(document: _Document, data: bytes, where: str, is_spatial: bool) -> Non
         bits = _Bits(data[at : at + length], f"{head.where}, packet of type {kind}")
         if kind in _READERS:
             _READERS[kind](document, bits)
-        elif kind == _DATA:
-            _data(document, bits, is_spatial)
         elif kind == _LIBRARY and length > _PACKET_HEAD:
             raise SourceError(bits.where, "a library of effects", "effects of their own")
         at += length
@@ -149,7 +146,7 @@ def _haptics(document: _Document, bits: _Bits) -> None:
 def _perception(document: _Document, bits: _Bits) -> None:
     number, _ = bits.whole(8), bits.whole(8)
     description = bits.text()
-    modality, avatar = bits.one_of(8, _MODALITIES, "a modality of number"), bits.whole(8)
+    modality, avatar = bits.one_of(8, MODALITIES, "a modality of number"), bits.whole(8)
     bits.whole(16)  # effects of the library
     if bits.whole(1):
         bits.text()
@@ -166,8 +163,8 @@ def _perception(document: _Document, bits: _Bits) -> None:
 def _device(bits: _Bits) -> dict[str, Any]:
     number, name = bits.whole(8), bits.text()
     bits.whole(32)  # body parts
-    told = bits.whole(12)
-    bits.whole(32 * (told >> 1).bit_count() + 4 * (told & 1))  # none of which we use
+    flags = bits.whole(12)
+    bits.whole(32 * (flags >> 1).bit_count() + 4 * (flags & 1))  # none of which we use
     return {"id": max(1, number), "name": name}
 
 
@@ -178,16 +175,16 @@ def _channel(document: _Document, bits: _Bits) -> None:
     bits.whole(8)  # its device
     own["gain"] = max(0.0, round(bits.number(32, -_GREATEST, _GREATEST), 5))
     own["mixing_coefficient"] = round(bits.number(32, 0, _GREATEST), 5)
-    told = bits.whole(8)
-    if told & 1:
+    flags = bits.whole(8)
+    if flags & 1:
         own["body_part_mask"] = bits.whole(32)
-    elif told & 2:
+    elif flags & 2:
         own["actuator_resolution"] = bits.vector()
         own["body_part_target"] = [f"part {bits.whole(8)}" for _ in range(bits.whole(8))]
         own["actuator_target"] = [bits.vector() for _ in range(bits.whole(8))]
     if bits.whole(32):
         bits.whole(32)
-    if told & 4:
+    if flags & 4:
         own["direction"] = bits.vector()
     if perception not in document.perceptions:
         raise SourceError(bits.where, f"a channel of perception {perception}", "one that was told before it")
@@ -201,9 +198,9 @@ def _channel(document: _Document, bits: _Bits) -> None:
 def _band(document: _Document, bits: _Bits) -> None:
     number, perception, channel = bits.whole(8), bits.whole(8), bits.whole(16)
     bits.whole(8)  # priority
-    own: dict[str, Any] = {"band_type": bits.one_of(3, _BANDS, "a band of type")}
+    own: dict[str, Any] = {"band_type": bits.one_of(3, BANDS, "a band of type")}
     if own["band_type"] == "Curve":
-        own["curve_type"] = bits.one_of(4, _CURVES, "a curve of type")
+        own["curve_type"] = bits.one_of(4, CURVES, "a curve of type")
     elif own["band_type"] == "WaveletWave":
         own["block_length"] = bits.whole(8)
     own["lower_frequency_limit"], own["upper_frequency_limit"] = bits.whole(16), bits.whole(16)
@@ -215,7 +212,7 @@ def _band(document: _Document, bits: _Bits) -> None:
     document.bands[number].update(own)
 
 
-def _data(document: _Document, bits: _Bits, is_spatial: bool) -> None:
+def _data(document: _Document, bits: _Bits) -> None:
     bits.whole(1 + 8 + 16)  # kind of access; perception and channel, which the band knows
     number = bits.whole(8)
     if number not in document.bands:
@@ -223,14 +220,14 @@ def _data(document: _Document, bits: _Bits, is_spatial: bool) -> None:
     band = document.bands[number]
     for _ in range(bits.whole(16)):
         name = (number, bits.whole(16))
-        own: dict[str, Any] = {"effect_type": bits.one_of(2, _KINDS, "an effect of type")}
+        own: dict[str, Any] = {"effect_type": bits.one_of(2, KINDS, "an effect of type")}
         if band["band_type"] == "WaveletWave":
             _semantic(bits)
             own["position"] = len(band["effects"]) * band["block_length"]
             own["wavelet_stream"] = base64.b64encode(bytes(bits.whole(8) for _ in range(bits.whole(16)))).decode()
             band["effects"].append(own)
             return  # one to a packet
-        own["position"] = bits.signed(25) + (0 if is_spatial else document.time)
+        own["position"] = bits.signed(25) + (0 if document.is_spatial else document.time)
         if own["effect_type"] == "Basis":
             _semantic(bits)
             own["keyframes"] = _keyframes(bits, band["band_type"], own)
@@ -251,15 +248,15 @@ def _keyframes(bits: _Bits, kind: str, effect: dict[str, Any]) -> list[dict[str,
     count, keyframes = bits.whole(16), []
     is_wave = kind == "VectorialWave"
     if is_wave:
-        effect["phase"] = bits.number(16, 0, _LARGEST_PHASE)
-        effect["base_signal"] = bits.one_of(4, _SIGNALS, "a signal of number")
+        effect["phase"] = bits.number(16, 0, LARGEST_PHASE)
+        effect["base_signal"] = bits.one_of(4, SIGNALS, "a signal of number")
     for _ in range(count):
-        told = bits.whole(2) if is_wave else 1 if kind == "Curve" else 3
+        flags = bits.whole(2) if is_wave else 1 if kind == "Curve" else 3
         own: dict[str, Any] = {}
-        if told & 1:
+        if flags & 1:
             own["amplitude_modulation"] = bits.number(8, -1, 1)
         own["relative_position"] = bits.whole(16)
-        if told & 2:
+        if flags & 2:
             own["frequency_modulation"] = float(min(bits.whole(16), _GREATEST))
         keyframes.append(own)
     return keyframes
@@ -267,5 +264,5 @@ def _keyframes(bits: _Bits, kind: str, effect: dict[str, Any]) -> list[dict[str,
 
 _READERS: Final = {
     _TIMING: _timing, _HAPTICS: _haptics, _PERCEPTION: _perception, _CHANNEL: _channel, _BAND: _band,
-    _INITIAL_TIMING: _initial_timing,
+    _DATA: _data, _INITIAL_TIMING: _initial_timing,
 }  # fmt: skip

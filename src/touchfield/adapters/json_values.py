@@ -70,10 +70,6 @@ class JsonValue:
         """The items of an array."""
         return (JsonValue(item, self.file, f"{self.place}[{i}]") for i, item in enumerate(self.items(least)))
 
-    def item(self, index: int) -> JsonValue:
-        """One item of an array."""
-        return JsonValue(self.items(index + 1)[index], self.file, f"{self.place}[{index}]")
-
     def text(self, choices: tuple[str, ...] | None = None) -> str:
         """A string, one of `choices` where they are given."""
         if not isinstance(self.value, str) or (choices is not None and self.value not in choices):

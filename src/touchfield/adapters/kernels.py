@@ -173,12 +173,17 @@ _TURN = 0.1
 
 
 @njit(cache=True, nogil=True)
-def turned(times, quaternions, t, out):
-    """The orientation at t into `out` [4]: along the shorter way, made unit, at rest at both ends as the target."""
+def _around(times, t):
+    """The samples before and after t, and how far t is between; at rest at both ends, of equal times the later."""
     low = np.searchsorted(times, t, side="right")
-    a = max(low - 1, 0)
-    b = min(low, times.shape[0] - 1)
-    share = (t - times[a]) / (times[b] - times[a]) if b > a and low > 0 else 0.0
+    a, b = max(low - 1, 0), min(low, times.shape[0] - 1)
+    return a, b, (t - times[a]) / (times[b] - times[a]) if b > a and low > 0 else 0.0
+
+
+@njit(cache=True, nogil=True)
+def turned(times, quaternions, t, out):
+    """The orientation at t into `out` [4]: along the shorter way, made unit."""
+    a, b, share = _around(times, t)
     cosine = 0.0
     for n in range(4):
         cosine += quaternions[a, n] * quaternions[b, n]
@@ -193,19 +198,13 @@ def turned(times, quaternions, t, out):
 
 @njit(cache=True, nogil=True)
 def _target(times, positions, t):
-    """The trajectory at t: linear between samples, at rest at both ends; of equal times the later sample holds."""
-    low = np.searchsorted(times, t, side="right")
-    if low == 0:
-        return positions[0, 0], positions[0, 1], positions[0, 2]
-    a = low - 1
-    if low == times.shape[0]:
-        return positions[a, 0], positions[a, 1], positions[a, 2]
-    share = (t - times[a]) / (times[low] - times[a])
+    """The trajectory at t: linear between samples."""
+    a, b, share = _around(times, t)
     rest = 1.0 - share
     return (
-        rest * positions[a, 0] + share * positions[low, 0],
-        rest * positions[a, 1] + share * positions[low, 1],
-        rest * positions[a, 2] + share * positions[low, 2],
+        rest * positions[a, 0] + share * positions[b, 0],
+        rest * positions[a, 1] + share * positions[b, 1],
+        rest * positions[a, 2] + share * positions[b, 2],
     )
 
 

@@ -242,11 +242,7 @@ class DriverLibrary:
     def names(self) -> tuple[str, ...]:
         """Names to try, in order."""
         asked = os.environ.get(self.variable)
-        if asked:
-            return (asked,)
-        if sys.platform == "win32":
-            return self.windows
-        return self.mac if sys.platform == "darwin" else self.linux
+        return (asked,) if asked else {"win32": self.windows, "darwin": self.mac}.get(sys.platform, self.linux)
 
     @property
     def _mend(self) -> str:

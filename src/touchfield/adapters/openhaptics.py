@@ -96,7 +96,11 @@ class OpenHaptics(PointDevice):
         """Load the driver, compile the callback, find the device and switch forces on; no callback yet."""
         self.close()
         library = self._library = DRIVER.load(_FUNCTIONS)
-        self._callback = self._compiled()
+        cycle = self._cycle or import_module("touchfield.render.kernels.tick").cycle
+        self._callback = import_module("touchfield.adapters.kernels").compiled_callback(
+            cycle, library.hdBeginFrame, library.hdEndFrame, library.hdGetDoublev, library.hdSetDoublev,
+            library.hdGetError,
+        )  # fmt: skip
         device = library.hdInitDevice(None if self._name is None else self._name.encode())
         error = self._error("find the device", "Is it plugged in, and set up with the maker's own tool?")
         if error is None and device == _INVALID_HANDLE:
@@ -172,15 +176,6 @@ class OpenHaptics(PointDevice):
         _wait(lambda: not force.any() or bool(box[kernel.DONE]), _RELEASE_S)
         box[kernel.STOP] = 1
         return _wait(lambda: bool(box[kernel.DONE]), _LAST_FRAME_S)
-
-    def _compiled(self) -> Any:
-        from touchfield.adapters.kernels import compiled_callback
-
-        if self._cycle is None:
-            self._cycle = import_module("touchfield.render.kernels.tick").cycle
-        library = self._library
-        frame = (library.hdBeginFrame, library.hdEndFrame)
-        return compiled_callback(self._cycle, *frame, library.hdGetDoublev, library.hdSetDoublev, library.hdGetError)
 
     def _raise(self, what: str) -> None:
         error = self._error(what)

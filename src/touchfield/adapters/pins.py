@@ -127,10 +127,10 @@ class Pins(ArrayDevice):
             raise DeviceError(self._where, f"that it is gone ({error or 'it was closed'})", mend=_MEND) from error
         if answer == b"ok %d" % number:
             return
-        told = "".join(chr(byte) if 32 <= byte < 127 else "?" for byte in answer[:80])
+        text = "".join(chr(byte) if 32 <= byte < 127 else "?" for byte in answer[:80])
         if answer.startswith(b"err "):
-            raise DeviceError(self._where, f"that it refuses line {number}: {told[4:]}", f"ok {number}")
-        raise DeviceError(self._where, f"the answer '{told}'", f"ok {number}", _MEND)
+            raise DeviceError(self._where, f"that it refuses line {number}: {text[4:]}", f"ok {number}")
+        raise DeviceError(self._where, f"the answer '{text}'", f"ok {number}", _MEND)
 
 
 def _make(words: str, profile: Device) -> ArrayDevice:
@@ -152,9 +152,9 @@ def checks() -> list[Check]:
     if not library.is_there:
         return [library]
     ports = serial_ports()
-    told = ", ".join(ports[:8]) if ports else "none"
+    names = ", ".join(ports[:8]) if ports else "none"
     mend = "" if ports else "Plug it in; on Linux the user must belong to the group that owns it (dialout)"
-    return [library, Check("serial port", bool(ports), told, mend)]
+    return [library, Check("serial port", bool(ports), names, mend)]
 
 
 KIND = DeviceKind("pins", _FORM, "pin displays, by lines of text over a serial port or TCP", "dotpad", _make, checks)

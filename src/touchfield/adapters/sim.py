@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, cast
 import numpy as np
 
 from touchfield.adapters.registry import Check, DeviceKind, Opener
-from touchfield.errors import DeviceError, InvalidArgument, require_positive
+from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.point_device import PointDevice, Quaternion
 
 if TYPE_CHECKING:
@@ -32,12 +32,13 @@ if TYPE_CHECKING:
 HandKind = Literal["follow", "spring"]
 
 STIFFNESS_N_PER_M: Final = 500.0
-"""Of "spring", unless told otherwise; `touch_down` takes it, too."""
+"""Of "spring"; `touch_down` takes it, too."""
+
+_MASS_KG: Final = 0.1
+_SPRING: Final = (_MASS_KG, STIFFNESS_N_PER_M, 2.0 * math.sqrt(STIFFNESS_N_PER_M * _MASS_KG))
+"""m, k and critical damping b: of the order of a hand that holds a stylus; they are a choice, not a measurement."""
 
 _KINDS: Final = ("follow", "spring")
-_FASTEST: Final = 2e4
-"""rad/s of spring and mass: 200 sub-steps to a millisecond."""
-
 _LONGEST_S: Final = 10.0
 
 
@@ -50,35 +51,11 @@ class SimHand(PointDevice):
         In the field's metres, from 0 s on; before its first and after its last sample the hand (or its target)
         rests there. None: it rests at the origin.
     kind : "follow" or "spring"
-    mass_kg, stiffness_n_per_m : float
-        m and k of "spring", positive. The defaults are of the order of a hand that holds a stylus; they are a
-        choice, not a measurement.
-    damping_n_s_per_m : float or None
-        b of "spring", 0 or more; None damps critically, b = 2 sqrt(k m).
-
-    Raises InvalidArgument if a number is out of range or not finite, or sqrt(k/m) is above 20000 rad/s.
     """
 
-    def __init__(
-        self,
-        trajectory: Trace | None = None,
-        kind: HandKind = "follow",
-        mass_kg: float = 0.1,
-        stiffness_n_per_m: float = STIFFNESS_N_PER_M,
-        damping_n_s_per_m: float | None = None,
-    ) -> None:
-        if kind not in _KINDS:
-            raise InvalidArgument("hand", repr(kind), " or ".join(_KINDS))
-        require_positive(mass_kg=mass_kg, stiffness_n_per_m=stiffness_n_per_m)
-        if not stiffness_n_per_m / mass_kg <= _FASTEST**2:
-            found = f"{stiffness_n_per_m:g} N/m at {mass_kg:g} kg"
-            raise InvalidArgument("hand", found, f"at most {_FASTEST:g} rad/s, sqrt(k/m)")
-        critical = 2.0 * math.sqrt(stiffness_n_per_m * mass_kg)
-        damping = critical if damping_n_s_per_m is None else float(damping_n_s_per_m)
-        if not 0 <= damping < math.inf:
-            raise InvalidArgument("damping_n_s_per_m", repr(damping_n_s_per_m), "a finite number, 0 or more")
-        self.kind, self.damping_n_s_per_m = kind, damping
-        self._constants = (float(mass_kg), float(stiffness_n_per_m), damping)
+    def __init__(self, trajectory: Trace | None = None, kind: HandKind = "follow") -> None:
+        self.kind = kind
+        self._constants: tuple[float, ...] = _SPRING if kind == "spring" else ()
         # copies: to the compiler a read-only array is another type
         self._times = np.zeros(1) if trajectory is None else np.array(trajectory.times_s)
         self._positions = np.zeros((1, 3)) if trajectory is None else np.array(trajectory.positions_m)
@@ -136,8 +113,7 @@ class SimHand(PointDevice):
         """Let `dt_s` seconds pass, 0 to 10."""
         if self._move is None or not 0 <= dt_s <= _LONGEST_S:
             raise DeviceError("simulated hand", f"a step of {dt_s!r} s", f"0 to {_LONGEST_S:g} s, after open")
-        constants = () if self.kind == "follow" else self._constants
-        self._move(self._times, self._positions, self._state, *constants, float(dt_s))
+        self._move(self._times, self._positions, self._state, *self._constants, float(dt_s))
 
 
 def checks() -> list[Check]:

@@ -128,11 +128,11 @@ class Drive:
         """Nothing to be felt."""
         return cls(np.zeros(frames), np.zeros(frames))
 
-    def add(self, other: Drive) -> None:
-        """Amplitudes add up; the frequency is that of the stronger."""
-        stronger = other.amplitudes > self.amplitudes
-        self.frequencies_hz[stronger] = other.frequencies_hz[stronger]
-        self.amplitudes += other.amplitudes
+    def add(self, other: Drive, frames: slice = slice(None)) -> None:
+        """Amplitudes add up in these frames; the frequency is that of the stronger."""
+        stronger = other.amplitudes > self.amplitudes[frames]
+        self.frequencies_hz[frames][stronger] = other.frequencies_hz[stronger]
+        self.amplitudes[frames] += other.amplitudes
 
 
 def filled_hz(drives: Float32s, frequencies_hz: Float32s | None) -> Float32s:
@@ -150,11 +150,10 @@ def filled_hz(drives: Float32s, frequencies_hz: Float32s | None) -> Float32s:
     return np.where(known.any(axis=0), hertz, np.float32(DEFAULT_CARRIER_HZ))
 
 
-def checked_rate(rate_hz: float) -> float:
-    """Frames a second that an effect can be sampled at; else InvalidArgument."""
+def check_rate(rate_hz: float) -> None:
+    """InvalidArgument unless an effect can be sampled at so many frames a second."""
     if not 1 <= rate_hz <= MAX_RATE_HZ:
         raise InvalidArgument("rate_hz", repr(rate_hz), f"1 to {MAX_RATE_HZ:g} frames a second")
-    return rate_hz
 
 
 def checked_frames(where: str, frames: int, actuators: int, most: int = MAX_VALUES) -> int:
@@ -205,9 +204,9 @@ def effect_medium(effect: ArrayEffect, grid: Grid, force_max_n: float, provenanc
     def vibration(i: int) -> VibrationFrame:
         assert effect.frequencies_hz is not None
         hertz, amplitudes_n = effect.frequencies_hz[i][::-1].T, effect.drives[i][::-1].T * scale
-        held = np.argwhere((hertz > 0) & (amplitudes_n > 0))
-        x, y = held.T
-        positions = np.concatenate([held, np.zeros((len(held), 1), np.int64)], axis=1).astype(np.int32)
+        driven = np.argwhere((hertz > 0) & (amplitudes_n > 0))
+        x, y = driven.T
+        positions = np.concatenate([driven, np.zeros((len(driven), 1), np.int64)], axis=1).astype(np.int32)
         return VibrationFrame(grid, positions, amplitudes_n[x, y], hertz[x, y])
 
     band = None if effect.frequencies_hz is None else VibrationBand(grid, len(effect), vibration)

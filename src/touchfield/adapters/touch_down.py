@@ -23,12 +23,12 @@ from typing import Final
 
 import numpy as np
 
-from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.arrays import Float64s
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
-from touchfield.medium.pose_track import rotation_matrices, slerp
+from touchfield.medium.pose_track import rotation_matrices
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace
 from touchfield.render.point_device import BOX_AXES, axes_matrix
+from touchfield.sources.poses import poses_between
 
 Query = Callable[[Float64s], Float64s]
 
@@ -46,15 +46,13 @@ _VIEWER_WEIGHT: Final = 1.8
 _CANDIDATES: Final = 24
 _POINTS: Final = 4096  # of one way out
 _DIRECTIONS: Final = 8
-_WAYS: Final = 96  # on which the probe may leave
 _STEPS: Final = 32  # along the surface
 _ACROSS: Final = 65  # points of the line on which it is found again
 _LEAD, _SLIDE = 0.12, 0.2  # of the diagonal: how far outside the probe comes from, and how far it slides
 
 
 def touch_down(
-    touched: HapticMedium | HapticScene | ForceField,
-    seconds: float = SECONDS,
+    touched: HapticMedium | HapticScene,
     stiffness_n_per_m: float = math.inf,
     force_max_n: float = math.inf,
     start_s: float = 0.0,
@@ -64,11 +62,9 @@ def touch_down(
 
     Parameters
     ----------
-    touched : HapticMedium, HapticScene or ForceField
-        Of a medium the frame of the moment at which the probe arrives is looked at; where that is empty, the first
-        that is not, of some.
-    seconds : float
-        How long it takes, 0.1 to 600; a medium of several frames that is shorter is touched within its own time.
+    touched : HapticMedium or HapticScene
+        The frame of the moment at which the probe arrives is looked at; where that is empty, the first that is not,
+        of some. What has several frames and is shorter than `SECONDS` is touched within its own time.
     stiffness_n_per_m : float
         That of the hand which will follow the trace; with it the trace runs F / k deeper, so that a hand on a spring
         comes to rest where a stiff one would be.
@@ -78,19 +74,13 @@ def touch_down(
     start_s, speed : float
         The moment of the medium at which the hand begins, and its seconds in one of the hand's.
 
-    The trace is at 1 kHz, from 0 s on, in the axes and metres of the field. Raises InvalidArgument if a number is out
-    of range.
+    The trace is at 1 kHz, from 0 s on, in the axes and metres of the field.
     """
-    if not 0.1 <= seconds <= 600:
-        raise InvalidArgument("seconds", repr(seconds), "0.1 to 600")
-    if not stiffness_n_per_m > 0:
-        raise InvalidArgument("stiffness_n_per_m", repr(stiffness_n_per_m), "a positive number, or inf")
-    if not force_max_n > 0:
-        raise InvalidArgument("force_max_n", repr(force_max_n), "a positive number of newtons, or inf")
-    if not isinstance(touched, ForceField) and len(touched) > 1:
-        seconds = min(seconds, max(0.1, (len(touched) / touched.rate_hz - start_s) / speed))
+    seconds = SECONDS
+    if len(touched) > 1:
+        seconds = min(SECONDS, max(0.1, (len(touched) / touched.rate_hz - start_s) / speed))
     grid, query, points, frame = _frame(touched, start_s + speed * seconds * _LEGS[0][1])
-    viewer = axes_matrix(BOX_AXES, "" if isinstance(touched, ForceField) else touched.axes)[:, 2]
+    viewer = axes_matrix(BOX_AXES, touched.axes)[:, 2]
     legs = _touch(grid, query, points, force_max_n, viewer) if len(points) else _crossing(grid, viewer)
     places = _timed(legs, max(2, round(seconds * HAPTIC_RATE_HZ) + 1))
     met = legs["slide"][0]
@@ -111,24 +101,16 @@ def _following(scene: HapticScene, frame: int, met: Float64s, places: Float64s, 
     track = scene.objects[int(np.argmax(np.linalg.norm(felt, axis=-1)))].track
     if track.is_still:
         return places
-    before, after, share = _between(at, len(track))
-    shifts = track.positions_m[before] + share[:, None] * (track.positions_m[after] - track.positions_m[before])
-    before, after, share = _between(np.maximum(at, frame), len(track))
-    turns = rotation_matrices(slerp(track.quaternions[before], track.quaternions[after], share))
+    at = np.clip(at, 0, len(track) - 1)
+    _, shifts = poses_between(track.quaternions, track.positions_m, at)
+    quaternions, _ = poses_between(track.quaternions, track.positions_m, np.maximum(at, frame))
+    turns = rotation_matrices(quaternions)
     moved: Float64s = (turns @ track.to_body(places, frame)[:, :, None])[:, :, 0] + shifts
     return moved
 
 
-def _between(at: Float64s, count: int) -> tuple[Int64s, Int64s, Float64s]:
-    """The frames before and after each place in time, and its share of the way between them."""
-    before = np.clip(at, 0, count - 1).astype(np.int64)
-    return before, np.minimum(before + 1, count - 1), np.clip(at - before, 0.0, 1.0)
-
-
-def _frame(touched: HapticMedium | HapticScene | ForceField, at_s: float) -> tuple[Grid, Query, Float64s, int]:
+def _frame(touched: HapticMedium | HapticScene, at_s: float) -> tuple[Grid, Query, Float64s, int]:
     """The lattice, the query and the places of some strong samples, float64 [m, 3], of one frame, and its number."""
-    if isinstance(touched, ForceField):
-        return touched.grid, _query_of(touched), _strong(touched), 0
     count = len(touched)
     first = min(int(at_s * touched.rate_hz), count - 1)
     for frame in dict.fromkeys([first, *np.linspace(0, count - 1, min(count, 8)).astype(int).tolist()]):
@@ -202,30 +184,30 @@ def _way_out(
     distances = step * np.arange(math.ceil(diagonal / step) + 1)
     gap = max(3, len(distances) // 32)
     centre = points.mean(axis=0)
-    best, found = -math.inf, None
+    best, way = -math.inf, None
     for point, normal, strength in zip(points, along, strengths / strengths.max(), strict=True):
         for out in (normal, -normal):
             line = query(point + out * distances[:, None])
             sizes = _sizes(line)
-            held = sizes > 1e-6 * sizes.max()
-            ends = np.append(np.flatnonzero(held), len(held) + gap)  # the way beyond the last point is free
+            felt = sizes > 1e-6 * sizes.max()
+            ends = np.append(np.flatnonzero(felt), len(felt) + gap)  # the way beyond the last point is free
             last = int(np.argmax(np.diff(ends) > gap))  # the first of them that free space follows
-            exit_, beyond = int(ends[last]) + 1, min(int(ends[last + 1]), len(held))
+            exit_, beyond = int(ends[last]) + 1, min(int(ends[last + 1]), len(felt))
             near = slice(max(0, exit_ - 6), exit_)
             resisting = float((line[near] @ out).sum() / sizes[near].sum())
             free = step * (beyond - exit_)
             score = (
                 2 * min(1.0, free / (_LEAD * diagonal))
-                + 1.5 * (ends[last + 1] >= len(held))
+                + 1.5 * (ends[last + 1] >= len(felt))
                 + 2 * resisting
                 + strength
             )
             score += _VIEWER_WEIGHT * float(out @ viewer)
             score -= 0.5 * (step * exit_ + float(np.linalg.norm(point - centre))) / diagonal
             if score > best:
-                best, found = score, (point, out, step * exit_, free)
-    assert found is not None
-    return found
+                best, way = score, (point, out, step * exit_, free)
+    assert way is not None
+    return way
 
 
 def _slide(query: Query, touched: Float64s, out: Float64s, length: float, slack: float) -> Float64s:
@@ -259,7 +241,7 @@ def _slide(query: Query, touched: Float64s, out: Float64s, length: float, slack:
 
 
 def _left(query: Query, last: Float64s, out: Float64s, length: float) -> Float64s:
-    """Where the probe goes from its last touch: out, along the force there, or any way that is free sooner.
+    """Where the probe goes from its last touch: out, or along the force there, whichever is free sooner.
 
     A way on which the field pushes harder than at the touch itself, as through another wall, is the last choice.
     """
@@ -268,7 +250,7 @@ def _left(query: Query, last: Float64s, out: Float64s, length: float) -> Float64
     normal = force / touch_n
     distances = np.linspace(0.0, length, _ACROSS)
     best, end = -math.inf, last
-    for way in (out, normal, -normal, *_around(_WAYS)):
+    for way in (out, normal, -normal):
         sizes = _sizes(query(last + way * distances[:, None]))
         free = np.append(sizes <= 1e-6 * sizes.max(), False)
         begin = int(np.argmax(free))
@@ -282,23 +264,13 @@ def _left(query: Query, last: Float64s, out: Float64s, length: float) -> Float64
     return end
 
 
-def _around(count: int) -> Float64s:
-    """Unit vectors spread evenly over the sphere, float64 [count, 3]: a spiral of the golden angle."""
-    height = 1 - (2 * np.arange(count) + 1) / count
-    turn = np.pi * (3 - math.sqrt(5)) * np.arange(count)
-    ring = np.sqrt(1 - height * height)
-    return np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
-
-
 def _crossing(grid: Grid, viewer: Float64s) -> dict[str, Float64s]:
     """Through the middle of an empty workspace, as if a plane lay there."""
     low, high = grid.box_m
-    middle, up = (low + high) / 2, viewer
-    height, aside = float(high[2] - low[2]) / 2, np.array([_SLIDE * _diagonal(grid), 0.0, 0.0])
-    above = up * (height + _LEAD * _diagonal(grid))
+    middle, aside = (low + high) / 2, np.array([_SLIDE * _diagonal(grid), 0.0, 0.0])
+    above = viewer * (float(high[2] - low[2]) / 2 + _LEAD * _diagonal(grid))
     return {
-        "come": np.stack([middle + above, middle + up * height / 4]),
-        "press": np.stack([middle + up * height / 4, middle]),
+        "come": np.stack([middle + above, middle]),
         "slide": np.stack([middle, middle + aside]),
         "leave": np.stack([middle + aside, middle + aside + above]),
     }
@@ -307,9 +279,8 @@ def _crossing(grid: Grid, viewer: Float64s) -> dict[str, Float64s]:
 def _timed(legs: dict[str, Float64s], count: int) -> Float64s:
     """Where the probe is at `count` equal times, float64 [count, 3]: each leg begins and ends at rest."""
     places = np.empty((count, 3))
-    edges = np.rint(np.cumsum([0.0, *(share for _, share in _LEGS)]) / sum(s for _, s in _LEGS) * (count - 1)).astype(
-        int
-    )
+    shares = np.cumsum([0.0, *(share for _, share in _LEGS)])
+    edges = np.rint(shares / shares[-1] * (count - 1)).astype(int)
     here = legs["come"][0]
     for (name, _), begin, end in zip(_LEGS, edges[:-1], edges[1:], strict=True):
         corners = legs.get(name, here[None])

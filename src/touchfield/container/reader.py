@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+import weakref
 import zlib
 from bisect import bisect_right
 from collections.abc import Mapping
@@ -82,6 +83,7 @@ class TouchReader:
         except Exception:
             self.close()
             raise
+        weakref.finalize(self, self._source.close)  # as long as somebody uses it, and no longer
 
     def __enter__(self) -> TouchReader:
         return self

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -50,8 +49,7 @@ class StreamScene(StoredScene):
 
     def __init__(self, path: str | Path) -> None:
         reader = TouchReader(path)
-        stream = opened(reader, reader.size)
-        weakref.finalize(stream.held, reader.close)
+        stream = opened(reader)
         super().__init__(stream.medium)
         self.objects: HapticScene | None = stream.scene
         head = reader.head

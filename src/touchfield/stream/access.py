@@ -74,8 +74,8 @@ class Access:
         """True where no token is asked for, or the request brings it."""
         if self.token is None:
             return True
-        told = request.query.get("token") or request.headers.get("Authorization", "").removeprefix("Bearer ")
-        return hmac.compare_digest(told.encode(), self.token.encode())
+        word = request.query.get("token") or request.headers.get("Authorization", "").removeprefix("Bearer ")
+        return hmac.compare_digest(word.encode(), self.token.encode())
 
     def cors(self, request: web.Request) -> dict[str, str]:
         """Headers that let a page elsewhere read, where it may."""

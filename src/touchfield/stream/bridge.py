@@ -37,9 +37,8 @@ class Bridge(Background):
 
     def __init__(self, stream: Path, access: Access, pages: Pages) -> None:
         super().__init__(access, pages)
-        self._stream, self._hand = stream, None
-
-    _hand: _Hand | None
+        self._stream = stream
+        self._hand: _Hand | None = None
 
     @property
     def page(self) -> str:

@@ -33,6 +33,9 @@ _SYMBOLS: Final = 36
 """Least number of pieces of a message: the fewer there are, the larger the share of repair."""
 
 _LEAST_REPAIR: Final = 3
+_SPREAD: Final = 8
+"""Messages over whose time the datagrams of one are spread; the last ones come so many messages later."""
+
 _LEAST_SYMBOL, _MOST_SYMBOL = 128, 1152
 MOST_DATAGRAM: Final = _HEAD.size + _PACKET + _MOST_SYMBOL
 MOST_OPEN: Final = 24
@@ -48,24 +51,16 @@ _WINDOW: Final = 1 << 16
 class Datagrams:
     """The sending end.
 
-    Raises InvalidArgument if a number is out of range.
-
     Parameters
     ----------
     stream : int
         Names this stream among others that may come to the same place, 0 to 2^32 - 1.
     repair : float
         Repair symbols, share of the others.
-    spread : int
-        Messages over whose time the datagrams of one are spread; the last ones come so many messages later.
     """
 
-    def __init__(self, stream: int, repair: float = 0.22, spread: int = 8) -> None:
-        if not 0 <= repair <= 4:
-            raise InvalidArgument("repair", f"{repair:g}", "0 to 4, such as 0.22")
-        if not 1 <= spread <= MOST_OPEN // 2:
-            raise InvalidArgument("spread", f"{spread}", f"1 to {MOST_OPEN // 2}")
-        self._stream, self._repair, self._spread, self._number = stream, repair, spread, 0
+    def __init__(self, stream: int, repair: float = 0.22) -> None:
+        self._stream, self._repair, self._number = stream, repair, 0
         self._waiting: deque[list[list[bytes]]] = deque()
 
     def add(self, message: bytes) -> list[bytes]:
@@ -78,7 +73,7 @@ class Datagrams:
         )
         datagrams = [self._datagram(len(message), symbol, packet) for packet in packets]
         self._number = (self._number + 1) & 0xFFFFFFFF
-        self._waiting.append([datagrams[i :: self._spread] for i in range(self._spread)])
+        self._waiting.append([datagrams[i::_SPREAD] for i in range(_SPREAD)])
         return self._due()
 
     def flush(self) -> list[bytes]:
@@ -96,9 +91,9 @@ class Datagrams:
         return datagrams
 
     def _datagram(self, length: int, symbol: int, packet: bytes) -> bytes:
-        told = (_MAGIC, self._stream, self._number, length, symbol)
-        crc = zlib.crc32(packet, zlib.crc32(_HEAD.pack(*told, 0)))
-        return _HEAD.pack(*told, crc) + packet
+        head = (_MAGIC, self._stream, self._number, length, symbol)
+        crc = zlib.crc32(packet, zlib.crc32(_HEAD.pack(*head, 0)))
+        return _HEAD.pack(*head, crc) + packet
 
 
 class _Part:
@@ -113,12 +108,10 @@ class _Part:
 
 
 class Gathering:
-    """The receiving end: datagrams in, messages out, in their order; safe against whatever comes.
+    """The receiving end of the first stream that comes: datagrams in, messages out, in their order, whatever comes.
 
     Parameters
     ----------
-    stream : int, optional
-        The stream that is wanted; by default the first that comes.
     most_open : int
         Messages that are waited for at once; fewer where something else is felt meanwhile, 1 to 24.
 
@@ -130,22 +123,20 @@ class Gathering:
         Messages that were given up.
     """
 
-    def __init__(self, stream: int | None = None, most_open: int = MOST_OPEN) -> None:
-        self._stream, self._next, self._newest = stream, 0, -1
+    def __init__(self, most_open: int = MOST_OPEN) -> None:
+        self._stream: int | None = None
+        self._next, self._newest = 0, -1
         self._most_open, self._opening = most_open, b""
         self._parts: dict[int, _Part] = {}
-        self._is_begun = False
         self.refused = self.lost = 0
 
     def receive(self, datagram: bytes) -> list[bytes]:
         """Take a datagram; the messages that are whole now, and next in order."""
-        told = self._told(datagram)
-        if told is None:
+        parts = self._told(datagram)
+        if parts is None:
             self.refused += 1
             return []
-        number, length, symbol, packet = told
-        if not self._is_begun:
-            self._is_begun, self._next, self._newest = True, number, number
+        number, length, symbol, packet = parts
         if number < self._next:
             return []  # late, or what was sent beyond need
         if number > self._newest + _WINDOW:
@@ -172,13 +163,13 @@ class Gathering:
             return None
         magic, stream, number, length, symbol, crc = _HEAD.unpack_from(datagram)
         packet = datagram[_HEAD.size :]
-        is_ours = magic == _MAGIC and 0 < length <= MOST_BYTES and stream in (self._stream, stream)
+        is_ours = magic == _MAGIC and 0 < length <= MOST_BYTES
         is_ours &= symbol % 8 == 0 and 0 < symbol <= _MOST_SYMBOL and len(packet) == symbol + _PACKET
         is_ours &= length <= symbol * 65536
         if not is_ours or zlib.crc32(packet, zlib.crc32(_HEAD.pack(magic, stream, number, length, symbol, 0))) != crc:
             return None
         if self._stream is None:
-            self._stream = stream
+            self._stream, self._next, self._newest = stream, number, number
         return (number, length, symbol, packet) if stream == self._stream else None
 
     def _released(self) -> list[bytes]:

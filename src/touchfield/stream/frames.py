@@ -117,14 +117,14 @@ def _resumed(fields: deque[ForceField], coming: Iterator[ForceField]) -> Iterato
     yield from coming
 
 
-def segments_of(reader: TouchReader, told: Mapping[str, Any]) -> Segments | None:
-    """The first frames of a stream's segments, as its fields' coder is `told` (`describe`); None if it keeps no mask.
+def segments_of(reader: TouchReader, keys: Mapping[str, Any]) -> Segments | None:
+    """The first frames of a stream's segments, by what its field coder tells (`describe`); None if it keeps no mask.
 
     A mask that bounds length and direction apart is none here: what lies between two of its forces may leave it.
     """
-    if told.get("mode") != "mask":
+    if keys.get("mode") != "mask":
         return None
-    return Segments(tuple(segment.first_frame for segment in reader.segments), told["k"], told["f0_n"])
+    return Segments(tuple(segment.first_frame for segment in reader.segments), keys["k"], keys["f0_n"])
 
 
 @cache
@@ -140,12 +140,10 @@ class VibrationFrames:
     reader : TouchReader
     grid : Grid
         Of the stream's head.
-    held : object
-        What keeps the reader open as long as it is in use.
     """
 
-    def __init__(self, reader: TouchReader, grid: Grid, held: object) -> None:
-        self._reader, self._grid, self._held = reader, grid, held
+    def __init__(self, reader: TouchReader, grid: Grid) -> None:
+        self._reader, self._grid = reader, grid
         self._lock = Lock()
         self._latest: tuple[int, list[VibrationFrame]] | None = None
 

@@ -16,7 +16,6 @@ import struct
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 from threading import Lock
 from typing import IO, Any, Final
 
@@ -100,69 +99,37 @@ class Ended:
 Event = Opened | LiveSegment | Lost | Refused | Ended
 
 
-class _State(Enum):
-    WAITING = "no opening yet"
-    OPEN = "segments"
-    ENDED = "over"
-
-
-class _Kind(Enum):
-    OPENING = "an opening"
-    SEGMENT = "a segment"
-    END = "the end"
-    OTHER = "neither an opening nor a segment"
-
-
-_NEXT: Final = {
-    (_State.WAITING, _Kind.OPENING): _State.OPEN,
-    (_State.WAITING, _Kind.END): _State.ENDED,
-    (_State.OPEN, _Kind.OPENING): _State.OPEN,
-    (_State.OPEN, _Kind.SEGMENT): _State.OPEN,
-    (_State.OPEN, _Kind.END): _State.ENDED,
-}
-"""Transitions; a message that has none is refused, and changes nothing."""
-
-
 class LiveReceiver:
-    """The receiving end of a live stream.
-
-    Attributes
-    ----------
-    head : Head or None
-        Of the programme that is on.
-    """
+    """The receiving end of a live stream."""
 
     def __init__(self) -> None:
-        self._state = _State.WAITING
-        self.head: Head | None = None
-        self._opening = b""
+        self._opening, self._is_over = b"", False
         self._next: int | None = None
 
     def receive(self, message: bytes) -> list[Event]:
         """Take a message; whatever it holds, nothing is raised, and what is wrong with it is an event."""
-        kind = _kind_of(message)
-        if (self._state, kind) not in _NEXT:
-            return [Refused(f"{kind.value}, where the state is: {self._state.value}")]
         try:
-            events = self._taken(kind, message)
+            return self._events(message)
         except FormatError as error:
             return [Refused(str(error))]
-        self._state = _NEXT[self._state, kind]
-        return events
 
-    def _taken(self, kind: _Kind, message: bytes) -> list[Event]:
-        if kind is _Kind.END:
+    def _events(self, message: bytes) -> list[Event]:
+        if self._is_over:
+            return [Refused("a message behind the end")]
+        if message == END:
+            self._is_over = True
             return [Ended()]
-        if kind is _Kind.OPENING:
+        if message.startswith(MAGIC):
             if message == self._opening:  # told again, for those who come later
                 return []
             opened = _opened(message)
-            self.head, self._opening, self._next = opened.head, message, None
+            self._opening, self._next = message, None
             return [opened]
-        return self._following(_segment(message))
-
-    def _following(self, segment: LiveSegment) -> list[Event]:
-        expected = self._next
+        if message[:4] not in (b"SEGM", b"VIBR"):
+            return [Refused("neither an opening nor a segment")]
+        if not self._opening:
+            return [Refused("a segment before any opening")]
+        segment, expected = _segment(message), self._next
         if expected is not None and segment.first_frame < expected:
             return [Refused(f"frames from {segment.first_frame}, late or again: {expected} is next")]
         self._next = segment.stop
@@ -171,48 +138,34 @@ class LiveReceiver:
         return [Lost(expected, segment.first_frame - expected), segment]
 
 
-def _kind_of(message: bytes) -> _Kind:
-    if not message:
-        return _Kind.END
-    if message.startswith(MAGIC):
-        return _Kind.OPENING
-    return _Kind.SEGMENT if message[:4] in (b"SEGM", b"VIBR") else _Kind.OTHER
-
-
 def _opened(message: bytes) -> Opened:
     source = _source(message, "opening")
     read_opening(source)
-    found = find_record(source, OPENING_SIZE, source.size)
-    head: Head
-    head, _ = read_record(source, found, "HEAD")
+    is_alone = find_record(source, OPENING_SIZE, source.size).end == source.size
+    head, *story = _values(source, OPENING_SIZE, ("HEAD",) if is_alone else ("HEAD", "PROV"))
     if head.frame_count != ENDLESS:
         raise CorruptFile("opening: HEAD.frame_count", str(head.frame_count), f"{ENDLESS} of a live stream")
-    pairs: dict[str, str] = {}
-    if found.end < source.size:
-        found = find_record(source, found.end, source.size)
-        story: Provenance
-        story, _ = read_record(source, found, "PROV")
-        pairs = {pair.key: pair.value for pair in story.pairs}
-    if found.end != source.size:
-        raise CorruptFile("opening", f"{source.size - found.end} bytes behind it", "none")
-    return Opened(head, pairs)
+    return Opened(head, {pair.key: pair.value for one in story for pair in one.pairs})
 
 
 def _segment(message: bytes) -> LiveSegment:
-    source = _source(message, "segment")
-    place, beside = 0, None
-    if message.startswith(b"VIBR"):
-        found = find_record(source, 0, source.size)
-        beside, _ = read_record(source, found, "VIBR")
-        place = found.end
-    found = find_record(source, place, source.size)
-    told: Segment
-    told, _ = read_record(source, found, "SEGM")
-    if found.end != source.size:
-        raise CorruptFile("segment", f"{source.size - found.end} bytes behind it", "none")
-    if beside is not None and (beside.first_frame, beside.frame_count) != (told.first_frame, told.frame_count):
+    tags = ("VIBR", "SEGM") if message.startswith(b"VIBR") else ("SEGM",)
+    *beside, frames = _values(_source(message, "segment"), 0, tags)
+    if any((one.first_frame, one.frame_count) != (frames.first_frame, frames.frame_count) for one in beside):
         raise CorruptFile("segment", "a VIBR of other frames", "one of its own")
-    return LiveSegment(told.first_frame, told.frame_count, told.body, beside.body if beside is not None else None)
+    return LiveSegment(frames.first_frame, frames.frame_count, frames.body, beside[0].body if beside else None)
+
+
+def _values(source: ByteSource, place: int, tags: tuple[str, ...]) -> list[Any]:
+    """The values of the records from a place on, which must be these and the last ones."""
+    values = []
+    for tag in tags:
+        record = find_record(source, place, source.size)
+        values.append(read_record(source, record, tag)[0])
+        place = record.end
+    if place != source.size:
+        raise CorruptFile(source.name, f"{source.size - place} bytes behind it", "none")
+    return values
 
 
 def file_of(opening: bytes, message: bytes) -> bytes:
@@ -220,18 +173,31 @@ def file_of(opening: bytes, message: bytes) -> bytes:
 
     Raises FormatError if the opening or the message is at fault.
     """
-    told, segment = _opened(opening), _segment(message)
-    own = {"first_frame": 0, "frame_count": segment.frame_count}
-    head = encode_record("HEAD", replace(told.head, frame_count=segment.frame_count))
-    pairs = tuple(Pair(key=key, value=value) for key, value in told.provenance.items())
-    before = encode_opening() + head + (encode_record("PROV", Provenance(pairs=pairs)) if pairs else b"")
-    if segment.vibration is not None:
-        before += encode_record("VIBR", Vibration(**own, body=segment.vibration))
-    frames = encode_record("SEGM", Segment(**own, body=segment.body))
+    live, segment = _opened(opening), replace(_segment(message), first_frame=0)
+    head = replace(live.head, frame_count=segment.frame_count)
+    *beside, frames = _records_of(segment)
+    before = b"".join([_opening_of(head, live.provenance), *beside])
     crc32 = int.from_bytes(frames[-CRC_SIZE:], "little")
-    entry = SegmentEntry(**own, offset=len(before), length=len(frames), crc32=crc32)
-    chain = encode_opening() + head[-CRC_SIZE:]
+    entry = SegmentEntry(
+        first_frame=0, frame_count=segment.frame_count, offset=len(before), length=len(frames), crc32=crc32
+    )
+    chain = encode_opening() + encode_record("HEAD", head)[-CRC_SIZE:]
     return before + frames + index_and_end([entry], len(before) + len(frames), chain)
+
+
+def _opening_of(head: Head, provenance: Mapping[str, str]) -> bytes:
+    pairs = tuple(Pair(key=key, value=value) for key, value in provenance.items())
+    story = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
+    return encode_opening() + encode_record("HEAD", head) + story
+
+
+def _records_of(segment: LiveSegment) -> list[bytes]:
+    """The VIBR of a segment, if it has any, and its SEGM."""
+    frames = {"first_frame": segment.first_frame, "frame_count": segment.frame_count}
+    records = [encode_record("SEGM", Segment(**frames, body=segment.body))]
+    if segment.vibration is not None:
+        records.insert(0, encode_record("VIBR", Vibration(**frames, body=segment.vibration)))
+    return records
 
 
 def _source(message: bytes, name: str) -> ByteSource:
@@ -253,11 +219,13 @@ class Subscriber:
     ----------
     skipped : int
         Segments that it was moved on over.
+    is_over : bool
+        Whether it was told the end.
     """
 
     skipped: int = 0
+    is_over: bool = False
     _is_open: bool = False
-    _is_ended: bool = False
     _next: int = 0
 
 
@@ -275,9 +243,7 @@ class LiveSender:
 
     def open(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
         """Begin a programme; its frames begin at 0."""
-        pairs = tuple(Pair(key=key, value=value) for key, value in (provenance or {}).items())
-        story = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
-        opening = encode_opening() + encode_record("HEAD", replace(head, frame_count=ENDLESS)) + story
+        opening = _opening_of(replace(head, frame_count=ENDLESS), provenance or {})
         with self._lock:
             if self.opening:
                 raise InvalidArgument("open", "a second call", "one")
@@ -285,10 +251,7 @@ class LiveSender:
 
     def add(self, segment: LiveSegment) -> bytes:
         """Have a segment sent, behind those before; the message."""
-        message, frames = b"", {"first_frame": segment.first_frame, "frame_count": segment.frame_count}
-        if segment.vibration is not None:
-            message = encode_record("VIBR", Vibration(**frames, body=segment.vibration))
-        message += encode_record("SEGM", Segment(**frames, body=segment.body))
+        message = b"".join(_records_of(segment))
         if len(message) > MOST_BYTES:
             raise InvalidArgument(
                 "segment", f"{len(message)} bytes", f"at most {MOST_BYTES}", "Take shorter segments."
@@ -327,14 +290,10 @@ class LiveSender:
                 message = self._kept[receiver._next - oldest][2]
                 receiver._next += 1
                 return message
-            if self._is_ended and not receiver._is_ended:
-                receiver._is_ended = True
+            if self._is_ended and not receiver.is_over:
+                receiver.is_over = True
                 return END
             return None
-
-    def is_over(self, receiver: Subscriber) -> bool:
-        """True where a receiver was told the end."""
-        return receiver._is_ended
 
     def manifest(self) -> dict[str, Any]:
         """The latest segments, for those who come by HTTP: stable keys."""

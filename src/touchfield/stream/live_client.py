@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
 from threading import Event as Flag
 from threading import Thread
-from typing import Any, Final
+from typing import Any, Final, Self
 from urllib.parse import urlsplit, urlunsplit
 
 from touchfield.container.remote import without_secret
@@ -38,24 +38,19 @@ def open_live(
 
     Raises SourceError if there is none, or nothing has come for ten seconds.
     """
-    with ExitStack() as held:
+    with ExitStack() as stack:
         under: LiveFrames | None = None
         if coarse is not None:
             beside = _Client(coarse, lambda note: tell(f"coarse layer: {note}"), is_layered=True)
-            held.callback(beside.close)
-            beside.start()
             try:
-                under = beside.stream().frames
+                under = stack.enter_context(beside).stream().frames
             except SourceError as error:
                 tell(f"without its coarse layer: {error}")
-        client = _Client(url, tell, under, is_layered=under is not None)
-        held.callback(client.close)
-        client.start()
-        yield client.stream()
+        yield stack.enter_context(_Client(url, tell, under, is_layered=under is not None)).stream()
 
 
 class _Client:
-    """Receives a stream in a thread."""
+    """Receives a stream in a thread while a block lasts."""
 
     def __init__(
         self, url: str, tell: Callable[[str], None], under: LiveFrames | None = None, is_layered: bool = False
@@ -73,9 +68,14 @@ class _Client:
         self._task: asyncio.Task[None] | None = None
         self._thread = Thread(target=self._run, name="touchfield-receiver", daemon=True)
 
-    def start(self) -> None:
-        """Begin to receive."""
+    def __enter__(self) -> Self:
         self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(lambda: self._task and self._task.cancel())
+        self._thread.join(0.1 if self._url == "-" else 5)  # nothing ends the wait for a pipe
 
     def stream(self) -> LiveStream:
         """The stream, once a first segment is there."""
@@ -83,12 +83,6 @@ class _Client:
         if self._opened is None or self._frames is None:
             raise self._error
         return LiveStream(self._name, self._opened, self._frames, self._vibrates)
-
-    def close(self) -> None:
-        """End receiving."""
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(lambda: self._task and self._task.cancel())
-        self._thread.join(0.1 if self._url == "-" else 5)  # nothing ends the wait for a pipe
 
     def _run(self) -> None:
         try:
@@ -100,34 +94,29 @@ class _Client:
         except asyncio.CancelledError:
             pass
         except Exception as error:
-            self._fail(
-                error if isinstance(error, SourceError) else SourceError(self._name, str(error), "a live stream")
-            )
+            if not isinstance(error, SourceError):
+                error = SourceError(self._name, str(error), "a live stream")
+            self._error = error
+            if self._frames is not None:
+                self._frames.fail(error)
+            self._begun.set()
         finally:
             self._loop.close()
 
-    def _fail(self, error: SourceError) -> None:
-        self._error = error
-        if self._frames is not None:
-            self._frames.fail(error)
-        self._begun.set()
-
     def _take(self, message: bytes) -> bool:
         """Take a message; True once the stream is over."""
-        is_over = False
-        for event in self._receiver.receive(message):
+        events = self._receiver.receive(message)
+        for event in events:
             if isinstance(event, Opened):
                 if self._frames is not None:  # another programme: who plays the old one opens anew
                     raise SourceError(self._name, "another programme", "the one that was opened", "Open it again.")
                 self._opened, self._frames = event, LiveFrames(event, self._tell, under=self._under)
             elif self._frames is not None:
-                if isinstance(event, LiveSegment):
-                    self._vibrates |= event.vibration is not None
+                self._vibrates |= isinstance(event, LiveSegment) and event.vibration is not None
                 self._frames.take(event)
                 if isinstance(event, LiveSegment):
                     self._begun.set()
-            is_over |= isinstance(event, Ended)
-        return is_over
+        return any(isinstance(event, Ended) for event in events)
 
     async def _receive(self) -> None:
         import aiohttp
@@ -138,15 +127,14 @@ class _Client:
             form = self._url.lower().partition(":")[0].removesuffix("s")
             follow = {"w": self._by_socket, "udp": self._by_datagrams}.get(form, self._by_manifest)
             while True:
-                before = self._frames.arrived if self._frames is not None else {}
-                came = dict(before)
+                came_s = None if self._frames is None else self._frames.came_s
                 try:
                     if await follow(session):
                         return
                     found = "a connection that ended"
                 except (aiohttp.ClientError, OSError, TimeoutError) as error:
                     found = str(error) or type(error).__name__
-                tries = 0 if self._frames is not None and self._frames.arrived != came else tries + 1
+                tries = 0 if self._frames is not None and self._frames.came_s != came_s else tries + 1
                 if tries >= _MOST_TRIES or self._opened is None:
                     raise SourceError(self._name, found, "a live stream", "Check the address, and that it is on.")
                 self._tell(f"{found}: connecting again")
@@ -195,12 +183,12 @@ class _Client:
         await asyncio.to_thread(self._take, await got(f"{folder}/opening", MOST_BYTES))
         next_number: int | None = None
         while True:
-            told = _manifest(await got(parts.path, _MOST_MANIFEST), self._name)
-            numbers = [n for n in told[1] if next_number is None or n >= next_number]
+            is_over, numbers = _manifest(await got(parts.path, _MOST_MANIFEST), self._name)
+            numbers = [n for n in numbers if next_number is None or n >= next_number]
             for number in numbers[-1:] if next_number is None else numbers:
                 await asyncio.to_thread(self._take, await got(f"{folder}/{number}", MOST_BYTES))
                 next_number = number + 1
-            if told[0] and not numbers:
+            if is_over and not numbers:
                 return await asyncio.to_thread(self._take, b"")
             await asyncio.sleep(_POLL_S)
 
@@ -208,9 +196,9 @@ class _Client:
 def _manifest(data: bytes, name: str) -> tuple[bool, list[int]]:
     """True where a stream is over, and the numbers of its segments, ascending."""
     try:
-        told = json.loads(data)
-        numbers = [int(one["number"]) for one in told["segments"]]
-        is_over = bool(told["is_ended"])
+        manifest = json.loads(data)
+        numbers = [int(one["number"]) for one in manifest["segments"]]
+        is_over = bool(manifest["is_ended"])
     except (ValueError, TypeError, KeyError, RecursionError):
         raise InvalidArgument(name, "a manifest that is none", "one of a live stream") from None
     if sorted(set(numbers)) != numbers or (numbers and numbers[0] < 0):

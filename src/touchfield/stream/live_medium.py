@@ -21,7 +21,7 @@ from touchfield.codec.registry import coder
 from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import FormatError, SourceError, UnsupportedVersion
 from touchfield.filters.resample import halved, rebuilt
-from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.stream.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
 from touchfield.stream.opened import OpenStream
@@ -118,8 +118,8 @@ class LiveFrames:
         Messages that were of no use.
     skipped : int
         Frames that play was moved on over, because it had fallen behind.
-    arrived : dict of int to float
-        When the latest segments came, by their first frames: seconds of the clock.
+    came_s : float
+        When the latest segment came, seconds of the clock; -inf before the first.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class LiveFrames:
         self._base: int | None = None
         self._error: SourceError | None = None
         self.lost = self.refused = self.skipped = self.covered = 0
-        self.arrived: dict[int, float] = {}
+        self.came_s = -math.inf
         self._begins_s: float | None = None
         self._played, self._room = (math.inf, 0.0), KEPT
         if under is not None:
@@ -185,7 +185,8 @@ class LiveFrames:
                 fields.append(field)
                 with self._news:
                     if len(fields) == 1:
-                        self._keep(_Decoded(first, fields, band), came)
+                        self.came_s = came
+                        self._keep(_Decoded(first, fields, band))
                     begins_s = max(begins_s, self._clock_s() - (first + len(fields) - 1) / self._rate_hz)
                     self._news.notify_all()
         except FormatError as error:
@@ -195,14 +196,13 @@ class LiveFrames:
             is_anew = before_s - begins_s > ANEW_S
             self._begins_s = begins_s if is_anew else max(begins_s, before_s + FORGOTTEN * (begins_s - before_s))
 
-    def _keep(self, one: _Decoded, came: float) -> None:
+    def _keep(self, one: _Decoded) -> None:
         """Keep a segment whose first frame has been decoded, and of the others what there is room for."""
         self._kept.append(one)
-        self.arrived[one.first] = came
         while len(self._kept) > 1 and (
             len(self._kept) > self._room or sum(one.size for one in self._kept) > MOST_BYTES
         ):
-            self.arrived.pop(self._kept.popleft().first, None)
+            self._kept.popleft()
         if self._base is None:
             self._base = one.first
 
@@ -270,32 +270,27 @@ class LiveFrames:
         wanted, one = self._place_of(index)
         if one is not None:
             return one.fields[wanted - one.first]
-        coarse = None if self._under is None else self._under._field(wanted)
+        with self._news:
+            coarse = self._under._holding(wanted) if self._under else None
         if coarse is None:
             return ForceField.empty(self.grid)
         if self._rebuilt[0] != wanted:
-            self._rebuilt = wanted, rebuilt(coarse, self.grid)
+            self._rebuilt = wanted, rebuilt(coarse.fields[wanted - coarse.first], self.grid)
             self.covered += 1
         return self._rebuilt[1]
-
-    def _field(self, wanted: int) -> ForceField | None:
-        """A frame of the stream, if it is kept."""
-        with self._news:
-            one = self._holding(wanted)
-            return None if one is None else one.fields[wanted - one.first]
 
     def is_there(self, index: int) -> bool:
         """True where `__call__` answers at once, be it with an error."""
         with self._news:
             if not self._kept or self._base is None:
                 return self._error is not None
-            is_late = self._clock_s() - self._came_s > PATIENCE_S
+            is_late = self._clock_s() - self._latest_s > PATIENCE_S
             return self._is_settled(self._base + index) or self._is_over or is_late
 
     @property
-    def _came_s(self) -> float:
+    def _latest_s(self) -> float:
         """When something came last, in any layer, seconds of the clock."""
-        return max(layer.arrived[layer._kept[-1].first] for layer in (self, self._under) if layer and layer._kept)
+        return self.came_s if self._under is None else max(self.came_s, self._under.came_s)
 
     @property
     def _is_over(self) -> bool:
@@ -313,14 +308,13 @@ class LiveFrames:
         with self._news:
             while True:
                 if self._kept and self._base is not None:
-                    began, wanted, newest = self._came_s, self._base + index, self._kept[-1]
+                    began, wanted, newest = self._latest_s, self._base + index, self._kept[-1]
                     if wanted > newest.first + _AHEAD:
                         raise SourceError("live stream", f"frame {index}, far ahead", "one that comes soon")
-                    is_gone = wanted < self._kept[0].first and not (self._under and self._under._holding(wanted))
-                    if is_gone:
-                        self.skipped += newest.first - wanted
-                        self._tell(f"play had fallen behind, and goes on {newest.first - wanted} frames later")
-                        self._base += newest.first - wanted
+                    if wanted < self._kept[0].first and not (self._under and self._under._holding(wanted)):
+                        missed = newest.first - wanted
+                        self.skipped, self._base = self.skipped + missed, self._base + missed
+                        self._tell(f"play had fallen behind, and goes on {missed} frames later")
                         continue
                     if self._is_settled(wanted):
                         return wanted, self._holding(wanted)
@@ -354,7 +348,7 @@ class LiveStream(OpenStream):
 
     def __init__(self, name: str, opened: Opened, frames: LiveFrames, vibrates: bool) -> None:
         reader: Any = _LiveReader(name, opened.head, opened.provenance)
-        super().__init__(reader, 0)
+        super().__init__(reader)
         self.frames, self._vibrates = frames, vibrates
 
     def keep_up(self, player: Playing) -> bool:
@@ -380,15 +374,6 @@ class LiveStream(OpenStream):
             self.grid, head.rate_hz, ENDLESS, self.frames, head.axes, head.friction, head.damping_n_s_per_m,
             tuple(head.tags), dict(self.reader.provenance), band,
         )  # fmt: skip
-
-    @property
-    def scene(self) -> HapticScene | None:
-        """None: live objects are sent as voxels."""
-        return None
-
-    @property
-    def held(self) -> LiveFrames:
-        return self.frames
 
     @property
     def bits(self) -> BitAccount:

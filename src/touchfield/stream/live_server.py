@@ -82,8 +82,7 @@ class LiveServer(Background):
             served.router.add_get(f"/{layer}", self._follow)
             served.router.add_get(f"/{layer}.json", self._manifest)
             served.router.add_get(f"/{layer}/opening", self._opening)
-            served.router.add_get(rf"/{layer}/{{number:\d{{1,9}}}}", self._segment)
-            served.router.add_get(rf"/{layer}/{{number:\d{{1,9}}}}.touch", self._file)
+            served.router.add_get(rf"/{layer}/{{number:\d{{1,9}}}}{{ending:(\.touch)?}}", self._segment)
         add_pages(served, "", self._pages)
         return served
 
@@ -108,7 +107,7 @@ class LiveServer(Background):
                 if message is not None:
                     async with asyncio.timeout(_PATIENCE_S):
                         await socket.send_bytes(message)
-                elif sender.is_over(receiver):
+                elif receiver.is_over:
                     break
                 else:
                     waits = asyncio.ensure_future(news.wait())
@@ -141,13 +140,12 @@ class LiveServer(Background):
         return self._answer(request, self._asked(request).opening or None)
 
     async def _segment(self, request: web.Request) -> web.Response:
-        return self._answer(request, self._asked(request).message(int(request.match_info["number"])))
-
-    async def _file(self, request: web.Request) -> web.Response:
-        """A segment as a file of its own, for whoever decodes files."""
+        """A segment's message, or with the ending a file of its own, for whoever decodes files."""
         sender = self._asked(request)
         message = sender.message(int(request.match_info["number"]))
-        return self._answer(request, None if message is None else file_of(sender.opening, message))
+        if message is not None and request.match_info["ending"]:
+            message = file_of(sender.opening, message)
+        return self._answer(request, message)
 
 
 async def _ended(socket: web.WebSocketResponse) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -89,17 +89,20 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
     for source in (movie, stream):
         if Path(source).exists() and out.exists() and Path(source).samefile(out):
             raise InvalidArgument(str(out), "the file that is read", "another name")
-    if out.suffix.lower() == ".mpd":
-        with TouchReader(stream) as reader, _opened(movie) as source:
-            seconds = reader.head.frame_count / reader.head.rate_hz
+    kind = out.suffix.lower()
+    with TouchReader(stream) as reader, _opened(movie) as source:
+        seconds = reader.head.frame_count / reader.head.rate_hz
+        if kind == ".mpd":
             names = _write_dash(source, Path(stream), out, at_s, 8 * reader.size / seconds)
             return Muxed(out, len(reader.segments), reader.size, seconds, at_s, names)
-    with TouchReader(stream) as reader, _opened(movie) as source, atomic_path(out) as temporary:
-        samples = list(_samples(reader, each_begins=out.suffix.lower() == ".ts"))
-        fragments = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if out.suffix != ".ts" else {}
-        names = _copied(source, samples, temporary, fragments, at_s, reader.head.rate_hz, report)
-        size = sum(len(data) for _, _, data in samples)
-        return Muxed(out, len(samples), size, reader.head.frame_count / reader.head.rate_hz, at_s, names)
+        samples = list(_samples(reader, at_s, each_begins=kind == ".ts"))
+        options = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if kind != ".ts" else {}
+        kept = [one for one in source.streams if one.type in ("video", "audio", "subtitle")]
+        names = tuple(one.type for one in kept)
+        with atomic_path(out) as temporary:
+            _copy(source, kept, out, temporary, "mpegts" if kind == ".ts" else "mp4", options, samples, report)
+    size = sum(len(data) for _, _, data in samples)
+    return Muxed(out, len(samples), size, seconds, at_s, names)
 
 
 def demux(movie: str | Path, out: str | Path) -> Muxed:
@@ -123,48 +126,51 @@ def demux(movie: str | Path, out: str | Path) -> Muxed:
     return Muxed(Path(out), len(parts), size, head[0].frame_count / head[0].rate_hz, at_s, ())
 
 
-def _samples(reader: TouchReader, each_begins: bool) -> Iterator[tuple[int, int, bytes]]:
-    """First frame, frames, and bytes of each sample."""
-    data, begin = reader.read_all(), 0
+_Sample = tuple[float, float, bytes]
+"""The movie's second at which it begins, how long it lasts, and its bytes."""
+
+
+def _samples(reader: TouchReader, at_s: float, each_begins: bool) -> Iterator[_Sample]:
+    data, begin, rate_hz = reader.read_all(), 0, reader.head.rate_hz
     head_end = reader.segments[0].offset
     for i, entry in enumerate(reader.segments):
         end = entry.offset + entry.length
         head = data[:head_end] if i and each_begins and reader.head.coder != OBJECTS_CODER else b""
-        yield entry.first_frame, entry.frame_count, head + data[begin:end]
+        yield at_s + entry.first_frame / rate_hz, entry.frame_count / rate_hz, head + data[begin:end]
         begin = end
 
 
-def _copied(
+def _copy(
     source: Any,
-    samples: list[tuple[int, int, bytes]],
-    path: Path,
+    kept: list[Any],
+    out: Path,
+    temporary: Path,
+    form: str,
     options: dict[str, str],
-    at_s: float,
-    rate_hz: float,
-    report: Report,
-) -> tuple[str, ...]:
-    """Copy the packets of a movie and, between them in time, the samples; the kinds of the tracks."""
+    samples: Sequence[_Sample] = (),
+    report: Report = silent,
+) -> None:
+    """Copy the packets of some tracks of a movie and, between them in time, the samples, if there are any."""
     import av
 
-    kept = [one for one in source.streams if one.type in ("video", "audio", "subtitle")]
-    form = "mpegts" if path.suffix.lower() == ".ts" else "mp4"
+    waiting = list(reversed(samples))
     try:
-        with av.open(str(path), "w", format=form, options=options) as sink:
+        with av.open(str(temporary), "w", format=form, options=options) as sink:
             tracks = {one.index: sink.add_stream_from_template(one) for one in kept}
-            touch = sink.add_data_stream("bin_data")
-            touch.time_base = _CLOCK
-            waiting = list(reversed(samples))
+            touch: Any = sink.add_data_stream("bin_data") if samples else None
 
             def put(until_s: float) -> None:
-                while waiting and at_s + waiting[-1][0] / rate_hz <= until_s:
-                    first, count, data = waiting.pop()
+                while waiting and waiting[-1][0] <= until_s:
+                    begin_s, length_s, data = waiting.pop()
                     packet = av.Packet(data)
                     packet.stream, packet.time_base = touch, _CLOCK
-                    packet.pts = packet.dts = round((at_s + first / rate_hz) / _CLOCK)
-                    packet.duration = round(count / rate_hz / _CLOCK)
+                    packet.pts = packet.dts = round(begin_s / _CLOCK)
+                    packet.duration = round(length_s / _CLOCK)
                     sink.mux(packet)
                     report(len(samples) - len(waiting), len(samples))
 
+            if touch is not None:
+                touch.time_base = _CLOCK
             for packet in source.demux(kept):
                 if packet.dts is None:
                     continue
@@ -173,27 +179,21 @@ def _copied(
                 sink.mux(packet)
             put(float("inf"))
     except (av.FFmpegError, ValueError) as error:
-        raise InvalidArgument(str(path), str(error), "a form that holds the tracks of the movie") from None
-    return tuple(one.type for one in kept)
+        raise InvalidArgument(str(out), str(error), "a form that holds the tracks of the movie") from None
 
 
 def _found(source: Any, name: str) -> tuple[list[bytes], float]:
-    """The samples of the track whose first one is touch, and the movie's second at which that is."""
+    """The samples of the first track of touch, from its first head on, and the movie's second at which that is."""
     begins = min((float(one.start_time * one.time_base) for one in source.streams if one.start_time), default=0.0)
     times: dict[int, float] = {}
     data = [one for one in source.streams if one.type == "data"]
     tracks: dict[int, list[bytearray]] = {}
-    foreign: set[int] = set()
     size = 0
     for packet in source.demux(data) if data else ():
-        index = packet.stream.index
-        if index in foreign or not packet.size:
+        track = tracks.setdefault(packet.stream.index, [])
+        if not packet.size or not (track or bytes(packet).startswith(MAGIC)):
             continue
-        track = tracks.setdefault(index, [])
-        if not track and not bytes(packet).startswith(MAGIC):
-            foreign.add(index)
-            continue
-        times.setdefault(index, float((packet.pts or 0) * packet.time_base))
+        times.setdefault(packet.stream.index, float((packet.pts or 0) * packet.time_base))
         size += packet.size
         if size > _MOST_BYTES:
             raise SourceError(name, f"more than {_MOST_BYTES} bytes of touch", "less")
@@ -201,10 +201,10 @@ def _found(source: Any, name: str) -> tuple[list[bytes], float]:
             track[-1] += bytes(packet)
         else:
             track.append(bytearray(packet))
-    found = next(((index, track) for index, track in tracks.items() if index not in foreign and track), None)
-    if found is None:
+    first = next(((index, track) for index, track in tracks.items() if track), None)
+    if first is None:
         raise SourceError(name, "no track of touch", "a movie that touchfield mux made")
-    return [bytes(one) for one in found[1]], max(0.0, times[found[0]] - (begins if name.endswith(".ts") else 0.0))
+    return [bytes(one) for one in first[1]], max(0.0, times[first[0]] - (begins if name.endswith(".ts") else 0.0))
 
 
 _Head = tuple[Any, dict[str, str], list[ObjectRecord]]
@@ -219,14 +219,13 @@ def _parsed(samples: list[bytes], name: str) -> tuple[_Head, list[tuple[Vibratio
         source, place, beside = ByteSource(file), 0, None
         if sample.startswith(MAGIC):
             read_opening(source)
-            found = find_record(source, OPENING_SIZE, source.size)
-            told, _ = read_record(source, found, "HEAD")
-            own: _Head = (told, {}, [])
-            place = found.end
+            record = find_record(source, OPENING_SIZE, source.size)
+            own: _Head = (read_record(source, record, "HEAD")[0], {}, [])
+            place = record.end
         while place < source.size:
-            found = find_record(source, place, source.size)
-            place = found.end
-            value, _ = read_record(source, found, found.tag if found.tag in _KNOWN else "SEGM")
+            record = find_record(source, place, source.size)
+            place = record.end
+            value, _ = read_record(source, record, record.tag if record.tag in _KNOWN else "SEGM")
             if isinstance(value, Provenance):
                 own[1].update((pair.key, pair.value) for pair in value.pairs)
             elif isinstance(value, ObjectRecord):
@@ -283,22 +282,12 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
     rate_bits : float
         Bits a second of the stream.
     """
-    import av
-
     kept = [one for one in source.streams if one.type in ("video", "audio")]
     names = {"single_file": "1", "single_file_name": f"{out.stem}-$RepresentationID$.mp4"}
     with TemporaryDirectory(prefix=".touchfield-", dir=out.parent) as folder:
-        made = Path(folder) / out.name
-        try:
-            with av.open(str(made), "w", format="dash", options=names) as sink:
-                tracks = {one.index: sink.add_stream_from_template(one) for one in kept}
-                for packet in source.demux(kept):
-                    if packet.dts is not None:
-                        packet.stream = tracks[packet.stream.index]
-                        sink.mux(packet)
-        except (av.FFmpegError, ValueError) as error:
-            raise InvalidArgument(str(out), str(error), "a form that holds the tracks of the movie") from None
-        _add_touch(made, f"{out.stem}.touch", at_s, rate_bits)
+        manifest = Path(folder) / out.name
+        _copy(source, kept, out, manifest, "dash", names)
+        _add_touch(manifest, f"{out.stem}.touch", at_s, rate_bits)
         try:
             shutil.copyfile(stream, Path(folder) / f"{out.stem}.touch")
             for path in Path(folder).iterdir():
@@ -318,8 +307,8 @@ def _add_touch(manifest: Path, name: str, at_s: float, rate_bits: float) -> None
     period = tree.getroot().find(f"{{{_SPACE}}}Period")
     assert period is not None
 
-    def add(parent: ElementTree.Element, kind: str, **given: str) -> ElementTree.Element:
-        return ElementTree.SubElement(parent, f"{{{_SPACE}}}{kind}", given)
+    def add(parent: ElementTree.Element, kind: str, **attributes: str) -> ElementTree.Element:
+        return ElementTree.SubElement(parent, f"{{{_SPACE}}}{kind}", attributes)
 
     touch = add(period, "AdaptationSet", contentType="application", mimeType=MEDIA_TYPE)
     add(touch, "SupplementalProperty", schemeIdUri=BEGINS, value=f"{at_s:g}")

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import fields
+from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
 from functools import cache, cached_property
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Int64s
 from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.layout import MAX_POSES, CodedObject
 from touchfield.codec.rate import BitAccount
@@ -20,6 +21,7 @@ from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, Hapt
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.parallel import Report, silent
 from touchfield.stream.frames import SegmentFrames, segments_of
+from touchfield.stream.opened import OpenStream, worst_keys
 
 if TYPE_CHECKING:
     from touchfield.codec.objects.encoder import ObjectsEncoder
@@ -60,14 +62,17 @@ def coded_object(record: ObjectRecord) -> CodedObject:
     return CodedObject(grid=grid, is_deforming=bool(record.is_deforming), **same)
 
 
-class ObjectStream:
-    """A ``.touch`` file of coder `objects`, open for reading as long as fields of objects that deform are asked for.
+class SceneStream(OpenStream):
+    """A file of coder `objects`; a voxel frame costs one query of the scene for each voxel near an object.
+
+    It is open for reading as long as fields of objects that deform are asked for.
 
     Raises UnsupportedVersion if the file is of another coder; FormatError if its bytes contradict themselves;
     InvalidArgument if its poses would take more memory than `memory_budget_bytes`.
     """
 
     def __init__(self, reader: TouchReader) -> None:
+        super().__init__(reader)
         head = reader.head
         if head.coder != ObjectsDecoder.name:
             raise UnsupportedVersion("HEAD.coder", repr(head.coder), repr(ObjectsDecoder.name))
@@ -79,11 +84,10 @@ class ObjectStream:
             allowed = f"at most {memory_budget_bytes() / 2**30:.1f} GiB"
             size, mend = f"{poses * _BYTES_PER_POSE / 2**30:.1f} GiB of poses", "Set TOUCHFIELD_MEMORY_GIB."
             raise InvalidArgument("HEAD.frame_count", size, allowed, mend)
-        self.reader = reader
         objects = [coded_object(reader.read_object(i)) for i in range(reader.object_count)]
         self.decoder = ObjectsDecoder(head.coder_parameters, objects)
         self._lock = Lock()
-        self._held: tuple[int, bytes] | None = None
+        self._latest: tuple[int, bytes] | None = None
 
     @cached_property
     def tracks(self) -> tuple[PoseTrack, ...]:
@@ -105,7 +109,7 @@ class ObjectStream:
         """The decoded scene: poses now, the field of an object when it is first asked for."""
         head = self.reader.head
         return HapticScene(
-            grid=Grid(head.grid_shape, head.spacing_m, head.origin_m),
+            grid=self.grid,
             rate_hz=head.rate_hz,
             objects=tuple(
                 HapticObject(one.name, self._medium(i, one), track)
@@ -118,63 +122,65 @@ class ObjectStream:
             damping_n_s_per_m=head.damping_n_s_per_m,
             tags=tuple(head.tags),
             provenance=dict(self.reader.provenance),
-            file_bytes=self.reader.size,
+            file_bytes=self.file_bytes,
         )
+
+    @property
+    def medium(self) -> HapticMedium:
+        return replace(self.scene.voxelise(), vibration=None if self._vibration is None else self._vibration.band)
 
     @cached_property
     def bits(self) -> BitAccount:
-        """Bits of the objects and of all segments by kind; nothing is decoded."""
+        """See `OpenStream`: of the objects and of all segments; nothing is decoded."""
         costs = [self.decoder.object_cost(i) for i in range(self.reader.object_count)]
         for i, entry in enumerate(self.reader.segments):
             costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
         return sum(costs, BitAccount())
 
-    def promise(self) -> dict[str, Any]:
-        """Stable keys: what is promised of the composed field, and its worst voxel; none where nothing is."""
-        described = [decoder.describe() for decoder in self.decoder.field_decoders]
-        modes = {told["mode"] for told in described if "mode" in told}
-        if not modes:
-            return {}
-        worst = None
-        for i, entry in enumerate(self.reader.segments):
-            own = self.decoder.parts(self._body(i)).worst
-            if own is not None and (worst is None or own.ratio > worst.ratio):
-                worst = own._replace(frame=entry.first_frame + own.frame)
-        ratio, frame, voxel = worst or (None, None, None)
-        return {
-            "mode": ", ".join(sorted(modes)),
-            "promise_kept": None if ratio is None else ratio <= 1,
-            "worst_mask_ratio": ratio,
-            "worst_frame": frame,
-            "worst_voxel": None if voxel is None else list(voxel),
-            "place_tolerance_um": 1e6 * self.decoder.place_tolerance_m,
+    def bits_by_kind(self) -> dict[str, float]:
+        """See `OpenStream`: no frame of its own, but poses, and what the fields take spread over all frames."""
+        count, bits = self.reader.head.frame_count, self.bits
+        return {"poses": bits.poses / count, "fields": (bits.total - bits.poses) / count}
+
+    def quantiser(self) -> Callable[[ForceField], Int64s]:
+        """See `OpenStream`: the Weber ladder and directions that measures take by default."""
+        from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+
+        fitted = FieldQuantiserSpec.parse(DEFAULT_QUANTISER).fit((), self.reader.head.force_max_n)
+        return lambda field: fitted.symbols_of(field.vectors_n()).astype(np.int64)
+
+    def _coder(self) -> dict[str, Any]:
+        keys = {
+            **self.decoder.describe(),
+            "bits_poses": self.bits.poses,
+            "bits_fields": self.bits.total - self.bits.poses,
+            "frame_kinds": {"object": self.reader.head.frame_count},
         }
+        described = [decoder.describe() for decoder in self.decoder.field_decoders]
+        modes = {keys["mode"] for keys in described if "mode" in keys}
+        if not modes:  # nothing is promised of the composed field
+            return keys
+        segments = enumerate(self.reader.segments)
+        worst = worst_keys((entry.first_frame, self.decoder.parts(self._body(i)).worst) for i, entry in segments)
+        tolerance_um = 1e6 * self.decoder.place_tolerance_m
+        return {**keys, "mode": ", ".join(sorted(modes)), **worst, "place_tolerance_um": tolerance_um}
 
     def _medium(self, index: int, one: CodedObject) -> HapticMedium:
         """The fields of one object."""
-        if one.is_deforming:
-            coder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {index}")
-            fields_of, head = self._deforming(index), self.reader.head
-            segments = segments_of(self.reader, coder.describe())
-            return HapticMedium(one.grid, head.rate_hz, head.frame_count, fields_of, segments=segments)
-
-        @cache
-        def make(_: int) -> ForceField:
-            return self.decoder.rigid_field(index)
-
-        return HapticMedium(one.grid, self.reader.head.rate_hz, 1, make)
-
-    def _deforming(self, index: int) -> SegmentFrames:
-        """The fields of an object that deforms."""
+        head = self.reader.head
+        if not one.is_deforming:
+            return HapticMedium(one.grid, head.rate_hz, 1, cache(lambda _: self.decoder.rigid_field(index)))
 
         def decode(segment: int) -> Iterator[ForceField]:
             return self.decoder.fields(self._body(segment), index, self.reader.segments[segment].frame_count)
 
-        return SegmentFrames(self.reader, decode)
+        coder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {index}")
+        frames, segments = SegmentFrames(self.reader, decode), segments_of(self.reader, coder.describe())
+        return HapticMedium(one.grid, head.rate_hz, head.frame_count, frames, segments=segments)
 
     def _body(self, segment: int) -> bytes:
         """The body of a segment; the latest is kept, as each object that deforms asks for it."""
         with self._lock:
-            if self._held is None or self._held[0] != segment:
-                self._held = (segment, self.reader.read_segment(segment))
-            return self._held[1]
+            if self._latest is None or self._latest[0] != segment:
+                self._latest = (segment, self.reader.read_segment(segment))
+            return self._latest[1]

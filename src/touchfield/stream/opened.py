@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -27,7 +26,7 @@ from touchfield.stream.frames import SegmentFrames, VibrationFrames, segments_of
 
 if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
-    from touchfield.codec.segment import FrameCost
+    from touchfield.codec.segment import FrameCost, Worst
     from touchfield.devices import Device
     from touchfield.medium.grid import Placement
 
@@ -53,8 +52,8 @@ class OpenStream(ABC):
     is_native = False
     """True if `touchfield_core` decodes its frames, and no kernel."""
 
-    def __init__(self, reader: TouchReader, file_bytes: int) -> None:
-        self.reader, self.file_bytes = reader, file_bytes
+    def __init__(self, reader: TouchReader) -> None:
+        self.reader, self.file_bytes = reader, reader.size
         head = reader.head
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
 
@@ -100,11 +99,6 @@ class OpenStream(ABC):
 
     @property
     @abstractmethod
-    def held(self) -> object:
-        """The object that `medium` and `scene` hold on to, and that needs the reader to be open."""
-
-    @property
-    @abstractmethod
     def bits(self) -> BitAccount:
         """Bits by what they tell; those of the file's frame are not counted."""
 
@@ -123,7 +117,7 @@ class OpenStream(ABC):
     @property
     def _vibration(self) -> VibrationFrames | None:
         """The vibration beside the force; None where the file tells of nothing."""
-        return VibrationFrames(self.reader, self.grid, self.held) if self.reader.has_vibration else None
+        return VibrationFrames(self.reader, self.grid) if self.reader.has_vibration else None
 
     def supported_voxels(self, report: Report = silent) -> int:
         """Voxels that hold a force, over all frames; all are decoded."""
@@ -141,14 +135,14 @@ class OpenStream(ABC):
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; those of the vibration only where there is one."""
         head = self.reader.head
-        size, bits, told = self.file_bytes, self.bits, self._coder()
-        told |= {f"bits_{name}": getattr(bits, name) for name in ("support", "amplitude", "direction", "models")}
-        told["bits_side"] = 8 * size - (bits.total - bits.side)
+        size, bits, keys = self.file_bytes, self.bits, self._coder()
+        keys |= {f"bits_{name}": getattr(bits, name) for name in ("support", "amplitude", "direction", "models")}
+        keys["bits_side"] = 8 * size - (bits.total - bits.side)
         band = {} if self._vibration is None else self._vibration.summary()
         if band:
-            told["bits_side"] -= band["bits_vibration"]
-        if "promise_kept" in told:
-            told["promise_against"] = self.reader.provenance.get("reference", FILTERED)
+            keys["bits_side"] -= band["bits_vibration"]
+        if "promise_kept" in keys:
+            keys["promise_against"] = self.reader.provenance.get("reference", FILTERED)
         return {
             "file_bytes": size,
             "frames": head.frame_count,
@@ -168,7 +162,7 @@ class OpenStream(ABC):
             "f0_n": head.force_threshold_n,
             "coder": head.coder,
             "representation": "voxel" if self.scene is None else "object",
-            **told,
+            **keys,
             "cr_full": compression_ratio(8 * size, head.frame_count, self.grid.voxel_count),
             "cr_literal": compression_ratio(bits.amplitude + bits.direction, head.frame_count, self.grid.voxel_count),
             **band,
@@ -182,8 +176,8 @@ class VoxelStream(OpenStream):
     A frame costs the decoding of its segment up to it, or one frame in sequence, then on all cores.
     """
 
-    def __init__(self, reader: TouchReader, file_bytes: int) -> None:
-        super().__init__(reader, file_bytes)
+    def __init__(self, reader: TouchReader) -> None:
+        super().__init__(reader)
         self.decoder: Any = coder(reader.head.coder).decoder_class(self.grid, reader.head.coder_parameters)
         decoder: FieldDecoder = self.decoder  # and not `self`: the frames outlive the stream
 
@@ -206,12 +200,8 @@ class VoxelStream(OpenStream):
 
     @property
     def masking(self) -> tuple[float, float] | None:
-        told = self.decoder.describe()
-        return (told["masking"], told["masking_radius_m"]) if "masking" in told else None
-
-    @property
-    def held(self) -> SegmentFrames:
-        return self._frames
+        keys = self.decoder.describe()
+        return (keys["masking"], keys["masking_radius_m"]) if "masking" in keys else None
 
     @cached_property
     def costs(self) -> tuple[FrameCost, ...]:
@@ -236,90 +226,41 @@ class VoxelStream(OpenStream):
 
     def _coder(self) -> dict[str, Any]:
         kinds = [c.kind.name.lower() for c in self.costs]
-        told: dict[str, Any] = {
+        keys: dict[str, Any] = {
             **self.decoder.describe(),
             "frame_kinds": {k: kinds.count(k) for k in dict.fromkeys(kinds)},
             "bits_per_frame_by_kind": self.bits_by_kind(),
         }
         if not coder(self.reader.head.coder).has_promise:
-            return told
+            return keys
         costs = [cost for cost in self.costs if isinstance(cost, TouchCost)]
-        told["guesses"] = sum(cost.guess_bits > 0 for cost in costs)
-        told["bits_guesses"] = sum(cost.guess_bits for cost in costs)
-        told["bits_sent_apart"] = sum(cost.exception_bits for cost in costs)
-        segments = enumerate(self.reader.segments)
-        return told | _promise_kept(
-            (s.first_frame, self.decoder.promise(self.reader.read_segment(i))) for i, s in segments
-        )
+        keys["guesses"] = sum(cost.guess_bits > 0 for cost in costs)
+        keys["bits_guesses"] = sum(cost.guess_bits for cost in costs)
+        keys["bits_sent_apart"] = sum(cost.exception_bits for cost in costs)
+        segments = self.reader.segments
+        promises: list[Promise] = [self.decoder.promise(self.reader.read_segment(i)) for i in range(len(segments))]
+        keys["mode"], jnd_deg = promises[-1].mode, promises[-1].direction_jnd_deg
+        if jnd_deg is not None:
+            keys["direction_jnd_deg"] = jnd_deg
+        return keys | worst_keys((s.first_frame, promise.worst) for s, promise in zip(segments, promises))
 
 
-def _promise_kept(segments: Iterable[tuple[int, Promise]]) -> dict[str, Any]:
-    """Keys of the promise of a whole file: its mode, and the largest |error| / allowed and where it is.
+def worst_keys(segments: Iterable[tuple[int, Worst | None]]) -> dict[str, Any]:
+    """Keys of a file's largest |error| / allowed and where it is; None in each where nothing is promised.
 
-    In mode "nmse", which promises nothing, the ratio and its place are None. `segments` are the first frame of each,
-    and its promise.
+    `segments` are the first frame of each, and its worst voxel.
     """
-    mode, jnd_deg, worst = "", None, None
-    for first, promise in segments:
-        mode, jnd_deg, own = promise.mode, promise.direction_jnd_deg, promise.worst
-        if own is not None and (worst is None or own.ratio > worst[0]):
-            worst = own.ratio, first + own.frame, list(own.voxel)
+    worst: Worst | None = None
+    for first, own in segments:
+        if own is not None and (worst is None or own.ratio > worst.ratio):
+            worst = own._replace(frame=first + own.frame)
     ratio, frame, voxel = worst or (None, None, None)
     return {
-        "mode": mode,
-        **({} if jnd_deg is None else {"direction_jnd_deg": jnd_deg}),
         "promise_kept": None if ratio is None else ratio <= 1,
         "worst_mask_ratio": ratio,
         "worst_frame": frame,
-        "worst_voxel": voxel,
+        "worst_voxel": None if voxel is None else list(voxel),
     }
-
-
-class SceneStream(OpenStream):
-    """A file of coder `objects`; a voxel frame costs one query of the scene for each voxel near an object."""
-
-    def __init__(self, reader: TouchReader, file_bytes: int) -> None:
-        super().__init__(reader, file_bytes)
-        from touchfield.stream.objects import ObjectStream
-
-        self.objects = ObjectStream(reader)
-
-    @property
-    def scene(self) -> HapticScene:
-        return self.objects.scene
-
-    @property
-    def medium(self) -> HapticMedium:
-        return replace(self.scene.voxelise(), vibration=None if self._vibration is None else self._vibration.band)
-
-    @property
-    def held(self) -> object:
-        return self.objects
-
-    @property
-    def bits(self) -> BitAccount:
-        return self.objects.bits
-
-    def bits_by_kind(self) -> dict[str, float]:
-        """See `OpenStream`: no frame of its own, but poses, and what the fields take spread over all frames."""
-        count, bits = self.reader.head.frame_count, self.objects.bits
-        return {"poses": bits.poses / count, "fields": (bits.total - bits.poses) / count}
-
-    def quantiser(self) -> Callable[[ForceField], Int64s]:
-        """See `OpenStream`: the Weber ladder and directions that measures take by default."""
-        from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
-
-        fitted = FieldQuantiserSpec.parse(DEFAULT_QUANTISER).fit((), self.reader.head.force_max_n)
-        return lambda field: fitted.symbols_of(field.vectors_n()).astype(np.int64)
-
-    def _coder(self) -> dict[str, Any]:
-        bits = self.objects.bits
-        told = {
-            "bits_poses": bits.poses,
-            "bits_fields": bits.total - bits.poses,
-            "frame_kinds": {"object": self.reader.head.frame_count},
-        }
-        return {**self.objects.decoder.describe(), **told, **self.objects.promise()}
 
 
 @contextmanager
@@ -339,16 +280,19 @@ def open_stream(
             yield live
         return
     with TouchReader(path) as reader:
-        yield opened(reader, reader.size)
+        yield opened(reader)
 
 
-def opened(reader: TouchReader, file_bytes: int) -> OpenStream:
+def opened(reader: TouchReader) -> OpenStream:
     """The stream of a reader, by its coder.
 
     Raises UnsupportedVersion if there is no such coder.
     """
-    is_scene = coder(reader.head.coder).spec is None
-    return SceneStream(reader, file_bytes) if is_scene else VoxelStream(reader, file_bytes)
+    if coder(reader.head.coder).spec is not None:
+        return VoxelStream(reader)
+    from touchfield.stream.objects import SceneStream
+
+    return SceneStream(reader)
 
 
 def write_field(
@@ -364,25 +308,24 @@ def write_field(
     from touchfield.medium.npz import write_npz
     from touchfield.medium.vti import write_vti
 
+    def progress(done: int) -> None:
+        report(done, len(medium))
+
     path = Path(path)
-    told = placement.told() if placement is not None else {}
+    attributes = placement.told() if placement is not None else {}
     if path.suffix == ".zarr":
         from touchfield.medium.zarr_store import write_zarr
 
-        write_zarr(path, medium, lambda done: report(done, len(medium)), told)
+        write_zarr(path, medium, progress, attributes)
         return path
     needed, allowed = 12 * medium.grid.voxel_count, memory_budget_bytes()
     if needed > allowed:
         size = f"{needed / 2**30:.1f} GiB for each dense frame of {medium.grid.shape} samples"
         mend = "Keep the .touch file, which is sparse, or set TOUCHFIELD_MEMORY_GIB."
         raise InvalidArgument(str(path), size, f"at most {allowed / 2**30:.1f} GiB", mend)
-
-    def progress(done: int) -> None:
-        report(done, len(medium))
-
     if path.suffix == ".npz":
-        write_npz(path, medium, progress, told)
+        write_npz(path, medium, progress, attributes)
         return path
     if path.suffix == ".vti":
-        return write_vti(path, medium, progress=progress, told=told)
+        return write_vti(path, medium, progress=progress, told=attributes)
     raise InvalidArgument(str(path), f"the ending {path.suffix!r}", "FIELD.npz, FIELD.zarr or FIELD.vti")

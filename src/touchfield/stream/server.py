@@ -85,10 +85,7 @@ def serve(
         if len(names) > _MOST_NAMED:
             tell(f"and {len(names) - _MOST_NAMED} more")
 
-    async def main() -> None:
-        await run(served, access, ready, asyncio.Event())
-
-    asyncio.run(main())
+    asyncio.run(run(served, access, ready, asyncio.Event()))
 
 
 def _plain_file(root: Path, name: str) -> Path | None:

@@ -42,13 +42,6 @@ class UdpSender:
     """Sends a live stream's messages to an address, without ever waiting; a context manager.
 
     `layer` tells what is sent; a coarse layer goes to the next port.
-
-    Attributes
-    ----------
-    sent_bytes : int
-        Of all datagrams.
-    left_out : int
-        Datagrams that the system did not take.
     """
 
     def __init__(self, sender: LiveSender, address: str, layer: Layer = "alone") -> None:
@@ -64,7 +57,6 @@ class UdpSender:
         self._socket = socket.socket(family, kind)
         self._socket.setblocking(False)
         self._sender, self._datagrams, self._count = sender, Datagrams(secrets.randbits(32), REPAIR[layer]), 0
-        self.sent_bytes = self.left_out = 0
 
     def __enter__(self) -> UdpSender:
         return self
@@ -82,11 +74,8 @@ class UdpSender:
 
     def _send(self, datagrams: list[bytes]) -> None:
         for datagram in datagrams:
-            try:
+            with suppress(OSError):  # the system has no room now, or nobody is there
                 self._socket.sendto(datagram, self._to)
-                self.sent_bytes += len(datagram)
-            except OSError:  # the system has no room now, or nobody is there
-                self.left_out += 1
 
 
 class _Protocol(asyncio.DatagramProtocol):
@@ -99,7 +88,7 @@ class _Protocol(asyncio.DatagramProtocol):
             self._take(data)
 
 
-async def listen(address: str, take: Callable[[bytes], bool], is_layered: bool = False) -> Gathering:
+async def listen(address: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
     """Receive datagrams at an address, until ``take(message)`` says that the stream is over.
 
     With `is_layered` another layer is felt for what is lost: it is given up once it could have come.
@@ -117,6 +106,6 @@ async def listen(address: str, take: Callable[[bytes], bool], is_layered: bool =
         while True:
             for message in gathering.receive(await coming.get()):
                 if await asyncio.to_thread(take, message):
-                    return gathering
+                    return
     finally:
         transport.close()

@@ -18,7 +18,7 @@ from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.stream.objects import ObjectStream, write_objects
+from touchfield.stream.objects import SceneStream, write_objects
 
 SPEC = TouchSpec(k=0.1, f0_n=F0_N, effort="fast", segment_frames=3)
 OWN = Grid((19, 18, 17), (0.0007, 0.0007, 0.0007), (-0.0063, -0.006, -0.0056))
@@ -65,13 +65,13 @@ def ratios_of(source: HapticScene, decoded: HapticScene, frame: int) -> np.ndarr
     return np.asarray(error / np.maximum(F0_N, 0.1 * force))
 
 
-def written(path: Path, scene: HapticScene, spec: TouchSpec | PaperSpec = SPEC) -> ObjectStream:
+def written(path: Path, scene: HapticScene, spec: TouchSpec | PaperSpec = SPEC) -> SceneStream:
     encoder = ObjectsEncoder(scene, spec, F0_N)
     with TouchWriter(path) as writer:
         writer.write_head(head_of(scene, encoder))
         write_objects(writer, encoder, len(scene))
     reader = TouchReader(path)
-    return ObjectStream(reader)
+    return SceneStream(reader)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -127,7 +127,7 @@ def test_a_file_keeps_its_promise_at_every_voxel_of_every_frame(
         for frame in range(7):
             away = one.track.to_scene(corners, frame) - other.track.to_scene(corners, frame)
             assert np.linalg.norm(away, axis=1).max() <= PLACE_TOLERANCE_M
-    told = stream.promise()
+    told = stream.summary()
     assert told["promise_kept"] and told["place_tolerance_um"] == pytest.approx(10)
     if damping == 0:  # else velocities are those of the decoded poses, too
         expected = np.stack([ratios_of(scene, decoded, frame) for frame in range(7)])
@@ -145,7 +145,7 @@ def test_fields_that_keep_their_own_mask_are_coded_finer_where_they_overlap(tmp_
     for name, one in (("together", scene), ("alone", alone)):
         stream = written(tmp_path / name, one)
         sizes[name] = len(stream.decoder.objects[0].field)
-        assert stream.promise()["worst_mask_ratio"] <= 1
+        assert stream.summary()["worst_mask_ratio"] <= 1
     assert sizes["together"] > sizes["alone"]
 
 
@@ -162,15 +162,15 @@ def test_forces_that_no_field_can_keep_are_refused(tmp_path: Path) -> None:
 
 def test_the_paper_coder_promises_nothing(tmp_path: Path) -> None:
     stream = written(tmp_path / "a.touch", moving_scene(), PaperSpec(segment_frames=3))
-    assert stream.promise() == {}
+    assert "promise_kept" not in stream.summary()
     assert stream.decoder.parts(stream.reader.read_segment(0)).worst is None
     free = written(tmp_path / "b.touch", moving_scene(), replace(SPEC, mode="nmse"))
-    assert free.promise()["mode"] == "nmse" and free.promise()["promise_kept"] is None
+    assert free.summary()["mode"] == "nmse" and free.summary()["promise_kept"] is None
 
 
 def test_a_lossless_file_has_the_source_at_the_decoded_places(tmp_path: Path) -> None:
     stream = written(tmp_path / "a.touch", moving_scene(), replace(SPEC, mode="lossless"))
-    assert stream.promise()["worst_mask_ratio"] == 0 and stream.promise()["promise_kept"]
+    assert stream.summary()["worst_mask_ratio"] == 0 and stream.summary()["promise_kept"]
 
 
 def test_a_body_at_rest_makes_no_step(tmp_path: Path) -> None:

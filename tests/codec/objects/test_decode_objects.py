@@ -19,7 +19,7 @@ from touchfield.codec.objects.encoder import ObjectsEncoder, encode_poses
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.medium import PoseTrack
-from touchfield.stream.objects import ObjectStream, write_objects
+from touchfield.stream.objects import SceneStream, write_objects
 
 CONFORMANCE = Path(__file__).resolve().parents[3] / "conformance"
 SAMPLE_ATOL_N = 2e-6
@@ -46,7 +46,7 @@ def test_scenes_of_the_encoder(second: Any, tmp_path: Path, deforming: bool, sur
         writer.write_head(head_of(scene, encoder, spec))
         write_objects(writer, encoder, len(scene))
     with TouchReader(tmp_path / "a.touch") as reader:
-        stream = ObjectStream(reader)
+        stream = SceneStream(reader)
         file = SimpleNamespace(
             head=asdict(reader.head),
             objects=[asdict(reader.read_object(i)) for i in range(reader.object_count)],

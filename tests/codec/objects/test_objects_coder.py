@@ -26,7 +26,7 @@ from touchfield.codec.varint import write_varint
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, UnsupportedVersion
 from touchfield.medium import Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.stream.objects import ObjectStream, record_of, write_objects
+from touchfield.stream.objects import SceneStream, record_of, write_objects
 
 SPEC = PaperSpec(segment_frames=3)
 
@@ -53,7 +53,7 @@ def stream_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_scene_comes_back(stream_path: Path) -> None:
     scene = moving_scene()
     with TouchReader(stream_path) as reader:
-        decoded = ObjectStream(reader).scene
+        decoded = SceneStream(reader).scene
         for name in ("grid", "rate_hz", "force_max_n", "surface_damping_n_s_per_m", "axes", "friction", "tags"):
             assert getattr(decoded, name) == getattr(scene, name)
         assert decoded.damping_n_s_per_m == scene.damping_n_s_per_m
@@ -71,7 +71,7 @@ def test_the_damping_of_a_moving_surface_is_within_the_mask(tmp_path: Path, damp
     written(tmp_path / "a.touch", scene)
     index = np.moveaxis(np.indices((41, 41, 41)), 0, -1) / 40 - 0.5
     with TouchReader(tmp_path / "a.touch") as reader:
-        decoded = ObjectStream(reader).scene
+        decoded = SceneStream(reader).scene
         one = decoded.objects[0]
         exact = dataclasses.replace(decoded, objects=(dataclasses.replace(one, track=scene.objects[0].track),))
         still = dataclasses.replace(exact, surface_damping_n_s_per_m=0.0)
@@ -86,7 +86,7 @@ def test_the_damping_of_a_moving_surface_is_within_the_mask(tmp_path: Path, damp
 def test_fields_are_those_of_the_paper_coder(stream_path: Path) -> None:
     scene = moving_scene()
     with TouchReader(stream_path) as reader:
-        stream = ObjectStream(reader)
+        stream = SceneStream(reader)
         coders = [PaperEncoder(one.medium.grid, SPEC) for one in scene.objects]
         for i in (0, 1):
             body = coders[i].encode_segment([scene.objects[i].field(0)]).body
@@ -103,7 +103,7 @@ def test_fields_are_those_of_the_paper_coder(stream_path: Path) -> None:
 
 def test_both_representations_agree_after_decoding(stream_path: Path) -> None:
     with TouchReader(stream_path) as reader:
-        decoded = ObjectStream(reader).scene
+        decoded = SceneStream(reader).scene
         voxels = decoded.voxelise()
         grid = decoded.grid
         points = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1))
@@ -116,7 +116,7 @@ def test_both_representations_agree_after_decoding(stream_path: Path) -> None:
 def test_surface_damping_travels(tmp_path: Path) -> None:
     written(tmp_path / "a.touch", moving_scene(deforming=False, surface_damping=0.75))
     with TouchReader(tmp_path / "a.touch") as reader:
-        stream = ObjectStream(reader)
+        stream = SceneStream(reader)
         assert stream.scene.surface_damping_n_s_per_m == 0.75
         assert stream.decoder.describe()["surface_damping_n_s_per_m"] == 0.75
 
@@ -126,7 +126,7 @@ def test_rigid_motion_costs_poses_and_one_field(tmp_path: Path) -> None:
     for frames in (2, 200):
         written(tmp_path / f"{frames}.touch", moving_scene(frames, deforming=False))
         with TouchReader(tmp_path / f"{frames}.touch") as reader:
-            sizes[frames] = ObjectStream(reader).bits
+            sizes[frames] = SceneStream(reader).bits
             assert len(reader.segments) == 1
     assert sizes[200].support == sizes[2].support > 0
     assert sizes[2].poses < sizes[200].poses < 200 * 64 * 8  # a raw pose of float64 has 56 bytes, and there are two
@@ -135,7 +135,7 @@ def test_rigid_motion_costs_poses_and_one_field(tmp_path: Path) -> None:
 def test_the_bits_are_all_told(tmp_path: Path) -> None:
     encoder = written(tmp_path / "a.touch", moving_scene())
     with TouchReader(tmp_path / "a.touch") as reader:
-        stream = ObjectStream(reader)
+        stream = SceneStream(reader)
         bodies = [reader.read_segment(i) for i in range(len(reader.segments))]
         rigid = [one.field for one in stream.decoder.objects]
         bits = stream.bits
@@ -165,7 +165,7 @@ def test_empty_objects_and_a_single_frame(tmp_path: Path) -> None:
     scene = HapticScene(grid, 30.0, (HapticObject("", nothing, tumbling(1, 0.1, 0.3)),), 3.0)
     written(tmp_path / "a.touch", scene)
     with TouchReader(tmp_path / "a.touch") as reader:
-        decoded = ObjectStream(reader).scene
+        decoded = SceneStream(reader).scene
         assert decoded.voxelise()[0].support_count == 0
         assert len(decoded.objects[0].track) == 1
 
@@ -185,7 +185,7 @@ def test_other_coders_are_refused_by_name(stream_path: Path) -> None:
     with TouchReader(stream_path) as reader:
         reader.head = dataclasses.replace(reader.head, coder="paper")
         with pytest.raises(UnsupportedVersion, match=r"'paper'; expected 'objects'"):
-            ObjectStream(reader)
+            SceneStream(reader)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_parameters_out_of_bounds(data: bytes, match: str) -> None:
 
 def test_objects_that_contradict_themselves(stream_path: Path) -> None:
     with TouchReader(stream_path) as reader:
-        objects = ObjectStream(reader).decoder.objects
+        objects = SceneStream(reader).decoder.objects
         parameters = reader.head.coder_parameters
 
     def decoder(**changes: object) -> ObjectsDecoder:
@@ -251,16 +251,16 @@ def test_a_file_that_claims_many_poses_costs_no_memory(tmp_path: Path, monkeypat
         return io.BytesIO((tmp_path / "a.touch").read_bytes())
 
     with TouchReader(claiming(MAX_POSES // 2 + 1)) as reader, pytest.raises(CorruptFile, match="16777216 poses"):
-        ObjectStream(reader)
+        SceneStream(reader)
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.1")
     with TouchReader(claiming(1 << 20)) as reader, pytest.raises(InvalidArgument, match="GiB of poses"):
-        ObjectStream(reader)
+        SceneStream(reader)
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "1")
     with TouchReader(claiming(1 << 20)) as reader:
         tracemalloc.start()
         try:
             with pytest.raises(FormatError):
-                _ = ObjectStream(reader).tracks
+                _ = SceneStream(reader).tracks
             assert tracemalloc.get_traced_memory()[1] < 2_000_000
         finally:
             tracemalloc.stop()
@@ -351,13 +351,13 @@ def test_changed_objects_are_refused_or_read(
 def test_bytes_after_the_last_field_of_a_segment_are_noticed(stream_path: Path) -> None:
     """Also where frames are asked for one by one."""
     with TouchReader(stream_path) as reader:
-        stream = ObjectStream(reader)
+        stream = SceneStream(reader)
         medium = stream.scene.objects[2].medium
         parts = stream.decoder.parts(reader.read_segment(0))
         poses, fields = [part.poses for part in parts.objects], parts.objects[2].fields
         assert fields is not None
         longer = [ObjectPart(p, None) for p in poses[:2]] + [ObjectPart(poses[2], fields + b"\0")]
-        stream._held = (0, SegmentParts(None, longer).to_bytes())
+        stream._latest = (0, SegmentParts(None, longer).to_bytes())
         medium[0], medium[1]
         with pytest.raises(CorruptFile, match="1 bytes after the last frame"):
             medium[2]
@@ -366,7 +366,7 @@ def test_bytes_after_the_last_field_of_a_segment_are_noticed(stream_path: Path) 
 @pytest.fixture(scope="module")
 def decoding(stream_path: Path) -> tuple[ObjectsDecoder, list[bytes]]:
     with TouchReader(stream_path) as reader:
-        return ObjectStream(reader).decoder, [reader.read_segment(i) for i in (0, 1)]
+        return SceneStream(reader).decoder, [reader.read_segment(i) for i in (0, 1)]
 
 
 def test_fields_are_of_objects_that_deform(decoding: tuple[ObjectsDecoder, list[bytes]]) -> None:
@@ -385,7 +385,7 @@ def test_the_parts_of_a_segment_are_read_once_for_all_objects(
     read = SegmentParts.from_bytes
     monkeypatch.setattr(SegmentParts, "from_bytes", lambda *a: calls.append(a) or read(*a))
     with TouchReader(stream_path) as reader:
-        stream = ObjectStream(reader)
+        stream = SceneStream(reader)
         assert stream.tracks and len(calls) == len(reader.segments)
         calls.clear()
         body = reader.read_segment(0)
@@ -439,7 +439,7 @@ def test_a_small_file_fills_no_huge_grid(tmp_path: Path, spacing_m: float) -> No
     world = Grid((4096,) * 3, (spacing_m,) * 3, (-2048 * spacing_m,) * 3)
     size = written_over(tmp_path / "a.touch", moving_scene(3), world)
     with TouchReader(tmp_path / "a.touch") as reader:
-        scene = ObjectStream(reader).scene
+        scene = SceneStream(reader).scene
         scene.sample_n(0, [0.0, 0.0, 0.0])
         tracemalloc.start()
         try:
@@ -460,7 +460,7 @@ def test_a_huge_grid_about_a_small_scene_is_no_fault(tmp_path: Path) -> None:
     written_over(tmp_path / "a.touch", scene, roomy)
     written(tmp_path / "b.touch", scene)
     with TouchReader(tmp_path / "a.touch") as reader, TouchReader(tmp_path / "b.touch") as usual:
-        found, expected = (ObjectStream(r).scene.voxelise()[2] for r in (reader, usual))
+        found, expected = (SceneStream(r).scene.voxelise()[2] for r in (reader, usual))
         inside = found.bricks - 128
         kept = ((inside >= 0) & (inside < scene.grid.brick_shape)).all(axis=1)
         assert np.array_equal(inside[kept], expected.bricks)
