@@ -11,6 +11,7 @@ import base64
 import binascii
 import json
 import math
+import os
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import SourceError
-from touchfield.files import readable
+from touchfield.files import readable, require_beside
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _SPARE: Final = 1 << 20
@@ -147,7 +148,9 @@ def _shown(value: Any) -> str:
 
 
 class Document:
-    """A glTF document, its buffers and its accessors, each read once; `root` is the JSON object of the whole.
+    """A glTF document, its buffers and its accessors, each read once.
+
+    `root` is the JSON object of the whole; `size_bytes` the length of the file and of those that it names, once read.
 
     Raises `SourceError` if the file cannot be read, is no glTF 2, or requires an extension that is not understood.
     """
@@ -160,7 +163,7 @@ class Document:
         self._buffers: dict[int, memoryview] = {}
         self._files: dict[Path, bytes] = {}
         self._arrays: dict[tuple[int, bool], Any] = {}
-        self._bytes = path.stat().st_size
+        self.size_bytes = path.stat().st_size
         self._asked = 0
         asset = self.root.child("asset")
         version = asset.text("version") if asset else None
@@ -178,8 +181,8 @@ class Document:
     def charge(self, elements: int, asker: Element) -> None:
         """Count elements that are about to be made; refuse what the bytes of the document do not justify."""
         self._asked += elements
-        if self._asked > _PER_BYTE * self._bytes + _SPARE:
-            raise asker.fault(f"{self._asked} elements asked of {self._bytes} bytes", "elements with their data")
+        if self._asked > _PER_BYTE * self.size_bytes + _SPARE:
+            raise asker.fault(f"{self._asked} elements asked of {self.size_bytes} bytes", "elements with their data")
 
     def array(self, index: int, kind: str, below: int | None = None) -> Any:
         """Elements of an accessor, float64 or, below a bound, int64 [count, width], read-only, read once."""
@@ -274,20 +277,14 @@ class Document:
     def _beside(self, element: Element, uri: str) -> bytes:
         """The bytes of a file in the folder of the document, or below it."""
         name = unquote(uri)
-        folder = self._path.parent.resolve()
-        try:
-            path = (folder / name).resolve()
-            if ":" in name.split("/")[0] or not path.is_relative_to(folder):
-                raise element.fault(f"uri {name[:80]!r}", "a file in the folder of the document")
-            if not path.is_file():
-                raise element.fault(f"no file {name[:80]!r}", "the buffer beside the document", "Copy it there.")
-            if path not in self._files:
+        path = require_beside(self._path.parent, name, f"{element.where}, uri").resolve()
+        if not os.path.isfile(path):
+            raise element.fault(f"no file {name[:80]!r}", "the buffer beside the document", "Copy it there.")
+        if path not in self._files:
+            with readable(path):
                 self._files[path] = path.read_bytes()
-                self._bytes += len(self._files[path])
-            return self._files[path]
-        except (OSError, ValueError, RuntimeError) as error:
-            text = getattr(error, "strerror", None) or "a name that is none"
-            raise element.fault(f"{name[:80]!r}: {text}", "a file that can be read") from error
+            self.size_bytes += len(self._files[path])
+        return self._files[path]
 
 
 def _component(element: Element) -> np.dtype[Any]:

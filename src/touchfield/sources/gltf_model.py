@@ -22,7 +22,7 @@ from touchfield.arrays import Float64s, Int64s
 from touchfield.medium.pose_track import rotation_matrices, slerp
 from touchfield.sources.gltf_document import Document, Element
 
-MOST_TRIANGLES: Final = 10_000_000  # a node tree may use one mesh many times; a frame of this many takes about 3 GB
+_MOST_TRIANGLES: Final = 10_000_000  # beyond one for each byte: a node tree may use one mesh many times
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _COMPRESSIONS: Final = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 _WIDTHS: Final = {"translation": 3, "rotation": 4, "scale": 3}
@@ -207,8 +207,6 @@ def _read_geometry(primitive: Element) -> _Geometry | None:
     corners = np.arange(len(vertices)) if numbers is None else numbers[:, 0]
     if mode == _TRIANGLES and len(corners) % 3:
         raise primitive.fault(f"{len(corners)} corners", "three for each triangle")
-    if len(corners) > 3 * MOST_TRIANGLES:
-        raise primitive.fault("too many triangles", f"at most {MOST_TRIANGLES}", "Simplify the mesh.")
     used, corners = np.unique(corners, return_inverse=True)
     corners = corners.reshape(-1)
     i = np.arange(max(len(corners) - 2, 0))
@@ -337,8 +335,8 @@ class Model:
                 self._rest_weights[node] = np.array([own or [0.0] * count])
             for number, geometry in enumerate(geometries(mesh) if node in self._nodes.shown else ()):
                 total += len(geometry.triangles)
-                if total > MOST_TRIANGLES:
-                    raise element.fault("too many triangles", f"at most {MOST_TRIANGLES}", "Simplify the mesh.")
+                if total > max(_MOST_TRIANGLES, document.size_bytes):
+                    raise element.fault("too many triangles", f"at most {_MOST_TRIANGLES}", "Simplify the mesh.")
                 share = None if skin is None else shares(mesh, number, skin)
                 document.charge(geometry.targets.size // 3 + (0 if share is None else share.nnz), element)
                 self._pieces.append(_Piece(node, geometry, skin, share))
@@ -353,6 +351,11 @@ class Model:
             faces.append(own_faces[:, ::-1] if is_mirrored else own_faces)  # turned over
             first += len(piece.geometry.vertices)
         self.triangles, self.vertex_count = np.concatenate(faces), first
+
+    @property
+    def is_animated(self) -> bool:
+        """True if the document has an animation, a skin or morph targets."""
+        return bool(self.animation_names or self._document.all("skins") or any(self._targets))
 
     def animation(self, index: int) -> Animation:
         """One of the animations; `SourceError` if a channel, a sampler or its data are at fault."""
