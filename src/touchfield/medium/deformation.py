@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, blamed_on
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import frozen
 from touchfield.medium.npz import NpzArchive
@@ -180,14 +180,12 @@ def read_deformation(path: str | Path) -> Deformation:
     rest = {name: archive.numbers(name, count) for name, count in _ARRAYS.items()}
     (cx, cy, cz), (hx, hy, hz) = rest["corner_m"], rest["spacing_m"]
     one = {name: rest[name][0] for name in ("rate_hz", "compliance_m_per_n", "relax_s")}
-    try:
-        low, high = archive.read("displacement").astype(np.int64)
-        folded = low | high << 8
-        second = ((folded >> 1) ^ -(folded & 1)).astype(np.int16)
-        steps = np.cumsum(np.cumsum(second, axis=0, dtype=np.int16), axis=0, dtype=np.int16)
+    low, high = archive.read("displacement").astype(np.int64)
+    folded = low | high << 8
+    second = ((folded >> 1) ^ -(folded & 1)).astype(np.int16)
+    steps = np.cumsum(np.cumsum(second, axis=0, dtype=np.int16), axis=0, dtype=np.int16)
+    with blamed_on(f"{path}, "):
         return Deformation(STEP_M * steps.astype(np.float64), (cx, cy, cz), (hx, hy, hz), **one)
-    except InvalidArgument as error:
-        raise SourceError(f"{path}, {error.where}", error.found, error.expected, error.mend) from None
 
 
 def _basis(t: Float64s) -> tuple[Float64s, Float64s]:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float32s, Int32s
-from touchfield.errors import InvalidArgument, MissingExtra
+from touchfield.errors import InvalidArgument, import_extra
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import ForceField, frozen
 from touchfield.medium.grid import Grid
@@ -300,10 +300,7 @@ class HapticMedium:
 
         Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames are beyond `memory_budget_bytes`.
         """
-        try:
-            xarray = import_module("xarray")
-        except ImportError:
-            raise MissingExtra("a medium as a Dataset", "xarray", "xarray") from None
+        xarray = import_extra("xarray", "a medium as a Dataset", "xarray", "xarray")
         needed, allowed = 12 * self.grid.voxel_count * self.frame_count, memory_budget_bytes()
         if needed > allowed:
             size, most = f"{needed / 2**30:.1f} GiB of dense frames", f"at most {allowed / 2**30:.1f} GiB"

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s
-from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.errors import SourceError, TouchfieldError, blamed_on
 from touchfield.files import require_plain
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
@@ -115,7 +115,7 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
         raise SourceError(where, header.words, "numbers [frame, nx, ny, nz, 3], newtons")
     if header.is_fortran:
         raise SourceError(where, "Fortran order", "C order", "Save numpy.ascontiguousarray(forces_n).")
-    try:
+    with blamed_on(f"{path}, "):
         places: Any = [archive.numbers(name, 3) for name in ("spacing_m", "origin_m")]
         grid = Grid((shape[1], shape[2], shape[3]), *places)
         beside = {name: _beside(archive, name, value) for name, value in _DEFAULTS.items()}
@@ -123,8 +123,6 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
         rate = _beside(archive, "rate_hz", SINGLE_FRAME_RATE_HZ if shape[0] == 1 else None)
         make = _Frames(archive, replace(header, shape=shape), grid, to_the_bit)
         return HapticMedium(grid, rate, shape[0], make, **beside)
-    except InvalidArgument as error:
-        raise SourceError(f"{path}, {error.where}", error.found, error.expected, error.mend) from error
 
 
 def _beside(archive: NpzArchive, name: str, default: float | str | None) -> Any:

@@ -14,24 +14,21 @@ import math
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from touchfield.arrays import Float32s
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
 
-if TYPE_CHECKING:
-    """First sample and shape of a part of a lattice."""
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]
-
+"""First sample and shape of a part of a lattice."""
 
 ARRAY: Final = "forces_n"
 DIMENSIONS: Final = ("t", "x", "y", "z", "component")
@@ -52,10 +49,7 @@ _CODECS: Final = frozenset(
 
 
 def _zarr() -> Any:
-    try:
-        return import_module("zarr")
-    except ImportError:
-        raise MissingExtra("a zarr store", "zarr", "zarr") from None
+    return import_extra("zarr", "a zarr store", "zarr", "zarr")
 
 
 def _chunks(grid: Grid) -> tuple[tuple[int, ...], tuple[int, ...]]:
