@@ -78,6 +78,7 @@ class AnimatedMeshScene(MovingScene):
         require_positive(rate_hz=rate_hz)
         self.name, self.rate_hz, self.shell = str(path), float(rate_hz), shell
         self._unit_m = 1.0 if unit_m is None else unit_m
+        self._kept: Int64s | slice = slice(None)  # vertices of the model that are one with none before
         self._placed: tuple[Float64s, Float64s] | None = None
         self._block = lru_cache(maxsize=2)(self._poses)  # a frame may lie at the edge of its block
         self._latest: tuple[int, MeshScene] | None = None
@@ -95,17 +96,15 @@ class AnimatedMeshScene(MovingScene):
             self.frame_count = max(1, math.ceil(count))
             self._model = model
             looks = np.unique(np.linspace(0, self.frame_count - 1, _LOOKS).astype(int)).tolist()
-            rest = self._in_metres(model.vertices(model.poses(None, np.zeros(1)), 0), "at rest")
-            kept, triangles = welded_in_motion(np.stack([rest, *map(self.vertices_m, looks)]), model.triangles)
-            self._model = model.reduced(kept)
-            self._whole = mended(Surface(rest[kept], triangles, self.name), holes)
+            rest = self._in_metres(model.at_rest(), "at rest")
+            poses = np.stack([rest, *map(self.vertices_m, looks)])
+            self._kept, triangles = welded_in_motion(poses, model.triangles)
+            self._whole = mended(Surface(rest[self._kept], triangles, self.name), holes)
         self._surface = self._whole.surface
         scene = self._standing(self._whole)
         self.is_closed = scene.is_closed
-        size, names = (
-            size_note(np.ptp(self.vertices_m(0), axis=0), unit_m, " in the first frame"),
-            model.animation_names,
-        )
+        size = size_note(np.ptp(self.vertices_m(0), axis=0), unit_m, " in the first frame")
+        names = model.animation_names
         others = ", ".join(_named(names, i) for i in range(len(names)) if i != number)
         text = f"Animation {_named(names, number)}: {self.duration_s:.4g} s, {self.frame_count} frame"
         text += "s" * (self.frame_count > 1) + (f"; there are also {others}." if others else ".")
@@ -159,7 +158,7 @@ class AnimatedMeshScene(MovingScene):
     def _at_step(self, step: int) -> Float64s:
         block, place = divmod(step + 1, self._steps_in_block)  # step -1 is the first: before frame 0
         with np.errstate(all="ignore"):
-            vertices = self._model.vertices(self._block(block), place)
+            vertices = self._model.vertices(self._block(block), place)[self._kept]
         return self._in_metres(vertices, f"at {self._time_s(step):.4g} s")
 
     def _in_metres(self, vertices: Float64s, when: str) -> Float64s:

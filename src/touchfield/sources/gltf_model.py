@@ -9,9 +9,8 @@ tangents in value per second); before its first and after its last time a sample
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -350,7 +349,7 @@ class Model:
             own_faces = piece.geometry.triangles + first
             faces.append(own_faces[:, ::-1] if is_mirrored else own_faces)  # turned over
             first += len(piece.geometry.vertices)
-        self.triangles, self.vertex_count = np.concatenate(faces), first
+        self.triangles = np.concatenate(faces)
 
     @property
     def is_animated(self) -> bool:
@@ -392,21 +391,9 @@ class Model:
                 weights[node] = sampler.at(times_s)
         return Poses(self._nodes.world(animation, times_s), weights)
 
-    def reduced(self, kept: Int64s) -> Model:
-        """This model with only these vertices, ascending numbers, and no triangle."""
-        first, pieces = 0, []
-        for piece in self._pieces:
-            count = len(piece.geometry.vertices)
-            mine = kept[np.searchsorted(kept, first) : np.searchsorted(kept, first + count)] - first
-            first += count
-            if len(mine):
-                all_, shares = piece.geometry, None if piece.shares is None else piece.shares[mine]
-                few = replace(all_, vertices=all_.vertices[mine], targets=all_.targets[:, mine], used=all_.used[mine])
-                pieces.append(replace(piece, geometry=few, shares=shares))
-        fewer = copy.copy(self)
-        fewer._pieces, fewer.vertex_count = pieces, len(kept)
-        fewer.triangles = np.zeros((0, 3), np.int64)
-        return fewer
+    def at_rest(self) -> Float64s:
+        """The vertices where no animation moves them, float64 [n, 3], in the file's units."""
+        return self.vertices(self.poses(None, np.zeros(1)), 0)
 
     def vertices(self, poses: Poses, at: int) -> Float64s:
         """The vertices in the world at one of the times of `poses`, float64 [n, 3], in the file's units."""

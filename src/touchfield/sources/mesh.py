@@ -36,7 +36,7 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
     if path.suffix.lower() in _GLTF:
         with np.errstate(all="ignore"):
             model = Model(path)
-            vertices = model.vertices(model.poses(None, np.zeros(1)), 0)
+            vertices = model.at_rest()
         notes = ("The file is animated (skin, morph targets or tracks); it is read in its rest pose.",)
         return *welded(vertices, model.triangles), notes if model.is_animated else ()
     trimesh: Any = import_module("trimesh")
