@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.files import readable, require_plain
 from touchfield.medium.field import frozen
 
@@ -91,7 +91,8 @@ class Trace:
     def regular(cls, positions_m: ArrayLike, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
         """From positions [n, 3] in metres at equal distances in time, the first at 0 s."""
         p = np.asarray(positions_m, np.float64)
-        return cls(np.arange(len(p)) / _checked_rate(rate_hz), p)
+        require_positive(rate_hz=rate_hz)
+        return cls(np.arange(len(p)) / rate_hz, p)
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -130,7 +131,7 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
     finite numbers or goes back in time, or there is no sample or more than 2^24. It names the line.
     """
     where = Path(path)
-    rate = _checked_rate(rate_hz)
+    require_positive(rate_hz=rate_hz)
     rows, numbers, columns = _table(where, ())
     positions = rows[:, -3:] * columns.factors[-3:]
     quaternions = None
@@ -143,7 +144,7 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
             raise SourceError(f"{where} line {numbers[wrong[0]]}", found, "one of length 1")
         quaternions = quaternions / lengths
     if "t" not in columns.names:
-        return Trace(np.arange(len(positions)) / rate, positions, quaternions)
+        return Trace(np.arange(len(positions)) / rate_hz, positions, quaternions)
     times = rows[:, 0] * columns.factors[0]
     fall = np.flatnonzero(times[1:] < times[:-1])
     if len(fall):
@@ -192,12 +193,6 @@ def _table(where: Path, forces: tuple[str, ...]) -> tuple[Float64s, Int64s, _Col
     if not parts:
         raise SourceError(str(where), "a header and no sample", "at least one line of numbers")
     return np.concatenate(parts), np.array(numbers), columns
-
-
-def _checked_rate(rate_hz: float) -> float:
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number of samples per second")
-    return float(rate_hz)
 
 
 def _lines(file: TextIO, where: str) -> Lines:

@@ -45,13 +45,13 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
             loaded = trimesh.load_scene(str(path), resolver={}, process=False, skip_materials=True)
             meshes = [one for one in loaded.geometry.values() if isinstance(one, trimesh.Trimesh) and len(one.faces)]
             arrays = [one.vertices for one in meshes], [one.faces for one in meshes]
-            vertices, triangles = trimesh.util.append_faces(*arrays) if meshes else arrays
+            corners, faces = trimesh.util.append_faces(*arrays) if meshes else arrays
     except Exception as error:  # trimesh raises what its loaders and numpy happen to raise on damaged files
         found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
         raise SourceError(str(path), found, "a whole mesh file", "Export it again, or as PLY.") from error
     if not meshes:
         raise SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")
-    return *welded(np.asarray(vertices, np.float64), np.asarray(triangles, np.int64)), ()
+    return *welded(np.asarray(corners, np.float64), np.asarray(faces, np.int64)), ()
 
 
 def _open(path: Path, options: SourceOptions) -> MeshScene:

@@ -39,7 +39,7 @@ def bricks_that(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int
     """
     size = 1 << max(grid.brick_shape).bit_length()
     blocks = np.zeros((1, 3), np.int64)
-    octants = np.stack(np.indices((2, 2, 2)), axis=-1).reshape(8, 3)
+    octants = np.stack([*np.indices((2, 2, 2))], axis=-1).reshape(8, 3)
     while True:
         half = (size * BRICK - 1) / 2
         radius_m = float(np.linalg.norm(np.asarray(grid.spacing_m) * half))
@@ -58,7 +58,7 @@ def field_of_points(
 
     Outside the bricks there is no force; those that hold none are left out.
     """
-    local = np.stack(np.indices((BRICK,) * 3), axis=-1)
+    local = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
     forces = zero_forces(len(bricks))
 
     def fill(begin: int, end: int) -> None:
