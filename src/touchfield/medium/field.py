@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Bools, Float32s, Int32s, Int64s
+from touchfield.arrays import Bools, EqualByValue, Float32s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import BRICK, Grid
@@ -170,8 +170,8 @@ class Support:
     directions: Float32s  # [L, 3]; F / |F|, the paper's **D**
 
 
-@dataclass(frozen=True)
-class ForceField:
+@dataclass(frozen=True, eq=False)
+class ForceField(EqualByValue):
     """Forces in newtons on a grid, sparse in bricks; what no brick covers is zero.
 
     bricks : int32 [n, 3]; brick coordinates in strictly ascending order (x slowest, z fastest).
@@ -364,14 +364,3 @@ class ForceField:
         if grid.shape != self.grid.shape:
             raise InvalidArgument("grid", f"shape {grid.shape}", f"shape {self.grid.shape}")
         return ForceField(grid, self.bricks, self.forces_n)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, ForceField):
-            return NotImplemented
-        return (
-            self.grid == other.grid
-            and np.array_equal(self.bricks, other.bricks)
-            and np.array_equal(self.forces_n, other.forces_n)
-        )
-
-    __hash__ = None  # type: ignore[assignment]

@@ -12,15 +12,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float64s
+from touchfield.arrays import EqualByValue, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
 
 _UNIT = 1e-3  # tolerance of a quaternion's length: what three digits in a text file give
 
 
-@dataclass(frozen=True)
-class PoseTrack:
+@dataclass(frozen=True, eq=False)
+class PoseTrack(EqualByValue):
     """Rigid poses over time, one a frame.
 
     quaternions : float64 [n, 4]; unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two
@@ -61,14 +61,6 @@ class PoseTrack:
 
     def __len__(self) -> int:
         return len(self.positions_m)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, PoseTrack):
-            return NotImplemented
-        is_same = np.array_equal(self.quaternions, other.quaternions)
-        return is_same and np.array_equal(self.positions_m, other.positions_m)
-
-    __hash__ = None  # type: ignore[assignment]
 
     @property
     def is_still(self) -> bool:

@@ -27,7 +27,7 @@ from typing import Final, NamedTuple, TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float64s, Int64s
+from touchfield.arrays import EqualByValue, Float64s, Int64s
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.files import readable, require_plain
 from touchfield.medium.field import frozen
@@ -50,8 +50,8 @@ _COLUMN: Final = re.compile(r"(time|[txyz])(?:[_ \[(]+(s|ms|us|µs|ns|m|cm|mm|um
 _FORCE: Final = re.compile(r"(f|force|field)_?([xyz])(?:[_ \[(]+(m?n)[ \])]*)?")
 
 
-@dataclass(frozen=True)
-class Trace:
+@dataclass(frozen=True, eq=False)
+class Trace(EqualByValue):
     """A probe's path over time, in the axes of the field.
 
     times_s : float64 [n]; seconds, never falling; 0 is the beginning of the medium.
@@ -96,15 +96,6 @@ class Trace:
 
     def __len__(self) -> int:
         return len(self.times_s)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Trace):
-            return NotImplemented
-        is_same = np.array_equal(self.times_s, other.times_s) and np.array_equal(self.positions_m, other.positions_m)
-        mine, theirs = self.quaternions, other.quaternions
-        return is_same and (mine is theirs if mine is None or theirs is None else np.array_equal(mine, theirs))
-
-    __hash__ = None  # type: ignore[assignment]
 
 
 class ContactTrace(NamedTuple):

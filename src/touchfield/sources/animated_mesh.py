@@ -78,7 +78,6 @@ class AnimatedMeshScene(MovingScene):
         require_positive(rate_hz=rate_hz)
         self.name, self.rate_hz, self.shell = str(path), float(rate_hz), shell
         self._unit_m = 1.0 if unit_m is None else unit_m
-        self._kept: Int64s | slice = slice(None)  # vertices of the model that are one with none before
         self._placed: tuple[Float64s, Float64s] | None = None
         self._block = lru_cache(maxsize=2)(self._poses)  # a frame may lie at the edge of its block
         self._latest: tuple[int, MeshScene] | None = None
@@ -97,6 +96,7 @@ class AnimatedMeshScene(MovingScene):
             self._model = model
             looks = np.unique(np.linspace(0, self.frame_count - 1, _LOOKS).astype(int)).tolist()
             rest = self._in_metres(model.at_rest(), "at rest")
+            self._kept = np.arange(len(rest))  # vertices of the model that are not one with another
             poses = np.stack([rest, *map(self.vertices_m, looks)])
             self._kept, triangles = welded_in_motion(poses, model.triangles)
             self._whole = mended(Surface(rest[self._kept], triangles, self.name), holes)
@@ -219,7 +219,7 @@ class AnimatedMeshScene(MovingScene):
         ]
         if deforms.any():
             rest = self._copy()
-            rest._whole = self._cut(deforms, start, keep_all=True)
+            rest._kept, rest._whole = self._kept[deforms], self._cut(deforms, start)
             rest._surface = rest._whole.surface
             bodies.append(Body("what deforms", rest, PoseTrack.still(self.frame_count)))
         return tuple(bodies)
@@ -231,15 +231,13 @@ class AnimatedMeshScene(MovingScene):
         other.__dict__.pop("_parts", None)
         return other
 
-    def _cut(self, has_vertex: Bools, vertices_m: Float64s, keep_all: bool = False) -> Mended:
+    def _cut(self, has_vertex: Bools, vertices_m: Float64s) -> Mended:
         """The surface of some vertices only."""
-        number = np.arange(len(has_vertex)) if keep_all else np.cumsum(has_vertex) - 1
-        number = number.astype(np.int32)
-        whole = self._whole
+        number, whole = (np.cumsum(has_vertex) - 1).astype(np.int32), self._whole
         faces, lids, rim = (
             number[each[has_vertex[each[:, 0]]]] for each in (whole.surface.triangles, whole.lids, whole.rim)
         )
-        surface = Surface(vertices_m if keep_all else vertices_m[has_vertex], faces, self.name)
+        surface = Surface(vertices_m[has_vertex], faces, self.name)
         return replace(whole, surface=surface, lids=lids, rim=rim, notes=())
 
     def moved(self, rotation: Float64s, shift_m: Float64s) -> AnimatedMeshScene:
