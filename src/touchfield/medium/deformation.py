@@ -138,11 +138,11 @@ class Deformation:
                 continue
             jacobian = np.empty((*(_FINE * (n - 3) for n in u.shape[:3]), 3, 3))
             for axis in range(3):
-                made = u
+                gradient = u
                 for other in range(3):
                     rows = slopes / self.spacing_m[axis] if other == axis else values
-                    made = _along(made, rows, other)
-                jacobian[..., axis] = made
+                    gradient = _along(gradient, rows, other)
+                jacobian[..., axis] = gradient
             yield jacobian + np.eye(3)
 
     def design(self, points_m: Float64s) -> tuple[Int64s, Float64s]:
@@ -200,8 +200,8 @@ def _along(u: Float64s, rows: Float64s, axis: int) -> Float64s:
     """Control points along an axis as values at the places of each cell; `rows` are the weights of four."""
     lanes = np.moveaxis(u, axis, -1)
     windows = np.lib.stride_tricks.sliding_window_view(lanes, 4, axis=-1)
-    made = np.einsum("...cw,pw->...cp", windows, rows)
-    return np.moveaxis(made.reshape(*lanes.shape[:-1], -1), -1, axis)
+    placed = np.einsum("...cw,pw->...cp", windows, rows)
+    return np.moveaxis(placed.reshape(*lanes.shape[:-1], -1), -1, axis)
 
 
 _SMOOTH: Final = (3e-3, 3e-2, 0.3)
@@ -229,8 +229,8 @@ def fitted(
         tracks.append(u)
         square += rms**2
         report(number + 1)
-    made = Deformation(np.stack(tracks), lattice.corner_m, lattice.spacing_m, rate_hz)
-    return made, float(np.sqrt(square / len(tracks)))
+    fit = Deformation(np.stack(tracks), lattice.corner_m, lattice.spacing_m, rate_hz)
+    return fit, float(np.sqrt(square / len(tracks)))
 
 
 def _frame(

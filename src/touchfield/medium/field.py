@@ -151,10 +151,10 @@ def blocks_around(
         yield span, wide[cut]
 
 
-def _numbers(where: str, given: ArrayLike, kind: type[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+def _numbers(where: str, values: ArrayLike, kind: type[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
     """An argument as an array of a kind and shape, or an error of ours."""
     try:
-        numbers = np.asarray(given, kind)
+        numbers = np.asarray(values, kind)
         return numbers if shape is None else numbers.reshape(shape)
     except (TypeError, ValueError, OverflowError) as error:
         expected = "numbers" if shape is None else f"numbers of shape {shape}".replace("-1", "n")
@@ -354,9 +354,7 @@ class ForceField(EqualByValue):
         if self.grid != other.grid:
             raise InvalidArgument("sum of two fields", "two different grids", "one grid")
         keys = keys_of_both(self, other)
-        forces = zero_forces(len(keys))
-        for one in (self, other):
-            forces[np.searchsorted(keys, brick_keys(one.grid, one.bricks))] += one.forces_n
+        forces = self.forces_at(keys) + other.forces_at(keys)
         return ForceField.from_bricks(self.grid, bricks_of(self.grid, keys), forces)
 
     def on_grid(self, grid: Grid) -> ForceField:

@@ -205,24 +205,24 @@ def _json(file: Path) -> dict[str, Any]:
     try:
         if file.stat().st_size > _MOST_TEXT:
             raise SourceError(str(file), f"{file.stat().st_size} bytes", f"at most {_MOST_TEXT}")
-        told = json.loads(file.read_text("utf-8"))
+        members = json.loads(file.read_text("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise SourceError(str(file), f"that it cannot be read ({error})", "a zarr store, version 3") from None
-    if not isinstance(told, dict) or told.get("zarr_format") != 3:
+    if not isinstance(members, dict) or members.get("zarr_format") != 3:
         raise SourceError(str(file), "another format", "zarr, version 3")
-    return told
+    return members
 
 
 def _layout(path: Path) -> tuple[list[int], list[int]]:
     """Shape and chunks of the array, checked before anything is allocated: its bytes are a stranger's."""
-    told, where = _json(path / ARRAY / "zarr.json"), f"{path}, array {ARRAY}"
+    about, where = _json(path / ARRAY / "zarr.json"), f"{path}, array {ARRAY}"
     try:
-        shape = [int(n) for n in told["shape"]]
-        chunk = [int(n) for n in told["chunk_grid"]["configuration"]["chunk_shape"]]
-        codecs = list(_names(told["codecs"]))
-        inner = [c for c in told["codecs"] if c["name"] == "sharding_indexed"]
+        shape = [int(n) for n in about["shape"]]
+        chunk = [int(n) for n in about["chunk_grid"]["configuration"]["chunk_shape"]]
+        codecs = list(_names(about["codecs"]))
+        inner = [c for c in about["codecs"] if c["name"] == "sharding_indexed"]
         chunk = [int(n) for n in inner[0]["configuration"]["chunk_shape"]] if inner else chunk
-        kind = str(told["data_type"])
+        kind = str(about["data_type"])
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise SourceError(where, f"metadata that cannot be used ({error!r})", "a zarr array, version 3") from None
     if kind not in ("float32", "float64") or len(shape) != 5 or shape[4] != 3 or min(shape) < 1:

@@ -98,11 +98,11 @@ class AnalyticScene(Scene):
         acting = [piece for piece in profile.pieces if piece[2] or piece[3]]
 
         def may_act(centres: Float64s, radius_m: float) -> Bools:
-            met = np.zeros(len(centres), np.bool_)
+            may_hold = np.zeros(len(centres), np.bool_)
             for low, high in (shape.distance_range(centres, radius_m) for shape in self.shapes):
                 for piece_low, piece_high, *_ in acting:
-                    met |= (low <= piece_high) & (high > piece_low)
-            return met
+                    may_hold |= (low <= piece_high) & (high > piece_low)
+            return may_hold
 
         return field_of_points(grid, bricks_that(may_act, grid), lambda points: self.forces_n(points, profile))
 

@@ -31,7 +31,7 @@ from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid, PoseTrack
 from touchfield.medium.pose_track import checked_rotation, quaternions_of
 from touchfield.sources.camera import require_frame
-from touchfield.sources.gltf_document import members_of
+from touchfield.sources.gltf_document import contents
 from touchfield.sources.gltf_model import Model, Poses
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene, union_of
@@ -361,8 +361,11 @@ def _open(path: Path, options: SourceOptions) -> AnimatedMeshScene:
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() not in (".glb", ".gltf") or not path.is_file():
         return False
-    members = members_of(path)  # of a damaged file this reader knows what is wrong with it
-    return members is None or bool(members.get("animations") and isinstance(members["animations"], list))
+    try:
+        members, _ = contents(path, needs_bytes=False)
+    except SourceError:
+        return True  # this reader knows what is wrong with it
+    return bool(members.get("animations") and isinstance(members["animations"], list))
 
 
 KIND = SourceKind("animated-mesh", "an animated model: GLB or glTF with an animation", _recognise, _open)

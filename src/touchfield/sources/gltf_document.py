@@ -157,7 +157,7 @@ class Document:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        members, self._chunk = _contents(path, needs_bytes=True)
+        members, self._chunk = contents(path)
         self.root = Element(str(path), members, self)
         self._elements = {key: self.root.children(key) for key in _LISTS}
         self._buffers: dict[int, memoryview] = {}
@@ -294,16 +294,8 @@ def _component(element: Element) -> np.dtype[Any]:
     return np.dtype(_COMPONENTS[code])
 
 
-def members_of(path: Path) -> dict[str, Any] | None:
-    """The JSON object of a glTF file, unchecked and without its bytes; None where it is damaged. Never raises."""
-    try:
-        return _contents(path, needs_bytes=False)[0]
-    except SourceError:
-        return None
-
-
-def _contents(path: Path, *, needs_bytes: bool) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, and the binary chunk of a GLB (empty if there is none or it is not needed)."""
+def contents(path: Path, *, needs_bytes: bool = True) -> tuple[dict[str, Any], bytes]:
+    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none or no need."""
     with readable(path):
         if path.exists() and not path.is_file():
             raise SourceError(str(path), "a folder or a device", "one glTF file", "Name the file in it.")

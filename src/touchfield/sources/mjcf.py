@@ -72,14 +72,14 @@ def _open(path: Path, options: SourceOptions) -> BodyScene:
             raise SourceError(f"{path}: {_SECONDS_NAME}", f"{seconds:g}", "a positive number of seconds")
     ids = sorted({body_id for _, body_id, _ in pieces})
     frames = frames_of(str(path), seconds, rate, len(ids))
-    tracks, told = simulated(model, ids, frames, rate, str(path))
+    tracks, warnings = simulated(model, ids, frames, rate, str(path))
     track_of = dict(zip(ids, tracks, strict=True))
     names: dict[str, None] = {}
     for name, _, _ in pieces:
         tries = chain([name], (f"{name} ({number})" for number in count(2)))
         names[next(each for each in tries if each not in names)] = None
     bodies = [Body(name, scene, track_of[body_id]) for name, (_, body_id, scene) in zip(names, pieces, strict=True)]
-    return BodyScene(bodies, rate, notes=(*notes, *more, *told))
+    return BodyScene(bodies, rate, notes=(*notes, *more, *warnings))
 
 
 def _recognise(path: Path) -> bool:

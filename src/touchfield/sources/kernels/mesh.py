@@ -191,7 +191,7 @@ def _search_block(block, s, far, count, tiles, radius):
 
 
 @njit(cache=True, nogil=True)
-def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces, held, owners):
+def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces, has_force, owners):
     """Forces of bricks; `rule` is sidedness, half wall and the distance (metres) at which directions are unsure.
 
     `owners` is told the nearest triangle of each sample with a force, unless it is empty.
@@ -234,7 +234,7 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
                 x, y, z = _force(table, normals, t, x, y, z, is_inside, rule, pieces)
                 if x != 0.0 or y != 0.0 or z != 0.0:
                     forces[b, i, j, k, 0], forces[b, i, j, k, 1], forces[b, i, j, k, 2] = x, y, z
-                    held[b] = True
+                    has_force[b] = True
                     if len(owners) > 0:
                         owners[b, i, j, k] = t
 
@@ -319,16 +319,16 @@ def add_motion(begin, end, bricks, owners, table, lattice, triangles, velocities
 
 
 @njit(cache=True, nogil=True)
-def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, held):
-    """Fade forces towards a rim; bricks that have none left are no longer `held`.
+def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, has_force):
+    """Fade forces towards a rim; `has_force` tells which bricks still have any.
 
     `near` (first, last, ids): the edges of the rim near brick b are ids[first[b]] to before ids[last[b]].
     """
     first, last, ids = near
     for b in range(begin, end):
-        if first[b] == last[b] or not held[b]:
+        if first[b] == last[b] or not has_force[b]:
             continue
-        held[b] = False
+        has_force[b] = False
         for i, j, k in np.ndindex(8, 8, 8):
             t = owners[b, i, j, k]
             if t < 0:
@@ -346,7 +346,7 @@ def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, h
                 for c in range(3):
                     forces[b, i, j, k, c] *= share
             if share > 0.0:
-                held[b] = True
+                has_force[b] = True
 
 
 # -- all of it -----------------------------------------------------------------------------------------------------
@@ -426,14 +426,14 @@ def forces_near(
         work = (*near, events, rule, band.pieces, owners)
         forces = on_host(filled(_each_force, 512 * len(bricks), work, 3 * 512 * len(bricks), np.float32))
         forces, owners = forces.reshape(-1, 8, 8, 8, 3), on_host(owners).reshape(-1, 8, 8, 8)
-        held = forces.any(axis=(1, 2, 3, 4))
+        has_force = forces.any(axis=(1, 2, 3, 4))
     else:
         forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
-        held = np.zeros(len(bricks), np.bool_)
+        has_force = np.zeros(len(bricks), np.bool_)
         owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
         near_all, frame = (bricks, spans, ids, columns), (lattice, shape, limits)
         about = (near_all, surface, frame, events, rule, band.pieces)
-        for_chunks(_fill_bricks, len(bricks), *about, forces, held, owners)
+        for_chunks(_fill_bricks, len(bricks), *about, forces, has_force, owners)
     if motion is not None:
         velocities = np.ascontiguousarray(motion.velocities_m_s, np.float64)
         moves = motion.triangles, velocities, motion.damping_n_s_per_m
@@ -441,6 +441,6 @@ def forces_near(
     if rim is not None:
         near_rim = _rim_near(rim, lattice, shape, max(band.inner_m, band.outer_m) + rim.width_m, keys)
         beside = rim.table, near_rim, rim.width_m
-        for_chunks(fade, len(bricks), bricks, owners, surface[0], lattice, *beside, forces, held)
-    count = close_up(bricks, forces, held)
+        for_chunks(fade, len(bricks), bricks, owners, surface[0], lattice, *beside, forces, has_force)
+    count = close_up(bricks, forces, has_force)
     return bricks[:count], forces[:count]
