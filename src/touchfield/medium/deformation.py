@@ -177,15 +177,16 @@ def read_deformation(path: str | Path) -> Deformation:
     header, where = archive.header("displacement"), f"{path}, array displacement"
     if header.dtype != np.uint8 or len(header.shape) != 6 or header.shape[0] != 2 or header.data_bytes > _MOST_BYTES:
         raise SourceError(where, header.words, "bytes [2, frame, nx, ny, nz, 3], at most 64 MiB")
-    rest = {name: archive.numbers(name, count) for name, count in _ARRAYS.items()}
-    (cx, cy, cz), (hx, hy, hz) = rest["corner_m"], rest["spacing_m"]
-    one = {name: rest[name][0] for name in ("rate_hz", "compliance_m_per_n", "relax_s")}
+    arrays = {name: archive.numbers(name, count) for name, count in _ARRAYS.items()}
+    beside: dict[str, Any] = {
+        name: tuple(values) if len(values) > 1 else values[0] for name, values in arrays.items()
+    }
     low, high = archive.read("displacement").astype(np.int64)
     folded = low | high << 8
     second = ((folded >> 1) ^ -(folded & 1)).astype(np.int16)
     steps = np.cumsum(np.cumsum(second, axis=0, dtype=np.int16), axis=0, dtype=np.int16)
     with blamed_on(f"{path}, "):
-        return Deformation(STEP_M * steps.astype(np.float64), (cx, cy, cz), (hx, hy, hz), **one)
+        return Deformation(STEP_M * steps.astype(np.float64), **beside)
 
 
 def _basis(t: Float64s) -> tuple[Float64s, Float64s]:

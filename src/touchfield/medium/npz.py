@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s
 from touchfield.errors import SourceError, TouchfieldError, blamed_on
-from touchfield.files import require_plain
+from touchfield.files import readable, require_plain
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
@@ -237,18 +237,15 @@ def map_npy(path: Path) -> NDArray[Any]:
 
     Raises `SourceError` if it is no such file, is cut short, or holds something else than numbers.
     """
-    try:
+    with readable(path):
         with path.open("rb") as stream:
             header = read_npy_header(stream, str(path))
         size, whole = path.stat().st_size, header.size_bytes + header.data_bytes
         if header.dtype.kind not in "fiu" or size != whole or not header.data_bytes:
-            raise SourceError(
-                str(path), f"{header.words} in {size} bytes", f"numbers in {whole} bytes", "Copy it again."
-            )
+            found, expected = f"{header.words} in {size} bytes", f"numbers in {whole} bytes"
+            raise SourceError(str(path), found, expected, "Copy it again.")
         order: Literal["C", "F"] = "F" if header.is_fortran else "C"
         return np.memmap(path, header.dtype, "r", header.size_bytes, header.shape, order)
-    except OSError as error:
-        raise SourceError(str(path), f"that it cannot be read: {error.strerror}") from error
 
 
 class NpzArchive:
@@ -288,7 +285,7 @@ class NpzArchive:
             claimed = header.size_bytes + header.data_bytes
             most = info.compress_size * (1 if info.compress_type == zipfile.ZIP_STORED else DEFLATE_LIMIT)
             if claimed != info.file_size or claimed > most or info.compress_size > self.path.stat().st_size:
-                found = f"{info.file_size} bytes for {header.dtype} {list(header.shape)}"
+                found = f"{info.file_size} bytes for {header.words}"
                 raise SourceError(where, found, f"{claimed} bytes", "The file is cut short or damaged.")
             yield header, stream
 

@@ -30,7 +30,7 @@ import numpy as np
 
 from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_positive
-from touchfield.files import plain_size
+from touchfield.files import plain_size, readable
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.registry import SourceKind
@@ -111,12 +111,11 @@ class AnalyticScene(Scene):
 def read_toml(path: Path, expected: str) -> dict[str, Any]:
     """The table of a TOML file of up to 16 MiB; `SourceError` if it cannot be read, is longer, or is no TOML."""
     try:
-        size = plain_size(path, expected)
-        if size > _MAX_BYTES:
-            raise SourceError(str(path), f"{size} bytes", f"{expected} of up to {_MAX_BYTES} bytes")
-        return tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise SourceError(str(path), f"that it cannot be read: {error.strerror}") from error
+        with readable(path, expected):
+            size = plain_size(path, expected)
+            if size > _MAX_BYTES:
+                raise SourceError(str(path), f"{size} bytes", f"{expected} of up to {_MAX_BYTES} bytes")
+            return tomllib.loads(path.read_text("utf-8"))
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), f"no TOML ({error})", expected) from error
 

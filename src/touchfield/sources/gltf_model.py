@@ -136,24 +136,19 @@ class Nodes:
         }
         self._matrices: dict[int, Float64s] = {}
         for node, element in enumerate(elements):
-            self._take(node, element)
-
-    def _take(self, node: int, element: Element) -> None:
-        matrix = element.numbers("matrix", 16)
-        if matrix is not None:
-            self._matrices[node] = np.array(matrix).reshape(4, 4).T  # stored column by column
-            if not np.array_equal(self._matrices[node][3], (0, 0, 0, 1)):
-                raise element.fault("a matrix whose last row is not 0, 0, 0, 1", "an affine one")
-            return
-        for key, values in self._rest.items():
-            own = element.numbers(key, values.shape[1])
-            if own is not None:
-                values[node] = own
-        turn = self._rest["rotation"][node]
-        length = float(np.linalg.norm(turn))
-        if not (length > 0 and np.isfinite(length)):
-            raise element.fault("a rotation of length 0", "a unit quaternion (x, y, z, w)")
-        turn /= length
+            matrix = element.numbers("matrix", 16)
+            if matrix is not None:
+                self._matrices[node] = np.array(matrix).reshape(4, 4).T  # stored column by column
+                if not np.array_equal(self._matrices[node][3], (0, 0, 0, 1)):
+                    raise element.fault("a matrix whose last row is not 0, 0, 0, 1", "an affine one")
+                continue
+            for key, values in self._rest.items():
+                values[node] = element.numbers(key, values.shape[1]) or values[node]
+            turn = self._rest["rotation"][node]
+            length = float(np.linalg.norm(turn))
+            if not (length > 0 and np.isfinite(length)):
+                raise element.fault("a rotation of length 0", "a unit quaternion (x, y, z, w)")
+            turn /= length
 
     def world(self, animation: Animation | None, times_s: Float64s) -> Float64s:
         """World matrices, float64 [times, nodes, 4, 4], at times in seconds; without an animation, at rest."""
