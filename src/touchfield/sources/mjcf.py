@@ -135,10 +135,7 @@ def check_files(path: Path, *, anywhere: bool = False) -> None:
 
 def _there(folder: Path, place: Path, name: str, where: str, anywhere: bool) -> Path | None:
     """The place, if there is something: a plain file, and within the folder."""
-    try:
-        if not place.exists() or place.is_dir():
-            return None
-    except (OSError, ValueError):
+    if not os.path.exists(place) or os.path.isdir(place):  # of a name that is none they say no
         return None
     require_beside(folder, place, f"{where} {name[:80]!r}", anywhere=anywhere)
     require_plain(place, f"a file, as {where} names it")

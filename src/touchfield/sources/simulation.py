@@ -144,11 +144,8 @@ def _driven(model: Any, body: int, track: PoseTrack, rate_hz: float) -> tuple[sl
     place, motion = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     ahead = np.diff(track.positions_m, axis=0, append=track.positions_m[-1:]) * rate_hz
     own_spin = np.einsum("fji,fj->fi", track.rotations(), track.velocities(rate_hz)[1])  # in the body's frame
-    poses, velocities = [track.positions_m, track.quaternions], [ahead, own_spin]
-    return (
-        slice(place, place + 7), slice(motion, motion + 6),
-        np.concatenate(poses, axis=1), np.concatenate(velocities, axis=1),
-    )  # fmt: skip
+    poses, velocities = np.hstack([track.positions_m, track.quaternions]), np.hstack([ahead, own_spin])
+    return slice(place, place + 7), slice(motion, motion + 6), poses, velocities
 
 
 def _steps_a_frame(model: Any, rate_hz: float) -> tuple[int, tuple[str, ...]]:
@@ -206,9 +203,9 @@ def model_of(
     notes: tuple[str, ...] = ()
     for number, body in enumerate(table.bodies):
         position, turn = list(body.position_m), quaternion_of_turns(body.rotation_deg)
-        if body.name in posed:
-            position, turn = list(posed[body.name].positions_m[0]), posed[body.name].quaternions[0]
         is_posed = body.name in posed
+        if is_posed:
+            position, turn = list(posed[body.name].positions_m[0]), posed[body.name].quaternions[0]
         in_model = spec.worldbody.add_body(name=f"b{number}", pos=position, quat=turn, gravcomp=float(is_posed))
         if not body.fixed:
             in_model.add_freejoint()
@@ -285,9 +282,8 @@ def _add_geom(
         if volume < 0:
             triangles = np.ascontiguousarray(triangles[:, ::-1])
         inertia = mujoco.mjtMeshInertia
-        mesh = {"userface": triangles.reshape(-1), "inertia": inertia.mjMESH_INERTIA_CONVEX}
-        if volume:
-            mesh["inertia"] = inertia.mjMESH_INERTIA_EXACT
+        how = inertia.mjMESH_INERTIA_EXACT if volume else inertia.mjMESH_INERTIA_CONVEX
+        mesh = {"userface": triangles.reshape(-1), "inertia": how}
         if not _is_convex(scene):
             notes = (f"{body.name} is not convex: it collides as its convex hull.",)
     else:

@@ -55,13 +55,6 @@ class Motion(NamedTuple):
     damping_n_s_per_m: float  # b
 
 
-class Rim(NamedTuple):
-    """Rim of a surface."""
-
-    table: Float64s  # float64 [r, 33]; `triangle_table` of its edges, each a triangle that goes to and fro
-    width_m: float  # w
-
-
 @njit(nogil=True, forceinline=True)
 def _place(bricks, b, i, j, k, lattice):
     """Where a sample of a brick is, metres."""
@@ -377,11 +370,11 @@ def _bricks_near(
 
 
 def _rim_near(
-    rim: Rim, lattice: Float64s, shape: Int64s, reach_m: float, keys: Int64s
+    rim: Float64s, lattice: Float64s, shape: Int64s, reach_m: float, keys: Int64s
 ) -> tuple[Int64s, Int64s, Int32s]:
     """Edges of a rim that may be within `reach_m` of the bricks with these keys, ascending."""
     limits = np.array([reach_m / lattice[3:].max()] * 2 + [0], np.float32)
-    bricks, start, ids = _bricks_near(rim.table, lattice, shape, limits, np.zeros(0, np.int64))
+    bricks, start, ids = _bricks_near(rim, lattice, shape, limits, np.zeros(0, np.int64))
     _, by, bz = -(-shape // 8)
     own = (bricks[:, 0].astype(np.int64) * by + bricks[:, 1]) * bz + bricks[:, 2]
     place = np.searchsorted(keys, own)
@@ -398,14 +391,14 @@ def forces_near(
     band: Band,
     tiny_m: float,
     motion: Motion | None = None,
-    rim: Rim | None = None,
+    rim: Float64s | None = None,
 ) -> tuple[Int32s, Float32s]:
     """The force field of a mesh: bricks int32 [n, 3] ascending, and forces float32 [n, 8, 8, 8, 3] in newtons.
 
     `surface` holds the table of `triangle_table` and normals float64 [m, 7, 3]: outward pseudo-normals of each
     triangle's face, vertices and edges; `events` from `crossings`, empty unless closed or lidded; closer than
-    `tiny_m` the direction is a pseudo-normal; `motion` adds the damping of a surface that moves; towards `rim` the
-    force fades.
+    `tiny_m` the direction is a pseudo-normal; `motion` adds the damping of a surface that moves. Towards `rim`, the
+    `triangle_table` of edges that are triangles to and fro, the force fades over its own reach.
     """
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)
@@ -439,8 +432,9 @@ def forces_near(
         moves = motion.triangles, velocities, motion.damping_n_s_per_m
         for_chunks(add_motion, len(bricks), bricks, owners, surface[0], lattice, *moves, forces)
     if rim is not None:
-        near_rim = _rim_near(rim, lattice, shape, max(band.inner_m, band.outer_m) + rim.width_m, keys)
-        beside = rim.table, near_rim, rim.width_m
+        width_m = max(band.inner_m, band.outer_m)
+        near_rim = _rim_near(rim, lattice, shape, 2 * width_m, keys)
+        beside = rim, near_rim, width_m
         for_chunks(fade, len(bricks), bricks, owners, surface[0], lattice, *beside, forces, has_force)
     count = close_up(bricks, forces, has_force)
     return bricks[:count], forces[:count]
