@@ -11,7 +11,6 @@ agree with the entry's size before anything is allocated, and every fault is a `
 
 from __future__ import annotations
 
-import io
 import math
 import struct
 import threading
@@ -75,10 +74,10 @@ def write_npz(
     with atomic_path(Path(path)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, value in small.items():
             with archive.open(_entry(name), "w") as stream:
-                _header(stream, value.dtype.str, value.shape)
-                stream.write(value.tobytes())
+                np.lib.format.write_array(stream, value, (1, 0))
         with archive.open(_entry("forces_n"), "w", force_zip64=True) as stream:
-            _header(stream, "<f4", (len(medium), *medium.grid.shape, 3))
+            header = {"descr": "<f4", "fortran_order": False, "shape": (len(medium), *medium.grid.shape, 3)}
+            np.lib.format.write_array_header_1_0(stream, header)
             for i, field in enumerate(medium):
                 for slab in field.slabs(0):
                     stream.write(np.ascontiguousarray(slab, "<f4").data.cast("B"))
@@ -92,12 +91,6 @@ def _entry(name: str) -> zipfile.ZipInfo:
     info.compress_type = zipfile.ZIP_DEFLATED
     info._compresslevel = DEFLATE_LEVEL  # type: ignore[attr-defined]
     return info
-
-
-def _header(stream: IO[bytes], descr: str, shape: tuple[int, ...]) -> None:
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": descr, "fortran_order": False, "shape": shape})
-    stream.write(header.getvalue())
 
 
 def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:

@@ -352,17 +352,15 @@ def _shown(name: str) -> str:
 
 
 def _open(path: Path, options: SourceOptions) -> AnimatedMeshScene:
-    rate_hz = _RATE_HZ if options.rate_hz is None else options.rate_hz
-    return AnimatedMeshScene(
-        path, options.animation, rate_hz=rate_hz, unit_m=options.unit_m, shell=options.shell, holes=options.holes
-    )
+    rate_hz, mesh = options.rate_hz or _RATE_HZ, {"shell": options.shell, "holes": options.holes}
+    return AnimatedMeshScene(path, options.animation, rate_hz=rate_hz, unit_m=options.unit_m, **mesh)
 
 
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() not in (".glb", ".gltf") or not path.is_file():
         return False
     try:
-        members, _ = contents(path, needs_bytes=False)
+        members, _ = contents(path)
     except SourceError:
         return True  # this reader knows what is wrong with it
     return bool(members.get("animations") and isinstance(members["animations"], list))

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import SourceError
-from touchfield.files import readable, require_beside
+from touchfield.files import readable, require_beside, require_plain
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _SPARE: Final = 1 << 20
@@ -294,41 +294,33 @@ def _component(element: Element) -> np.dtype[Any]:
     return np.dtype(_COMPONENTS[code])
 
 
-def contents(path: Path, *, needs_bytes: bool = True) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none or no need."""
+def contents(path: Path) -> tuple[dict[str, Any], bytes]:
+    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none."""
+    require_plain(path, "one glTF file")
     with readable(path):
-        if path.exists() and not path.is_file():
-            raise SourceError(str(path), "a folder or a device", "one glTF file", "Name the file in it.")
-        size, chunks = path.stat().st_size, {_BIN: b""}
-        with path.open("rb") as stream:
-            head = stream.read(12)
-            if not head.startswith(b"glTF"):
-                text = head + stream.read(size)
-            else:
-                version, length = struct.unpack("<II", head[4:]) if len(head) == 12 else (2, size + 1)
-                if version != 2:
-                    raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
-                if length > size:
-                    found, expected = f"{size} bytes", f"the {length} its header declares"
-                    raise SourceError(str(path), found, expected, "Copy it again.")
-                wanted = {_JSON, _BIN} if needs_bytes else {_JSON}
-                while wanted and len(head := stream.read(8)) == 8:
-                    length, kind = struct.unpack("<II", head)
-                    if length > size - stream.tell():
-                        found = f"a chunk of {length} bytes that is cut short"
-                        raise SourceError(str(path), found, "whole chunks", "Copy it again.")
-                    if kind in wanted:
-                        chunks[kind] = stream.read(length)
-                        wanted.remove(kind)
-                    else:
-                        stream.seek(length, 1)
-                if _JSON not in chunks:
-                    raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
-                text = chunks[_JSON]
+        text = data = path.read_bytes()
+    size, chunks = len(data), dict[int, bytes]()
+    if data.startswith(b"glTF"):
+        version, length = struct.unpack_from("<II", data, 4) if size >= 12 else (2, size + 1)
+        if version != 2:
+            raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
+        if length > size:
+            raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
+        begin = 12 + 8
+        while begin <= size and not {_JSON, _BIN} <= chunks.keys():
+            length, kind = struct.unpack_from("<II", data, begin - 8)
+            if length > size - begin:
+                found = f"a chunk of {length} bytes that is cut short"
+                raise SourceError(str(path), found, "whole chunks", "Copy it again.")
+            chunks.setdefault(kind, data[begin : begin + length])
+            begin += length + 8
+        if _JSON not in chunks:
+            raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
+        text = chunks[_JSON]
     try:
         members = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), "text that is not JSON", "a glTF document", "Export it again.") from error
     if not isinstance(members, dict):
         raise SourceError(str(path), "JSON that is not an object", "a glTF document")
-    return members, chunks[_BIN]
+    return members, chunks.get(_BIN, b"")
