@@ -70,8 +70,7 @@ class PoseTrack(EqualByValue):
 
     def rotation(self, frame: int) -> Float64s:
         """R of one frame, float64 [3, 3]."""
-        frame = range(len(self))[frame]
-        return np.asarray(self.rotations(slice(frame, frame + 1))[0])
+        return rotation_matrices(self.quaternions[frame])
 
     def rotations(self, frames: slice = slice(None)) -> Float64s:
         """R of each frame, float64 [n, 3, 3]."""

@@ -80,18 +80,13 @@ class AnalyticScene(Scene):
 
     def forces_n(self, points_m: Float64s, profile: ForceProfile) -> Float64s:
         """Newtons, float64 [n, 3], at points in metres, float64 [n, 3]."""
-        first, *rest = (shape.signed_distance_and_normal(points_m) for shape in self.shapes)
-        if self.combine == "sum":
-            total: Float64s = profile(first[0])[:, None] * first[1]
-            for phi, normal in rest:
-                total += profile(phi)[:, None] * normal
-            return total
-        phi, normal = first
-        for other_phi, other_normal in rest:
-            nearer = other_phi < phi
-            phi = np.where(nearer, other_phi, phi)
-            normal = np.where(nearer[:, None], other_normal, normal)
-        return np.asarray(profile(phi)[:, None] * normal)
+        of_shapes = (shape.signed_distance_and_normal(points_m) for shape in self.shapes)
+        phi, normal = map(np.stack, zip(*of_shapes, strict=True))
+        if self.combine == "union":
+            nearest = phi.argmin(axis=0)[None]
+            phi = np.take_along_axis(phi, nearest, axis=0)
+            normal = np.take_along_axis(normal, nearest[..., None], axis=0)
+        return np.asarray((profile(phi)[..., None] * normal).sum(axis=0))
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` does not matter."""

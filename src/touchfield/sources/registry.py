@@ -130,8 +130,8 @@ def _open_inner(path: Path, options: SourceOptions) -> Scene:
     if not path.is_dir():
         raise SourceError(str(path), "no kind of source that is known", f"one of {names}", "Name its kind with --as.")
     inner = sorted(islice((p for p in path.iterdir() if p.is_dir()), _MOST_FOLDERS))
-    sources = [(p, kind) for p in inner for kind in kinds() if kind.recognise(p)]
-    sources = list({p: (p, kind) for p, kind in reversed(sources)}.values())[::-1]  # of each folder its first kind
+    firsts = ((p, next((kind for kind in kinds() if kind.recognise(p)), None)) for p in inner)
+    sources = [(p, kind) for p, kind in firsts if kind]
     if len(sources) == 1:
         ((folder, kind),) = sources
         scene = kind.open(folder, options)
