@@ -239,6 +239,14 @@ position_m = [0.5, 0, 0.231]
 
 
 @needs_mujoco
+def test_a_posed_body_does_not_fall_between_its_frames(fall: Make, tmp_path: Path) -> None:
+    (tmp_path / "still.csv").write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,0.1,1,0,0,0\n1,0,0,0.1,1,0,0,0\n")
+    plate = '[[body]]\nkind = "box"\nname = "plate"\nhalf_extents_m = [0.1, 0.1, 0.01]\nposes = "still.csv"'
+    ball, _ = fall("rate_hz = 20", body="position_m = [0, 0, 0.13]", more=plate).bodies()
+    assert np.ptp(ball.track.positions_m[:, 2]) < 0.002
+
+
+@needs_mujoco
 def test_notes(fall: Make) -> None:
     scene = fall("step_s = 0.0007", "[floor]", "position_m = [0, 0, 0.015]")
     assert any("0.0007 s does not divide" in note for note in scene.notes)
