@@ -183,7 +183,6 @@ def read_zarr(path: str | Path) -> HapticMedium:
     about = about.get("touchfield") if isinstance(about, dict) else None
     if not isinstance(about, dict):
         raise SourceError(str(path), "a zarr store of something else", "one with the attribute touchfield")
-    where = f"{path}, attribute touchfield"
     try:
         grid = Grid((shape[1], shape[2], shape[3]), tuple(about["spacing_m"]), tuple(about["origin_m"]))
         array = zarr.open_array(str(path), path=ARRAY, mode="r")
@@ -198,7 +197,8 @@ def read_zarr(path: str | Path) -> HapticMedium:
             damping_n_s_per_m=float(about["damping_n_s_per_m"]),
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise SourceError(where, f"values that cannot be used ({error})", "what touchfield writes") from None
+        found = f"values that cannot be used ({error})"
+        raise SourceError(f"{path}, attribute touchfield", found, "what touchfield writes") from None
 
 
 def _json(file: Path) -> dict[str, Any]:

@@ -100,7 +100,6 @@ class AnimatedMeshScene(MovingScene):
             poses = np.stack([rest, *map(self.vertices_m, looks)])
             self._kept, triangles = welded_in_motion(poses, model.triangles)
             self._whole = mended(Surface(rest[self._kept], triangles, self.name), holes)
-        self._surface = self._whole.surface
         scene = self._standing(self._whole)
         self.is_closed = scene.is_closed
         size = size_note(np.ptp(self.vertices_m(0), axis=0), unit_m, " in the first frame")
@@ -131,7 +130,7 @@ class AnimatedMeshScene(MovingScene):
         step = 2 * frame
         before, after = self._time_s(step - 1), self._time_s(step + 1)
         if after <= before:
-            return np.zeros_like(self._surface.vertices_m)
+            return np.zeros_like(self._whole.surface.vertices_m)
         return np.asarray((self._at_step(step + 1) - self._at_step(step - 1)) / (after - before))
 
     def surface(self, frame: int) -> Surface:
@@ -140,7 +139,7 @@ class AnimatedMeshScene(MovingScene):
 
     def _box_m(self, start: int, stop: int) -> Float64s:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        used = np.unique(self._surface.triangles)
+        used = np.unique(self._whole.surface.triangles)
         for frame in range(start, stop):
             vertices = self.vertices_m(frame)[used]
             low, high = np.minimum(low, vertices.min(axis=0)), np.maximum(high, vertices.max(axis=0))
@@ -176,7 +175,7 @@ class AnimatedMeshScene(MovingScene):
     def _scene(self, frame: int) -> MeshScene:
         latest = self._latest
         if latest is None or latest[0] != frame:
-            surface = self._surface.with_vertices(self.vertices_m(frame))
+            surface = self._whole.surface.with_vertices(self.vertices_m(frame))
             self._latest = latest = frame, self._standing(replace(self._whole, surface=surface, notes=()))
         return latest[1]
 
@@ -197,7 +196,7 @@ class AnimatedMeshScene(MovingScene):
     # -- bodies ----------------------------------------------------------------------------------------------------
     @cached_property
     def _parts(self) -> tuple[list[RigidPart], Bools]:
-        return rigid_parts(self._surface, self.vertices_m, self.frame_count)
+        return rigid_parts(self._whole.surface, self.vertices_m, self.frame_count)
 
     @cached_property
     def is_of_bodies(self) -> bool:
@@ -220,7 +219,6 @@ class AnimatedMeshScene(MovingScene):
         if deforms.any():
             rest = self._copy()
             rest._kept, rest._whole = self._kept[deforms], self._cut(deforms, start)
-            rest._surface = rest._whole.surface
             bodies.append(Body("what deforms", rest, PoseTrack.still(self.frame_count)))
         return tuple(bodies)
 

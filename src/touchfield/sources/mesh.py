@@ -58,8 +58,8 @@ def _open(path: Path, options: SourceOptions) -> MeshScene:
     vertices, triangles, notes = read_triangles(path)
     unit_m = 1.0 if options.unit_m is None else options.unit_m
     with np.errstate(over="ignore", invalid="ignore"):
-        asked = {"shell": options.shell, "holes": options.holes, "name": str(path)}
-        scene = MeshScene(vertices * unit_m, triangles, **asked, notes=notes)
+        beside = {"shell": options.shell, "holes": options.holes, "name": str(path)}
+        scene = MeshScene(vertices * unit_m, triangles, **beside, notes=notes)
     scene.notes = (size_note(np.ptp(scene.bounds_m(), axis=0), options.unit_m), *scene.notes)
     return scene
 
