@@ -224,6 +224,9 @@ def test_toml_file(tmp_path: Path) -> None:
     assert (scene.axes, scene.rate_hz, scene.combine) == ("x east, y north, z up", 50.0, "union")
     assert [type(s) for s in scene.shapes] == [Plane, Box, Superquadric, Sphere]
     assert scene.shapes[1] == Box((0.0, 0.0, 0.1), (0.1, 0.2, 0.1), (0.0, 0.0, 45.0))
+    path.write_text(TOML.replace("rate_hz = 50\n", ""))
+    assert KIND.open(path, SourceOptions(rate_hz=3.0)).rate_hz == 3.0
+    assert KIND.open(path, SourceOptions()).rate_hz == 30.0
 
 
 @pytest.mark.parametrize(

@@ -467,7 +467,7 @@ def test_memory_without_bytes_is_refused(tmp_path: Path) -> None:
     chunk = struct.pack("<II", len(text), 0x4E4F534A) + text
     (tmp_path / "big.glb").write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(chunk)) + chunk)
     for name in ("big.gltf", "big.glb"):
-        with pytest.raises(SourceError, match="without data"):
+        with pytest.raises(SourceError, match="elements with their data"):
             KIND.open(tmp_path / name, SourceOptions())
 
 

@@ -115,6 +115,19 @@ velocity_m_s = [0.5, 0, 0]
 
 
 @needs_mujoco
+@pytest.mark.parametrize(("friction", "stops"), [("torsional", (True, False)), ("rolling", (False, True))])
+def test_a_ball_stops_to_turn_or_to_roll_by_its_own_friction(
+    fall: Make, friction: str, stops: tuple[bool, bool]
+) -> None:
+    """About the normal 20 rad/s, for each newton 0.01 Nm; at 0.2 m/s it rolls from the start."""
+    ways = ("spin_deg_s = [0, 0, 1146]", "velocity_m_s = [0.2, 0, 0]\nspin_deg_s = [0, 573, 0]")
+    for way, is_stopped in zip(ways, stops, strict=True):
+        scene = fall(f"{friction}_friction_m = 0.01", "[floor]", f"position_m = [0, 0, 0.02]\n{way}")
+        spin = np.linalg.norm(scene.bodies()[0].track.velocities(scene.rate_hz)[1], axis=1)
+        assert (spin[-2] < 0.1 * spin[1]) == is_stopped
+
+
+@needs_mujoco
 @pytest.mark.parametrize(("name", "count"), [("falling-4", 4), ("falling-7", 7)])
 def test_scene_1_of_the_paper(name: str, count: int) -> None:
     scene = sample(name)
@@ -223,6 +236,14 @@ position_m = [0.5, 0, 0.231]
     np.testing.assert_allclose(piston.track.positions_m[:, 0], -0.2 + 1.5 * np.arange(200) / 1000, atol=1e-9)
     assert ball.track.positions_m[-1, 0] > 0.1 + 0.05  # it was hit, and is ahead of the piston's front
     assert shelf.track.is_still and np.ptp(book.track.positions_m[:, 2]) < 0.002
+
+
+@needs_mujoco
+def test_a_posed_body_does_not_fall_between_its_frames(fall: Make, tmp_path: Path) -> None:
+    (tmp_path / "still.csv").write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,0.1,1,0,0,0\n1,0,0,0.1,1,0,0,0\n")
+    plate = '[[body]]\nkind = "box"\nname = "plate"\nhalf_extents_m = [0.1, 0.1, 0.01]\nposes = "still.csv"'
+    ball, _ = fall("rate_hz = 20", body="position_m = [0, 0, 0.13]", more=plate).bodies()
+    assert np.ptp(ball.track.positions_m[:, 2]) < 0.002
 
 
 @needs_mujoco

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.atomic import atomic_path
-from touchfield.medium.npz import read_npz, write_npz
+from touchfield.medium.npz import NpzArchive, read_npz, write_npz
 from touchfield.medium.vti import write_vti
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
@@ -178,6 +178,13 @@ def test_an_npz_that_claims_more_than_it_holds(tmp_path: Path) -> None:
         archive.writestr("forces_n.npy", entry)
     with pytest.raises(SourceError, match="forces_n"):
         read_npz(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_an_array_of_either_order_is_read_as_it_was_saved(tmp_path: Path, order: str) -> None:
+    values = np.arange(24, dtype=np.int16).reshape(2, 3, 4)
+    np.savez(tmp_path / "a.npz", values=np.asarray(values, order=order))  # type: ignore[call-overload]
+    np.testing.assert_array_equal(NpzArchive(tmp_path / "a.npz").read("values"), values)
 
 
 # -- vti --------------------------------------------------------------------------------------------------

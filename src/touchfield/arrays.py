@@ -1,5 +1,8 @@
 """Arrays by the type of their elements, of any shape: names for annotations, which give the shape in words."""
 
+from dataclasses import fields
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,3 +11,15 @@ Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
+
+
+class EqualByValue:
+    """Base of a dataclass with arrays (and ``eq=False``): equal to one of its class whose fields are all equal."""
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        mine: Any = self
+        return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(mine))
+
+    __hash__ = None  # type: ignore[assignment]

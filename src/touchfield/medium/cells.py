@@ -40,7 +40,7 @@ _COLUMNS: Final = 33
 _POINTS_AT_ONCE: Final = 2048
 _BRICKS_AT_ONCE: Final = 8
 _BYTES_PER_CELLS: Final = (BRICK + 1) ** 3 * 3 * 4
-_CORNERS: Final = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
+_CORNERS: Final = np.stack([*np.indices((2, 2, 2))], axis=-1).reshape(8, 3)
 
 
 @dataclass(frozen=True)

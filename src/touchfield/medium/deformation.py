@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, blamed_on
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import frozen
 from touchfield.medium.npz import NpzArchive
@@ -138,11 +138,11 @@ class Deformation:
                 continue
             jacobian = np.empty((*(_FINE * (n - 3) for n in u.shape[:3]), 3, 3))
             for axis in range(3):
-                made = u
+                gradient = u
                 for other in range(3):
                     rows = slopes / self.spacing_m[axis] if other == axis else values
-                    made = _along(made, rows, other)
-                jacobian[..., axis] = made
+                    gradient = _along(gradient, rows, other)
+                jacobian[..., axis] = gradient
             yield jacobian + np.eye(3)
 
     def design(self, points_m: Float64s) -> tuple[Int64s, Float64s]:
@@ -177,17 +177,16 @@ def read_deformation(path: str | Path) -> Deformation:
     header, where = archive.header("displacement"), f"{path}, array displacement"
     if header.dtype != np.uint8 or len(header.shape) != 6 or header.shape[0] != 2 or header.data_bytes > _MOST_BYTES:
         raise SourceError(where, header.words, "bytes [2, frame, nx, ny, nz, 3], at most 64 MiB")
-    rest = {name: archive.numbers(name, count) for name, count in _ARRAYS.items()}
-    (cx, cy, cz), (hx, hy, hz) = rest["corner_m"], rest["spacing_m"]
-    one = {name: rest[name][0] for name in ("rate_hz", "compliance_m_per_n", "relax_s")}
-    try:
-        low, high = archive.read("displacement").astype(np.int64)
-        folded = low | high << 8
-        second = ((folded >> 1) ^ -(folded & 1)).astype(np.int16)
-        steps = np.cumsum(np.cumsum(second, axis=0, dtype=np.int16), axis=0, dtype=np.int16)
-        return Deformation(STEP_M * steps.astype(np.float64), (cx, cy, cz), (hx, hy, hz), **one)
-    except InvalidArgument as error:
-        raise SourceError(f"{path}, {error.where}", error.found, error.expected, error.mend) from None
+    arrays = {name: archive.numbers(name, count) for name, count in _ARRAYS.items()}
+    beside: dict[str, Any] = {
+        name: tuple(values) if len(values) > 1 else values[0] for name, values in arrays.items()
+    }
+    low, high = archive.read("displacement").astype(np.int64)
+    folded = low | high << 8
+    second = ((folded >> 1) ^ -(folded & 1)).astype(np.int16)
+    steps = np.cumsum(np.cumsum(second, axis=0, dtype=np.int16), axis=0, dtype=np.int16)
+    with blamed_on(f"{path}, "):
+        return Deformation(STEP_M * steps.astype(np.float64), **beside)
 
 
 def _basis(t: Float64s) -> tuple[Float64s, Float64s]:
@@ -202,8 +201,8 @@ def _along(u: Float64s, rows: Float64s, axis: int) -> Float64s:
     """Control points along an axis as values at the places of each cell; `rows` are the weights of four."""
     lanes = np.moveaxis(u, axis, -1)
     windows = np.lib.stride_tricks.sliding_window_view(lanes, 4, axis=-1)
-    made = np.einsum("...cw,pw->...cp", windows, rows)
-    return np.moveaxis(made.reshape(*lanes.shape[:-1], -1), -1, axis)
+    placed = np.einsum("...cw,pw->...cp", windows, rows)
+    return np.moveaxis(placed.reshape(*lanes.shape[:-1], -1), -1, axis)
 
 
 _SMOOTH: Final = (3e-3, 3e-2, 0.3)
@@ -231,8 +230,8 @@ def fitted(
         tracks.append(u)
         square += rms**2
         report(number + 1)
-    made = Deformation(np.stack(tracks), lattice.corner_m, lattice.spacing_m, rate_hz)
-    return made, float(np.sqrt(square / len(tracks)))
+    fit = Deformation(np.stack(tracks), lattice.corner_m, lattice.spacing_m, rate_hz)
+    return fit, float(np.sqrt(square / len(tracks)))
 
 
 def _frame(

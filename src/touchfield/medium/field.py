@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Bools, Float32s, Int32s, Int64s
+from touchfield.arrays import Bools, EqualByValue, Float32s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import BRICK, Grid
@@ -181,10 +181,10 @@ def blocks_around(
         yield span, wide[cut]
 
 
-def _numbers(where: str, given: ArrayLike, kind: type[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+def _numbers(where: str, values: ArrayLike, kind: type[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
     """An argument as an array of a kind and shape, or an error of ours."""
     try:
-        numbers = np.asarray(given, kind)
+        numbers = np.asarray(values, kind)
         return numbers if shape is None else numbers.reshape(shape)
     except (TypeError, ValueError, OverflowError) as error:
         expected = "numbers" if shape is None else f"numbers of shape {shape}".replace("-1", "n")
@@ -200,8 +200,8 @@ class Support:
     directions: Float32s  # [L, 3]; F / |F|, the paper's **D**
 
 
-@dataclass(frozen=True)
-class ForceField:
+@dataclass(frozen=True, eq=False)
+class ForceField(EqualByValue):
     """Forces in newtons on a grid, sparse in bricks; what no brick covers is zero.
 
     bricks : int32 [n, 3]; brick coordinates in strictly ascending order (x slowest, z fastest).
@@ -376,9 +376,7 @@ class ForceField:
         if self.grid != other.grid:
             raise InvalidArgument("sum of two fields", "two different grids", "one grid")
         keys = keys_of_both(self, other)
-        forces = zero_forces(len(keys))
-        for one in (self, other):
-            forces[np.searchsorted(keys, brick_keys(one.grid, one.bricks))] += one.forces_n
+        forces = self.forces_at(keys) + other.forces_at(keys)
         return ForceField.from_bricks(self.grid, bricks_of(self.grid, keys), forces)
 
     def on_grid(self, grid: Grid) -> ForceField:
@@ -386,14 +384,3 @@ class ForceField:
         if grid.shape != self.grid.shape:
             raise InvalidArgument("grid", f"shape {grid.shape}", f"shape {self.grid.shape}")
         return ForceField(grid, self.bricks, self.forces_n)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, ForceField):
-            return NotImplemented
-        return (
-            self.grid == other.grid
-            and np.array_equal(self.bricks, other.bricks)
-            and np.array_equal(self.forces_n, other.forces_n)
-        )
-
-    __hash__ = None  # type: ignore[assignment]

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float32s, Int32s
-from touchfield.errors import InvalidArgument, MissingExtra
+from touchfield.errors import InvalidArgument, import_extra, require_positive
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import ForceField, frozen
 from touchfield.medium.grid import Grid
@@ -171,8 +171,7 @@ class HapticMedium:
     segments: Segments | None = None
 
     def __post_init__(self) -> None:
-        if not self.rate_hz > 0:
-            raise InvalidArgument("rate_hz", repr(self.rate_hz), "a positive number of frames a second")
+        require_positive(rate_hz=self.rate_hz)
         if self.frame_count < 1:
             raise InvalidArgument("frame_count", repr(self.frame_count), "at least one frame")
         band = self.vibration
@@ -300,10 +299,7 @@ class HapticMedium:
 
         Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames are beyond `memory_budget_bytes`.
         """
-        try:
-            xarray = import_module("xarray")
-        except ImportError:
-            raise MissingExtra("a medium as a Dataset", "xarray", "xarray") from None
+        xarray = import_extra("xarray", "a medium as a Dataset", "xarray", "xarray")
         needed, allowed = 12 * self.grid.voxel_count * self.frame_count, memory_budget_bytes()
         if needed > allowed:
             size, most = f"{needed / 2**30:.1f} GiB of dense frames", f"at most {allowed / 2**30:.1f} GiB"
@@ -376,9 +372,7 @@ class HapticScene:
     def __post_init__(self) -> None:
         if not self.objects:
             raise InvalidArgument("objects", "none", "at least one HapticObject")
-        for name, unit in (("force_max_n", "newtons"), ("rate_hz", "frames a second")):
-            if not 0 < getattr(self, name) < math.inf:
-                raise InvalidArgument(name, repr(getattr(self, name)), f"a positive number of {unit}")
+        require_positive(force_max_n=self.force_max_n, rate_hz=self.rate_hz)
         damping = self.surface_damping_n_s_per_m
         if not 0 <= damping < math.inf:
             raise InvalidArgument("surface_damping_n_s_per_m", repr(damping), "0 or a positive number")

@@ -11,7 +11,6 @@ agree with the entry's size before anything is allocated, and every fault is a `
 
 from __future__ import annotations
 
-import io
 import math
 import struct
 import threading
@@ -30,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s
-from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
-from touchfield.files import require_plain
+from touchfield.errors import SourceError, TouchfieldError, blamed_on
+from touchfield.files import readable, require_plain
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
@@ -75,10 +74,10 @@ def write_npz(
     with atomic_path(Path(path)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, value in small.items():
             with archive.open(_entry(name), "w") as stream:
-                _header(stream, value.dtype.str, value.shape)
-                stream.write(value.tobytes())
+                np.lib.format.write_array(stream, value, (1, 0))
         with archive.open(_entry("forces_n"), "w", force_zip64=True) as stream:
-            _header(stream, "<f4", (len(medium), *medium.grid.shape, 3))
+            header = {"descr": "<f4", "fortran_order": False, "shape": (len(medium), *medium.grid.shape, 3)}
+            np.lib.format.write_array_header_1_0(stream, header)
             for i, field in enumerate(medium):
                 for slab in field.slabs(0):
                     stream.write(np.ascontiguousarray(slab, "<f4").data.cast("B"))
@@ -92,12 +91,6 @@ def _entry(name: str) -> zipfile.ZipInfo:
     info.compress_type = zipfile.ZIP_DEFLATED
     info._compresslevel = DEFLATE_LEVEL  # type: ignore[attr-defined]
     return info
-
-
-def _header(stream: IO[bytes], descr: str, shape: tuple[int, ...]) -> None:
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": descr, "fortran_order": False, "shape": shape})
-    stream.write(header.getvalue())
 
 
 def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
@@ -115,7 +108,7 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
         raise SourceError(where, header.words, "numbers [frame, nx, ny, nz, 3], newtons")
     if header.is_fortran:
         raise SourceError(where, "Fortran order", "C order", "Save numpy.ascontiguousarray(forces_n).")
-    try:
+    with blamed_on(f"{path}, "):
         places: Any = [archive.numbers(name, 3) for name in ("spacing_m", "origin_m")]
         grid = Grid((shape[1], shape[2], shape[3]), *places)
         beside = {name: _beside(archive, name, value) for name, value in _DEFAULTS.items()}
@@ -123,8 +116,6 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
         rate = _beside(archive, "rate_hz", SINGLE_FRAME_RATE_HZ if shape[0] == 1 else None)
         make = _Frames(archive, replace(header, shape=shape), grid, to_the_bit)
         return HapticMedium(grid, rate, shape[0], make, **beside)
-    except InvalidArgument as error:
-        raise SourceError(f"{path}, {error.where}", error.found, error.expected, error.mend) from error
 
 
 def _beside(archive: NpzArchive, name: str, default: float | str | None) -> Any:
@@ -239,18 +230,15 @@ def map_npy(path: Path) -> NDArray[Any]:
 
     Raises `SourceError` if it is no such file, is cut short, or holds something else than numbers.
     """
-    try:
+    with readable(path):
         with path.open("rb") as stream:
             header = read_npy_header(stream, str(path))
         size, whole = path.stat().st_size, header.size_bytes + header.data_bytes
         if header.dtype.kind not in "fiu" or size != whole or not header.data_bytes:
-            raise SourceError(
-                str(path), f"{header.words} in {size} bytes", f"numbers in {whole} bytes", "Copy it again."
-            )
+            found, expected = f"{header.words} in {size} bytes", f"numbers in {whole} bytes"
+            raise SourceError(str(path), found, expected, "Copy it again.")
         order: Literal["C", "F"] = "F" if header.is_fortran else "C"
         return np.memmap(path, header.dtype, "r", header.size_bytes, header.shape, order)
-    except OSError as error:
-        raise SourceError(str(path), f"that it cannot be read: {error.strerror}") from error
 
 
 class NpzArchive:
@@ -290,7 +278,7 @@ class NpzArchive:
             claimed = header.size_bytes + header.data_bytes
             most = info.compress_size * (1 if info.compress_type == zipfile.ZIP_STORED else DEFLATE_LIMIT)
             if claimed != info.file_size or claimed > most or info.compress_size > self.path.stat().st_size:
-                found = f"{info.file_size} bytes for {header.dtype} {list(header.shape)}"
+                found = f"{info.file_size} bytes for {header.words}"
                 raise SourceError(where, found, f"{claimed} bytes", "The file is cut short or damaged.")
             yield header, stream
 

@@ -12,15 +12,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float64s
+from touchfield.arrays import EqualByValue, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
 
 _UNIT = 1e-3  # tolerance of a quaternion's length: what three digits in a text file give
 
 
-@dataclass(frozen=True)
-class PoseTrack:
+@dataclass(frozen=True, eq=False)
+class PoseTrack(EqualByValue):
     """Rigid poses over time, one a frame.
 
     quaternions : float64 [n, 4]; unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of two
@@ -62,14 +62,6 @@ class PoseTrack:
     def __len__(self) -> int:
         return len(self.positions_m)
 
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, PoseTrack):
-            return NotImplemented
-        is_same = np.array_equal(self.quaternions, other.quaternions)
-        return is_same and np.array_equal(self.positions_m, other.positions_m)
-
-    __hash__ = None  # type: ignore[assignment]
-
     @property
     def is_still(self) -> bool:
         """True if all poses are the same."""
@@ -78,8 +70,7 @@ class PoseTrack:
 
     def rotation(self, frame: int) -> Float64s:
         """R of one frame, float64 [3, 3]."""
-        frame = range(len(self))[frame]
-        return np.asarray(self.rotations(slice(frame, frame + 1))[0])
+        return rotation_matrices(self.quaternions[frame])
 
     def rotations(self, frames: slice = slice(None)) -> Float64s:
         """R of each frame, float64 [n, 3, 3]."""

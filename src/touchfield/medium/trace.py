@@ -27,8 +27,8 @@ from typing import Final, NamedTuple, TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.arrays import EqualByValue, Float64s, Int64s
+from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.files import readable, require_plain
 from touchfield.medium.field import frozen
 
@@ -50,8 +50,8 @@ _COLUMN: Final = re.compile(r"(time|[txyz])(?:[_ \[(]+(s|ms|us|µs|ns|m|cm|mm|um
 _FORCE: Final = re.compile(r"(f|force|field)_?([xyz])(?:[_ \[(]+(m?n)[ \])]*)?")
 
 
-@dataclass(frozen=True)
-class Trace:
+@dataclass(frozen=True, eq=False)
+class Trace(EqualByValue):
     """A probe's path over time, in the axes of the field.
 
     times_s : float64 [n]; seconds, never falling; 0 is the beginning of the medium.
@@ -91,19 +91,11 @@ class Trace:
     def regular(cls, positions_m: ArrayLike, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
         """From positions [n, 3] in metres at equal distances in time, the first at 0 s."""
         p = np.asarray(positions_m, np.float64)
-        return cls(np.arange(len(p)) / _checked_rate(rate_hz), p)
+        require_positive(rate_hz=rate_hz)
+        return cls(np.arange(len(p)) / rate_hz, p)
 
     def __len__(self) -> int:
         return len(self.times_s)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Trace):
-            return NotImplemented
-        is_same = np.array_equal(self.times_s, other.times_s) and np.array_equal(self.positions_m, other.positions_m)
-        mine, theirs = self.quaternions, other.quaternions
-        return is_same and (mine is theirs if mine is None or theirs is None else np.array_equal(mine, theirs))
-
-    __hash__ = None  # type: ignore[assignment]
 
 
 class ContactTrace(NamedTuple):
@@ -130,7 +122,7 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
     finite numbers or goes back in time, or there is no sample or more than 2^24. It names the line.
     """
     where = Path(path)
-    rate = _checked_rate(rate_hz)
+    require_positive(rate_hz=rate_hz)
     rows, numbers, columns = _table(where, ())
     positions = rows[:, -3:] * columns.factors[-3:]
     quaternions = None
@@ -143,7 +135,7 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
             raise SourceError(f"{where} line {numbers[wrong[0]]}", found, "one of length 1")
         quaternions = quaternions / lengths
     if "t" not in columns.names:
-        return Trace(np.arange(len(positions)) / rate, positions, quaternions)
+        return Trace(np.arange(len(positions)) / rate_hz, positions, quaternions)
     times = rows[:, 0] * columns.factors[0]
     fall = np.flatnonzero(times[1:] < times[:-1])
     if len(fall):
@@ -192,12 +184,6 @@ def _table(where: Path, forces: tuple[str, ...]) -> tuple[Float64s, Int64s, _Col
     if not parts:
         raise SourceError(str(where), "a header and no sample", "at least one line of numbers")
     return np.concatenate(parts), np.array(numbers), columns
-
-
-def _checked_rate(rate_hz: float) -> float:
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise InvalidArgument("rate_hz", repr(rate_hz), "a positive number of samples per second")
-    return float(rate_hz)
 
 
 def _lines(file: TextIO, where: str) -> Lines:

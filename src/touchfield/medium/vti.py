@@ -44,17 +44,15 @@ def write_vti(
     Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
     path = Path(path)
-    if len(medium) == 1:
-        _write_frame(path, medium, 0, told)
-        if progress is not None:
-            progress(1)
-        return path
-    collection = path.with_suffix(".pvd")
-    files = [path.with_name(f"{path.stem}_{i:05d}.vti") for i in range(len(medium))]
+    is_single = len(medium) == 1
+    files = [path if is_single else path.with_name(f"{path.stem}_{i:05d}.vti") for i in range(len(medium))]
     for i, file in enumerate(files):
         _write_frame(file, medium, i, told)
         if progress is not None:
             progress(i + 1)
+    if is_single:
+        return path
+    collection = path.with_suffix(".pvd")
     sets = "".join(
         f'    <DataSet timestep="{i / medium.rate_hz!r}" part="0" file={quoteattr(file.name)}/>\n'
         for i, file in enumerate(files)

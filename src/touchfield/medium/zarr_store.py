@@ -14,24 +14,21 @@ import math
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from touchfield.arrays import Float32s
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
 
-if TYPE_CHECKING:
-    """First sample and shape of a part of a lattice."""
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]
-
+"""First sample and shape of a part of a lattice."""
 
 ARRAY: Final = "forces_n"
 DIMENSIONS: Final = ("t", "x", "y", "z", "component")
@@ -52,10 +49,7 @@ _CODECS: Final = frozenset(
 
 
 def _zarr() -> Any:
-    try:
-        return import_module("zarr")
-    except ImportError:
-        raise MissingExtra("a zarr store", "zarr", "zarr") from None
+    return import_extra("zarr", "a zarr store", "zarr", "zarr")
 
 
 def _chunks(grid: Grid) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -72,7 +66,13 @@ def boxes(grid: Grid) -> Iterator[Box]:
         yield low, shape  # type: ignore[misc]
 
 
-def create(store: str | Path, medium: HapticMedium, told: Mapping[str, Any], codec: Mapping[str, Any] | None) -> None:
+def create(
+    store: str | Path,
+    medium: HapticMedium,
+    told: Mapping[str, Any],
+    codec: Mapping[str, Any] | None,
+    levels: Sequence[HapticMedium] = (),
+) -> None:
     """Begin a store without a force; `codec` is the name and the configuration of what codes a chunk."""
     zarr, grid = _zarr(), medium.grid
     about = {
@@ -82,10 +82,23 @@ def create(store: str | Path, medium: HapticMedium, told: Mapping[str, Any], cod
         "tags": list(medium.tags),
         **told,
     }
-    scales = [{"name": ARRAY, "type": "level of detail", "axes": list(_AXES), "datasets": [_level(medium, 0)]}]
+    datasets = [_level(one, n) for n, one in enumerate((medium, *levels))]
+    scales = [{"name": ARRAY, "type": "level of detail", "axes": list(_AXES), "datasets": datasets}]
     group = zarr.create_group(store, zarr_format=3, attributes={"touchfield": about, "multiscales": scales})
     coding = {"serializer": dict(codec), "compressors": None} if codec else {}
-    _create_array(group, medium, 0, coding)
+    for level, one in enumerate((medium, *levels)):
+        chunk, shard = _chunks(one.grid)
+        group.create_array(
+            _level_name(level),
+            shape=(len(one), *one.grid.shape, 3),
+            chunks=(1, *chunk, 3),
+            shards=(1, *shard, 3),
+            dtype="float32",
+            fill_value=0.0,
+            dimension_names=[f"{name}_{level}" if level and name in "xyz" else name for name in DIMENSIONS],
+            attributes={"units": "N"},
+            **coding,
+        )
 
 
 def _level_name(level: int) -> str:
@@ -98,22 +111,6 @@ def _level(medium: HapticMedium, level: int) -> dict[str, Any]:
     scale = {"type": "scale", "scale": [1 / medium.rate_hz, *grid.spacing_m, 1.0]}
     translation = {"type": "translation", "translation": [0.0, *grid.origin_m, 0.0]}
     return {"path": _level_name(level), "coordinateTransformations": [scale, translation]}
-
-
-def _create_array(group: Any, medium: HapticMedium, level: int, coding: Mapping[str, Any]) -> None:
-    grid = medium.grid
-    chunk, shard = _chunks(grid)
-    group.create_array(
-        _level_name(level),
-        shape=(len(medium), *grid.shape, 3),
-        chunks=(1, *chunk, 3),
-        shards=(1, *shard, 3),
-        dtype="float32",
-        fill_value=0.0,
-        dimension_names=[f"{name}_{level}" if level and name in "xyz" else name for name in DIMENSIONS],
-        attributes={"units": "N"},
-        **coding,
-    )
 
 
 def write_box(store: str | Path, frame: int, low: Sequence[int], forces_n: Float32s, level: int = 0) -> None:
@@ -138,13 +135,7 @@ def write_zarr(
     Raises `MissingExtra` without zarr; `InvalidArgument` if something lies at `path`; `SourceError` if refused.
     """
     with whole_folder(Path(path)) as store:
-        create(store, medium, told, None)
-        group = _zarr().open_group(store, mode="r+")
-        for n, level in enumerate(levels, 1):
-            _create_array(group, level, n, {})
-            scales = group.attrs["multiscales"]
-            scales[0]["datasets"].append(_level(level, n))
-            group.attrs["multiscales"] = scales
+        create(store, medium, told, None, levels)
         parts = [list(boxes(one.grid)) for one in (medium, *levels)]
         for i in range(len(medium)):
             for n, one in enumerate((medium, *levels)):
@@ -188,14 +179,12 @@ def read_zarr(path: str | Path) -> HapticMedium:
     Raises `MissingExtra` without zarr; `SourceError` if it is no such store, or (on a frame) a chunk is damaged.
     """
     zarr = _zarr()
-    about, layout = _json(Path(path) / "zarr.json").get("attributes"), _layout(Path(path))
+    about, (shape, chunk) = _json(Path(path) / "zarr.json").get("attributes"), _layout(Path(path))
     about = about.get("touchfield") if isinstance(about, dict) else None
     if not isinstance(about, dict):
         raise SourceError(str(path), "a zarr store of something else", "one with the attribute touchfield")
-    shape, chunk = layout["shape"], layout["chunk"]
-    where = f"{path}, attribute touchfield"
     try:
-        grid = Grid(tuple(shape[1:4]), tuple(about["spacing_m"]), tuple(about["origin_m"]))
+        grid = Grid((shape[1], shape[2], shape[3]), tuple(about["spacing_m"]), tuple(about["origin_m"]))
         array = zarr.open_array(str(path), path=ARRAY, mode="r")
         return HapticMedium(
             grid,
@@ -208,31 +197,32 @@ def read_zarr(path: str | Path) -> HapticMedium:
             damping_n_s_per_m=float(about["damping_n_s_per_m"]),
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise SourceError(where, f"values that cannot be used ({error})", "what touchfield writes") from None
+        found = f"values that cannot be used ({error})"
+        raise SourceError(f"{path}, attribute touchfield", found, "what touchfield writes") from None
 
 
 def _json(file: Path) -> dict[str, Any]:
     try:
         if file.stat().st_size > _MOST_TEXT:
             raise SourceError(str(file), f"{file.stat().st_size} bytes", f"at most {_MOST_TEXT}")
-        told = json.loads(file.read_text("utf-8"))
+        members = json.loads(file.read_text("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise SourceError(str(file), f"that it cannot be read ({error})", "a zarr store, version 3") from None
-    if not isinstance(told, dict) or told.get("zarr_format") != 3:
+    if not isinstance(members, dict) or members.get("zarr_format") != 3:
         raise SourceError(str(file), "another format", "zarr, version 3")
-    return told
+    return members
 
 
-def _layout(path: Path) -> dict[str, Any]:
+def _layout(path: Path) -> tuple[list[int], list[int]]:
     """Shape and chunks of the array, checked before anything is allocated: its bytes are a stranger's."""
-    told, where = _json(path / ARRAY / "zarr.json"), f"{path}, array {ARRAY}"
+    about, where = _json(path / ARRAY / "zarr.json"), f"{path}, array {ARRAY}"
     try:
-        shape = [int(n) for n in told["shape"]]
-        chunk = [int(n) for n in told["chunk_grid"]["configuration"]["chunk_shape"]]
-        codecs = list(_names(told["codecs"]))
-        inner = [c for c in told["codecs"] if c["name"] == "sharding_indexed"]
+        shape = [int(n) for n in about["shape"]]
+        chunk = [int(n) for n in about["chunk_grid"]["configuration"]["chunk_shape"]]
+        codecs = list(_names(about["codecs"]))
+        inner = [c for c in about["codecs"] if c["name"] == "sharding_indexed"]
         chunk = [int(n) for n in inner[0]["configuration"]["chunk_shape"]] if inner else chunk
-        kind = str(told["data_type"])
+        kind = str(about["data_type"])
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise SourceError(where, f"metadata that cannot be used ({error!r})", "a zarr array, version 3") from None
     if kind not in ("float32", "float64") or len(shape) != 5 or shape[4] != 3 or min(shape) < 1:
@@ -244,7 +234,7 @@ def _layout(path: Path) -> dict[str, Any]:
     strange = [name for name in codecs if name not in _CODECS]
     if strange:
         raise SourceError(where, f"the codec {strange[0]!r}", f"one of {', '.join(sorted(_CODECS))}")
-    return {"shape": shape, "chunk": chunk}
+    return shape, chunk
 
 
 def _names(codecs: Any) -> Iterator[str]:

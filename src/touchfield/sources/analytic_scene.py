@@ -30,7 +30,7 @@ import numpy as np
 
 from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_positive
-from touchfield.files import plain_size
+from touchfield.files import plain_size, readable
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.registry import SourceKind
@@ -80,29 +80,24 @@ class AnalyticScene(Scene):
 
     def forces_n(self, points_m: Float64s, profile: ForceProfile) -> Float64s:
         """Newtons, float64 [n, 3], at points in metres, float64 [n, 3]."""
-        first, *rest = (shape.signed_distance_and_normal(points_m) for shape in self.shapes)
-        if self.combine == "sum":
-            total: Float64s = profile(first[0])[:, None] * first[1]
-            for phi, normal in rest:
-                total += profile(phi)[:, None] * normal
-            return total
-        phi, normal = first
-        for other_phi, other_normal in rest:
-            nearer = other_phi < phi
-            phi = np.where(nearer, other_phi, phi)
-            normal = np.where(nearer[:, None], other_normal, normal)
-        return np.asarray(profile(phi)[:, None] * normal)
+        of_shapes = (shape.signed_distance_and_normal(points_m) for shape in self.shapes)
+        phi, normal = map(np.stack, zip(*of_shapes, strict=True))
+        if self.combine == "union":
+            nearest = phi.argmin(axis=0)[None]
+            phi = np.take_along_axis(phi, nearest, axis=0)
+            normal = np.take_along_axis(normal, nearest[..., None], axis=0)
+        return np.asarray((profile(phi)[..., None] * normal).sum(axis=0))
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` does not matter."""
         acting = [piece for piece in profile.pieces if piece[2] or piece[3]]
 
         def may_act(centres: Float64s, radius_m: float) -> Bools:
-            met = np.zeros(len(centres), np.bool_)
+            may_hold = np.zeros(len(centres), np.bool_)
             for low, high in (shape.distance_range(centres, radius_m) for shape in self.shapes):
                 for piece_low, piece_high, *_ in acting:
-                    met |= (low <= piece_high) & (high > piece_low)
-            return met
+                    may_hold |= (low <= piece_high) & (high > piece_low)
+            return may_hold
 
         return field_of_points(grid, bricks_that(may_act, grid), lambda points: self.forces_n(points, profile))
 
@@ -111,12 +106,11 @@ class AnalyticScene(Scene):
 def read_toml(path: Path, expected: str) -> dict[str, Any]:
     """The table of a TOML file of up to 16 MiB; `SourceError` if it cannot be read, is longer, or is no TOML."""
     try:
-        size = plain_size(path, expected)
-        if size > _MAX_BYTES:
-            raise SourceError(str(path), f"{size} bytes", f"{expected} of up to {_MAX_BYTES} bytes")
-        return tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise SourceError(str(path), f"that it cannot be read: {error.strerror}") from error
+        with readable(path, expected):
+            size = plain_size(path, expected)
+            if size > _MAX_BYTES:
+                raise SourceError(str(path), f"{size} bytes", f"{expected} of up to {_MAX_BYTES} bytes")
+            return tomllib.loads(path.read_text("utf-8"))
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), f"no TOML ({error})", expected) from error
 

@@ -31,7 +31,7 @@ from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid, PoseTrack
 from touchfield.medium.pose_track import checked_rotation, quaternions_of
 from touchfield.sources.camera import require_frame
-from touchfield.sources.gltf_document import members_of
+from touchfield.sources.gltf_document import contents
 from touchfield.sources.gltf_model import Model, Poses
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene, union_of
@@ -95,17 +95,15 @@ class AnimatedMeshScene(MovingScene):
             self.frame_count = max(1, math.ceil(count))
             self._model = model
             looks = np.unique(np.linspace(0, self.frame_count - 1, _LOOKS).astype(int)).tolist()
-            rest = self._in_metres(model.vertices(model.poses(None, np.zeros(1)), 0), "at rest")
-            kept, triangles = welded_in_motion(np.stack([rest, *map(self.vertices_m, looks)]), model.triangles)
-            self._model = model.reduced(kept)
-            self._whole = mended(Surface(rest[kept], triangles, self.name), holes)
-        self._surface = self._whole.surface
+            rest = self._in_metres(model.at_rest(), "at rest")
+            self._kept = np.arange(len(rest))  # vertices of the model that are not one with another
+            poses = np.stack([rest, *map(self.vertices_m, looks)])
+            self._kept, triangles = welded_in_motion(poses, model.triangles)
+            self._whole = mended(Surface(rest[self._kept], triangles, self.name), holes)
         scene = self._standing(self._whole)
         self.is_closed = scene.is_closed
-        size, names = (
-            size_note(np.ptp(self.vertices_m(0), axis=0), unit_m, " in the first frame"),
-            model.animation_names,
-        )
+        size = size_note(np.ptp(self.vertices_m(0), axis=0), unit_m, " in the first frame")
+        names = model.animation_names
         others = ", ".join(_named(names, i) for i in range(len(names)) if i != number)
         text = f"Animation {_named(names, number)}: {self.duration_s:.4g} s, {self.frame_count} frame"
         text += "s" * (self.frame_count > 1) + (f"; there are also {others}." if others else ".")
@@ -132,7 +130,7 @@ class AnimatedMeshScene(MovingScene):
         step = 2 * frame
         before, after = self._time_s(step - 1), self._time_s(step + 1)
         if after <= before:
-            return np.zeros_like(self._surface.vertices_m)
+            return np.zeros_like(self._whole.surface.vertices_m)
         return np.asarray((self._at_step(step + 1) - self._at_step(step - 1)) / (after - before))
 
     def surface(self, frame: int) -> Surface:
@@ -141,7 +139,7 @@ class AnimatedMeshScene(MovingScene):
 
     def _box_m(self, start: int, stop: int) -> Float64s:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        used = np.unique(self._surface.triangles)
+        used = np.unique(self._whole.surface.triangles)
         for frame in range(start, stop):
             vertices = self.vertices_m(frame)[used]
             low, high = np.minimum(low, vertices.min(axis=0)), np.maximum(high, vertices.max(axis=0))
@@ -159,7 +157,7 @@ class AnimatedMeshScene(MovingScene):
     def _at_step(self, step: int) -> Float64s:
         block, place = divmod(step + 1, self._steps_in_block)  # step -1 is the first: before frame 0
         with np.errstate(all="ignore"):
-            vertices = self._model.vertices(self._block(block), place)
+            vertices = self._model.vertices(self._block(block), place)[self._kept]
         return self._in_metres(vertices, f"at {self._time_s(step):.4g} s")
 
     def _in_metres(self, vertices: Float64s, when: str) -> Float64s:
@@ -177,7 +175,7 @@ class AnimatedMeshScene(MovingScene):
     def _scene(self, frame: int) -> MeshScene:
         latest = self._latest
         if latest is None or latest[0] != frame:
-            surface = self._surface.with_vertices(self.vertices_m(frame))
+            surface = self._whole.surface.with_vertices(self.vertices_m(frame))
             self._latest = latest = frame, self._standing(replace(self._whole, surface=surface, notes=()))
         return latest[1]
 
@@ -198,7 +196,7 @@ class AnimatedMeshScene(MovingScene):
     # -- bodies ----------------------------------------------------------------------------------------------------
     @cached_property
     def _parts(self) -> tuple[list[RigidPart], Bools]:
-        return rigid_parts(self._surface, self.vertices_m, self.frame_count)
+        return rigid_parts(self._whole.surface, self.vertices_m, self.frame_count)
 
     @cached_property
     def is_of_bodies(self) -> bool:
@@ -220,8 +218,7 @@ class AnimatedMeshScene(MovingScene):
         ]
         if deforms.any():
             rest = self._copy()
-            rest._whole = self._cut(deforms, start, keep_all=True)
-            rest._surface = rest._whole.surface
+            rest._kept, rest._whole = self._kept[deforms], self._cut(deforms, start)
             bodies.append(Body("what deforms", rest, PoseTrack.still(self.frame_count)))
         return tuple(bodies)
 
@@ -232,15 +229,13 @@ class AnimatedMeshScene(MovingScene):
         other.__dict__.pop("_parts", None)
         return other
 
-    def _cut(self, has_vertex: Bools, vertices_m: Float64s, keep_all: bool = False) -> Mended:
+    def _cut(self, has_vertex: Bools, vertices_m: Float64s) -> Mended:
         """The surface of some vertices only."""
-        number = np.arange(len(has_vertex)) if keep_all else np.cumsum(has_vertex) - 1
-        number = number.astype(np.int32)
-        whole = self._whole
+        number, whole = (np.cumsum(has_vertex) - 1).astype(np.int32), self._whole
         faces, lids, rim = (
             number[each[has_vertex[each[:, 0]]]] for each in (whole.surface.triangles, whole.lids, whole.rim)
         )
-        surface = Surface(vertices_m if keep_all else vertices_m[has_vertex], faces, self.name)
+        surface = Surface(vertices_m[has_vertex], faces, self.name)
         return replace(whole, surface=surface, lids=lids, rim=rim, notes=())
 
     def moved(self, rotation: Float64s, shift_m: Float64s) -> AnimatedMeshScene:
@@ -355,17 +350,18 @@ def _shown(name: str) -> str:
 
 
 def _open(path: Path, options: SourceOptions) -> AnimatedMeshScene:
-    rate_hz = _RATE_HZ if options.rate_hz is None else options.rate_hz
-    return AnimatedMeshScene(
-        path, options.animation, rate_hz=rate_hz, unit_m=options.unit_m, shell=options.shell, holes=options.holes
-    )
+    rate_hz, mesh = options.rate_hz or _RATE_HZ, {"shell": options.shell, "holes": options.holes}
+    return AnimatedMeshScene(path, options.animation, rate_hz=rate_hz, unit_m=options.unit_m, **mesh)
 
 
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() not in (".glb", ".gltf") or not path.is_file():
         return False
-    members = members_of(path)  # of a damaged file this reader knows what is wrong with it
-    return members is None or bool(members.get("animations") and isinstance(members["animations"], list))
+    try:
+        members, _ = contents(path)
+    except SourceError:
+        return True  # this reader knows what is wrong with it
+    return bool(members.get("animations") and isinstance(members["animations"], list))
 
 
 KIND = SourceKind("animated-mesh", "an animated model: GLB or glTF with an animation", _recognise, _open)

@@ -12,13 +12,13 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, require_positive
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, bricks_of
 from touchfield.parallel import for_chunks
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.camera import require_frame
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
+from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene, field_that_holds
 from touchfield.sources.shapes import Plane
 
 _AT_REST = (0.0,) * 9
@@ -137,9 +137,7 @@ def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
         field, lattice = part.field, (*part.field.grid.origin_m, *part.field.grid.spacing_m)
         work = field.bricks, field.forces_n, np.searchsorted(keys, place), lattice, part.motion, total
         for_chunks(add_body, len(place), *work, chunk=32)
-    bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
-    holds = total.any(axis=(1, 2, 3, 4))
-    return ForceField(grid, bricks, total) if holds.all() else ForceField(grid, bricks[holds], total[holds])
+    return field_that_holds(grid, bricks_of(grid, keys), total)
 
 
 def _reach_m(scene: Scene, profile: ForceProfile) -> float:

@@ -11,6 +11,7 @@ import base64
 import binascii
 import json
 import math
+import os
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import SourceError
-from touchfield.files import readable
+from touchfield.files import readable, require_beside, require_plain
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _SPARE: Final = 1 << 20
@@ -147,20 +148,22 @@ def _shown(value: Any) -> str:
 
 
 class Document:
-    """A glTF document, its buffers and its accessors, each read once; `root` is the JSON object of the whole.
+    """A glTF document, its buffers and its accessors, each read once.
+
+    `root` is the JSON object of the whole; `size_bytes` the length of the file and of those that it names, once read.
 
     Raises `SourceError` if the file cannot be read, is no glTF 2, or requires an extension that is not understood.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        members, self._chunk = _contents(path, needs_bytes=True)
+        members, self._chunk = contents(path)
         self.root = Element(str(path), members, self)
         self._elements = {key: self.root.children(key) for key in _LISTS}
         self._buffers: dict[int, memoryview] = {}
         self._files: dict[Path, bytes] = {}
         self._arrays: dict[tuple[int, bool], Any] = {}
-        self._bytes = path.stat().st_size
+        self.size_bytes = path.stat().st_size
         self._asked = 0
         asset = self.root.child("asset")
         version = asset.text("version") if asset else None
@@ -178,8 +181,8 @@ class Document:
     def charge(self, elements: int, asker: Element) -> None:
         """Count elements that are about to be made; refuse what the bytes of the document do not justify."""
         self._asked += elements
-        if self._asked > _PER_BYTE * self._bytes + _SPARE:
-            raise asker.fault(f"{self._asked} elements asked of {self._bytes} bytes", "elements with their data")
+        if self._asked > _PER_BYTE * self.size_bytes + _SPARE:
+            raise asker.fault(f"{self._asked} elements asked of {self.size_bytes} bytes", "elements with their data")
 
     def array(self, index: int, kind: str, below: int | None = None) -> Any:
         """Elements of an accessor, float64 or, below a bound, int64 [count, width], read-only, read once."""
@@ -274,20 +277,14 @@ class Document:
     def _beside(self, element: Element, uri: str) -> bytes:
         """The bytes of a file in the folder of the document, or below it."""
         name = unquote(uri)
-        folder = self._path.parent.resolve()
-        try:
-            path = (folder / name).resolve()
-            if ":" in name.split("/")[0] or not path.is_relative_to(folder):
-                raise element.fault(f"uri {name[:80]!r}", "a file in the folder of the document")
-            if not path.is_file():
-                raise element.fault(f"no file {name[:80]!r}", "the buffer beside the document", "Copy it there.")
-            if path not in self._files:
+        path = require_beside(self._path.parent, name, f"{element.where}, uri").resolve()
+        if not os.path.isfile(path):
+            raise element.fault(f"no file {name[:80]!r}", "the buffer beside the document", "Copy it there.")
+        if path not in self._files:
+            with readable(path):
                 self._files[path] = path.read_bytes()
-                self._bytes += len(self._files[path])
-            return self._files[path]
-        except (OSError, ValueError, RuntimeError) as error:
-            text = getattr(error, "strerror", None) or "a name that is none"
-            raise element.fault(f"{name[:80]!r}: {text}", "a file that can be read") from error
+            self.size_bytes += len(self._files[path])
+        return self._files[path]
 
 
 def _component(element: Element) -> np.dtype[Any]:
@@ -297,49 +294,33 @@ def _component(element: Element) -> np.dtype[Any]:
     return np.dtype(_COMPONENTS[code])
 
 
-def members_of(path: Path) -> dict[str, Any] | None:
-    """The JSON object of a glTF file, unchecked and without its bytes; None where it is damaged. Never raises."""
-    try:
-        return _contents(path, needs_bytes=False)[0]
-    except SourceError:
-        return None
-
-
-def _contents(path: Path, *, needs_bytes: bool) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, and the binary chunk of a GLB (empty if there is none or it is not needed)."""
+def contents(path: Path) -> tuple[dict[str, Any], bytes]:
+    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none."""
+    require_plain(path, "one glTF file")
     with readable(path):
-        if path.exists() and not path.is_file():
-            raise SourceError(str(path), "a folder or a device", "one glTF file", "Name the file in it.")
-        size, chunks = path.stat().st_size, {_BIN: b""}
-        with path.open("rb") as stream:
-            head = stream.read(12)
-            if not head.startswith(b"glTF"):
-                text = head + stream.read(size)
-            else:
-                version, length = struct.unpack("<II", head[4:]) if len(head) == 12 else (2, size + 1)
-                if version != 2:
-                    raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
-                if length > size:
-                    found, expected = f"{size} bytes", f"the {length} its header declares"
-                    raise SourceError(str(path), found, expected, "Copy it again.")
-                wanted = {_JSON, _BIN} if needs_bytes else {_JSON}
-                while wanted and len(head := stream.read(8)) == 8:
-                    length, kind = struct.unpack("<II", head)
-                    if length > size - stream.tell():
-                        found = f"a chunk of {length} bytes that is cut short"
-                        raise SourceError(str(path), found, "whole chunks", "Copy it again.")
-                    if kind in wanted:
-                        chunks[kind] = stream.read(length)
-                        wanted.remove(kind)
-                    else:
-                        stream.seek(length, 1)
-                if _JSON not in chunks:
-                    raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
-                text = chunks[_JSON]
+        text = data = path.read_bytes()
+    size, chunks = len(data), dict[int, bytes]()
+    if data.startswith(b"glTF"):
+        version, length = struct.unpack_from("<II", data, 4) if size >= 12 else (2, size + 1)
+        if version != 2:
+            raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
+        if length > size:
+            raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
+        begin = 12 + 8
+        while begin <= size and not {_JSON, _BIN} <= chunks.keys():
+            length, kind = struct.unpack_from("<II", data, begin - 8)
+            if length > size - begin:
+                found = f"a chunk of {length} bytes that is cut short"
+                raise SourceError(str(path), found, "whole chunks", "Copy it again.")
+            chunks.setdefault(kind, data[begin : begin + length])
+            begin += length + 8
+        if _JSON not in chunks:
+            raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
+        text = chunks[_JSON]
     try:
         members = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), "text that is not JSON", "a glTF document", "Export it again.") from error
     if not isinstance(members, dict):
         raise SourceError(str(path), "JSON that is not an object", "a glTF document")
-    return members, chunks[_BIN]
+    return members, chunks.get(_BIN, b"")

@@ -9,9 +9,8 @@ tangents in value per second); before its first and after its last time a sample
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -22,7 +21,7 @@ from touchfield.arrays import Float64s, Int64s
 from touchfield.medium.pose_track import rotation_matrices, slerp
 from touchfield.sources.gltf_document import Document, Element
 
-MOST_TRIANGLES: Final = 10_000_000  # a node tree may use one mesh many times; a frame of this many takes about 3 GB
+_MOST_TRIANGLES: Final = 10_000_000  # beyond one for each byte: a node tree may use one mesh many times
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _COMPRESSIONS: Final = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 _WIDTHS: Final = {"translation": 3, "rotation": 4, "scale": 3}
@@ -137,24 +136,19 @@ class Nodes:
         }
         self._matrices: dict[int, Float64s] = {}
         for node, element in enumerate(elements):
-            self._take(node, element)
-
-    def _take(self, node: int, element: Element) -> None:
-        matrix = element.numbers("matrix", 16)
-        if matrix is not None:
-            self._matrices[node] = np.array(matrix).reshape(4, 4).T  # stored column by column
-            if not np.array_equal(self._matrices[node][3], (0, 0, 0, 1)):
-                raise element.fault("a matrix whose last row is not 0, 0, 0, 1", "an affine one")
-            return
-        for key, values in self._rest.items():
-            own = element.numbers(key, values.shape[1])
-            if own is not None:
-                values[node] = own
-        turn = self._rest["rotation"][node]
-        length = float(np.linalg.norm(turn))
-        if not (length > 0 and np.isfinite(length)):
-            raise element.fault("a rotation of length 0", "a unit quaternion (x, y, z, w)")
-        turn /= length
+            matrix = element.numbers("matrix", 16)
+            if matrix is not None:
+                self._matrices[node] = np.array(matrix).reshape(4, 4).T  # stored column by column
+                if not np.array_equal(self._matrices[node][3], (0, 0, 0, 1)):
+                    raise element.fault("a matrix whose last row is not 0, 0, 0, 1", "an affine one")
+                continue
+            for key, values in self._rest.items():
+                values[node] = element.numbers(key, values.shape[1]) or values[node]
+            turn = self._rest["rotation"][node]
+            length = float(np.linalg.norm(turn))
+            if not (length > 0 and np.isfinite(length)):
+                raise element.fault("a rotation of length 0", "a unit quaternion (x, y, z, w)")
+            turn /= length
 
     def world(self, animation: Animation | None, times_s: Float64s) -> Float64s:
         """World matrices, float64 [times, nodes, 4, 4], at times in seconds; without an animation, at rest."""
@@ -207,8 +201,6 @@ def _read_geometry(primitive: Element) -> _Geometry | None:
     corners = np.arange(len(vertices)) if numbers is None else numbers[:, 0]
     if mode == _TRIANGLES and len(corners) % 3:
         raise primitive.fault(f"{len(corners)} corners", "three for each triangle")
-    if len(corners) > 3 * MOST_TRIANGLES:
-        raise primitive.fault("too many triangles", f"at most {MOST_TRIANGLES}", "Simplify the mesh.")
     used, corners = np.unique(corners, return_inverse=True)
     corners = corners.reshape(-1)
     i = np.arange(max(len(corners) - 2, 0))
@@ -337,8 +329,8 @@ class Model:
                 self._rest_weights[node] = np.array([own or [0.0] * count])
             for number, geometry in enumerate(geometries(mesh) if node in self._nodes.shown else ()):
                 total += len(geometry.triangles)
-                if total > MOST_TRIANGLES:
-                    raise element.fault("too many triangles", f"at most {MOST_TRIANGLES}", "Simplify the mesh.")
+                if total > max(_MOST_TRIANGLES, document.size_bytes):
+                    raise element.fault("too many triangles", f"at most {_MOST_TRIANGLES}", "Simplify the mesh.")
                 share = None if skin is None else shares(mesh, number, skin)
                 document.charge(geometry.targets.size // 3 + (0 if share is None else share.nnz), element)
                 self._pieces.append(_Piece(node, geometry, skin, share))
@@ -352,7 +344,12 @@ class Model:
             own_faces = piece.geometry.triangles + first
             faces.append(own_faces[:, ::-1] if is_mirrored else own_faces)  # turned over
             first += len(piece.geometry.vertices)
-        self.triangles, self.vertex_count = np.concatenate(faces), first
+        self.triangles = np.concatenate(faces)
+
+    @property
+    def is_animated(self) -> bool:
+        """True if the document has an animation, a skin or morph targets."""
+        return bool(self.animation_names or self._document.all("skins") or any(self._targets))
 
     def animation(self, index: int) -> Animation:
         """One of the animations; `SourceError` if a channel, a sampler or its data are at fault."""
@@ -389,21 +386,9 @@ class Model:
                 weights[node] = sampler.at(times_s)
         return Poses(self._nodes.world(animation, times_s), weights)
 
-    def reduced(self, kept: Int64s) -> Model:
-        """This model with only these vertices, ascending numbers, and no triangle."""
-        first, pieces = 0, []
-        for piece in self._pieces:
-            count = len(piece.geometry.vertices)
-            mine = kept[np.searchsorted(kept, first) : np.searchsorted(kept, first + count)] - first
-            first += count
-            if len(mine):
-                all_, shares = piece.geometry, None if piece.shares is None else piece.shares[mine]
-                few = replace(all_, vertices=all_.vertices[mine], targets=all_.targets[:, mine], used=all_.used[mine])
-                pieces.append(replace(piece, geometry=few, shares=shares))
-        fewer = copy.copy(self)
-        fewer._pieces, fewer.vertex_count = pieces, len(kept)
-        fewer.triangles = np.zeros((0, 3), np.int64)
-        return fewer
+    def at_rest(self) -> Float64s:
+        """The vertices where no animation moves them, float64 [n, 3], in the file's units."""
+        return self.vertices(self.poses(None, np.zeros(1)), 0)
 
     def vertices(self, poses: Poses, at: int) -> Float64s:
         """The vertices in the world at one of the times of `poses`, float64 [n, 3], in the file's units."""

@@ -49,8 +49,8 @@ class ForceProfile:
         phi = np.asarray(phi_m, np.float64)
         amplitude = np.zeros_like(phi)
         for low, high, intercept, slope in self.pieces:
-            held = (phi > low) & (phi <= high)
-            amplitude[held] = intercept + slope * phi[held]
+            is_on_piece = (phi > low) & (phi <= high)
+            amplitude[is_on_piece] = intercept + slope * phi[is_on_piece]
         return amplitude
 
     @property

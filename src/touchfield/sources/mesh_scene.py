@@ -127,7 +127,6 @@ class MeshScene(Scene):
         fine for float64.
         """
         from touchfield.sources.kernels import mesh, mesh_sign
-        from touchfield.sources.kernels.mesh import Rim
 
         if frame != 0:
             raise InvalidArgument(f"{self.name}, frame", str(frame), "0, the only one")
@@ -144,9 +143,8 @@ class MeshScene(Scene):
             faces = self.surface.triangles
             faces = np.concatenate([faces, self._lids]) if len(self._lids) else faces
             events = mesh_sign.crossings(self.surface.vertices_m, faces, grid)
-        rim = None
-        if band.sidedness in (mesh.ONE_SIDED, mesh.LIDDED) and len(self._rim_edges):
-            rim = Rim(self._rim_table, max(band.inner_m, band.outer_m))
+        has_rim = band.sidedness in (mesh.ONE_SIDED, mesh.LIDDED) and len(self._rim_edges)
+        rim = self._rim_table if has_rim else None
         motion = None
         if profile.surface_damping_n_s_per_m > 0 and self.velocities_m_s is not None:
             motion = self._motion(self.velocities_m_s, profile.surface_damping_n_s_per_m)

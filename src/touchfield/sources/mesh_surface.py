@@ -85,7 +85,17 @@ class Surface:
     """
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> None:
-        vertices, faces = _checked(vertices_m, triangles, name)
+        vertices, faces = np.array(vertices_m, np.float64), np.asarray(triangles)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
+            raise SourceError(name, f"vertices of shape {vertices.shape}", "vertices [n, 3]")
+        if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+            raise SourceError(name, "no triangle", "a mesh of triangles", "Export it with its faces.")
+        if faces.dtype.kind not in "iu" or faces.min() < 0 or faces.max() >= len(vertices):
+            raise SourceError(
+                name, "a triangle with a vertex that is not there", f"vertices 0 to {len(vertices) - 1}"
+            )
+        _check_finite(vertices[np.unique(faces)], name)
+        faces = faces.astype(np.int32)
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
         if not len(faces):
             raise SourceError(name, "no triangle with three different corners", "at least one triangle")
@@ -167,18 +177,6 @@ class Surface:
         which = np.nonzero(cancelled)
         normals[which] = face[which[0]]
         return normals
-
-
-def _checked(vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> tuple[Float64s, Int32s]:
-    vertices, faces = np.array(vertices_m, np.float64), np.asarray(triangles)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
-        raise SourceError(name, f"vertices of shape {vertices.shape}", "vertices [n, 3]")
-    if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-        raise SourceError(name, "no triangle", "a mesh of triangles", "Export it with its faces.")
-    if faces.dtype.kind not in "iu" or faces.min() < 0 or faces.max() >= len(vertices):
-        raise SourceError(name, "a triangle with a vertex that is not there", f"vertices 0 to {len(vertices) - 1}")
-    _check_finite(vertices[np.unique(faces)], name)
-    return vertices, faces.astype(np.int32)
 
 
 def _check_finite(vertices: Float64s, name: str) -> None:

@@ -72,14 +72,14 @@ def _open(path: Path, options: SourceOptions) -> BodyScene:
             raise SourceError(f"{path}: {_SECONDS_NAME}", f"{seconds:g}", "a positive number of seconds")
     ids = sorted({body_id for _, body_id, _ in pieces})
     frames = frames_of(str(path), seconds, rate, len(ids))
-    tracks, told = simulated(model, ids, frames, rate, str(path))
+    tracks, warnings = simulated(model, ids, frames, rate, str(path))
     track_of = dict(zip(ids, tracks, strict=True))
     names: dict[str, None] = {}
     for name, _, _ in pieces:
         tries = chain([name], (f"{name} ({number})" for number in count(2)))
         names[next(each for each in tries if each not in names)] = None
     bodies = [Body(name, scene, track_of[body_id]) for name, (_, body_id, scene) in zip(names, pieces, strict=True)]
-    return BodyScene(bodies, rate, notes=(*notes, *more, *told))
+    return BodyScene(bodies, rate, notes=(*notes, *more, *warnings))
 
 
 def _recognise(path: Path) -> bool:
@@ -135,10 +135,7 @@ def check_files(path: Path, *, anywhere: bool = False) -> None:
 
 def _there(folder: Path, place: Path, name: str, where: str, anywhere: bool) -> Path | None:
     """The place, if there is something: a plain file, and within the folder."""
-    try:
-        if not place.exists() or place.is_dir():
-            return None
-    except (OSError, ValueError):
+    if not os.path.exists(place) or os.path.isdir(place):  # of a name that is none they say no
         return None
     require_beside(folder, place, f"{where} {name[:80]!r}", anywhere=anywhere)
     require_plain(place, f"a file, as {where} names it")

@@ -267,10 +267,10 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     posed = {name: track_at_rate(*rows, rate, frames) for name, rows in poses.items()}
     notes: tuple[str, ...] = ()
     if any(body.is_simulated for body in table.bodies):
-        model, ids, told = model_of(load_mujoco(), table, posed, str(path))
+        model, ids, warnings = model_of(load_mujoco(), table, posed, str(path))
         driven = {body_id: posed[body.name] for body, body_id in zip(table.bodies, ids, strict=True) if body.poses}
         tracks, notes = simulated(model, ids, frames, rate, str(path), driven)
-        notes = (*told, *notes)
+        notes = (*warnings, *notes)
     else:
         for body in table.bodies:
             if not body.poses:

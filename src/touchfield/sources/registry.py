@@ -130,19 +130,19 @@ def _open_inner(path: Path, options: SourceOptions) -> Scene:
     if not path.is_dir():
         raise SourceError(str(path), "no kind of source that is known", f"one of {names}", "Name its kind with --as.")
     inner = sorted(islice((p for p in path.iterdir() if p.is_dir()), _MOST_FOLDERS))
-    found = [(p, kind) for p in inner for kind in kinds() if kind.recognise(p)]
-    found = list({p: (p, kind) for p, kind in reversed(found)}.values())[::-1]  # of each folder its first kind
-    if len(found) == 1:
-        ((folder, kind),) = found
+    firsts = ((p, next((kind for kind in kinds() if kind.recognise(p)), None)) for p in inner)
+    sources = [(p, kind) for p, kind in firsts if kind]
+    if len(sources) == 1:
+        ((folder, kind),) = sources
         scene = kind.open(folder, options)
         scene.notes = (f"{folder.name}/ is read, the one folder here that is a source ({kind.name}).", *scene.notes)
         return scene
-    if found:
-        told = ", ".join(f"{p.name}/ ({kind.name})" for p, kind in found[:_MOST_TOLD])
-        told = f"{len(found)} folders that are sources: {told}{', ...' * (len(found) > _MOST_TOLD)}"
-        raise SourceError(str(path), told, "one", f"Name one: {found[0][0]}")
-    held = f"no kind of source that is known, but {contents(path)}"
-    raise SourceError(str(path), held, f"one of {names}", "Name its kind with --as.")
+    if sources:
+        text = ", ".join(f"{p.name}/ ({kind.name})" for p, kind in sources[:_MOST_TOLD])
+        text = f"{len(sources)} folders that are sources: {text}{', ...' * (len(sources) > _MOST_TOLD)}"
+        raise SourceError(str(path), text, "one", f"Name one: {sources[0][0]}")
+    found = f"no kind of source that is known, but {contents(path)}"
+    raise SourceError(str(path), found, f"one of {names}", "Name its kind with --as.")
 
 
 def unit_notes(scene: Scene, start: int, stop: int) -> tuple[str, ...]:

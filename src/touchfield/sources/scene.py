@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Bools, Float64s, Int32s
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid, PoseTrack
 from touchfield.medium.budget import zero_forces
@@ -39,7 +39,7 @@ def bricks_that(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int
     """
     size = 1 << max(grid.brick_shape).bit_length()
     blocks = np.zeros((1, 3), np.int64)
-    octants = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(1, 8, 3)
+    octants = np.stack([*np.indices((2, 2, 2))], axis=-1).reshape(8, 3)
     while True:
         half = (size * BRICK - 1) / 2
         radius_m = float(np.linalg.norm(np.asarray(grid.spacing_m) * half))
@@ -58,7 +58,7 @@ def field_of_points(
 
     Outside the bricks there is no force; those that hold none are left out.
     """
-    local = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
+    local = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
     forces = zero_forces(len(bricks))
 
     def fill(begin: int, end: int) -> None:
@@ -70,8 +70,13 @@ def field_of_points(
             forces[some] = values
 
     for_chunks(fill, len(bricks), chunk=_BRICKS_AT_ONCE)
-    holds = forces.any(axis=(1, 2, 3, 4))
-    return ForceField(grid, bricks, forces) if holds.all() else ForceField(grid, bricks[holds], forces[holds])
+    return field_that_holds(grid, bricks, forces)
+
+
+def field_that_holds(grid: Grid, bricks: Int32s, forces_n: Float32s) -> ForceField:
+    """The field of bricks, int32 [n, 3] ascending, without those that hold no force."""
+    holds = forces_n.any(axis=(1, 2, 3, 4))
+    return ForceField(grid, bricks, forces_n) if holds.all() else ForceField(grid, bricks[holds], forces_n[holds])
 
 
 class Scene(ABC):

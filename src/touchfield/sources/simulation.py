@@ -65,21 +65,21 @@ def _warnings_heard(where: str, found: str, expected: str) -> Iterator[list[str]
         before = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(lambda said: heard.append(str(said)))
         try:
-            with warnings.catch_warnings(record=True) as told:  # the compiler of models warns as Python does
+            with warnings.catch_warnings(record=True) as records:  # the compiler of models warns as Python does
                 warnings.simplefilter("always")
                 yield heard
         except (ValueError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError) as error:
             raise SourceError(where, f"{found} ({error})", expected) from error
         finally:
             mujoco.set_mju_user_warning(before)
-            heard += [str(one.message) for one in told]
+            heard += [str(one.message) for one in records]
 
 
 def compiled(make: Callable[[], Any], where: str, found: str, expected: str) -> tuple[Any, tuple[str, ...]]:
     """Result of `make`, and what MuJoCo warned of; `SourceError` in these words where it refuses."""
     with _warnings_heard(where, found, expected) as heard:
-        made = make()
-    return made, tuple(f"MuJoCo warns: {' '.join(said.split())[:200]}" for said in heard)
+        result = make()
+    return result, tuple(f"MuJoCo warns: {' '.join(said.split())[:200]}" for said in heard)
 
 
 def frames_of(where: str, seconds: float, rate_hz: float, body_count: int = 1) -> int:
@@ -144,11 +144,8 @@ def _driven(model: Any, body: int, track: PoseTrack, rate_hz: float) -> tuple[sl
     place, motion = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     ahead = np.diff(track.positions_m, axis=0, append=track.positions_m[-1:]) * rate_hz
     own_spin = np.einsum("fji,fj->fi", track.rotations(), track.velocities(rate_hz)[1])  # in the body's frame
-    poses, velocities = [track.positions_m, track.quaternions], [ahead, own_spin]
-    return (
-        slice(place, place + 7), slice(motion, motion + 6),
-        np.concatenate(poses, axis=1), np.concatenate(velocities, axis=1),
-    )  # fmt: skip
+    poses, velocities = np.hstack([track.positions_m, track.quaternions]), np.hstack([ahead, own_spin])
+    return slice(place, place + 7), slice(motion, motion + 6), poses, velocities
 
 
 def _steps_a_frame(model: Any, rate_hz: float) -> tuple[int, tuple[str, ...]]:
@@ -206,9 +203,9 @@ def model_of(
     notes: tuple[str, ...] = ()
     for number, body in enumerate(table.bodies):
         position, turn = list(body.position_m), quaternion_of_turns(body.rotation_deg)
-        if body.name in posed:
-            position, turn = list(posed[body.name].positions_m[0]), posed[body.name].quaternions[0]
         is_posed = body.name in posed
+        if is_posed:
+            position, turn = list(posed[body.name].positions_m[0]), posed[body.name].quaternions[0]
         in_model = spec.worldbody.add_body(name=f"b{number}", pos=position, quat=turn, gravcomp=float(is_posed))
         if not body.fixed:
             in_model.add_freejoint()
@@ -226,8 +223,8 @@ def model_of(
         model = spec.compile()
         return model, _overlaps(mujoco, model)
 
-    (model, deepest), told = compiled(make, where, "bodies that MuJoCo refuses", "bodies with a volume")
-    notes += told
+    (model, deepest), warned = compiled(make, where, "bodies that MuJoCo refuses", "bodies with a volume")
+    notes += warned
     kind = mujoco.mjtObj.mjOBJ_BODY
     ids = [mujoco.mj_name2id(model, kind, f"b{number}") for number in range(len(table.bodies))]
     name_of = {0: "the floor", **{body_id: body.name for body_id, body in zip(ids, table.bodies, strict=True)}}
@@ -273,7 +270,7 @@ def _angle_over_sine(ratio: float) -> float:
 
 
 def _add_geom(
-    mujoco: Any, spec: Any, made: Any, mesh_name: str, body: RigidBody, properties: dict[str, Any]
+    mujoco: Any, spec: Any, in_model: Any, mesh_name: str, body: RigidBody, properties: dict[str, Any]
 ) -> tuple[str, ...]:
     """Add what collides for the scene of a body."""
     kinds, scene = mujoco.mjtGeom, body.scene
@@ -285,9 +282,8 @@ def _add_geom(
         if volume < 0:
             triangles = np.ascontiguousarray(triangles[:, ::-1])
         inertia = mujoco.mjtMeshInertia
-        mesh = {"userface": triangles.reshape(-1), "inertia": inertia.mjMESH_INERTIA_CONVEX}
-        if volume:
-            mesh["inertia"] = inertia.mjMESH_INERTIA_EXACT
+        how = inertia.mjMESH_INERTIA_EXACT if volume else inertia.mjMESH_INERTIA_CONVEX
+        mesh = {"userface": triangles.reshape(-1), "inertia": how}
         if not _is_convex(scene):
             notes = (f"{body.name} is not convex: it collides as its convex hull.",)
     else:
@@ -296,7 +292,7 @@ def _add_geom(
             size = getattr(shape, "half_extents_m", None)
             size = size or (shape.radius_m, getattr(shape, "half_length_m", 0.0), 0.0)  # type: ignore[attr-defined]
             kind = getattr(kinds, f"mjGEOM_{type(shape).__name__.upper()}")
-            made.add_geom(type=kind, size=list(size), **properties)
+            in_model.add_geom(type=kind, size=list(size), **properties)
             return ()
         points = _hull_points(shape)
     sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
@@ -304,7 +300,7 @@ def _add_geom(
         found = f"a body {sizes[-1] / max(sizes[0], 1e-300):.1g} as thick as it is long"
         raise SourceError(f"{body.where}: size", found, f"{_THINNEST:g} or more")
     spec.add_mesh(name=mesh_name, uservert=points.reshape(-1), **mesh)
-    made.add_geom(type=kinds.mjGEOM_MESH, meshname=mesh_name, **properties)
+    in_model.add_geom(type=kinds.mjGEOM_MESH, meshname=mesh_name, **properties)
     return notes
 
 

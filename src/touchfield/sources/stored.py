@@ -13,6 +13,7 @@ import numpy as np
 from touchfield.arrays import Float64s, Int32s
 from touchfield.errors import SourceError
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
+from touchfield.medium.field import brick_keys, bricks_of
 from touchfield.medium.npz import NpzArchive, read_npz
 from touchfield.medium.zarr_store import read_zarr
 from touchfield.sources.laws import ForceProfile
@@ -55,12 +56,11 @@ def _touched(stored: ForceField, grid: Grid) -> Int32s:
     first = (np.clip(np.floor(low[met]), 0, last) // BRICK).astype(np.int64)
     count = (np.clip(np.ceil(high[met]), 0, last) // BRICK).astype(np.int64) - first + 1
     keys = np.zeros(0, np.int64)
-    _, by, bz = grid.brick_shape
     for n in np.unique(count, axis=0):  # few: neighbouring bricks reach alike
-        offset = np.stack(np.meshgrid(*[np.arange(k) for k in n], indexing="ij"), axis=-1).reshape(-1, 3)
+        offset = np.indices(n).reshape(3, -1).T
         reached = first[(count == n).all(axis=1)][:, None] + offset
-        keys = np.union1d(keys, (reached[..., 0] * by + reached[..., 1]) * bz + reached[..., 2])
-    return np.stack([keys // (by * bz), keys // bz % by, keys % bz], axis=-1).astype(np.int32)
+        keys = np.union1d(keys, brick_keys(grid, reached.reshape(-1, 3)))
+    return bricks_of(grid, keys)
 
 
 def _recognise(path: Path) -> bool:

@@ -199,14 +199,6 @@ def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, lim
 
 
 @njit(cache=True, nogil=True)
-def _doubled(pairs):
-    more = np.empty((2 * pairs.shape[0], 2), np.int64)
-    for m in range(pairs.shape[0]):
-        more[m, 0], more[m, 1] = pairs[m, 0], pairs[m, 1]
-    return more
-
-
-@njit(cache=True, nogil=True)
 def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, most):
     """Bricks of a lattice that each object may reach: pairs (brick, object), int64 [m, 2], objects ascending.
 
@@ -261,7 +253,9 @@ def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, most):
                             continue
                         stamps[key] = n + 1
                         if count == pairs.shape[0]:
-                            pairs = _doubled(pairs)
+                            more = np.empty((2 * count, 2), np.int64)
+                            more[:count] = pairs
+                            pairs = more
                         pairs[count, 0], pairs[count, 1] = key, n
                         count += 1
     return (count if count <= most else -1), pairs

@@ -55,13 +55,6 @@ class Motion(NamedTuple):
     damping_n_s_per_m: float  # b
 
 
-class Rim(NamedTuple):
-    """Rim of a surface."""
-
-    table: Float64s  # float64 [r, 33]; `triangle_table` of its edges, each a triangle that goes to and fro
-    width_m: float  # w
-
-
 @njit(nogil=True, forceinline=True)
 def _place(bricks, b, i, j, k, lattice):
     """Where a sample of a brick is, metres."""
@@ -191,7 +184,7 @@ def _search_block(block, s, far, count, tiles, radius):
 
 
 @njit(cache=True, nogil=True)
-def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces, held, owners):
+def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces, has_force, owners):
     """Forces of bricks; `rule` is sidedness, half wall and the distance (metres) at which directions are unsure.
 
     `owners` is told the nearest triangle of each sample with a force, unless it is empty.
@@ -234,7 +227,7 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
                 x, y, z = _force(table, normals, t, x, y, z, is_inside, rule, pieces)
                 if x != 0.0 or y != 0.0 or z != 0.0:
                     forces[b, i, j, k, 0], forces[b, i, j, k, 1], forces[b, i, j, k, 2] = x, y, z
-                    held[b] = True
+                    has_force[b] = True
                     if len(owners) > 0:
                         owners[b, i, j, k] = t
 
@@ -319,16 +312,16 @@ def add_motion(begin, end, bricks, owners, table, lattice, triangles, velocities
 
 
 @njit(cache=True, nogil=True)
-def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, held):
-    """Fade forces towards a rim; bricks that have none left are no longer `held`.
+def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, has_force):
+    """Fade forces towards a rim; `has_force` tells which bricks still have any.
 
     `near` (first, last, ids): the edges of the rim near brick b are ids[first[b]] to before ids[last[b]].
     """
     first, last, ids = near
     for b in range(begin, end):
-        if first[b] == last[b] or not held[b]:
+        if first[b] == last[b] or not has_force[b]:
             continue
-        held[b] = False
+        has_force[b] = False
         for i, j, k in np.ndindex(8, 8, 8):
             t = owners[b, i, j, k]
             if t < 0:
@@ -346,7 +339,7 @@ def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, h
                 for c in range(3):
                     forces[b, i, j, k, c] *= share
             if share > 0.0:
-                held[b] = True
+                has_force[b] = True
 
 
 # -- all of it -----------------------------------------------------------------------------------------------------
@@ -377,11 +370,11 @@ def _bricks_near(
 
 
 def _rim_near(
-    rim: Rim, lattice: Float64s, shape: Int64s, reach_m: float, keys: Int64s
+    rim: Float64s, lattice: Float64s, shape: Int64s, reach_m: float, keys: Int64s
 ) -> tuple[Int64s, Int64s, Int32s]:
     """Edges of a rim that may be within `reach_m` of the bricks with these keys, ascending."""
     limits = np.array([reach_m / lattice[3:].max()] * 2 + [0], np.float32)
-    bricks, start, ids = _bricks_near(rim.table, lattice, shape, limits, np.zeros(0, np.int64))
+    bricks, start, ids = _bricks_near(rim, lattice, shape, limits, np.zeros(0, np.int64))
     _, by, bz = -(-shape // 8)
     own = (bricks[:, 0].astype(np.int64) * by + bricks[:, 1]) * bz + bricks[:, 2]
     place = np.searchsorted(keys, own)
@@ -398,14 +391,14 @@ def forces_near(
     band: Band,
     tiny_m: float,
     motion: Motion | None = None,
-    rim: Rim | None = None,
+    rim: Float64s | None = None,
 ) -> tuple[Int32s, Float32s]:
     """The force field of a mesh: bricks int32 [n, 3] ascending, and forces float32 [n, 8, 8, 8, 3] in newtons.
 
     `surface` holds the table of `triangle_table` and normals float64 [m, 7, 3]: outward pseudo-normals of each
     triangle's face, vertices and edges; `events` from `crossings`, empty unless closed or lidded; closer than
-    `tiny_m` the direction is a pseudo-normal; `motion` adds the damping of a surface that moves; towards `rim` the
-    force fades.
+    `tiny_m` the direction is a pseudo-normal; `motion` adds the damping of a surface that moves. Towards `rim`, the
+    `triangle_table` of edges that are triangles to and fro, the force fades over its own reach.
     """
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)
@@ -426,21 +419,22 @@ def forces_near(
         work = (*near, events, rule, band.pieces, owners)
         forces = on_host(filled(_each_force, 512 * len(bricks), work, 3 * 512 * len(bricks), np.float32))
         forces, owners = forces.reshape(-1, 8, 8, 8, 3), on_host(owners).reshape(-1, 8, 8, 8)
-        held = forces.any(axis=(1, 2, 3, 4))
+        has_force = forces.any(axis=(1, 2, 3, 4))
     else:
         forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
-        held = np.zeros(len(bricks), np.bool_)
+        has_force = np.zeros(len(bricks), np.bool_)
         owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
         near_all, frame = (bricks, spans, ids, columns), (lattice, shape, limits)
         about = (near_all, surface, frame, events, rule, band.pieces)
-        for_chunks(_fill_bricks, len(bricks), *about, forces, held, owners)
+        for_chunks(_fill_bricks, len(bricks), *about, forces, has_force, owners)
     if motion is not None:
         velocities = np.ascontiguousarray(motion.velocities_m_s, np.float64)
         moves = motion.triangles, velocities, motion.damping_n_s_per_m
         for_chunks(add_motion, len(bricks), bricks, owners, surface[0], lattice, *moves, forces)
     if rim is not None:
-        near_rim = _rim_near(rim, lattice, shape, max(band.inner_m, band.outer_m) + rim.width_m, keys)
-        beside = rim.table, near_rim, rim.width_m
-        for_chunks(fade, len(bricks), bricks, owners, surface[0], lattice, *beside, forces, held)
-    count = close_up(bricks, forces, held)
+        width_m = max(band.inner_m, band.outer_m)
+        near_rim = _rim_near(rim, lattice, shape, 2 * width_m, keys)
+        beside = rim, near_rim, width_m
+        for_chunks(fade, len(bricks), bricks, owners, surface[0], lattice, *beside, forces, has_force)
+    count = close_up(bricks, forces, has_force)
     return bricks[:count], forces[:count]

@@ -39,13 +39,13 @@ _PER_TRIANGLE = 32  # bins a triangle may lie in on average
 def line_at(vertices, triangle, z):
     """True if a triangle crosses the height z; y and x there on its edge that goes up, and on the one going down."""
     y0 = x0 = y1 = x1 = 0.0
-    held = False
+    is_met = False
     for corner in range(3):
         u, v = triangle[corner], triangle[(corner + 1) % 3]
         is_up = vertices[v, 2] > z
         if (vertices[u, 2] > z) == is_up:
             continue
-        held = True
+        is_met = True
         low, high = (u, v) if u < v else (v, u)
         share = (z - vertices[low, 2]) / (vertices[high, 2] - vertices[low, 2])
         y = vertices[low, 1] + share * (vertices[high, 1] - vertices[low, 1])
@@ -54,7 +54,7 @@ def line_at(vertices, triangle, z):
             y0, x0 = y, x
         else:
             y1, x1 = y, x
-    return held, y0, x0, y1, x1
+    return is_met, y0, x0, y1, x1
 
 
 @njit(nogil=True)
@@ -260,9 +260,9 @@ def _share_a_vertex(triangles, t, u):
 
 @njit(cache=True, nogil=True)
 def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
-    """Pairs (t, u) of which u cuts t, found in a range of bins."""
+    """Pairs (t, u) of which u cuts t, of a range of bins."""
     frame, start, ids = bins
-    found = np.empty((most, 2), np.int32)
+    pairs = np.empty((most, 2), np.int32)
     count = 0
     h, g = np.empty(3), np.empty(3)
     for s in range(begin, end):
@@ -280,15 +280,15 @@ def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
                     continue
                 y, z = max(y0, boxes[u, 2]), max(z0, boxes[u, 4])
                 if _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1) != s:
-                    continue  # found in another bin
+                    continue  # met in another bin
                 for _ in range(2):
                     if _meet(corners[t], 3, normals[t], corners[u], normals[u], tiny, h, g):
                         if count == most:
-                            return found[:count]
-                        found[count, 0], found[count, 1] = t, u
+                            return pairs[:count]
+                        pairs[count, 0], pairs[count, 1] = t, u
                         count += 1
                     t, u = u, t
-    return found[:count]
+    return pairs[:count]
 
 
 def crossing_pairs(
@@ -341,18 +341,18 @@ def cut(starts, pairs, corners, normals, tiny):
         t = pairs[starts[i], 0]
         pieces[0, :3] = corners[t]
         counts[0] = 3
-        held = 1
+        piece_count = 1
         for p in range(starts[i], starts[i + 1]):
             u = pairs[p, 1]
-            for q in range(held):
-                if held == _MOST_PIECES or counts[q] + 2 > _MOST_CORNERS:
+            for q in range(piece_count):
+                if piece_count == _MOST_PIECES or counts[q] + 2 > _MOST_CORNERS:
                     continue
                 if _meet(pieces[q], counts[q], normals[t], corners[u], normals[u], tiny, h, g):
                     n, k = _split(pieces[q], counts[q], h, tiny, above, below)
                     pieces[q, :n], counts[q] = above[:n], n
-                    pieces[held, :k], counts[held] = below[:k], k
-                    held += 1
-        for q in range(held):
+                    pieces[piece_count, :k], counts[piece_count] = below[:k], k
+                    piece_count += 1
+        for q in range(piece_count):
             for c in range(1, counts[q] - 1):
                 if total == len(out):
                     more, names = np.empty((2 * total, 3, 3)), np.empty(2 * total, np.int32)
@@ -374,8 +374,8 @@ def _winding(x, y, z, bins, vertices, triangles):
     s = _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1)
     total = 0
     for e in range(start[s], start[s + 1]):
-        held, y0, x0, y1, x1 = line_at(vertices, triangles[ids[e]], z)
-        if not held or (y < y0) == (y < y1):
+        is_met, y0, x0, y1, x1 = line_at(vertices, triangles[ids[e]], z)
+        if not is_met or (y < y0) == (y < y1):
             continue
         share = (y - y0) / (y1 - y0)
         if x0 + share * (x1 - x0) <= x:

@@ -177,10 +177,10 @@ def sweep_block(tiles, c, block):
     one = p[31]
     for s in range(64):
         square = _square_distance(p, block[X + s], block[Y + s], block[Z + s])
-        old, held = block[D + s], block[ID + s]
+        old, nearest_yet = block[D + s], block[ID + s]
         is_nearer = square < old
         # times a one that the compiler does not know of: else it makes masked stores, which are slow
-        block[ID + s] = (number if is_nearer else held) * one
+        block[ID + s] = (number if is_nearer else nearest_yet) * one
         block[D + s] = (square if is_nearer else old) * one
 
 
