@@ -388,3 +388,7 @@ class InOrder(ABC):
                     self._next = number + 1
                 self._latest = frame, array
             return self._latest[1]
+
+    def values(self, frame: int) -> NDArray[Any]:
+        """A copy of the array of a frame; see ``camera.Frames``."""
+        return self.at(frame).copy()
