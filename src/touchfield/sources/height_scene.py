@@ -146,29 +146,21 @@ class HeightScene(MovingScene):
         lattice = HeightLattice(-k.cx / k.fx * z, dx_m, -k.cy / k.fy * z, dy_m, -1, DEPTH_STEP * z * exaggeration)
         note = f"Depth is read as a height map: pixels are spaced as at {z:.3g} m, perspective is not undone."
         notes, rule = (*sequence.notes, note), SegmentRule.parse(segment)
-        scene = cls._of_heights(sequence, lattice, exaggeration, notes)
-        scene._segmented = lambda: segmented_bodies(
-            lambda part: cls._of_heights(part, lattice, exaggeration, notes), sequence, rule,
-            noise_step_per_m(sequence.depth_m(0)),
-        )  # fmt: skip
-        return scene
 
-    @classmethod
-    def _of_heights(
-        cls, sequence: DepthSequence, lattice: HeightLattice, exaggeration: float, notes: tuple[str, ...]
-    ) -> HeightScene:
-        """The depths of a sequence as heights on a lattice."""
+        def heights_of(part: DepthSequence) -> HeightScene:
+            def heights(frame: int) -> Float32s:
+                depth = part.depth_m(frame)
+                return np.where(depth > 0, depth, np.float32(np.nan))
 
-        def heights(frame: int) -> Float64s:
-            depth = sequence.depth_m(frame).astype(np.float64)
-            depth[~(depth > 0)] = np.nan
-            return depth
+            scene = cls(
+                heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=part.frame_count,
+                rate_hz=part.rate_hz, notes=notes, name=part.name,
+            )  # fmt: skip
+            scene.unit = DEPTH_UNIT
+            return scene
 
-        scene = cls(
-            heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=sequence.frame_count,
-            rate_hz=sequence.rate_hz, notes=notes, name=sequence.name,
-        )  # fmt: skip
-        scene.unit = DEPTH_UNIT
+        scene = heights_of(sequence)
+        scene._segmented = lambda: segmented_bodies(heights_of, sequence, rule, noise_step_per_m(sequence.depth_m(0)))
         return scene
 
     def bodies(self) -> tuple[Body, ...]:
