@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s
 from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
 from touchfield.parallel import for_chunks
@@ -183,28 +183,27 @@ def first_sample(brick, lattice):
 
 
 @njit(nogil=True)
-def _evaluate(brick, count, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r):
-    """Planes and amplitudes, into `r`, of `count` samples of a brick in the given order."""
+def _evaluate(brick, first, count, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r):
+    """Planes and amplitudes, into `r`, of `count` samples of a brick from the `first` on."""
     x, y, z = first_sample(brick, lattice)
-    pixels_of(x, y, z, offsets, count, camera, height, width, index)
+    pixels_of(x, y, z, offsets[first:], count, camera, height, width, index)
     gather(planes, index, count, r)
-    _amplitudes(x, y, z, offsets, count, pieces, reach, r)
+    _amplitudes(x, y, z, offsets[first:], count, pieces, reach, r)
     ni, nj, nk = shape[0] - 8 * brick[0], shape[1] - 8 * brick[1], shape[2] - 8 * brick[2]
     for q in range(count if min(ni, nj, nk) < 8 else 0):  # beyond the grid
-        s = order[q]
+        s = first + q
         if (s >> 6) >= ni or (s >> 3 & 7) >= nj or (s & 7) >= nk:
             r[q + _FORCE] = _0
 
 
 @njit(cache=True, nogil=True)
-def _holds(begin, end, nodes, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, hits):
+def _holds(begin, end, nodes, offsets, lattice, shape, camera, height, width, planes, pieces, reach, hits):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
         hits[n] = False
         for first in range(0, B3, 64):
             _evaluate(
-                nodes[n], 64, order[first:], offsets[first:], lattice, shape, camera, height, width, planes, pieces,
-                reach, index, r,
+                nodes[n], first, 64, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r
             )  # fmt: skip
             if _any_force(r, 64):
                 hits[n] = True
@@ -268,30 +267,27 @@ def _each_fill(begin, end, nodes, offsets, lattice, shape, camera, height, width
 
 
 @njit(cache=True, nogil=True)
-def _fill(begin, end, nodes, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, turn, out):
+def _fill(begin, end, nodes, offsets, lattice, shape, camera, height, width, planes, pieces, reach, turn, out):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
         _evaluate(
-            nodes[n], B3, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r
+            nodes[n], 0, B3, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r
         )  # fmt: skip
         _write(r, turn, out[1536 * n : 1536 * n + 1536])
 
 
-_IN_ORDER = np.arange(B3)
-_IJK = np.stack(np.unravel_index(_IN_ORDER, (8, 8, 8))).astype(np.float64)
-# Every second sample along each axis first: a brick that holds any force then shows it early.
-_SPREAD = _IN_ORDER.reshape(4, 2, 4, 2, 4, 2).transpose(1, 3, 5, 0, 2, 4).ravel().copy()
+_IJK = np.indices((8, 8, 8), np.float64).reshape(3, -1)
 
 
-def brick_offsets(query: Query, order: Int64s = _IN_ORDER) -> Float32s:
+def brick_offsets(query: Query) -> Float32s:
     """Positions in camera axes of a brick's samples relative to its first, x of all, then y, then z, metres."""
-    return (query.lattice_m[1:].T @ _IJK[:, order]).astype(np.float32).reshape(-1)
+    return (query.lattice_m[1:].T @ _IJK).astype(np.float32).reshape(-1)
 
 
-def _of(query: Query, order: Int64s) -> tuple[Any, ...]:
+def _of(query: Query) -> tuple[Any, ...]:
     surface = query.surface
-    view = (query.lattice_m, query.shape, surface.camera_px, *surface.size_px)
-    return (order, brick_offsets(query, order), *view, surface.planes.reshape(-1), query.pieces, query.reach)
+    view = (brick_offsets(query), query.lattice_m, query.shape, surface.camera_px, *surface.size_px)
+    return (*view, surface.planes.reshape(-1), query.pieces, query.reach)
 
 
 def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
@@ -310,12 +306,12 @@ def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
 def holds_force(bricks: Int32s, query: Query) -> Bools:
     """Bricks that hold at least one force, bool [n]."""
     if uses_gpu():
-        view = bricks, *_of(query, _IN_ORDER)[1:]
+        view = bricks, *_of(query)
         hits = on_device(np.zeros(len(bricks), np.bool_))
         for_each(_each_holds, B3 * len(bricks), *on_device(view), hits)
         return on_host(hits)
     hits = np.empty(len(bricks), np.bool_)
-    for_chunks(_holds, len(bricks), bricks, *_of(query, _SPREAD), hits, chunk=16)
+    for_chunks(_holds, len(bricks), bricks, *_of(query), hits, chunk=16)
     return hits
 
 
@@ -326,11 +322,11 @@ def brick_forces(bricks: Int32s, query: Query) -> Float32s:
     if uses_gpu():
         return on_host(forces_on_device(bricks, query)).reshape(-1, 8, 8, 8, 3)
     out = np.empty((len(bricks), 8, 8, 8, 3), np.float32)
-    for_chunks(_fill, len(bricks), bricks, *_of(query, _IN_ORDER), query.turn, out.reshape(-1), chunk=16)
+    for_chunks(_fill, len(bricks), bricks, *_of(query), query.turn, out.reshape(-1), chunk=16)
     return out
 
 
 def forces_on_device(bricks: Int32s, query: Query) -> Any:
     """The same in the memory of a GPU, where they stay: float32 [1536 n] (``__cuda_array_interface__``)."""
-    view = bricks, *_of(query, _IN_ORDER)[1:], query.turn
+    view = bricks, *_of(query), query.turn
     return filled(_each_fill, B3 * len(bricks), view, 3 * B3 * len(bricks), np.float32)
