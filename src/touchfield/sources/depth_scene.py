@@ -189,10 +189,9 @@ def query_of(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceP
     lattice = np.empty((4, 3))
     lattice[0] = (np.asarray(grid.origin_m) - pose[:3, 3]) @ turn
     lattice[1:] = np.asarray(grid.spacing_m)[:, None] * turn
-    nothing = (0.0, 0.0, 0.0, 0.0)  # an empty piece: the kernel wants at least two
-    pieces = np.vstack([profile.table(), *[[nothing]] * max(0, 2 - len(profile.pieces))])
     reach = np.array([max(profile.high_m, 0.0), max(-profile.low_m, 0.0), RAY_LIMIT], np.float32)
-    return Query(surface, lattice, grid.shape, turn.astype(np.float32), pieces.astype(np.float32), reach)
+    pieces = profile.table().astype(np.float32)
+    return Query(surface, lattice, grid.shape, turn.astype(np.float32), pieces, reach)
 
 
 def _candidates(query: Query, grid: Grid) -> Int32s:

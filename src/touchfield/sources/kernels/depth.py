@@ -147,16 +147,12 @@ def distance_at(x, y, z, plane, front, behind):
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
     """Amplitudes, newtons, into ``r[_FORCE:]``."""
-    low, high, intercept, slope = pieces[0, 0], pieces[0, 1], pieces[0, 2], pieces[0, 3]
-    low2, high2, intercept2, slope2 = pieces[1, 0], pieces[1, 1], pieces[1, 2], pieces[1, 3]
     front, behind = reach[0] * reach[2], reach[1] * reach[2]
     for s in range(count):
         x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
-        phi = distance_at(x, y, z, (r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]), front, behind)
-        r[s + _PHI] = phi
-        f = intercept + slope * phi if (phi > low) & (phi <= high) else _0
-        r[s + _FORCE] = intercept2 + slope2 * phi if (phi > low2) & (phi <= high2) else f
-    for p in range(2, pieces.shape[0]):
+        r[s + _PHI] = distance_at(x, y, z, (r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]), front, behind)
+        r[s + _FORCE] = _0
+    for p in range(pieces.shape[0]):
         low, high, intercept, slope = pieces[p, 0], pieces[p, 1], pieces[p, 2], pieces[p, 3]
         for s in range(count):
             phi = r[s + _PHI]
