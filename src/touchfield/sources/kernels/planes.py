@@ -52,16 +52,6 @@ class SurfacePlanes(NamedTuple):
     tiles: Float32s  # [m, 3]
     places: Int64s  # [levels, 2]: where each size begins in `tiles`, and how many columns it has
 
-    @property
-    def normals(self) -> Float32s:
-        """Unit normals towards the camera, float32 [height, width, 3]; zero where there is none."""
-        return self.planes[:-1, :3].reshape(*self.size_px, 3)
-
-    @property
-    def offsets_m(self) -> Float32s:
-        """c of n . p = c, metres, float32 [height, width]; zero where there is no plane."""
-        return self.planes[:-1, 3].reshape(self.size_px)
-
 
 _MIN_ACROSS = np.float32(6)  # least sum of squared offsets of the supporting pixels along the rows ...
 _MIN_ALONG = np.float32(2)  # ... and along the column: three pixels in line
