@@ -142,8 +142,8 @@ class OpencvCamera(Pictures):
 
     def next(self) -> NDArray[Any]:
         is_there = self._camera.grab()
-        found, picture = self._camera.retrieve(None, self._depth_map) if is_there else (False, None)
-        if not found:
+        is_there, picture = self._camera.retrieve(None, self._depth_map) if is_there else (False, None)
+        if not is_there:
             raise CaptureEnd(self.name, "no further picture", "a camera that is on")
         return np.asarray(picture)
 

@@ -213,7 +213,9 @@ def read_mcap(path: Path) -> ContactTrace:
             for schema, channel, message in reader.make_reader(file).iter_messages():
                 name = schema.name if schema is not None else ""
                 names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
-                for kind, values in _told(name, channel.message_encoding, message.data, f"{path}: {channel.topic}"):
+                for kind, values in _contents(
+                    name, channel.message_encoding, message.data, f"{path}: {channel.topic}"
+                ):
                     rows_of[kind].setdefault(channel.id, []).append((message.log_time / 1e9, *values))
                     count += 1
                 if count > 2 * MAX_SAMPLES:
@@ -237,7 +239,7 @@ def read_mcap(path: Path) -> ContactTrace:
     return ContactTrace(places, forces[:, 1:])
 
 
-def _told(name: str, encoding: str, data: bytes, where: str) -> list[tuple[int, Triple]]:
+def _contents(name: str, encoding: str, data: bytes, where: str) -> list[tuple[int, Triple]]:
     """Contents of a message: 0 and a position, 1 and a force."""
     kind = name.rpartition("/")[2]
     if encoding == "cdr":

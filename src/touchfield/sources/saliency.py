@@ -212,13 +212,8 @@ def _weights(places: Float64s, count: int) -> Float64s:
 
     Beyond the last half cell the cell's own value holds, and beyond the picture there is none.
     """
-    at = np.clip(places - 0.5, 0, count - 1)
-    first = np.minimum(at.astype(np.int64), max(0, count - 2))
-    weights = np.zeros((len(places), count))
-    rows = np.arange(len(places))
-    weights[rows, first] = 1 - (at - first)
-    if count > 1:
-        weights[rows, first + 1] = at - first
+    middles = np.arange(count) + 0.5
+    weights = np.stack([np.interp(places, middles, of_cell) for of_cell in np.eye(count)], axis=1)
     weights[(places < 0) | (places > count)] = 0
     return weights
 
