@@ -151,10 +151,10 @@ class FusedVolume:
 
         query = query_of(surface, pose, self.grid, self.profile)
         height, width = surface.size_px
-        finest = surface.tiles[: [*surface.places[1:, 0], len(surface.tiles)][0], 0].reshape(-1, surface.places[0, 1])
+        nearest_per_m = np.asarray(maximum_filter(surface.tiles[..., 0], 3), np.float32)
         view = View(
             surface.planes.reshape(-1), np.empty(height * width + 1, np.uint8), surface.camera_px, height, width,
-            query.lattice_m, brick_offsets(query), query.turn, np.asarray(maximum_filter(finest, 3), np.float32),
+            query.lattice_m, brick_offsets(query), query.turn, nearest_per_m,
         )  # fmt: skip
         return view, kernels.surfaces_in(view, self._slots, self.grid.shape, self.samples, wanted)
 

@@ -42,14 +42,14 @@ def all_nodes(shape: tuple[int, int, int]) -> Int32s:
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _box_in_view(x0, y0, z0, corners, camera, height, width):
+def _box_in_view(x0, y0, z0, corners, camera, height, width, first_m):
     """Nearest and farthest z of a box, and the pixels u0, u1, v0, v1 that it may fall on.
 
-    Nothing (z from 1 to 0) where the box lies behind the camera or beside the picture.
+    Nothing (z from 1 to 0) where the box lies before all that pushes, behind the camera or beside the picture.
     """
     z_low = z0 + corners[8, 2]
     z_high = z0 + corners[9, 2]
-    if z_high <= 0.0:
+    if z_high <= first_m:
         return 1.0, 0.0, (0, 0, 0, 0)
     pixels = (0, width - 1, 0, height - 1)
     if z_low > 1e-3 * z_high:  # else the box touches the camera's plane and may fall anywhere
@@ -71,17 +71,12 @@ def _box_in_view(x0, y0, z0, corners, camera, height, width):
 
 
 @njit(nogil=True, error_model="numpy")
-def _near_surface(z_low, z_high, pixels, tiles, places, reach):
+def _near_surface(z_low, z_high, pixels, tiles, reach):
     """True if a box of these pixels and depths may hold a sample within reach of a surface."""
-    level, shift = 0, 3
-    while level + 1 < places.shape[0] and max(pixels[1] - pixels[0], pixels[3] - pixels[2]) >> shift > 4:
-        level, shift = level + 1, shift + 1
-    start, columns = places[level, 0], places[level, 1]
     near, far, flat = _0, _BIG, _BIG
-    for t in range(pixels[2] >> shift, (pixels[3] >> shift) + 1):
-        row = tiles[start + t * columns : start + t * columns + columns]
-        for s in range(pixels[0] >> shift, (pixels[1] >> shift) + 1):
-            x, y, z = row[s, 0], row[s, 1], row[s, 2]
+    for t in range(pixels[2] >> 3, (pixels[3] >> 3) + 1):
+        for s in range(pixels[0] >> 3, (pixels[1] >> 3) + 1):
+            x, y, z = tiles[t, s, 0], tiles[t, s, 1], tiles[t, s, 2]
             near = x if x > near else near
             far = y if y < far else far
             flat = z if z < flat else flat
@@ -95,14 +90,14 @@ def _near_surface(z_low, z_high, pixels, tiles, places, reach):
 
 
 @njit(cache=True, nogil=True)
-def _may_hold(begin, end, nodes, span, corners, lattice, camera, height, width, tiles, places, reach, hits):
+def _may_hold(begin, end, nodes, span, corners, lattice, camera, height, width, first_m, tiles, reach, hits):
     for n in range(begin, end):
         a, b, d = 8.0 * span * nodes[n, 0], 8.0 * span * nodes[n, 1], 8.0 * span * nodes[n, 2]
         x = lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0]
         y = lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1]
         z = lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2]
-        z_low, z_high, pixels = _box_in_view(x, y, z, corners, camera, height, width)
-        hits[n] = z_low <= z_high and _near_surface(z_low, z_high, pixels, tiles, places, reach)
+        z_low, z_high, pixels = _box_in_view(x, y, z, corners, camera, height, width, first_m)
+        hits[n] = z_low <= z_high and _near_surface(z_low, z_high, pixels, tiles, reach)
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
@@ -291,7 +286,10 @@ def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
     surface, corners = query.surface, (8 * span - 1) * (all_nodes((2, 2, 2)) @ query.lattice_m[1:])
     ends = [np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())]
     at = np.vstack([corners, *ends]), query.lattice_m, surface.camera_px, *surface.size_px
-    view = nodes, span, *at, surface.tiles, surface.places, query.reach
+    with np.errstate(divide="ignore"):  # infinitely far where there is no plane
+        nearest_m = 1 / surface.tiles[..., 0].max()
+    first_m = max(0.0, float(np.float32(0.999) * nearest_m - query.reach[0] * query.reach[2]))
+    view = nodes, span, *at, first_m, surface.tiles, query.reach
     if uses_gpu():
         return on_host(filled(_may_hold, len(nodes), view, len(nodes), np.bool_))
     hits = np.empty(len(nodes), np.bool_)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from touchfield.arrays import Float32s, Int64s
+from touchfield.arrays import Float32s
 from touchfield.parallel import for_chunks
 
 _TILE = 8  # pixels along each edge of a tile of the culling table
@@ -41,16 +41,14 @@ class SurfacePlanes(NamedTuple):
     """The planes of a depth map, in camera axes.
 
     `planes` are unit normal n towards the camera and offset c, metres, with n . p = c on the plane; all zero where
-    there is no plane, and in the last row. `tiles` bound tiles of 8 x 8 pixels, then of 16 x 16 and so on up to one
-    tile: the largest and smallest inverse depth of the planes over their pixels, 1/m, and the least |c|, metres;
-    (0, 1e30, 1e30) where there is no plane.
+    there is no plane, and in the last row. `tiles` bound tiles of 8 x 8 pixels: the largest and smallest inverse
+    depth of the planes over their pixels, 1/m, and the least |c|, metres; (0, 1e30, 1e30) where there is no plane.
     """
 
     size_px: tuple[int, int]  # height and width
     camera_px: Float32s  # [4]: fx, fy, cx, cy
     planes: Float32s  # [height * width + 1, 4]
-    tiles: Float32s  # [m, 3]
-    places: Int64s  # [levels, 2]: where each size begins in `tiles`, and how many columns it has
+    tiles: Float32s  # [rows of tiles, columns, 3]
 
 
 _MIN_ACROSS = np.float32(6)  # least sum of squared offsets of the supporting pixels along the rows ...
@@ -246,20 +244,6 @@ def _fit_planes(begin, end, depth, camera, gates, planes, bounds):
             _fit_tiles(r, n, stop - t * _TILE, bounds[t, left // _TILE :])
 
 
-@njit(cache=True, nogil=True)
-def _widen(tiles, places, rows):
-    """Bounds of tiles twice as wide, level after level, from those of the first."""
-    for level in range(1, places.shape[0]):
-        fine, fine_columns = places[level - 1, 0], places[level - 1, 1]
-        start, columns = places[level, 0], places[level, 1]
-        tiles[start : start + rows[level] * columns, 0] = _0
-        tiles[start : start + rows[level] * columns, 1:] = _BIG
-        for t in range(rows[level - 1]):
-            for s in range(fine_columns):
-                a, b = tiles[fine + t * fine_columns + s], tiles[start + (t >> 1) * columns + (s >> 1)]
-                b[0], b[1], b[2] = max(a[0], b[0]), min(a[1], b[1]), min(a[2], b[2])
-
-
 def fit_planes(depth_m: Float32s, camera_px: Float32s, step_per_m: float, slope_px: float) -> SurfacePlanes:
     """Tangent planes of a depth map, float32 [height, width], C-contiguous, and their bounds in tiles.
 
@@ -268,16 +252,7 @@ def fit_planes(depth_m: Float32s, camera_px: Float32s, step_per_m: float, slope_
     height, width = depth_m.shape
     planes = np.empty((height * width + 1, 4), np.float32)
     planes[-1] = 0
-    sizes = [(-(-height // _TILE), -(-width // _TILE))]
-    while sizes[-1] != (1, 1):
-        sizes.append((-(-sizes[-1][0] // 2), -(-sizes[-1][1] // 2)))
-    rows = np.array([size[0] for size in sizes])
-    columns = np.array([size[1] for size in sizes])
-    ends = np.cumsum(rows * columns)
-    places = np.stack([ends - rows * columns, columns], axis=1)
-    tiles = np.empty((ends[-1], 3), np.float32)
-    finest = tiles[: ends[0]].reshape(rows[0], columns[0], 3)
+    tiles = np.empty((-(-height // _TILE), -(-width // _TILE), 3), np.float32)
     gates = np.array([step_per_m, slope_px], np.float32)
-    for_chunks(_fit_planes, rows[0], depth_m, camera_px, gates, planes.reshape(-1), finest, chunk=4)
-    _widen(tiles, places, rows)
-    return SurfacePlanes((height, width), camera_px, planes, tiles, places)
+    for_chunks(_fit_planes, len(tiles), depth_m, camera_px, gates, planes.reshape(-1), tiles, chunk=4)
+    return SurfacePlanes((height, width), camera_px, planes, tiles)
