@@ -192,11 +192,11 @@ def _holds(begin, end, nodes, offsets, lattice, shape, camera, height, width, pl
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
         hits[n] = False
-        for first in range(0, B3, 64):
+        for first, count in ((0, 64), (64, 448)):
             _evaluate(
-                nodes[n], first, 64, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r
+                nodes[n], first, count, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r
             )  # fmt: skip
-            if _any_force(r, 64):
+            if _any_force(r, count):
                 hits[n] = True
                 break
 
