@@ -65,12 +65,12 @@ def sphere(centre: np.ndarray, radius_m: float, directions: np.ndarray) -> tuple
 
 def normals_of(surface: SurfacePlanes) -> np.ndarray:
     """Unit normals towards the camera, [height, width, 3]; zero where there is no plane."""
-    return surface.planes[:-1, :3].reshape(*surface.size_px, 3)
+    return surface.planes[:-4].reshape(*surface.size_px, 4)[..., :3]
 
 
 def offsets_m_of(surface: SurfacePlanes) -> np.ndarray:
     """c of n . p = c, metres, [height, width]; zero where there is no plane."""
-    return surface.planes[:-1, 3].reshape(surface.size_px)
+    return surface.planes[3:-4:4].reshape(surface.size_px)
 
 
 def turned(axis: tuple[float, float, float], angle: float) -> np.ndarray:
@@ -103,7 +103,7 @@ def reference(surface: SurfacePlanes, pose: np.ndarray, grid: Grid, profile: For
     height, width = surface.size_px
     inside = front & (pixel >= 0).all(-1) & (pixel < (width, height)).all(-1)
     u, v = np.floor(np.where(inside[..., None], pixel, 0)).astype(int).transpose(3, 0, 1, 2)
-    plane = surface.planes[np.where(inside, v * width + u, height * width)].astype(np.float64)
+    plane = surface.planes.reshape(-1, 4)[np.where(inside, v * width + u, height * width)].astype(np.float64)
     facing = (p * plane[..., :3]).sum(-1)
     phi = facing - plane[..., 3]
     limit = np.where(phi <= 0, max(-profile.low_m, 0), max(profile.high_m, 0))
