@@ -192,9 +192,6 @@ class CapturedSequence(DepthSequence):
             if picture is None and self._fault is not None:
                 raise self._fault
             if picture is not None:
-                if picture.shape != (self.height, self.width):
-                    expected = f"({self.height}, {self.width}), as the first one"
-                    raise SourceError(self.name, f"a picture of shape {picture.shape}", expected)
                 self._latest = self._metres(picture)
             self._kept[frame] = self._latest
             while len(self._kept) > _KEPT:
