@@ -326,6 +326,17 @@ def test_a_folder_of_pictures_only_if_it_is_named(tmp_path: Path) -> None:
         other.field(11, Grid((8, 8, 8), (0.1,) * 3, (-0.4,) * 3), LAW)
 
 
+def test_the_pictures_of_files_in_any_order(tmp_path: Path) -> None:
+    paths = tuple(tmp_path / f"{i}.png" for i in range(6))
+    for i, path in enumerate(paths):
+        Image.fromarray(picture(i)).save(path)
+    pictures = ColourPictures(paths)
+    for frame in (4, 0, 2, 3, 5, 1):
+        assert np.array_equal(pictures.values(frame), picture(frame)), frame
+    first = ColourPictures((gif(tmp_path / "a.gif"), gif(tmp_path / "b.gif")))  # of each the first alone
+    assert (first.frame_count, first.rate_hz) == (2, None)
+
+
 def test_a_single_picture_upright_and_what_is_transparent_black(tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[0x0112] = 6  # to be turned clockwise by a quarter
