@@ -75,7 +75,7 @@ def with_numpy(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> np.
     v = np.broadcast_to(y * per_z * fy + (cy + np.float32(0.5)), grid.shape)
     inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
     pixel = np.where(inside, v.astype(np.int32) * width + u.astype(np.int32), height * width)
-    plane = surface.planes[pixel]
+    plane = surface.planes.reshape(-1, 4)[pixel]
     facing = x * plane[..., 0] + y * plane[..., 1] + z * plane[..., 2]
     phi = facing - plane[..., 3]
     limit = np.where(phi <= 0, np.float32(-RAY_LIMIT * profile.low_m), np.float32(RAY_LIMIT * max(profile.high_m, 0)))
@@ -128,7 +128,7 @@ def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Ca
                     force = n * (second[2] + second[3] * phi)
         out[i, j, k] = force
 
-    planes = wp.array(surface.planes, dtype=wp.vec4, device="cpu")
+    planes = wp.array(surface.planes.reshape(-1, 4), dtype=wp.vec4, device="cpu")
     out = wp.zeros(grid.shape, dtype=wp.vec3, device="cpu")
     pieces = [wp.vec4(*map(float, piece)) for piece in profile.table()]
     limits = RAY_LIMIT * max(profile.high_m, 0.0), -RAY_LIMIT * profile.low_m

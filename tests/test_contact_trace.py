@@ -140,10 +140,12 @@ def mcap_file(path: Path, messages: list[tuple[str, str, str, float, bytes]]) ->
     return path
 
 
-def stamped(*doubles: float) -> bytes:
-    frame = b"base\0"
-    body = struct.pack("<iII", 0, 0, len(frame)) + frame
-    return b"\0\1\0\0" + body + b"\0" * (-len(body) % 8) + struct.pack(f"<{len(doubles)}d", *doubles)
+def stamped(*doubles: float, order: str = "<", names: tuple[bytes, ...] = (b"base\0",)) -> bytes:
+    body = struct.pack(order + "iI", 0, 0)
+    for name in names:
+        body += b"\0" * (-len(body) % 4) + struct.pack(order + "I", len(name)) + name
+    body += b"\0" * (-len(body) % 8) + struct.pack(f"{order}{len(doubles)}d", *doubles)
+    return (b"\0\1\0\0" if order == "<" else bytes(4)) + body
 
 
 def test_mcap_of_json_and_of_ros(tmp_path: Path) -> None:
@@ -161,7 +163,21 @@ def test_mcap_of_json_and_of_ros(tmp_path: Path) -> None:
             "wrench": {"force": dict(zip("xyz", force))},
         }
         plain.append(("/probe", "Probe", "json", n / 100, json.dumps(told).encode()))
-    for name, messages in (("ros.mcap", ros), ("json.mcap", plain)):
+    other = [  # of a machine of the other byte order; a transform has the names of two frames
+        (
+            "/tf",
+            "geometry_msgs/msg/TransformStamped",
+            "cdr",
+            n / 100,
+            stamped(*place, order=">", names=(b"a\0", b"tip\0")),
+        )
+        for n, place in enumerate(trace.positions_m.tolist())
+    ]
+    other += [
+        ("/wrench", "geometry_msgs/msg/WrenchStamped", "cdr", n / 100, stamped(*force, 0, 0, 0, order=">"))
+        for n, force in enumerate(trace.forces_n.tolist())
+    ]
+    for name, messages in (("ros.mcap", ros), ("json.mcap", plain), ("other.mcap", other)):
         scene = open_source(mcap_file(tmp_path / name, messages))
         assert isinstance(scene, ContactScene)
         at = trace.positions_m[:20]

@@ -63,6 +63,16 @@ def sphere(centre: np.ndarray, radius_m: float, directions: np.ndarray) -> tuple
     return depth.astype(np.float32), (directions * depth[..., None] - centre) / radius_m
 
 
+def normals_of(surface: SurfacePlanes) -> np.ndarray:
+    """Unit normals towards the camera, [height, width, 3]; zero where there is no plane."""
+    return surface.planes[:-4].reshape(*surface.size_px, 4)[..., :3]
+
+
+def offsets_m_of(surface: SurfacePlanes) -> np.ndarray:
+    """c of n . p = c, metres, [height, width]; zero where there is no plane."""
+    return surface.planes[3:-4:4].reshape(surface.size_px)
+
+
 def turned(axis: tuple[float, float, float], angle: float) -> np.ndarray:
     """A rotation matrix."""
     x, y, z = np.asarray(axis) / np.linalg.norm(axis)
@@ -78,8 +88,8 @@ def pose_of(turn: np.ndarray, place_m: tuple[float, float, float]) -> np.ndarray
 
 def angles_deg(surface: SurfacePlanes, normals: np.ndarray) -> np.ndarray:
     """Angle between the estimated and the true normals, degrees; nan where there is none."""
-    chord = np.linalg.norm(surface.normals.astype(np.float64) - normals, axis=-1)
-    return np.where(surface.offsets_m < 0, np.degrees(2 * np.arcsin(np.minimum(chord / 2, 1))), np.nan)
+    chord = np.linalg.norm(normals_of(surface).astype(np.float64) - normals, axis=-1)
+    return np.where(offsets_m_of(surface) < 0, np.degrees(2 * np.arcsin(np.minimum(chord / 2, 1))), np.nan)
 
 
 def reference(surface: SurfacePlanes, pose: np.ndarray, grid: Grid, profile: ForceProfile) -> tuple[np.ndarray, ...]:
@@ -93,7 +103,7 @@ def reference(surface: SurfacePlanes, pose: np.ndarray, grid: Grid, profile: For
     height, width = surface.size_px
     inside = front & (pixel >= 0).all(-1) & (pixel < (width, height)).all(-1)
     u, v = np.floor(np.where(inside[..., None], pixel, 0)).astype(int).transpose(3, 0, 1, 2)
-    plane = surface.planes[np.where(inside, v * width + u, height * width)].astype(np.float64)
+    plane = surface.planes.reshape(-1, 4)[np.where(inside, v * width + u, height * width)].astype(np.float64)
     facing = (p * plane[..., :3]).sum(-1)
     phi = facing - plane[..., 3]
     limit = np.where(phi <= 0, max(-profile.low_m, 0), max(profile.high_m, 0))
@@ -128,9 +138,9 @@ def test_planes_are_found_exactly_up_to_the_border(normal: tuple[float, ...]) ->
     depth = plane_depth(n, -0.8, rays())
     surface = surface_planes(depth, CAMERA, FINEST)
     steep = (rays() @ n) / np.linalg.norm(rays(), axis=-1) > -0.2
-    assert (surface.offsets_m < 0)[(depth > 0) & (depth < 4) & ~steep].all()
+    assert (offsets_m_of(surface) < 0)[(depth > 0) & (depth < 4) & ~steep].all()
     assert np.nanmax(np.where(depth < 4, angles_deg(surface, n), np.nan)) < 0.02
-    np.testing.assert_allclose(surface.offsets_m[(surface.offsets_m < 0) & (depth < 4)], -0.8, atol=1e-4)
+    np.testing.assert_allclose(offsets_m_of(surface)[(offsets_m_of(surface) < 0) & (depth < 4)], -0.8, atol=1e-4)
 
 
 @pytest.mark.parametrize(("sigma_per_m", "bound_deg"), [(0.001, 2.5), (0.0025, 6.0)])
@@ -147,10 +157,10 @@ def test_noisy_planes(normal: tuple[float, ...], sigma_per_m: float, bound_deg: 
     plain = np.arctan(525 * sigma_per_m / np.sqrt(2))  # what differences of single pixels would give
     assert np.nanmean(error) < 0.25 * np.degrees(plain)
     away = np.abs(depth - exact).mean()
-    found = surface.offsets_m / np.where(
-        surface.offsets_m < 0, (surface.normals * rays(camera, (240, 320))).sum(-1), 1
+    found = offsets_m_of(surface) / np.where(
+        offsets_m_of(surface) < 0, (normals_of(surface) * rays(camera, (240, 320))).sum(-1), 1
     )
-    assert np.abs(found - exact)[surface.offsets_m < 0].mean() < 0.4 * away  # the surface too is smoothed
+    assert np.abs(found - exact)[offsets_m_of(surface) < 0].mean() < 0.4 * away  # the surface too is smoothed
 
 
 def test_noisy_sphere_before_a_wall() -> None:
@@ -175,9 +185,9 @@ def test_a_step_tilts_no_normal(depth_m: float, share: float, at: int, upright: 
     depth[:, at:] += np.float32(step)
     depth = np.ascontiguousarray(depth if upright else depth.T)
     surface = surface_planes(depth, CAMERA, FINEST)
-    assert (surface.offsets_m < 0).all()
+    assert (offsets_m_of(surface) < 0).all()
     assert angles_deg(surface, np.array([0, 0, -1.0])).max() < 0.05
-    np.testing.assert_allclose(surface.offsets_m, -depth, rtol=1e-5)
+    np.testing.assert_allclose(offsets_m_of(surface), -depth, rtol=1e-5)
 
 
 def test_a_step_between_slanted_planes_tilts_no_normal() -> None:
@@ -197,7 +207,7 @@ def test_too_little_support_gives_no_normal() -> None:
     depth[100, 100] = 1
     depth[80:83, 120:123] = 1  # the smallest patch that has a normal
     surface = surface_planes(depth, CAMERA, FINEST)
-    found = np.argwhere(surface.offsets_m < 0)
+    found = np.argwhere(offsets_m_of(surface) < 0)
     assert set(map(tuple, found)) <= {(v, u) for v in range(80, 83) for u in range(120, 123)}
     assert (81, 121) in set(map(tuple, found))
 
@@ -207,7 +217,7 @@ def test_depth_that_is_no_number_has_no_plane() -> None:
     depth[50, 50:55] = (np.nan, np.inf, -np.inf, -1, 0)
     surface = surface_planes(depth, CAMERA, FINEST)
     assert np.isfinite(surface.planes).all()
-    assert (surface.offsets_m == 0).sum() == 5 and (surface.offsets_m[50, 50:55] == 0).all()
+    assert (offsets_m_of(surface) == 0).sum() == 5 and (offsets_m_of(surface)[50, 50:55] == 0).all()
 
 
 def test_the_noise_step_follows_the_noise_and_not_the_edges() -> None:
@@ -435,11 +445,11 @@ def test_real_depth(shared_data: Path) -> None:
         (drawn, Intrinsics(525, 525, 319.5, 239.5)),
     ):
         surface = surface_planes(depth, camera, noise_step_per_m(depth))
-        held = surface.offsets_m < 0
+        held = offsets_m_of(surface) < 0
         assert not held[depth == 0].any()
         assert held[depth > 0].mean() > 0.9
-        np.testing.assert_allclose(np.linalg.norm(surface.normals[held], axis=-1), 1, atol=1e-5)
-        found = surface.offsets_m[held] / (surface.normals * rays(camera, depth.shape)).sum(-1)[held]
+        np.testing.assert_allclose(np.linalg.norm(normals_of(surface)[held], axis=-1), 1, atol=1e-5)
+        found = offsets_m_of(surface)[held] / (normals_of(surface) * rays(camera, depth.shape)).sum(-1)[held]
         assert np.median(np.abs(found - depth[held]) / depth[held] ** 2) < 0.003  # a Kinect's quantum
         scene = DepthScene(Frames([depth], camera))
         low, high = scene.bounds_m()

@@ -69,9 +69,9 @@ def test_frames_are_right_where_seeking_is_not(movie: Path, monkeypatch: pytest.
 
 def test_a_pass_in_order_decodes_each_frame_once(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded = []
-    array = moving_pictures.GreyVideo._array
+    array = moving_pictures.GreyVideo._values
     monkeypatch.setattr(
-        moving_pictures.GreyVideo, "_array", lambda self, p: (decoded.append(p.pts), array(self, p))[1]
+        moving_pictures.GreyVideo, "_values", lambda self, p: (decoded.append(p.pts), array(self, p))[1]
     )
     video = moving_pictures.GreyVideo(movie)
     for frame in range(20):

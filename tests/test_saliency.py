@@ -14,7 +14,7 @@ from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import Grid
 from touchfield.sources import moving_pictures, saliency
 from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
-from touchfield.sources.moving_pictures import PictureFiles, StillOrAnimated
+from touchfield.sources.moving_pictures import ColourPictures
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import MAX_PIXELS
 from touchfield.sources.registry import open_source
@@ -50,7 +50,7 @@ class Drawn:
         self.frame_count = len(self.frames)
         self.read: list[int] = []
 
-    def picture(self, frame: int) -> np.ndarray:
+    def values(self, frame: int) -> np.ndarray:
         self.read.append(frame)
         return self.frames[frame]
 
@@ -59,6 +59,10 @@ def gif(path: Path, count: int = COUNT, **more: object) -> Path:
     first, *rest = [Image.fromarray(picture(i)) for i in range(count)]
     first.save(path, save_all=True, append_images=rest, **{"duration": 40, **more})
     return path
+
+
+def animation(path: Path) -> ColourPictures:
+    return ColourPictures((path,), may_move=True)
 
 
 def run(frames: list[np.ndarray], rate_hz: float = 25.0) -> list[np.ndarray]:
@@ -291,19 +295,19 @@ def test_without_the_extra_pictures_are_read_and_a_video_names_it(
 def test_an_animation_in_any_order(tmp_path: Path, name: str) -> None:
     path = gif(tmp_path / name, **({"lossless": True} if name == "a.webp" else {}))
     assert saliency.KIND.recognise(path) == (name == "a.gif")
-    pictures = StillOrAnimated(path)
+    pictures = animation(path)
     assert (pictures.frame_count, pictures.rate_hz) == (COUNT, 25.0)
     for frame in [*range(COUNT), 4, 3, 19, 0]:
-        far = np.abs(pictures.picture(frame).astype(int) - picture(frame))
+        far = np.abs(pictures.values(frame).astype(int) - picture(frame))
         assert far.max() <= 8, frame  # a palette
     with pytest.raises(InvalidArgument, match="0 to 19"):
-        pictures.picture(COUNT)
+        pictures.values(COUNT)
     assert open_source(path, AS).rate_hz == 25.0
 
 
 def test_durations_that_differ_are_averaged_and_none_is_a_tenth_of_a_second(tmp_path: Path) -> None:
-    assert StillOrAnimated(gif(tmp_path / "a.gif", 4, duration=[20, 40, 60, 80])).rate_hz == 20.0
-    assert StillOrAnimated(gif(tmp_path / "b.gif", 4, duration=0)).rate_hz == 10.0
+    assert animation(gif(tmp_path / "a.gif", 4, duration=[20, 40, 60, 80])).rate_hz == 20.0
+    assert animation(gif(tmp_path / "b.gif", 4, duration=0)).rate_hz == 10.0
 
 
 def test_a_folder_of_pictures_only_if_it_is_named(tmp_path: Path) -> None:
@@ -322,16 +326,27 @@ def test_a_folder_of_pictures_only_if_it_is_named(tmp_path: Path) -> None:
         other.field(11, Grid((8, 8, 8), (0.1,) * 3, (-0.4,) * 3), LAW)
 
 
+def test_the_pictures_of_files_in_any_order(tmp_path: Path) -> None:
+    paths = tuple(tmp_path / f"{i}.png" for i in range(6))
+    for i, path in enumerate(paths):
+        Image.fromarray(picture(i)).save(path)
+    pictures = ColourPictures(paths)
+    for frame in (4, 0, 2, 3, 5, 1):
+        assert np.array_equal(pictures.values(frame), picture(frame)), frame
+    first = ColourPictures((gif(tmp_path / "a.gif"), gif(tmp_path / "b.gif")))  # of each the first alone
+    assert (first.frame_count, first.rate_hz) == (2, None)
+
+
 def test_a_single_picture_upright_and_what_is_transparent_black(tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[0x0112] = 6  # to be turned clockwise by a quarter
     Image.fromarray(picture(0)).save(tmp_path / "a.jpg", exif=exif, quality=95)
-    pictures = StillOrAnimated(tmp_path / "a.jpg")
+    pictures = animation(tmp_path / "a.jpg")
     assert (pictures.size, pictures.frame_count, pictures.rate_hz) == ((HEIGHT, WIDTH), 1, None)
-    assert np.abs(pictures.picture(0).astype(int) - np.rot90(picture(0), -1)).mean() < 5
+    assert np.abs(pictures.values(0).astype(int) - np.rot90(picture(0), -1)).mean() < 5
     clear = np.dstack([picture(0), np.zeros((HEIGHT, WIDTH), np.uint8)])
     Image.fromarray(clear, "RGBA").save(tmp_path / "clear.png")
-    assert not PictureFiles((tmp_path / "clear.png",)).picture(0).any()
+    assert not ColourPictures((tmp_path / "clear.png",)).values(0).any()
     assert open_source(tmp_path / "a.jpg", AS).frame_count == 1
 
 

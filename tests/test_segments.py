@@ -59,6 +59,12 @@ def segmented(draw: Drawn, count: int = 1, rule: str = RULE) -> Segmentation:
     return Segmentation(Frames(draw, count), SegmentRule.parse(rule), STEP_PER_M)
 
 
+def numbers_of(objects: Segmentation, frame: int) -> np.ndarray:
+    """The object of each pixel: 0 the background, 255 where there is no depth."""
+    depths = [objects.depth_m(frame, n) for n in range(objects.object_count + 1)]
+    return np.where(np.any(depths, axis=0), np.argmax(depths, axis=0), 255)
+
+
 # -- the rule ------------------------------------------------------------------------------------------------------
 
 
@@ -123,7 +129,7 @@ def test_small_surfaces_and_those_beyond_at_most_are_the_background() -> None:
     found = segmented(draw)  # the third has 16 pixels
     assert found.object_count == 3
     assert found.pixels[0].tolist() == [16, 60 * 80 - 16 - 144 - 64 - 16, 144, 64]
-    numbers = found.numbers(0)
+    numbers = numbers_of(found, 0)
     assert [numbers[0, 0], numbers[31, 41], numbers[5, 5], numbers[11, 11], numbers[31, 11]] == [255, 0, 1, 2, 3]
     few = segmented(draw, rule="least=20px,at-most=2")
     assert few.object_count == 2 and few.pixels[0].tolist() == [16 + 64, 60 * 80 - 16 - 144 - 64 - 16, 144]
@@ -136,7 +142,7 @@ def test_objects_stay_the_same_while_they_move_and_after_they_were_gone() -> Non
     found = segmented(moving, 8)
     assert found.object_count == 3
     for frame in range(8):
-        numbers = found.numbers(frame)
+        numbers = numbers_of(found, frame)
         assert (numbers[10:24, 5 + 4 * frame : 19 + 4 * frame] == 2).all()
         there = frame != 2
         assert ((numbers == 3).sum(), (numbers == 0).sum()) == (81 * there, 0)
@@ -153,8 +159,8 @@ def test_what_comes_back_elsewhere_is_a_new_object() -> None:
 def test_the_greatest_overlap_decides() -> None:
     """A box splits: the larger part keeps the name, the other one gets a new one."""
     found = segmented(lambda f: wall((20, 20, 20, 1.0)) if f == 0 else split(), 2)
-    assert found.numbers(1)[25, 22] == found.numbers(0)[25, 22] == 2
-    assert found.numbers(1)[25, 38] == 3
+    assert numbers_of(found, 1)[25, 22] == numbers_of(found, 0)[25, 22] == 2
+    assert numbers_of(found, 1)[25, 38] == 3
 
 
 def split() -> np.ndarray:
@@ -206,7 +212,7 @@ def test_the_sum_of_the_objects_of_a_height_map_is_the_whole_but_for_their_borde
         total = sum(body.scene.field(frame, GRID, profile).to_dense() for body in scene.bodies())
         differs = (np.abs(whole - total).max(axis=-1) > 1e-5).any(axis=2)
         assert 0 < differs.sum() < 0.2 * differs.size
-        numbers = segmented(moving, 2).numbers(frame)
+        numbers = numbers_of(segmented(moving, 2), frame)
         for i, j in np.argwhere(differs):
             u, v = x[i] / pixel_m + frames.intrinsics.cx, y[j] / pixel_m + frames.intrinsics.cy
             near = numbers[max(0, int(v) - 2) : int(v) + 4, max(0, int(u) - 2) : int(u) + 4]

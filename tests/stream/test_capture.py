@@ -23,6 +23,7 @@ from touchfield.medium import Grid
 from touchfield.sources import capture
 from touchfield.sources.camera import CodedSequence, DepthCode, StoredFrame
 from touchfield.sources.capture import CapturedSequence, CaptureEnd, GrowingFolder, PipedPictures, captured
+from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.fused_scene import FusedScene
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
@@ -108,6 +109,16 @@ def test_pictures_of_a_pipe_are_shown_one_by_one() -> None:
 def test_what_is_no_picture_is_told(data: bytes, words: str) -> None:
     with pytest.raises(SourceError, match=words):
         piped(data)
+
+
+def test_a_picture_of_another_size_is_refused() -> None:
+    file = io.BytesIO()
+    Image.fromarray(depth_mm(1)[:-1]).save(file, "PNG")
+    scene = DepthScene(piped(png(0) + file.getvalue()), "camera")
+    grid, profile = Grid.over_box((-0.4, -0.3, 0.7), (0.4, 0.3, 1.1), (8, 8, 8)), ForceProfile(((-0.1, 0, 0, -18.0),))
+    assert scene.field(0, grid, profile).support_count
+    with pytest.raises(SourceError, match=r"frame 1: found a picture of shape \(47, 64\); expected \(48, 64\)"):
+        scene.field(1, grid, profile)
 
 
 def test_what_is_no_depth_is_told(tmp_path: Path) -> None:

@@ -386,7 +386,7 @@ def correlate(
     done: list[Looked] = []
     for n in places:
         at = min(round(n / medium.rate_hz * rate_hz), pictures.frame_count - 1)
-        luma = pictures.picture(at).astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
+        luma = pictures.values(at).astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
         if intrinsics is None:
             luma, touched = _from_the_front(luma, medium, n, reading)
         else:

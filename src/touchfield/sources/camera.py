@@ -151,9 +151,8 @@ def _table(code: DepthCode) -> Float32s:
     values = np.arange(1 << 16, dtype=np.uint16)
     if code.is_rotated:
         values = ((values >> 3) | (values << 13)).astype(np.uint16)
-    with np.errstate(over="ignore"):
-        table = (values / code.units_per_m).astype(np.float32)
-    table[(values == 0xFFFF) | ~np.isfinite(table)] = 0
+    table = code(values.astype(np.float64))
+    table[values == 0xFFFF] = 0
     table.flags.writeable = False
     return table
 

@@ -142,8 +142,8 @@ class OpencvCamera(Pictures):
 
     def next(self) -> NDArray[Any]:
         is_there = self._camera.grab()
-        found, picture = self._camera.retrieve(None, self._depth_map) if is_there else (False, None)
-        if not found:
+        is_there, picture = self._camera.retrieve(None, self._depth_map) if is_there else (False, None)
+        if not is_there:
             raise CaptureEnd(self.name, "no further picture", "a camera that is on")
         return np.asarray(picture)
 
@@ -192,9 +192,6 @@ class CapturedSequence(DepthSequence):
             if picture is None and self._fault is not None:
                 raise self._fault
             if picture is not None:
-                if picture.shape != (self.height, self.width):
-                    expected = f"({self.height}, {self.width}), as the first one"
-                    raise SourceError(self.name, f"a picture of shape {picture.shape}", expected)
                 self._latest = self._metres(picture)
             self._kept[frame] = self._latest
             while len(self._kept) > _KEPT:

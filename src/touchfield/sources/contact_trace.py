@@ -65,9 +65,19 @@ class CurlFree:
     scale_n: float  # standard deviation of a component where nothing is known: as the forces have it
 
     @classmethod
-    def through(cls, points_m: Float64s, forces_n: Float64s, length_m: float, noise: float) -> CurlFree:
-        """The field of forces, `points_m` and `forces_n` float64 [n, 3], with this kernel."""
-        return cls._solved(points_m, forces_n, covariances(points_m / length_m), length_m, noise)
+    def through(
+        cls, points_m: Float64s, forces_n: Float64s, length_m: float, noise: float, kernel: Float64s | None = None
+    ) -> CurlFree:
+        """The field of forces, `points_m` and `forces_n` float64 [n, 3]; `kernel` where `covariances` are known."""
+        kernel = covariances(points_m / length_m) if kernel is None else kernel
+        count, size = len(points_m), float(np.sqrt(np.mean(forces_n**2))) or 1.0
+        target = forces_n.reshape(-1) / size
+        inverse = np.linalg.inv(kernel + noise * np.eye(len(target)))
+        solved = inverse @ target
+        own = inverse.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
+        left = np.linalg.solve(own, solved.reshape(-1, 3, 1))
+        missed = float(np.sqrt(np.mean(left**2)))
+        return cls(points_m, size * solved.reshape(-1, 3), length_m, missed, noise, size / math.sqrt(1 + noise))
 
     @classmethod
     def fitted(cls, points_m: Float64s, forces_n: Float64s, spacing_m: float) -> CurlFree:
@@ -79,21 +89,8 @@ class CurlFree:
         fits = []
         for length_m in (length * spacing_m for length in _LENGTHS):
             kernel = covariances(points_m / length_m)
-            fits += [cls._solved(points_m, forces_n, kernel, length_m, noise) for noise in _NOISES]
+            fits += [cls.through(points_m, forces_n, length_m, noise, kernel) for noise in _NOISES]
         return min(fits, key=lambda one: one.missed)
-
-    @classmethod
-    def _solved(
-        cls, points_m: Float64s, forces_n: Float64s, kernel: Float64s, length_m: float, noise: float
-    ) -> CurlFree:
-        count, size = len(points_m), float(np.sqrt(np.mean(forces_n**2))) or 1.0
-        target = forces_n.reshape(-1) / size
-        inverse = np.linalg.inv(kernel + noise * np.eye(len(target)))
-        solved = inverse @ target
-        own = inverse.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
-        left = np.linalg.solve(own, solved.reshape(-1, 3, 1))
-        missed = float(np.sqrt(np.mean(left**2)))
-        return cls(points_m, size * solved.reshape(-1, 3), length_m, missed, noise, size / math.sqrt(1 + noise))
 
     def forces_n(self, at_m: Float64s, reach_m: float = math.inf) -> Float64s:
         """Newtons, float64 [n, 3], at points, float64 [n, 3]; 0 where no point of the field is within reach."""
@@ -216,7 +213,9 @@ def read_mcap(path: Path) -> ContactTrace:
             for schema, channel, message in reader.make_reader(file).iter_messages():
                 name = schema.name if schema is not None else ""
                 names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
-                for kind, values in _told(name, channel.message_encoding, message.data, f"{path}: {channel.topic}"):
+                for kind, values in _contents(
+                    name, channel.message_encoding, message.data, f"{path}: {channel.topic}"
+                ):
                     rows_of[kind].setdefault(channel.id, []).append((message.log_time / 1e9, *values))
                     count += 1
                 if count > 2 * MAX_SAMPLES:
@@ -240,7 +239,7 @@ def read_mcap(path: Path) -> ContactTrace:
     return ContactTrace(places, forces[:, 1:])
 
 
-def _told(name: str, encoding: str, data: bytes, where: str) -> list[tuple[int, Triple]]:
+def _contents(name: str, encoding: str, data: bytes, where: str) -> list[tuple[int, Triple]]:
     """Contents of a message: 0 and a position, 1 and a force."""
     kind = name.rpartition("/")[2]
     if encoding == "cdr":
@@ -280,8 +279,10 @@ def _cdr(data: bytes, kind: str, where: str) -> Triple:
 
 def recorded_contacts(path: Path) -> ContactTrace | None:
     """The contacts in a recording; None if the file is none."""
-    if not _recognise(path):
-        return None
+    return _read(path) if _recognise(path) else None
+
+
+def _read(path: Path) -> ContactTrace:
     return read_mcap(path) if path.suffix.lower() == ".mcap" else read_contacts(path)
 
 
@@ -294,7 +295,7 @@ def _recognise(path: Path) -> bool:
 def _open(path: Path, options: SourceOptions) -> Scene:
     if options.frame == "camera":
         raise InvalidArgument("--frame", "camera", "world: a trace has no camera")
-    return ContactScene(read_mcap(path) if path.suffix.lower() == ".mcap" else read_contacts(path), str(path))
+    return ContactScene(_read(path), str(path))
 
 
 KIND = SourceKind(

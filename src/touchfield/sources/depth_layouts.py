@@ -234,11 +234,23 @@ def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
 
 # -- folders of data sets ------------------------------------------------------------------------------------
 def _stamped(path: Path) -> Shots:
-    """Pictures that are there, in order of time, of ``depth.txt`` or of ``depth/TIME.png``."""
+    """Pictures that are there, in order of time, of ``depth.txt`` (lines of time and file) or ``depth/TIME.png``."""
     listing, depth = path / "depth.txt", path / "depth"
     notes: tuple[str, ...] = ()
     if listing.is_file():
-        listed = _listed(listing)
+        listed = []
+        for number, line in enumerate(read_text(listing).splitlines(), 1):
+            words = line.partition("#")[0].split()
+            if not words:
+                continue
+            try:
+                stamp, name = float(words[0]), PurePosixPath(words[1])
+            except (ValueError, IndexError):
+                stamp, name = np.inf, PurePosixPath()
+            if not abs(stamp) < MAX_TIME_S or name.is_absolute() or ".." in name.parts:
+                expected = "a time and a file name inside the folder"
+                raise SourceError(f"{listing} line {number}", repr(line[:60]), expected)
+            listed.append((stamp, path / name))
         stamped = sorted((stamp, file) for stamp, file in listed if file.is_file())
         if len(stamped) < len(listed):
             notes = (f"{len(stamped)} of the {len(listed)} frames in depth.txt are there.",)
@@ -247,23 +259,6 @@ def _stamped(path: Path) -> Shots:
     paths = tuple(file for _, file in stamped)
     where = path if paths else listing if listing.is_file() else depth
     return Shots(paths, where, (path,), (path,), np.array([stamp for stamp, _ in stamped]), notes)
-
-
-def _listed(listing: Path) -> list[tuple[float, Path]]:
-    """Time stamps and files of ``depth.txt``: lines of ``time filename``."""
-    entries = []
-    for number, line in enumerate(read_text(listing).splitlines(), 1):
-        words = line.partition("#")[0].split()
-        if not words:
-            continue
-        try:
-            stamp, name = float(words[0]), PurePosixPath(words[1])
-        except (ValueError, IndexError):
-            stamp, name = np.inf, PurePosixPath()
-        if not abs(stamp) < MAX_TIME_S or name.is_absolute() or ".." in name.parts:
-            raise SourceError(f"{listing} line {number}", repr(line[:60]), "a time and a file name inside the folder")
-        entries.append((stamp, listing.parent / name))
-    return entries
 
 
 def _is_stamped(path: Path) -> bool:

@@ -51,6 +51,7 @@ from touchfield.sources.segments import SegmentRule, segmented_bodies
 RAY_LIMIT: Final = 4.0  # walls at more than 75 degrees to the ray become thinner by it
 SLOPE_LIMIT_PX: Final = 5.0  # along an image row or column, footprints of a pixel in depth per pixel: 79 degrees
 
+_IJK = np.indices((BRICK, BRICK, BRICK), np.float64).reshape(3, -1)
 _NODES_AT_ONCE = 6000  # cubes of bricks tested in the first round
 _BOX_POINTS = 4_000_000  # points that `bounds_m` keeps
 _BOX_STRIDE_PX = 8
@@ -189,10 +190,12 @@ def query_of(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceP
     lattice = np.empty((4, 3))
     lattice[0] = (np.asarray(grid.origin_m) - pose[:3, 3]) @ turn
     lattice[1:] = np.asarray(grid.spacing_m)[:, None] * turn
-    nothing = (0.0, 0.0, 0.0, 0.0)  # an empty piece: the kernel wants at least two
-    pieces = np.vstack([profile.table(), *[[nothing]] * max(0, 2 - len(profile.pieces))])
-    reach = np.array([max(profile.high_m, 0.0), max(-profile.low_m, 0.0), RAY_LIMIT], np.float32)
-    return Query(surface, lattice, grid.shape, turn.astype(np.float32), pieces.astype(np.float32), reach)
+    reach = RAY_LIMIT * np.array([max(profile.high_m, 0.0), max(-profile.low_m, 0.0)], np.float32)
+    with np.errstate(divide="ignore"):  # infinitely far where there is no plane
+        nearest_m = np.float32(0.999) / surface.tiles[..., 0].max()
+    offsets = (lattice[1:].T @ _IJK).astype(np.float32).reshape(-1)
+    pieces, first_m = profile.table().astype(np.float32), max(0.0, float(nearest_m - reach[0]))
+    return Query(surface, lattice, grid.shape, offsets, turn.astype(np.float32), pieces, reach, first_m)
 
 
 def _candidates(query: Query, grid: Grid) -> Int32s:

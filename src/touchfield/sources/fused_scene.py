@@ -37,7 +37,6 @@ from touchfield.medium.budget import require_memory
 from touchfield.sources.camera import noise_step_per_m, require_frame
 from touchfield.sources.depth_scene import RAY_LIMIT, DepthScene, force_bricks, query_of
 from touchfield.sources.kernels import fusion as kernels
-from touchfield.sources.kernels.depth import brick_offsets
 from touchfield.sources.kernels.fusion import Rules, Samples, View
 
 if TYPE_CHECKING:
@@ -151,10 +150,10 @@ class FusedVolume:
 
         query = query_of(surface, pose, self.grid, self.profile)
         height, width = surface.size_px
-        finest = surface.tiles[: [*surface.places[1:, 0], len(surface.tiles)][0], 0].reshape(-1, surface.places[0, 1])
+        nearest_per_m = np.asarray(maximum_filter(surface.tiles[..., 0], 3), np.float32)
         view = View(
-            surface.planes.reshape(-1), np.empty(height * width + 1, np.uint8), surface.camera_px, height, width,
-            query.lattice_m, brick_offsets(query), query.turn, np.asarray(maximum_filter(finest, 3), np.float32),
+            surface.planes, np.empty(height * width + 1, np.uint8), surface.camera_px, height, width,
+            query.lattice_m, query.offsets_m, query.turn, nearest_per_m,
         )  # fmt: skip
         return view, kernels.surfaces_in(view, self._slots, self.grid.shape, self.samples, wanted)
 

@@ -146,29 +146,21 @@ class HeightScene(MovingScene):
         lattice = HeightLattice(-k.cx / k.fx * z, dx_m, -k.cy / k.fy * z, dy_m, -1, DEPTH_STEP * z * exaggeration)
         note = f"Depth is read as a height map: pixels are spaced as at {z:.3g} m, perspective is not undone."
         notes, rule = (*sequence.notes, note), SegmentRule.parse(segment)
-        scene = cls._of_heights(sequence, lattice, exaggeration, notes)
-        scene._segmented = lambda: segmented_bodies(
-            lambda part: cls._of_heights(part, lattice, exaggeration, notes), sequence, rule,
-            noise_step_per_m(sequence.depth_m(0)),
-        )  # fmt: skip
-        return scene
 
-    @classmethod
-    def _of_heights(
-        cls, sequence: DepthSequence, lattice: HeightLattice, exaggeration: float, notes: tuple[str, ...]
-    ) -> HeightScene:
-        """The depths of a sequence as heights on a lattice."""
+        def heights_of(part: DepthSequence) -> HeightScene:
+            def heights(frame: int) -> Float32s:
+                depth = part.depth_m(frame)
+                return np.where(depth > 0, depth, np.float32(np.nan))
 
-        def heights(frame: int) -> Float64s:
-            depth = sequence.depth_m(frame).astype(np.float64)
-            depth[~(depth > 0)] = np.nan
-            return depth
+            scene = cls(
+                heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=part.frame_count,
+                rate_hz=part.rate_hz, notes=notes, name=part.name,
+            )  # fmt: skip
+            scene.unit = DEPTH_UNIT
+            return scene
 
-        scene = cls(
-            heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=sequence.frame_count,
-            rate_hz=sequence.rate_hz, notes=notes, name=sequence.name,
-        )  # fmt: skip
-        scene.unit = DEPTH_UNIT
+        scene = heights_of(sequence)
+        scene._segmented = lambda: segmented_bodies(heights_of, sequence, rule, noise_step_per_m(sequence.depth_m(0)))
         return scene
 
     def bodies(self) -> tuple[Body, ...]:
@@ -383,7 +375,17 @@ def degree_m(latitude_deg: float) -> Pair:
 
 def _geo_tags(tags: Mapping[int, Any], rows: int, cols: int) -> _Place:
     """Read the tags of a picture of `rows` x `cols`; what is missing or malformed is left out."""
-    cell, middle = _placement(tags, rows, cols)
+    cell: Pair | None = None
+    middle: Pair | None = None
+    scale, tie, matrix = (_numbers(tags, tag) for tag in (_PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION))
+    if len(scale) >= 2 and scale[0] > 0 and scale[1] > 0:
+        dx, dy = scale[:2]
+        cell = dy, dx
+        if len(tie) >= 6:
+            middle = tie[4] - dy * (rows / 2 - tie[1]), tie[3] + dx * (cols / 2 - tie[0])
+    elif len(matrix) == 16 and matrix[0] and matrix[5] and not (matrix[1] or matrix[4]):  # not turned
+        cell = abs(matrix[5]), abs(matrix[0])
+        middle = matrix[7] + matrix[5] * rows / 2, matrix[3] + matrix[0] * cols / 2
     directory = _numbers(tags, _GEO_KEYS)
     entries = (directory[i : i + 4] for i in range(4, len(directory) - 3, 4))
     keys = {int(key): int(value) for key, location, _, value in entries if location == 0}  # which stand here
@@ -392,21 +394,6 @@ def _geo_tags(tags: Mapping[int, Any], rows: int, cols: int) -> _Place:
         missing = float(str(tags.get(_GDAL_NODATA, "")).strip(" \0"))
     unit_m, vertical_m = (_UNITS_M.get(keys.get(key, 9001), 1.0) for key in (_LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY))
     return _Place(cell, middle, None if model is None else model == _GEOGRAPHIC, unit_m, vertical_m, missing)
-
-
-def _placement(tags: Mapping[int, Any], rows: int, cols: int) -> tuple[Pair | None, Pair | None]:
-    scale, tie = _numbers(tags, _PIXEL_SCALE), _numbers(tags, _TIEPOINT)
-    matrix = _numbers(tags, _TRANSFORMATION)
-    if len(scale) >= 2 and scale[0] > 0 and scale[1] > 0:
-        dx, dy = scale[0], scale[1]
-        if len(tie) < 6:
-            return (dy, dx), None
-        return (dy, dx), (tie[4] - dy * (rows / 2 - tie[1]), tie[3] + dx * (cols / 2 - tie[0]))
-    is_turned = len(matrix) == 16 and (matrix[1] != 0 or matrix[4] != 0)
-    if len(matrix) == 16 and matrix[0] and matrix[5] and not is_turned:
-        middle = (matrix[7] + matrix[5] * rows / 2, matrix[3] + matrix[0] * cols / 2)
-        return (abs(matrix[5]), abs(matrix[0])), middle
-    return None, None
 
 
 def _numbers(tags: Mapping[int, Any], tag: int) -> list[float]:

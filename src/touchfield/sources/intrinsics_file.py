@@ -20,7 +20,7 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import Intrinsics
-from touchfield.sources.poses import read_text
+from touchfield.sources.poses import floats, read_text
 
 INTRINSICS_NAMES: Final = (
     "camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "camera_intrinsics.txt", "intrinsic.txt",
@@ -72,7 +72,7 @@ def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None)
         mend = "Name the camera of the depth with --intrinsics fx,fy,cx,cy."
         raise SourceError(where, f"{len(cameras)} cameras that differ", "one camera", mend)
     for model, width, height, rest in cameras:
-        values = _floats(rest, where)
+        values = floats(rest.split(), where, _FORMS)
         if {"PINHOLE": 4, "SIMPLE_PINHOLE": 3}.get(model) != len(values):
             found = f"a camera {model} of {len(values)} numbers"
             raise SourceError(where, found, "PINHOLE or SIMPLE_PINHOLE", "Undistort it: colmap image_undistorter.")
@@ -80,18 +80,12 @@ def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None)
         return _scaled(values, (int(width), int(height)), where, size)
     entries = dict(re.findall(r"(?m)^\s*(m_\w+)\s*=\s*(.+?)\s*$", text))
     if "m_calibrationDepthIntrinsic" in entries:
-        shift = _floats(entries.get("m_depthShift", "0"), where)[0]
-        camera = _of_numbers(_floats(entries["m_calibrationDepthIntrinsic"], where), where)
+        shift = floats(entries.get("m_depthShift", "0").split(), where, _FORMS)[0]
+        numbers = floats(entries["m_calibrationDepthIntrinsic"].split(), where, _FORMS)
+        camera = _of_numbers(numbers, where)
         return replace(camera, units_per_m=shift if shift > 0 else None)
     words = " ".join(lines).translate(str.maketrans(",;[]()", "      "))
-    return _of_numbers(_floats(words, where), where)
-
-
-def _floats(words: str, where: str) -> list[float]:
-    try:
-        return [float(word) for word in words.split()]
-    except ValueError as error:
-        raise SourceError(where, repr(" ".join(words.split())[:60]), _FORMS) from error
+    return _of_numbers(floats(words.split(), where, _FORMS), where)
 
 
 def _of_numbers(values: list[float], where: str) -> CameraFile:

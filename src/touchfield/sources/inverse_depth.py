@@ -206,7 +206,7 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
     maps, where = _maps(path, options)
     if path.suffix.lower() in VIDEO_SUFFIXES:
         video = GreyVideo(path)
-        (width, height), rate_hz, count = video.size, video.header.rate_hz or source_rate(options), video.frame_count
+        (width, height), rate_hz, count = video.size, video.rate_hz or source_rate(options), video.frame_count
     else:
         (width, height), rate_hz, count = pictures.photo_size(path), source_rate(options), 1
     if maps.frame_count != count:

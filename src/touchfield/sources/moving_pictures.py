@@ -17,13 +17,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.errors import SourceError, TouchfieldError, import_extra
-from touchfield.sources.camera import MAX_FRAMES, require_frame
+from touchfield.sources.camera import MAX_FRAMES
 from touchfield.sources.pictures import InOrder, bound_pixels, opened, require_size
 
 Colours = NDArray[np.uint8]
@@ -79,11 +79,7 @@ class GreyVideo(InOrder):
         with _opened(path) as (container, stream, self.header):
             self._stamps, self._keys = _scan(path, container, stream, self.header.rate_hz)
         super().__init__(str(path), len(self._stamps))
-        self.size = self.header.width, self.header.height
-
-    def values(self, frame: int) -> NDArray[Any]:
-        """The numbers of one frame, uint8 or uint16 [height, width], in the machine's byte order."""
-        return self.at(frame).copy()
+        self.size, self.rate_hz = (self.header.width, self.header.height), self.header.rate_hz
 
     def _begin(self, frame: int) -> int:
         return self._keys[bisect_right(self._keys, frame) - 1]
@@ -103,19 +99,16 @@ class GreyVideo(InOrder):
                         self._keys = [0]
                         break
                     is_at_key = True
-                yield self._array(picture)
+                if picture.is_corrupt:
+                    raise SourceError(str(self.path), "a damaged frame", "a whole video", "Copy it again.")
+                size = self.header.width, self.header.height
+                require_size(str(self.path), (picture.width, picture.height), size, "as before")
+                yield self._values(picture)
         if not is_at_key:
             yield from islice(self._from(0), first, None)
 
-    def _array(self, picture: Any) -> NDArray[Any]:
-        if picture.is_corrupt:
-            raise SourceError(str(self.path), "a damaged frame", "a whole video", "Copy it again.")
-        header = self.header
-        require_size(str(self.path), (picture.width, picture.height), (header.width, header.height), "as before")
-        return self._values(picture)
-
     def _values(self, picture: Any) -> NDArray[Any]:
-        """The values of a frame that is whole and of the right size."""
+        """The numbers of a whole frame, uint8 or uint16 [height, width], in the machine's byte order."""
         if picture.format.name == "gray" or DEEP_GREY.fullmatch(picture.format.name):
             values = picture.to_ndarray()
             return np.ascontiguousarray(values.astype(values.dtype.newbyteorder("="), copy=False))
@@ -187,16 +180,6 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
 
 
 # -- in colour -------------------------------------------------------------------------------------------------
-class Pictures(Protocol):
-    """Pictures of one size in pixels over time, each given as its small map."""
-
-    frame_count: int
-    size: tuple[int, int]
-
-    def picture(self, frame: int) -> Colours:
-        """One picture, sRGB, uint8 [map height, map width, 3], of `map_size`."""
-
-
 def map_size(width: int, height: int) -> tuple[int, int]:
     """Width and height of the reduced picture; a smaller picture keeps its size."""
     factor = max(1.0, max(width, height) / LONGER_SIDE_PX)
@@ -215,67 +198,46 @@ def reduced(colours: Colours) -> Colours:
 
 
 class ColourVideo(GreyVideo):
-    """The frames of an ordinary video, in colour; see `GreyVideo`."""
-
-    @property
-    def rate_hz(self) -> float | None:
-        return self.header.rate_hz
-
-    def picture(self, frame: int) -> Colours:
-        return self.values(frame)
+    """The frames of an ordinary video, in colour: sRGB, uint8 [map height, map width, 3], of `map_size`."""
 
     def _values(self, picture: Any) -> Colours:
         return reduced(picture.to_ndarray(format="rgb24"))
 
 
-class PictureFiles:
-    """Pictures in at least one file, of one size, one a frame; of an animated one, the first."""
+class ColourPictures(InOrder):
+    """Pictures of one size in at least one file, as those of `ColourVideo`: of each file the first.
 
-    rate_hz = None
-
-    def __init__(self, paths: tuple[Path, ...]) -> None:
-        self.paths, self.frame_count = paths, len(paths)
-        with _shallow(paths[0]) as image:
-            self.size = _as_shown(image).shape[1::-1]
-
-    def picture(self, frame: int) -> Colours:
-        require_frame(frame, self.frame_count)
-        with _shallow(self.paths[frame]) as image:
-            return reduced(_as_shown(image, str(self.paths[frame]), self.size))
-
-
-class StillOrAnimated(InOrder):
-    """The pictures of one file: GIF, WebP or PNG that moves, or a still of any kind.
-
-    `rate_hz` is pictures a second on average, None of a still.
+    Of a single file that may move (GIF, WebP or PNG) all; `rate_hz` is then pictures a second on average, else None.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        with _shallow(path) as image:
-            frame_count = int(getattr(image, "n_frames", 1)) if image.format in ("GIF", "WEBP", "PNG") else 1
-            if frame_count > MAX_FRAMES:
-                raise SourceError(str(path), f"{frame_count} frames", f"at most {MAX_FRAMES}", "Cut it.")
+    def __init__(self, paths: tuple[Path, ...], may_move: bool = False) -> None:
+        self.paths = paths
+        with _shallow(paths[0]) as image:
+            is_known = may_move and image.format in ("GIF", "WEBP", "PNG")
+            self._in_a_file = count = int(getattr(image, "n_frames", 1)) if is_known else 1
+            if count > MAX_FRAMES:
+                raise SourceError(str(paths[0]), f"{count} frames", f"at most {MAX_FRAMES}", "Cut it.")
             total_ms = 0.0
-            for frame in range(frame_count):
+            for frame in range(count):
                 image.seek(frame)
                 if frame == 0 or image.format == "WEBP":  # which tells a duration only once it is decoded
                     image.load()
                 total_ms += float(image.info.get("duration") or 0) or _UNSAID_MS
             image.seek(0)
             self.size = _as_shown(image).shape[1::-1]
-        self.rate_hz = 1000 * frame_count / total_ms if frame_count > 1 else None
-        super().__init__(str(path), frame_count)
+        self.rate_hz = 1000 * count / total_ms if count > 1 else None
+        super().__init__(str(paths[0] if may_move else paths[0].parent), len(paths) * count)
 
-    def picture(self, frame: int) -> Colours:
-        """See `Pictures`; a pass in order decodes each once, a step back begins anew."""
-        return self.at(frame)
+    def _begin(self, frame: int) -> int:
+        return frame - frame % self._in_a_file
 
     def _from(self, first: int) -> Iterator[Colours]:
-        with _shallow(self.path) as image:
-            for frame in range(self.frame_count):
-                image.seek(frame)
-                yield reduced(_as_shown(image, f"{self.path}, frame {frame}", self.size))
+        for path in self.paths[first // self._in_a_file :]:
+            with _shallow(path) as image:
+                for number in range(self._in_a_file):
+                    image.seek(number)
+                    where = f"{path}, frame {number}" if self.rate_hz else str(path)
+                    yield reduced(_as_shown(image, where, self.size))
 
 
 def _as_shown(image: Any, where: str = "", size: tuple[int, int] | None = None) -> Colours:

@@ -254,9 +254,9 @@ def _native(values: NDArray[Any]) -> NDArray[Any]:
     return np.array(values, values.dtype.newbyteorder("="), order="C")
 
 
-# -- frames --------------------------------------------------------------------------------------------------
+# -- frames (`camera.Frames`) ---------------------------------------------------------------------------------
 class PictureFrames:
-    """Frames in files of one size, one a frame, read by `read` when they are asked for; see ``camera.Frames``."""
+    """Frames in files of one size, one a frame, read by `read` when they are asked for."""
 
     def __init__(self, paths: Sequence[Path], read: Callable[[Path], NDArray[Any]] = read_picture) -> None:
         self._read = read
@@ -273,7 +273,6 @@ class PictureFrames:
         return some
 
     def values(self, frame: int) -> NDArray[Any]:
-        """The numbers of one frame, [height, width]."""
         values = self._read(self.paths[frame])
         require_size(str(self.paths[frame]), values.shape[::-1], self.size, f"as in {self.paths[0].name}")
         return values
@@ -292,7 +291,6 @@ class NpyFrames:
         bound_pixels(path, width, height, values.dtype.itemsize)
 
     def values(self, frame: int) -> NDArray[Any]:
-        """The numbers of one frame, [height, width]."""
         return _native(self._values[frame])
 
 
@@ -311,7 +309,6 @@ class TiffFrames:
         self._image: Any = None
 
     def values(self, frame: int) -> NDArray[Any]:
-        """The numbers of one page, [height, width]."""
         from PIL import Image
 
         (path,), sample = self.paths, self.headers[0].sample
@@ -388,3 +385,7 @@ class InOrder(ABC):
                     self._next = number + 1
                 self._latest = frame, array
             return self._latest[1]
+
+    def values(self, frame: int) -> NDArray[Any]:
+        """A copy of the array of a frame; see ``camera.Frames``."""
+        return self.at(frame).copy()

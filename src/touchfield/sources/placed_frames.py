@@ -37,7 +37,6 @@ _LISTS: Final = tuple(
 )  # fmt: skip
 _LOOSE: Final = 4  # of `_LISTS`: from here on only named like poses, so that it may be something else
 _MODELS: Final = ("sparse/0", "sparse", "colmap", "colmap/sparse/0")  # places of a COLMAP model in a folder
-_LOST: Final = "no pose, or tracking was lost"
 
 
 class PlacedFrames(NamedTuple):
@@ -107,7 +106,7 @@ def _match(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> 
     if options.poses is not None:
         asked = Path(options.poses)
         if asked.is_dir():
-            return _of_files(f"{asked.name}/", sorted(asked.glob("*.txt")), frames), ()
+            return _of_folder(asked, frames), ()
         if not asked.is_file():
             raise InvalidArgument("--poses", repr(options.poses[:80]), "a file or folder of poses that is there")
         return _of_list(asked, frames), ()
@@ -131,9 +130,8 @@ def _match(frames: _Frames, options: SourceOptions, folders: Sequence[Path]) -> 
 def _of_folders(folders: Sequence[Path], frames: _Frames) -> _Match | None:
     """Poses of one file a frame: in ``pose/`` or ``poses/``, or beside the pictures."""
     for folder in (folder / name for folder in folders for name in ("pose", "poses")):
-        files = sorted(folder.glob("*.txt"))
-        if files:
-            return _of_files(f"{folder.name}/", files, frames)
+        if any(folder.glob("*.txt")):
+            return _of_folder(folder, frames)
     beside: list[Path | None] = []
     for path in frames.paths:  # NAME.txt or NAME.pose.txt beside NAME.png or NAME.depth.png
         stem = re.sub(r"[._-]?depth$", "", path.stem, flags=re.IGNORECASE)
@@ -148,17 +146,19 @@ def _of_folders(folders: Sequence[Path], frames: _Frames) -> _Match | None:
         if "pose" in files[0].name.lower():
             raise
         return None  # words about the picture
-    poses = [None if file is None else read_pose_file(file) for file in beside]
-    return _Match(poses, _a_file_each(f"{files[0].name} and others"), _LOST)
+    return _of_files(f"{files[0].name} and others", beside)
 
 
-def _a_file_each(name: str) -> str:
-    return f"Poses of {name}, a file a frame, scene from camera."
-
-
-def _of_files(name: str, files: Sequence[Path], frames: _Frames) -> _Match:
+def _of_folder(folder: Path, frames: _Frames) -> _Match:
+    files = sorted(folder.glob("*.txt"))
     indices = _by_name(frames.names, [file.name for file in files])
-    return _Match([None if i < 0 else read_pose_file(files[i]) for i in indices], _a_file_each(name), _LOST)
+    return _of_files(f"{folder.name}/", [None if i < 0 else files[i] for i in indices])
+
+
+def _of_files(name: str, files: Sequence[Path | None]) -> _Match:
+    """The poses of a file a frame, None where there is none."""
+    poses = [None if file is None else read_pose_file(file) for file in files]
+    return _Match(poses, f"Poses of {name}, a file a frame, scene from camera.", "no pose, or tracking was lost")
 
 
 def _of_list(file: Path, frames: _Frames) -> _Match:

@@ -71,20 +71,17 @@ def read_text(path: Path) -> str:
         raise SourceError(str(path), f"bytes that are no text at offset {error.start}", "a text file") from error
 
 
-def _words(line: str) -> list[str]:
-    return line.partition("#")[0].replace(",", " ").split()
-
-
-def _floats(words: list[str], where: str) -> list[float]:
+def floats(words: list[str], where: str, expected: str = "numbers") -> list[float]:
+    """The numbers that words are; `SourceError` if one is none."""
     try:
         return [float(word) for word in words]
     except ValueError as error:
-        raise SourceError(where, repr(" ".join(words)[:60]), "numbers") from error
+        raise SourceError(where, repr(" ".join(words)[:60]), expected) from error
 
 
 def _entries(text: str, size: int, where: str, what: str) -> Float64s:
     """Numbers over any lines, `size` for each entry, float64 [n, size]."""
-    values = _floats(text.split(), where)
+    values = floats(text.split(), where)
     if not values or len(values) % size:
         raise SourceError(where, f"{len(values)} numbers", f"{size} for each {what}", IGNORE_POSES)
     return np.array(values, np.float64).reshape(-1, size)
@@ -154,7 +151,7 @@ def parse_extrinsics(text: str, where: str) -> Float64s:
 
 def read_pose_file(path: Path) -> Float64s | None:
     """The 4x4 or 3x4 pose of one frame, float64 [4, 4]; None where tracking was lost (numbers not finite)."""
-    values = np.array(_floats(read_text(path).replace(",", " ").split(), str(path)), np.float64)
+    values = np.array(floats(read_text(path).replace(",", " ").split(), str(path)), np.float64)
     if len(values) not in (12, 16):
         raise SourceError(str(path), f"{len(values)} numbers", "16 of one 4x4 matrix, or 12 of a 3x4", IGNORE_POSES)
     return checked_poses(values.reshape(1, -1, 4), str(path))[0] if np.isfinite(values).all() else None
@@ -164,8 +161,8 @@ def parse_poses(text: str, where: str) -> PoseList:
     """Poses of a text in any of the forms above; `SourceError` for another, or if a pose is no rigid motion."""
     if text.lstrip().startswith("{"):
         return _of_transforms(text, where)
-    lines = [(f"{where} line {number}", _words(line)) for number, line in enumerate(text.splitlines(), 1)]
-    lines = [(place, words) for place, words in lines if words]
+    plain = (line.partition("#")[0].replace(",", " ").split() for line in text.splitlines())
+    lines = [(f"{where} line {number}", words) for number, words in enumerate(plain, 1) if words]
     if any(len(words) >= 10 and _is_number(words[0]) and not _is_number(words[-1]) for _, words in lines):
         return _of_colmap(text, where)
     columns = len(lines[0][1]) if lines else 0
@@ -178,7 +175,7 @@ def parse_poses(text: str, where: str) -> PoseList:
     for place, words in lines:
         if len(words) != columns:
             raise SourceError(place, f"{len(words)} numbers", f"{columns}")
-    rows = np.array([_floats(words, place) for place, words in lines], np.float64)
+    rows = np.array([floats(words, place) for place, words in lines], np.float64)
     if columns == 8:
         rows[:, 0] = seconds(rows[:, 0])
         is_odd = ~(np.abs(rows) < MAX_TIME_S).all(axis=1)
@@ -286,7 +283,7 @@ def read_pose_csv(path: Path) -> tuple[Float64s, Float64s, Float64s]:
             continue
         if len(fields) != len(order):
             raise SourceError(where, f"{len(fields)} values", f"{len(order)}: {','.join(COLUMNS)}")
-        row = _floats([fields[i] for i in order], where)
+        row = floats([fields[i] for i in order], where)
         if not all(abs(value) < MAX_TIME_S for value in row):  # nan compares as false
             raise SourceError(where, repr(",".join(str(value) for value in row))[:80], "finite numbers")
         if rows and row[0] <= rows[-1][0]:

@@ -105,10 +105,10 @@ def _read_csv(where: Path) -> tuple[float, Float64s]:
     names = [name.strip().lower() for name in lines[0][1].split(",")]
     times = [name for name in _TIMES if name in names]
     axes = [[f"{axis}_{unit}" for axis in group] for group in _AXES for unit in _UNITS]
-    found = [columns for columns in axes if set(columns) <= set(names)]
-    if len(times) != 1 or len(found) != 1:
+    axes = [columns for columns in axes if set(columns) <= set(names)]
+    if len(times) != 1 or len(axes) != 1:
         raise SourceError(f"{where} line {lines[0][0]}", repr(lines[0][1][:80]), _EXAMPLE, "Name the columns so.")
-    places = [names.index(name) for name in (*times, *found[0])]
+    places = [names.index(name) for name in (*times, *axes[0])]
     rows = np.zeros((len(lines) - 1, len(places)))
     for row, (n, line) in zip(rows, lines[1:]):
         words = line.split(",")
@@ -122,7 +122,7 @@ def _read_csv(where: Path) -> tuple[float, Float64s]:
     step_s = float(np.median(steps))
     uneven = np.flatnonzero(~(np.abs(steps - step_s) <= _UNEVEN * abs(step_s))) if step_s > 0 else np.array([0])
     if len(uneven):
-        n, told = lines[uneven[0] + 2][0], f"a step of {steps[uneven[0]]:g} s"
+        n, step = lines[uneven[0] + 2][0], f"a step of {steps[uneven[0]]:g} s"
         mend = "Resample it to a steady rate first."
-        raise SourceError(f"{where} line {n}", told, f"steps of about {step_s:g} s, as most are", mend)
-    return 1 / float(steps.mean()), rows[:, 1:] * _UNITS[found[0][0].partition("_")[2]]
+        raise SourceError(f"{where} line {n}", step, f"steps of about {step_s:g} s, as most are", mend)
+    return 1 / float(steps.mean()), rows[:, 1:] * _UNITS[axes[0][0].partition("_")[2]]

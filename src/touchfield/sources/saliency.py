@@ -40,10 +40,9 @@ from touchfield.files import readable
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.sources import moving_pictures as moving
-from touchfield.sources.camera import MAX_FRAMES, require_frame
+from touchfield.sources.camera import MAX_FRAMES, Frames, require_frame
 from touchfield.sources.depth_layouts import is_known, source_rate
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.moving_pictures import Pictures
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder, list_files, with_suffix
 from touchfield.sources.registry import SourceKind
@@ -124,7 +123,7 @@ def _spectral_residual(luminance: Float32s) -> Float64s:
 class SaliencyMaps(InOrder):
     """The saliency maps of pictures over time, float32 [map height, map width], 0 to 1, read-only."""
 
-    def __init__(self, pictures: Pictures, rate_hz: float) -> None:
+    def __init__(self, pictures: Frames, rate_hz: float) -> None:
         super().__init__("pictures", pictures.frame_count)
         self.pictures = pictures
         self._kept = {0: SaliencyModel(rate_hz)}  # the model before that picture
@@ -141,7 +140,7 @@ class SaliencyMaps(InOrder):
             if len(self._kept) > _MOST_KEPT:
                 self._apart *= 2
                 self._kept = {n: kept for n, kept in self._kept.items() if n % self._apart == 0}
-            saliency, model = model.update(self.pictures.picture(number))
+            saliency, model = model.update(self.pictures.values(number))
             saliency.flags.writeable = False
             yield saliency
 
@@ -149,6 +148,7 @@ class SaliencyMaps(InOrder):
 class SaliencyScene(Scene):
     """The saliency of pictures over time as a plate of force; see the module.
 
+    `pictures` have the size of the originals; their values are sRGB, uint8 [height, width, 3], reduced or not.
     `source_rate_hz` is pictures a second; `rate_hz` frames a second of the scene, where it is to differ: a frame
     shows the latest picture.
     """
@@ -156,7 +156,7 @@ class SaliencyScene(Scene):
     tags = ("symbolic",)
 
     def __init__(
-        self, pictures: Pictures, source_rate_hz: float, rate_hz: float | None = None, notes: tuple[str, ...] = ()
+        self, pictures: Frames, source_rate_hz: float, rate_hz: float | None = None, notes: tuple[str, ...] = ()
     ) -> None:
         self.maps = SaliencyMaps(pictures, source_rate_hz)
         self.axes, self.notes = UP_Y_AXES, notes
@@ -212,13 +212,8 @@ def _weights(places: Float64s, count: int) -> Float64s:
 
     Beyond the last half cell the cell's own value holds, and beyond the picture there is none.
     """
-    at = np.clip(places - 0.5, 0, count - 1)
-    first = np.minimum(at.astype(np.int64), max(0, count - 2))
-    weights = np.zeros((len(places), count))
-    rows = np.arange(len(places))
-    weights[rows, first] = 1 - (at - first)
-    if count > 1:
-        weights[rows, first + 1] = at - first
+    middles = np.arange(count) + 0.5
+    weights = np.stack([np.interp(places, middles, of_cell) for of_cell in np.eye(count)], axis=1)
     weights[(places < 0) | (places > count)] = 0
     return weights
 
@@ -240,7 +235,7 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
             files = list_files(path, with_suffix(*PHOTO_SUFFIXES, *moving.ANIMATED_SUFFIXES))
             if not files:
                 raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP, TIFF or GIF pictures")
-            pictures: Any = moving.PictureFiles(files)
+            pictures: Any = moving.ColourPictures(files)
         elif path.suffix.lower() in moving.VIDEO_SUFFIXES:
             header = moving.video_header(path)
             if header.is_deep_grey:
@@ -248,7 +243,7 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
                 raise SourceError(str(path), f"a video of {header.pixels} pixels", "8 bits a colour", mend)
             pictures = moving.ColourVideo(path)
         else:
-            pictures = moving.StillOrAnimated(path)
+            pictures = moving.ColourPictures((path,), may_move=True)
     note = "Symbolic: forces tell where the picture catches the eye, and no surface; a point device feels a slab."
     return SaliencyScene(pictures, pictures.rate_hz or source_rate(options), options.rate_hz, (note,))
 

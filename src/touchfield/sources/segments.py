@@ -153,11 +153,8 @@ class Segmentation:
         depth, numbers = self._frame(frame)
         return np.where(numbers == number, depth, np.float32(0))
 
-    def numbers(self, frame: int) -> NDArray[np.uint8]:
-        """The object of each pixel, uint8 [height, width]: 0 the background, 255 where there is no depth."""
-        return self._frame(frame)[1].copy()
-
     def _read(self, frame: int) -> tuple[Float32s, NDArray[np.uint8]]:
+        """Depth, and the object of each pixel, uint8: 0 is the background, 255 where there is no depth."""
         depth = self.sequence.depth_m(frame)
         labels, count = surfaces(depth, self.rule.step, self._noise_step_per_m)
         table = np.full(count + 1, BACKGROUND, np.uint8)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s
 from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
 from touchfield.parallel import for_chunks
@@ -31,9 +31,11 @@ class Query(NamedTuple):
     surface: SurfacePlanes
     lattice_m: Float64s  # [4, 3], camera axes: sample (0, 0, 0), and the steps along the three axes of the grid
     shape: tuple[int, int, int]  # its samples
+    offsets_m: Float32s  # [1536], of a brick's samples relative to its first, camera axes: x of all, then y, then z
     turn: Float32s  # [3, 3], from camera axes to those of the force
     pieces: Float32s  # [n, 4], the force profile
-    reach: Float32s  # [3], m in front of and behind a plane, and how many times as far along the ray
+    reach: Float32s  # [2], m along the ray in front of and behind a plane
+    first_m: float  # nothing pushes at less depth
 
 
 def all_nodes(shape: tuple[int, int, int]) -> Int32s:
@@ -42,14 +44,15 @@ def all_nodes(shape: tuple[int, int, int]) -> Int32s:
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _box_in_view(x0, y0, z0, corners, camera, height, width):
+def _box_in_view(x0, y0, z0, corners, query):
     """Nearest and farthest z of a box, and the pixels u0, u1, v0, v1 that it may fall on.
 
-    Nothing (z from 1 to 0) where the box lies behind the camera or beside the picture.
+    Nothing (z from 1 to 0) where the box lies before all that pushes, behind the camera or beside the picture.
     """
+    camera, (height, width) = query.surface.camera_px, query.surface.size_px
     z_low = z0 + corners[8, 2]
     z_high = z0 + corners[9, 2]
-    if z_high <= 0.0:
+    if z_high <= query.first_m:
         return 1.0, 0.0, (0, 0, 0, 0)
     pixels = (0, width - 1, 0, height - 1)
     if z_low > 1e-3 * z_high:  # else the box touches the camera's plane and may fall anywhere
@@ -71,38 +74,28 @@ def _box_in_view(x0, y0, z0, corners, camera, height, width):
 
 
 @njit(nogil=True, error_model="numpy")
-def _near_surface(z_low, z_high, pixels, tiles, places, reach):
+def _near_surface(z_low, z_high, pixels, tiles, reach):
     """True if a box of these pixels and depths may hold a sample within reach of a surface."""
-    level, shift = 0, 3
-    while level + 1 < places.shape[0] and max(pixels[1] - pixels[0], pixels[3] - pixels[2]) >> shift > 4:
-        level, shift = level + 1, shift + 1
-    start, columns = places[level, 0], places[level, 1]
-    near, far, flat = _0, _BIG, _BIG
-    for t in range(pixels[2] >> shift, (pixels[3] >> shift) + 1):
-        row = tiles[start + t * columns : start + t * columns + columns]
-        for s in range(pixels[0] >> shift, (pixels[1] >> shift) + 1):
-            x, y, z = row[s, 0], row[s, 1], row[s, 2]
+    near, far = _0, _BIG
+    for t in range(pixels[2] >> 3, (pixels[3] >> 3) + 1):
+        for s in range(pixels[0] >> 3, (pixels[1] >> 3) + 1):
+            x, y = tiles[t, s, 0], tiles[t, s, 1]
             near = x if x > near else near
             far = y if y < far else far
-            flat = z if z < flat else flat
-    if near <= _0:
-        return False
-    z_far = 1.0 / far
-    front = reach[0] * min(reach[2], z_far / flat)
-    behind = reach[1] * min(reach[2], z_far / flat)
     slack = 1e-5 * z_high
-    return z_high >= 1.0 / near - front - slack and z_low <= z_far + behind + slack
+    return near > _0 and z_high >= 1.0 / near - reach[0] - slack and z_low <= 1.0 / far + reach[1] + slack
 
 
 @njit(cache=True, nogil=True)
-def _may_hold(begin, end, nodes, span, corners, lattice, camera, height, width, tiles, places, reach, hits):
+def _may_hold(begin, end, nodes, span, corners, query, hits):
+    lattice = query.lattice_m
     for n in range(begin, end):
         a, b, d = 8.0 * span * nodes[n, 0], 8.0 * span * nodes[n, 1], 8.0 * span * nodes[n, 2]
         x = lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0]
         y = lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1]
         z = lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2]
-        z_low, z_high, pixels = _box_in_view(x, y, z, corners, camera, height, width)
-        hits[n] = z_low <= z_high and _near_surface(z_low, z_high, pixels, tiles, places, reach)
+        z_low, z_high, pixels = _box_in_view(x, y, z, corners, query)
+        hits[n] = z_low <= z_high and _near_surface(z_low, z_high, pixels, query.surface.tiles, query.reach)
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
@@ -147,16 +140,12 @@ def distance_at(x, y, z, plane, front, behind):
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
     """Amplitudes, newtons, into ``r[_FORCE:]``."""
-    low, high, intercept, slope = pieces[0, 0], pieces[0, 1], pieces[0, 2], pieces[0, 3]
-    low2, high2, intercept2, slope2 = pieces[1, 0], pieces[1, 1], pieces[1, 2], pieces[1, 3]
-    front, behind = reach[0] * reach[2], reach[1] * reach[2]
+    front, behind = reach[0], reach[1]
     for s in range(count):
         x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
-        phi = distance_at(x, y, z, (r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]), front, behind)
-        r[s + _PHI] = phi
-        f = intercept + slope * phi if (phi > low) & (phi <= high) else _0
-        r[s + _FORCE] = intercept2 + slope2 * phi if (phi > low2) & (phi <= high2) else f
-    for p in range(2, pieces.shape[0]):
+        r[s + _PHI] = distance_at(x, y, z, (r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]), front, behind)
+        r[s + _FORCE] = _0
+    for p in range(pieces.shape[0]):
         low, high, intercept, slope = pieces[p, 0], pieces[p, 1], pieces[p, 2], pieces[p, 3]
         for s in range(count):
             phi = r[s + _PHI]
@@ -182,31 +171,29 @@ def first_sample(brick, lattice):
     return x, y, z
 
 
-@njit(nogil=True)
-def _evaluate(brick, count, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r):
-    """Planes and amplitudes, into `r`, of `count` samples of a brick in the given order."""
-    x, y, z = first_sample(brick, lattice)
-    pixels_of(x, y, z, offsets, count, camera, height, width, index)
-    gather(planes, index, count, r)
-    _amplitudes(x, y, z, offsets, count, pieces, reach, r)
+@njit(nogil=True, forceinline=True)
+def _evaluate(brick, first, count, query, index, r):
+    """Planes and amplitudes, into `r`, of `count` samples of a brick from the `first` on."""
+    surface, offsets, shape = query.surface, query.offsets_m[first:], query.shape
+    x, y, z = first_sample(brick, query.lattice_m)
+    pixels_of(x, y, z, offsets, count, surface.camera_px, surface.size_px[0], surface.size_px[1], index)
+    gather(surface.planes, index, count, r)
+    _amplitudes(x, y, z, offsets, count, query.pieces, query.reach, r)
     ni, nj, nk = shape[0] - 8 * brick[0], shape[1] - 8 * brick[1], shape[2] - 8 * brick[2]
     for q in range(count if min(ni, nj, nk) < 8 else 0):  # beyond the grid
-        s = order[q]
+        s = first + q
         if (s >> 6) >= ni or (s >> 3 & 7) >= nj or (s & 7) >= nk:
             r[q + _FORCE] = _0
 
 
 @njit(cache=True, nogil=True)
-def _holds(begin, end, nodes, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, hits):
+def _holds(begin, end, nodes, query, hits):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
         hits[n] = False
-        for first in range(0, B3, 64):
-            _evaluate(
-                nodes[n], 64, order[first:], offsets[first:], lattice, shape, camera, height, width, planes, pieces,
-                reach, index, r,
-            )  # fmt: skip
-            if _any_force(r, 64):
+        for first, count in ((0, 64), (64, B3 - 64)):
+            _evaluate(nodes[n], first, count, query, index, r)
+            if _any_force(r, count):
                 hits[n] = True
                 break
 
@@ -225,17 +212,19 @@ def _write(r, turn, out):
 
 
 @njit(nogil=True, fastmath={"contract"})
-def _force_of_sample(brick, s, offsets, lattice, shape, camera, height, width, planes, pieces, reach):
+def _force_of_sample(brick, s, query):
     """Amplitude, newtons, and the normal of one sample: the loops above, one sample a thread."""
+    shape, offsets, pieces = query.shape, query.offsets_m, query.pieces
+    camera, planes, (height, width) = query.surface.camera_px, query.surface.planes, query.surface.size_px
     if 8 * brick[0] + (s >> 6) >= shape[0] or 8 * brick[1] + (s >> 3 & 7) >= shape[1]:
         return _0, (_0, _0, _0)
     if 8 * brick[2] + (s & 7) >= shape[2]:
         return _0, (_0, _0, _0)
-    x, y, z = first_sample(brick, lattice)
+    x, y, z = first_sample(brick, query.lattice_m)
     x, y, z = x + offsets[s], y + offsets[s + B3], z + offsets[s + 2 * B3]
     p = 4 * pixel_of(x, y, z, camera[0], camera[1], camera[2] + HALF, camera[3] + HALF, height, width)
     plane = planes[p], planes[p + 1], planes[p + 2], planes[p + 3]
-    phi = distance_at(x, y, z, plane, reach[0] * reach[2], reach[1] * reach[2])
+    phi = distance_at(x, y, z, plane, query.reach[0], query.reach[1])
     f = _0
     for i in range(pieces.shape[0]):
         if pieces[i, 0] < phi <= pieces[i, 1]:
@@ -244,62 +233,39 @@ def _force_of_sample(brick, s, offsets, lattice, shape, camera, height, width, p
 
 
 @njit(nogil=True)
-def _each_holds(begin, end, nodes, offsets, lattice, shape, camera, height, width, planes, pieces, reach, hits):
+def _each_holds(begin, end, nodes, query, hits):
     """Of 512 threads a brick each tells what it finds; all that tell the same may do so at once."""
     for q in range(begin, end):
         n, s = q >> 9, q & 511
-        f, _ = _force_of_sample(
-            nodes[n], s, offsets, lattice, shape, camera, height, width, planes, pieces, reach
-        )  # fmt: skip
+        f, _ = _force_of_sample(nodes[n], s, query)
         if f != _0:
             hits[n] = True
 
 
 @njit(nogil=True)
-def _each_fill(begin, end, nodes, offsets, lattice, shape, camera, height, width, planes, pieces, reach, turn, out):
+def _each_fill(begin, end, nodes, query, out):
+    turn = query.turn
     for q in range(begin, end):
         n, s = q >> 9, q & 511
-        f, normal = _force_of_sample(
-            nodes[n], s, offsets, lattice, shape, camera, height, width, planes, pieces, reach
-        )  # fmt: skip
+        f, normal = _force_of_sample(nodes[n], s, query)
         x, y, z = f * normal[0], f * normal[1], f * normal[2]
         for c in range(3):
             out[3 * q + c] = turn[c, 0] * x + turn[c, 1] * y + turn[c, 2] * z
 
 
 @njit(cache=True, nogil=True)
-def _fill(begin, end, nodes, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, turn, out):
+def _fill(begin, end, nodes, query, out):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
-        _evaluate(
-            nodes[n], B3, order, offsets, lattice, shape, camera, height, width, planes, pieces, reach, index, r
-        )  # fmt: skip
-        _write(r, turn, out[1536 * n : 1536 * n + 1536])
-
-
-_IN_ORDER = np.arange(B3)
-_IJK = np.stack(np.unravel_index(_IN_ORDER, (8, 8, 8))).astype(np.float64)
-# Every second sample along each axis first: a brick that holds any force then shows it early.
-_SPREAD = _IN_ORDER.reshape(4, 2, 4, 2, 4, 2).transpose(1, 3, 5, 0, 2, 4).ravel().copy()
-
-
-def brick_offsets(query: Query, order: Int64s = _IN_ORDER) -> Float32s:
-    """Positions in camera axes of a brick's samples relative to its first, x of all, then y, then z, metres."""
-    return (query.lattice_m[1:].T @ _IJK[:, order]).astype(np.float32).reshape(-1)
-
-
-def _of(query: Query, order: Int64s) -> tuple[Any, ...]:
-    surface = query.surface
-    view = (query.lattice_m, query.shape, surface.camera_px, *surface.size_px)
-    return (order, brick_offsets(query, order), *view, surface.planes.reshape(-1), query.pieces, query.reach)
+        _evaluate(nodes[n], 0, B3, query, index, r)
+        _write(r, query.turn, out[1536 * n : 1536 * n + 1536])
 
 
 def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
     """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of `span`."""
-    surface, corners = query.surface, (8 * span - 1) * (all_nodes((2, 2, 2)) @ query.lattice_m[1:])
+    corners = (8 * span - 1) * (all_nodes((2, 2, 2)) @ query.lattice_m[1:])
     ends = [np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())]
-    at = np.vstack([corners, *ends]), query.lattice_m, surface.camera_px, *surface.size_px
-    view = nodes, span, *at, surface.tiles, surface.places, query.reach
+    view = nodes, span, np.vstack([corners, *ends]), query
     if uses_gpu():
         return on_host(filled(_may_hold, len(nodes), view, len(nodes), np.bool_))
     hits = np.empty(len(nodes), np.bool_)
@@ -310,12 +276,11 @@ def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
 def holds_force(bricks: Int32s, query: Query) -> Bools:
     """Bricks that hold at least one force, bool [n]."""
     if uses_gpu():
-        view = bricks, *_of(query, _IN_ORDER)[1:]
         hits = on_device(np.zeros(len(bricks), np.bool_))
-        for_each(_each_holds, B3 * len(bricks), *on_device(view), hits)
+        for_each(_each_holds, B3 * len(bricks), *on_device((bricks, query)), hits)
         return on_host(hits)
     hits = np.empty(len(bricks), np.bool_)
-    for_chunks(_holds, len(bricks), bricks, *_of(query, _SPREAD), hits, chunk=16)
+    for_chunks(_holds, len(bricks), bricks, query, hits, chunk=16)
     return hits
 
 
@@ -326,11 +291,10 @@ def brick_forces(bricks: Int32s, query: Query) -> Float32s:
     if uses_gpu():
         return on_host(forces_on_device(bricks, query)).reshape(-1, 8, 8, 8, 3)
     out = np.empty((len(bricks), 8, 8, 8, 3), np.float32)
-    for_chunks(_fill, len(bricks), bricks, *_of(query, _IN_ORDER), query.turn, out.reshape(-1), chunk=16)
+    for_chunks(_fill, len(bricks), bricks, query, out.reshape(-1), chunk=16)
     return out
 
 
 def forces_on_device(bricks: Int32s, query: Query) -> Any:
     """The same in the memory of a GPU, where they stay: float32 [1536 n] (``__cuda_array_interface__``)."""
-    view = bricks, *_of(query, _IN_ORDER)[1:], query.turn
-    return filled(_each_fill, B3 * len(bricks), view, 3 * B3 * len(bricks), np.float32)
+    return filled(_each_fill, B3 * len(bricks), (bricks, query), 3 * B3 * len(bricks), np.float32)

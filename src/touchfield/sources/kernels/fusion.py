@@ -39,7 +39,7 @@ class View(NamedTuple):
     height: int
     width: int
     lattice_m: Float64s
-    offsets_m: Float32s  # as `brick_offsets` gives them
+    offsets_m: Float32s  # as of `Query`
     turn: Float32s
     nearest_per_m: Float32s  # [rows, columns]
 

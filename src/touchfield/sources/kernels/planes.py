@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from touchfield.arrays import Float32s, Int64s
+from touchfield.arrays import Float32s
 from touchfield.parallel import for_chunks
 
 _TILE = 8  # pixels along each edge of a tile of the culling table
@@ -41,26 +41,14 @@ class SurfacePlanes(NamedTuple):
     """The planes of a depth map, in camera axes.
 
     `planes` are unit normal n towards the camera and offset c, metres, with n . p = c on the plane; all zero where
-    there is no plane, and in the last row. `tiles` bound tiles of 8 x 8 pixels, then of 16 x 16 and so on up to one
-    tile: the largest and smallest inverse depth of the planes over their pixels, 1/m, and the least |c|, metres;
-    (0, 1e30, 1e30) where there is no plane.
+    there is no plane, and behind the last pixel. `tiles` bound tiles of 8 x 8 pixels: the largest and smallest
+    inverse depth of the planes over their pixels, 1/m; (0, 1e30) where there is no plane.
     """
 
     size_px: tuple[int, int]  # height and width
     camera_px: Float32s  # [4]: fx, fy, cx, cy
-    planes: Float32s  # [height * width + 1, 4]
-    tiles: Float32s  # [m, 3]
-    places: Int64s  # [levels, 2]: where each size begins in `tiles`, and how many columns it has
-
-    @property
-    def normals(self) -> Float32s:
-        """Unit normals towards the camera, float32 [height, width, 3]; zero where there is none."""
-        return self.planes[:-1, :3].reshape(*self.size_px, 3)
-
-    @property
-    def offsets_m(self) -> Float32s:
-        """c of n . p = c, metres, float32 [height, width]; zero where there is no plane."""
-        return self.planes[:-1, 3].reshape(self.size_px)
+    planes: Float32s  # [4 (height width + 1)]
+    tiles: Float32s  # [rows of tiles, columns, 2]
 
 
 _MIN_ACROSS = np.float32(6)  # least sum of squared offsets of the supporting pixels along the rows ...
@@ -201,9 +189,6 @@ def _store(r, n, planes):
 @njit(nogil=True)
 def _fit_tiles(r, n, rows, bounds):
     """Bounds of a row of tiles, from the planes of its `rows` image rows: see `fit_planes`."""
-    c = _OUT + 3 * _STRIDE
-    for u in range(n):
-        r[u + c + _PAD] = -r[u + c + _PAD] if r[u + c + _PAD] < _0 else _BIG
     for i in range(1, rows):
         for u in range(n):
             a, b = r[u + _NEAR + _PAD], r[u + _NEAR + _PAD + i * _ROW]
@@ -211,18 +196,13 @@ def _fit_tiles(r, n, rows, bounds):
         for u in range(n):
             a, b = r[u + _FAR + _PAD], r[u + _FAR + _PAD + i * _ROW]
             r[u + _FAR + _PAD] = b if b < a else a
-        for u in range(n):
-            a, b = r[u + c + _PAD], r[u + c + _PAD + i * _ROW]
-            b = -b if b < _0 else _BIG
-            r[u + c + _PAD] = b if b < a else a
     for t in range((n + _TILE - 1) // _TILE):
-        near, far, flat = _0, _BIG, _BIG
+        near, far = _0, _BIG
         for u in range(t * _TILE, min(n, t * _TILE + _TILE)):
-            x, y, z = r[u + _NEAR + _PAD], r[u + _FAR + _PAD], r[u + c + _PAD]
+            x, y = r[u + _NEAR + _PAD], r[u + _FAR + _PAD]
             near = x if x > near else near
             far = y if y < far else far
-            flat = z if z < flat else flat
-        bounds[t, 0], bounds[t, 1], bounds[t, 2] = near, far, flat
+        bounds[t, 0], bounds[t, 1] = near, far
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
@@ -256,38 +236,15 @@ def _fit_planes(begin, end, depth, camera, gates, planes, bounds):
             _fit_tiles(r, n, stop - t * _TILE, bounds[t, left // _TILE :])
 
 
-@njit(cache=True, nogil=True)
-def _widen(tiles, places, rows):
-    """Bounds of tiles twice as wide, level after level, from those of the first."""
-    for level in range(1, places.shape[0]):
-        fine, fine_columns = places[level - 1, 0], places[level - 1, 1]
-        start, columns = places[level, 0], places[level, 1]
-        tiles[start : start + rows[level] * columns, 0] = _0
-        tiles[start : start + rows[level] * columns, 1:] = _BIG
-        for t in range(rows[level - 1]):
-            for s in range(fine_columns):
-                a, b = tiles[fine + t * fine_columns + s], tiles[start + (t >> 1) * columns + (s >> 1)]
-                b[0], b[1], b[2] = max(a[0], b[0]), min(a[1], b[1]), min(a[2], b[2])
-
-
 def fit_planes(depth_m: Float32s, camera_px: Float32s, step_per_m: float, slope_px: float) -> SurfacePlanes:
     """Tangent planes of a depth map, float32 [height, width], C-contiguous, and their bounds in tiles.
 
     `camera_px` float32 [4]: fx, fy, cx, cy; the gates are told in `touchfield.sources.depth_scene`.
     """
     height, width = depth_m.shape
-    planes = np.empty((height * width + 1, 4), np.float32)
-    planes[-1] = 0
-    sizes = [(-(-height // _TILE), -(-width // _TILE))]
-    while sizes[-1] != (1, 1):
-        sizes.append((-(-sizes[-1][0] // 2), -(-sizes[-1][1] // 2)))
-    rows = np.array([size[0] for size in sizes])
-    columns = np.array([size[1] for size in sizes])
-    ends = np.cumsum(rows * columns)
-    places = np.stack([ends - rows * columns, columns], axis=1)
-    tiles = np.empty((ends[-1], 3), np.float32)
-    finest = tiles[: ends[0]].reshape(rows[0], columns[0], 3)
+    planes = np.empty(4 * (height * width + 1), np.float32)
+    planes[-4:] = 0
+    tiles = np.empty((-(-height // _TILE), -(-width // _TILE), 2), np.float32)
     gates = np.array([step_per_m, slope_px], np.float32)
-    for_chunks(_fit_planes, rows[0], depth_m, camera_px, gates, planes.reshape(-1), finest, chunk=4)
-    _widen(tiles, places, rows)
-    return SurfacePlanes((height, width), camera_px, planes, tiles, places)
+    for_chunks(_fit_planes, len(tiles), depth_m, camera_px, gates, planes, tiles, chunk=4)
+    return SurfacePlanes((height, width), camera_px, planes, tiles)
