@@ -45,7 +45,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.filters.device_filter import device_grid
 from touchfield.filters.registry import felt_medium
-from touchfield.job.array_medium import PANELS, array_medium
+from touchfield.job.array_medium import PANELS, array_drives
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared, Source
 from touchfield.job.spec import EncodeSpec
@@ -167,7 +167,7 @@ def _export_array(
         raise InvalidArgument("panel", repr(panel), " or ".join(PANELS))
     chosen = _array(stream, kind, device_name)
     # a back that the profile does not count is a front worn behind
-    drives = array_medium(stream, chosen).drives(panel if chosen.panels > 1 else PANELS[0])
+    drives = array_drives(stream, chosen, panel if chosen.panels > 1 else PANELS[0])
     columns, rows, _ = chosen.lattice
     checked_frames("stream", len(drives), columns * rows, MAX_MEDIUM_VALUES)
     nth = PANELS.index(panel) if chosen.panels > 1 else 0

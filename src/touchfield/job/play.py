@@ -23,7 +23,7 @@ from touchfield.adapters.touch_down import touch_down
 from touchfield.arrays import Float64s
 from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
-from touchfield.job.array_medium import array_medium
+from touchfield.job.array_medium import array_drives
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.trace import Trace, read_trace
@@ -291,7 +291,7 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
     if spec.is_logged:
         raise _for_points("log, --plot or --wav")
     chosen = array_device(spec.device, device(spec.profile) if spec.profile else None)
-    drives = array_medium(stream, chosen.profile).drives(spec.panel)
+    drives = array_drives(stream, chosen.profile, spec.panel)
     with ArrayPlayer(drives, chosen, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
         try:
             while not player.wait_begun(_LOOK_S):  # preparation is no playing time
