@@ -9,7 +9,7 @@ import typer
 
 from touchfield.cli.main import Asked, Json, command
 from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, frames_of
-from touchfield.cli.show import check_picture, progress, show, show_notes, show_rows
+from touchfield.cli.show import check_results, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import length_m
 from touchfield.job import editing
@@ -178,9 +178,7 @@ def texture(
     from touchfield.render.material import read_materials, write_table
     from touchfield.sources.recording import read_recording
 
-    for source in (*sources, *([into] if into else [])):
-        check_picture(source, out)
-        check_picture(source, plot)
+    check_results((*sources, into), out, plot)
     tables = [read_materials(path) for path in sources if path.suffix.lower() == ".json"]
     recorded = [path for path in sources if path.suffix.lower() != ".json"]
     if recorded:
@@ -254,9 +252,7 @@ def deform(
     """Bend STREAM at the receiver: by the motion of a model, or under the finger."""
     from touchfield.job.deformation import Motion, tracks_of
 
-    check_picture(stream, out)
-    if model is not None:
-        check_picture(model, out)
+    check_results((stream, model), out)
     motion = Motion(model, animation, frames_of("--frames", frames), rest_frame, rate_hz) if model else None
     with progress("deform", "frame") as report:
         done = tracks_of(
@@ -291,8 +287,7 @@ def reduce(
     """Tell in how few numbers MEDIUM varies, how many bits a degree of freedom has, and what no hand can feel."""
     from touchfield.job.reduction import ReductionSpec, reduce_medium
 
-    for picture in (plot, out, cull):
-        check_picture(medium, picture)
+    check_results((medium,), plot, out, cull)
     spec = ReductionSpec(modes, rank, nmse_db, device, push_n, mass_kg, speed_m_s, trace)
     with progress("reduce") as report:
         done = reduce_medium(medium, out, cull, spec, coder_spec(asked), report)

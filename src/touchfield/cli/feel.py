@@ -12,7 +12,7 @@ import typer
 
 from touchfield.cli.main import Asked, Json, Stream, command
 from touchfield.cli.options import Row, asks, numbers_of
-from touchfield.cli.show import check_picture, progress, show
+from touchfield.cli.show import check_results, progress, show
 from touchfield.errors import InvalidArgument
 from touchfield.medium.deformation import read_deformation
 from touchfield.render.material import read_materials
@@ -89,14 +89,16 @@ def play(
     as_json: Json = False,
 ) -> None:
     """Feel STREAM on a device, or on a simulated hand."""
-    from touchfield.job.play import PlaySpec
+    from touchfield.job.play import PlaySpec, check_play
     from touchfield.job.play import play as run
 
     if check:
-        _check(stream, asked["speed"], as_json)
+        verdict = check_play(stream, asked["speed"])
+        show(verdict, stream, as_json)
+        if not verdict["can_play"]:
+            raise typer.Exit(1)
         return
-    for target in (log, plot, wav):
-        check_picture(stream, target)
+    check_results((stream,), log, plot, wav)
     given = {name.replace("-", "_"): asked[name.replace("-", "_")] for name, *_ in PLAY}
     is_logged = not (log is plot is wav is None)
     spec = PlaySpec(**given, is_logged=is_logged, is_drawn=plot is not None, render=render_spec(asked))
@@ -138,16 +140,6 @@ def _bridge(stream: str, is_shown: bool) -> Iterator[Callable[[Any], None]]:
     with Bridge(Path(stream), Access(port=0), Pages(served_page(), empty_page())) as server:
         _say(f"open {server.page} in a browser")
         yield server.follow
-
-
-def _check(stream: str, speed: float, as_json: bool) -> None:
-    """Tell whether a stream can be decoded in time; exit code 1 where not."""
-    from touchfield.job.play import check_play
-
-    told = check_play(stream, speed)
-    show(told, str(stream), as_json)
-    if not told["can_play"]:
-        raise typer.Exit(1)
 
 
 def _say(note: str) -> None:

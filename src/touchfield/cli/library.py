@@ -9,7 +9,7 @@ import typer
 
 from touchfield.cli.main import Asked, Json, Stream, command
 from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, encode_spec, numbers_of, workers_of
-from touchfield.cli.show import check_picture, is_same_file, progress, show, show_notes, show_rows
+from touchfield.cli.show import check_results, keep_source, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 
 Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
@@ -148,9 +148,9 @@ def points(
     from touchfield.job.reduction import fewest_points, next_points
     from touchfield.job.spec import EncodeSpec
 
-    check_picture(source, plot)
-    if out is not None and is_same_file(source, out):
-        raise InvalidArgument(str(out), "the file that is read", "another name")
+    check_results((source,), plot)
+    if out is not None:
+        keep_source(source, out)
     if is_next and (out is not None or modes is not None):
         raise InvalidArgument("--next", "OUT or --modes beside it", "neither: nothing is rebuilt yet")
     if measured is not None and not is_next:
