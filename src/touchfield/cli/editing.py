@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from touchfield.cli.main import Asked, Json, command
-from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, frames_of
+from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, frames_of, numbers_of
 from touchfield.cli.show import check_results, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import length_m
@@ -25,12 +25,7 @@ Out = Annotated[Path, typer.Argument(help="OUT.touch, or a field: FIELD.npz, FIE
 Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, gaussian, box, sinc, or trilinear for none.")]
 
 
-def counts_of(option: str, text: str) -> list[int]:
-    """NX,NY,NZ of an option."""
-    parts = text.split(",")
-    if len(parts) != 3 or not all(p.strip().isdecimal() for p in parts):
-        raise InvalidArgument(option, repr(text), "NX,NY,NZ, such as 64,64,32")
-    return [int(p) for p in parts]
+_COUNTS = "NX,NY,NZ, such as 64,64,32"
 
 
 @command("Make")
@@ -97,7 +92,7 @@ def resample(
     as_json: Json = False,
 ) -> None:
     """Bring MEDIUM onto another lattice or to another rate, and tell what a receiver then lacks."""
-    samples = None if shape is None else counts_of("--shape", shape)
+    samples = None if shape is None else numbers_of("--shape", shape, (3,), _COUNTS, int)
     lattice = nw, samples, None if spacing is None else length_m(spacing, "--spacing")
     with progress("resample") as report:
         done = editing.resample_file(medium, out, lattice, rate_hz, kernel, coder_spec(asked), report)
@@ -144,7 +139,8 @@ def partition(
     given = read_medium(medium).medium
     if not 0 <= depth <= 7:
         raise InvalidArgument("--depth", f"{depth}", "0 to 7")
-    x, y, z = counts_of("--shape", shape) if shape else [max(1, n >> depth) for n in given.grid.shape]
+    own = [max(1, n >> depth) for n in given.grid.shape]
+    x, y, z = numbers_of("--shape", shape, (3,), _COUNTS, int) if shape else own
     with progress("partition") as report:
         done = partition_workspace(given, (x, y, z), penalty_bits, quantiser, report)
     rows = []
@@ -182,7 +178,11 @@ def texture(
     tables = [read_materials(path) for path in sources if path.suffix.lower() == ".json"]
     recorded = [path for path in sources if path.suffix.lower() != ".json"]
     if recorded:
-        speeds, forces = (_numbers(*pair, len(recorded)) for pair in (("speed-m-s", speed_m_s), ("force-n", force_n)))
+        count = len(recorded)
+        expected = f"one number, or one for each of {count} recordings: 0.05,0.1"
+        named = ("--speed-m-s", speed_m_s), ("--force-n", force_n)
+        values = [numbers_of(option, text, (1, count), expected) for option, text in named]
+        speeds, forces = ((own * count)[:count] for own in values)  # one number is that of all
         recordings = [read_recording(path, full_scale_m_s2) for path in recorded]
         tables.append((texture_of(recordings, speeds, forces, name or out.stem, friction),))
     elif speed_m_s or force_n or name or friction is not None:
@@ -201,18 +201,6 @@ def texture(
         str(out),
         as_json,
     )
-
-
-def _numbers(option: str, text: str | None, count: int) -> list[float]:
-    """One number for each recording."""
-    try:
-        values = [float(part) for part in (text or "").split(",")]
-    except ValueError:
-        values = []
-    if len(values) not in (1, count):
-        found = "nothing" if text is None else repr(text)
-        raise InvalidArgument(f"--{option}", found, f"one number, or one for each of {count} recordings: 0.05,0.1")
-    return values * (count if len(values) == 1 else 1)
 
 
 def _draw(path: Path, materials: tuple[Material, ...]) -> None:

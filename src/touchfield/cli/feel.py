@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
 
 from touchfield.cli.main import Asked, Json, Stream, command
-from touchfield.cli.options import Row, asks, numbers_of
+from touchfield.cli.options import Row, asks, fields_of, numbers_of
 from touchfield.cli.show import check_results, progress, show
 from touchfield.errors import InvalidArgument
 from touchfield.medium.deformation import read_deformation
@@ -99,9 +98,9 @@ def play(
             raise typer.Exit(1)
         return
     check_results((stream,), log, plot, wav)
-    given = {name.replace("-", "_"): asked[name.replace("-", "_")] for name, *_ in PLAY}
     is_logged = not (log is plot is wav is None)
-    spec = PlaySpec(**given, is_logged=is_logged, is_drawn=plot is not None, render=render_spec(asked))
+    beside = {"is_logged": is_logged, "is_drawn": plot is not None, "render": render_spec(asked)}
+    spec = PlaySpec(**{**fields_of(PlaySpec, asked), **beside})
     with _bridge(stream, bridge) as watch, progress("play", "s") as report:
         played = run(stream, spec, report, _say, watch)
     notes = played.notes
@@ -149,16 +148,16 @@ def _say(note: str) -> None:
 
 def render_spec(asked: dict[str, Any]) -> RenderSpec:
     """The options as the renderer takes them."""
-    given = {f.name: asked[f.name] for f in fields(RenderSpec) if asked.get(f.name) is not None}
+    given = {name: value for name, value in fields_of(RenderSpec, asked).items() if value is not None}
     given["tool"] = tool_of(asked["tool"])
     if asked["materials"] is not None:
         given["materials"] = read_materials(asked["materials"])
     if asked["deformation"] is not None:
         given["deformation"] = read_deformation(asked["deformation"])
     if asked["clutch_mm"] is not None:
-        given["clutch_m"] = tuple(v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], 3, _TRIPLE))
+        given["clutch_m"] = tuple(v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], (3,), _TRIPLE))
     if asked["gravity_n"] is not None:
-        given["gravity_n"] = numbers_of("--gravity-n", asked["gravity_n"], 3, _TRIPLE)
+        given["gravity_n"] = numbers_of("--gravity-n", asked["gravity_n"], (3,), _TRIPLE)
     return RenderSpec(**given, blend=not asked["no_blend"])
 
 

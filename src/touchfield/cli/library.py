@@ -106,7 +106,7 @@ def correlate(
     """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and whether by chance."""
     from touchfield.job.library import correlate as run
 
-    camera = None if intrinsics is None else numbers_of("--intrinsics", intrinsics, 4, "fx,fy,cx,cy")
+    camera = None if intrinsics is None else numbers_of("--intrinsics", intrinsics, (4,), "fx,fy,cx,cy")
     with progress("correlate") as report:
         done = run(
             video, stream, frames=looks, reading=reading, intrinsics=camera, source_rate_hz=source_rate_hz,
