@@ -116,10 +116,11 @@ def lod(
     with progress("lod", "level") as report:
         done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(asked), report)
     if as_json:
-        show({"level": done.level, "levels": done.rows}, medium, True, done.notes)
+        show(done.summary(), medium, True, done.notes)
         return
-    show_rows(done.rows, f"levels of detail of {medium}")
-    best = () if done.level is None or most_bytes is None else (f"level {done.level} is the finest that fits",)
+    show_rows(done.shown["levels"], f"levels of detail of {medium}")
+    level = done.shown["level"]
+    best = () if level is None or most_bytes is None else (f"level {level} is the finest that fits",)
     show_notes((*best, *done.notes))
 
 
@@ -246,7 +247,7 @@ def deform(
         done = tracks_of(
             stream, out, motion, controls=controls, compliance_m_per_n=yield_m_per_n, relax_s=relax_s, report=report
         )
-    show({"file": str(out), **done.summary()}, str(out), as_json)
+    show(done.summary(), str(out), as_json)
 
 
 @command(

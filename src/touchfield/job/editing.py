@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial, reduce
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from touchfield.filters.registry import field_filters, filter_of, length_m
 from touchfield.filters.resample import LOW_PASSES, halved, interpolated, most_levels, pyramid, rebuilt, resample
 from touchfield.job.encode import encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared, is_stream, prepare
+from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid, HapticMedium
@@ -158,20 +159,12 @@ _MOST_TOLD: Final = 1000  # characters of a history that a file keeps
 _LOOKED_AT: Final = 8
 
 
-@dataclass(frozen=True)
-class Written:
+@dataclass(frozen=True, kw_only=True)
+class Written(Result):
     """A file that was made of a medium."""
 
     path: Path
     medium: HapticMedium
-    shown: Mapping[str, Any]
-    notes: tuple[str, ...] = ()
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        told = {"file": str(self.path), "frames": len(self.medium), "rate_hz": self.medium.rate_hz}
-        size = self.path.stat().st_size if self.path.is_file() else 0
-        return {**told, "grid_shape": list(self.medium.grid.shape), **self.shown, "file_bytes": size}
 
 
 def _write(
@@ -182,14 +175,22 @@ def _write(
     for source in sources:
         if out.exists() and Path(source).exists() and out.samefile(source):
             raise InvalidArgument(str(out), "a file that is read", "another name", "Name a new file for the result.")
+    notes: tuple[str, ...] = ()
     if out.suffix in (".npz", ".vti"):
-        return Written(write_field(out, medium, report, given.placement), medium, shown)
-    if out.suffix != ".touch":
+        out = write_field(out, medium, report, given.placement)
+    elif out.suffix == ".touch":
+        made = replace(given, medium=medium, scene=None, exact=None, source=None, reference=FILTERED, notes=())
+        history = {key: medium.provenance[key][:_MOST_TOLD] for key in _TOLD if key in medium.provenance}
+        notes = encode_prepared(made, out, {**provenance_of(sources[0], made), **history}, report).notes
+    else:
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, FIELD.npz or FIELD.vti")
-    made = replace(given, medium=medium, scene=None, exact=None, source=None, reference=FILTERED, notes=())
-    history = {key: medium.provenance[key][:_MOST_TOLD] for key in _TOLD if key in medium.provenance}
-    done = encode_prepared(made, out, {**provenance_of(sources[0], made), **history}, report)
-    return Written(out, medium, shown, done.notes)
+    figures = {"file": str(out), "frames": len(medium), "rate_hz": medium.rate_hz}
+    figures |= {
+        "grid_shape": list(medium.grid.shape),
+        **shown,
+        "file_bytes": out.stat().st_size if out.is_file() else 0,
+    }
+    return Written(figures, notes, path=out, medium=medium)
 
 
 def edit(
@@ -318,14 +319,6 @@ def resample_file(
     return replace(done, notes=(*done.notes, "the vibration is left out"))
 
 
-class Detail(NamedTuple):
-    """Levels of detail, the finest first: a row of figures each; `level` is the finest within the bytes asked for."""
-
-    rows: tuple[dict[str, Any], ...]
-    level: int | None
-    notes: tuple[str, ...]
-
-
 def levels_of_detail(
     source: str | Path,
     out: str | Path | None = None,
@@ -333,12 +326,12 @@ def levels_of_detail(
     most_bytes: int | None = None,
     spec: EncodeSpec | None = None,
     report: Report = silent,
-) -> Detail:
+) -> Result:
     """Each level of detail of a medium as a file of its own, with its bytes and what a receiver of it lacks.
 
     `out` is a folder for level-0.touch, level-1.touch, ..., or OUT.zarr, a store of them all (extra ``zarr``);
-    without it they are only measured. `levels` is how often the lattice is halved (until 8 samples are left), and
-    `Detail.level` the finest level of `most_bytes` or less.
+    without it they are only measured. `levels` is how often the lattice is halved (until 8 samples are left). Of the
+    result ``levels`` are rows of figures, the finest first, and ``level`` is the finest of `most_bytes` or less.
     """
     given = read_medium(source, spec)
     medium, most = given.medium, most_levels(given.medium.grid)
@@ -373,7 +366,7 @@ def levels_of_detail(
             shutil.rmtree(folder, ignore_errors=True)
     fits = [row["level"] for row in rows if most_bytes is None or row["file_bytes"] <= most_bytes]
     notes = () if fits else (f"no level takes {most_bytes} bytes or less",)
-    return Detail(tuple(rows), min(fits) if fits else None, notes)
+    return Result({"level": min(fits, default=None), "levels": rows}, notes)
 
 
 def _level(medium: HapticMedium, level: int) -> HapticMedium:

@@ -13,7 +13,7 @@ adds, friction, damping and its device's limits, depends on the hand: only what 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -48,6 +48,7 @@ from touchfield.filters.registry import felt_medium
 from touchfield.job.array_medium import PANELS, array_drives
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared, Source
+from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.view import view
 from touchfield.medium.grid import Placement
@@ -63,22 +64,6 @@ _MOST_SAMPLES: Final = 1 << 23
 _VEST: Final = "tactsuit-x40"
 
 
-@dataclass(frozen=True)
-class Exported:
-    """A file that `export` wrote; `told` is what else a summary tells, such as frames, or the greatest force."""
-
-    path: Path
-    device: str
-    seconds: float
-    told: dict[str, Any]
-    notes: tuple[str, ...] = ()
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        size = self.path.stat().st_size
-        return {"file_bytes": size, "device": self.device, "seconds": self.seconds, **self.told}
-
-
 def export(
     stream: str | Path,
     out: str | Path,
@@ -88,7 +73,7 @@ def export(
     report: Report = silent,
     full_scale_n: float = 1.0,
     against: Source | None = None,
-) -> Exported:
+) -> Result:
     """Write a stream in another format, by the ending of `out`.
 
     ``.hjif`` (ISO/IEC 23090-31) and ``.wav`` (a channel an actuator) hold the drives of an array, or with
@@ -115,9 +100,9 @@ def export(
         if kind == ".html":
             head, page = opened.reader.head, view(stream, against, report)
             page.save(path)
-            told = {"frames": head.frame_count}
-            told |= {key: page.figures[key] for key in ("source_bytes",) if key in page.figures}
-            return Exported(path, head.device_name, head.frame_count / head.rate_hz, told)
+            figures = {"frames": head.frame_count}
+            figures |= {key: page.figures[key] for key in ("source_bytes",) if key in page.figures}
+            return _exported(path, head.device_name, head.frame_count / head.rate_hz, figures)
         if trajectory is not None:
             return _export_force(opened, path, kind, device_name, trajectory, full_scale_n)
         return _export_array(opened, path, kind, device_name, panel, report)
@@ -160,9 +145,16 @@ def import_effect(
     return encode_prepared(prepared, out, provenance_of(source, prepared), report)
 
 
+def _exported(
+    path: Path, device_name: str, seconds: float, figures: dict[str, Any], notes: tuple[str, ...] = ()
+) -> Result:
+    size = path.stat().st_size
+    return Result({"file_bytes": size, "device": device_name, "seconds": seconds, **figures}, notes)
+
+
 def _export_array(
     stream: OpenStream, path: Path, kind: str, device_name: str | None, panel: str, report: Report
-) -> Exported:
+) -> Result:
     if panel not in PANELS:
         raise InvalidArgument("panel", repr(panel), " or ".join(PANELS))
     chosen = _array(stream, kind, device_name)
@@ -192,10 +184,10 @@ def _export_array(
         write_hjif_array(path, effect, chosen.name, panel=panel, description=title)
     else:
         notes = (write_ahap if kind == ".ahap" else write_haptic)(path, effect, path.stem, title)
-    told = {"columns": columns, "rows": rows, "panel": panel, "frames": len(effect), "rate_hz": effect.rate_hz}
+    figures = {"columns": columns, "rows": rows, "panel": panel, "frames": len(effect), "rate_hz": effect.rate_hz}
     if not effect.drives.any():
         notes = (*notes, "Nothing can be felt: no actuator is driven.")
-    return Exported(path, chosen.name, len(effect) / effect.rate_hz, told, notes)
+    return _exported(path, chosen.name, len(effect) / effect.rate_hz, figures, notes)
 
 
 def _array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
@@ -215,7 +207,7 @@ def _array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
 
 def _export_force(
     stream: OpenStream, path: Path, kind: str, device_name: str | None, trajectory: str | Path, full_scale_n: float
-) -> Exported:
+) -> Result:
     head = stream.reader.head
     name, peak_n = head.device_name, head.force_max_n
     if device_name is not None:
@@ -258,7 +250,7 @@ def _export_force(
         "force_max_n": peak_n,
         "greatest_n": greatest_n,
     }
-    return Exported(path, name, float(times_s[-1]), figures, notes)
+    return _exported(path, name, float(times_s[-1]), figures, notes)
 
 
 def _ticks_per_second(trace: Trace) -> int:

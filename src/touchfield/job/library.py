@@ -28,6 +28,7 @@ from touchfield.job.editing import joined, spread, taken
 from touchfield.job.executors import in_order
 from touchfield.job.mapping import SymbolFrames
 from touchfield.job.prepare import Source, StreamScene, decode, prepare
+from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, Descriptor, descriptor, part_slots
 from touchfield.measure.quantity import FewSamplesWarning
@@ -128,26 +129,17 @@ def library_path(folder: Path, path: Path | None = None) -> Path:
     return path or whole.parent / f"{whole.name or 'root'}.index.npz"
 
 
-@dataclass(frozen=True)
-class Indexed:
+@dataclass(frozen=True, kw_only=True)
+class Indexed(Result):
     """Counts of one run of `index_folder`."""
 
     path: Path
     library: Library
-    described: int
-    kept: int
-    gone: int
-    seconds: float
 
     @property
     def faults(self) -> dict[str, str]:
         """Faults of the files that are left out, by name."""
         return {name: entry.fault for name, entry in self.library.entries.items() if entry.fault}
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        counts = {"described": self.described, "kept": self.kept, "gone": self.gone, "left_out": len(self.faults)}
-        return {"index": str(self.path), "media": len(self.library.rows), **counts, "seconds": self.seconds}
 
 
 def index_folder(
@@ -196,7 +188,10 @@ def index_folder(
         kept.forget(name)
     if changed or gone or not target.exists():
         kept.save(target)
-    return Indexed(target, kept, len(fresh), len(files) - len(fresh), len(gone), time.perf_counter() - began)
+    counts = {"described": len(fresh), "kept": len(files) - len(fresh), "gone": len(gone)}
+    counts |= {"left_out": sum(bool(entry.fault) for entry in kept.entries.values())}
+    figures = {"index": str(target), "media": len(kept.rows), **counts, "seconds": time.perf_counter() - began}
+    return Indexed(figures, path=target, library=kept)
 
 
 def described(path: Path) -> tuple[Float64s | None, str]:

@@ -8,10 +8,10 @@ medium -> the fewest points that tell it, by its modes or a field without curl; 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,10 @@ from scipy.spatial import KDTree
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
-from touchfield.job.editing import Written, _write, read_medium, spread, with_history
+from touchfield.job.editing import _write, read_medium, spread, with_history
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.prepare import Prepared
+from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.interaction import visits
@@ -69,11 +70,10 @@ class ReductionSpec:
             raise InvalidArgument("--nmse-db", repr(self.decibels), "decibels below 0, such as -30")
 
 
-class Reduction(NamedTuple):
-    """Findings for people and programs, notes; singular values, the frame in the middle, and what of it is felt."""
+@dataclass(frozen=True, kw_only=True)
+class Reduction(Result):
+    """Findings for people and programs; singular values, the frame in the middle, and what of it is felt."""
 
-    shown: dict[str, Any]
-    notes: tuple[str, ...]
     values: Float64s
     field: ForceField
     felt: Bools
@@ -159,7 +159,7 @@ def reduce_medium(
         done = _write(given, [source], rebuilt, out, report)
         shown |= {"file": str(done.path), "file_bytes": done.path.stat().st_size}
         notes += done.notes
-    return Reduction(shown, notes, found.modes.values, medium[len(medium) // 2], felt)
+    return Reduction(shown, notes, values=found.modes.values, field=medium[len(medium) // 2], felt=felt)
 
 
 def _modes(given: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any]]:
@@ -206,21 +206,14 @@ _LATTICE: Final = 8000
 _COLUMNS: Final = "x_m,y_m,z_m,fx_n,fy_n,fz_n"
 
 
-@dataclass(frozen=True)
-class FewestPoints:
+@dataclass(frozen=True, kw_only=True)
+class FewestPoints(Result):
     """Points of a medium or a recording, in the order they were chosen."""
 
-    points_m: Float64s  # [n, 3]
-    shown: Mapping[str, Any]
+    points_m: Float64s = field(repr=False)  # [n, 3]
     places_m: Float64s = field(repr=False)  # [m, 3]; where the field is known
     forces_n: Float64s = field(repr=False)  # [m, 3]; there, in the frame that is drawn
     rebuilt_n: Float64s | None = field(default=None, repr=False)  # likewise; None of points yet to be measured
-    written: Written | None = None
-    notes: tuple[str, ...] = ()
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        return {**self.shown, **(self.written.summary() if self.written else {})}
 
     def draw(self, path: Path, mask: tuple[float, float]) -> None:
         """Write the picture, PNG: the field, the field rebuilt and the error in units of the mask (k, F_0)."""
@@ -313,12 +306,13 @@ def fewest_points(
         report(n + 1, len(frames))
     told = {"points": count, "samples": len(middle), "frames_learnt": len(frames), **shown}
     told |= {name: getattr(meter, name) for name in ("nmse_db", "worst_mask_ratio", "mask_violation_share")}
-    done = FewestPoints(domain.places_m[chosen], told, domain.places_m, middle, back)
+    places_m = domain.places_m
+    done = FewestPoints(told, points_m=places_m[chosen], places_m=places_m, forces_n=middle, rebuilt_n=back)
     if out is None or Path(out).suffix == ".csv":
         return _with_points(done, out, middle[chosen])
     written = _write(given, [source], medium, out, report)
     left_out = () if given.medium.vibration is None else ("the vibration is left out",)
-    return replace(done, written=written, notes=(*written.notes, *left_out))
+    return replace(done, shown={**told, **written.shown}, notes=(*written.notes, *left_out))
 
 
 def _of_recording(trace: ContactTrace, source: str, count: int, out: str | Path | None) -> FewestPoints:
@@ -330,8 +324,9 @@ def _of_recording(trace: ContactTrace, source: str, count: int, out: str | Path 
     chosen, kernel, back = _kept(trace.positions_m, trace.forces_n, count)
     error, whole = ((back - trace.forces_n) ** 2).sum(), (trace.forces_n**2).sum()
     shown = {"points": count, "samples": len(back), **_words(kernel), "nmse_db": _db(error / whole)}
-    done = FewestPoints(trace.positions_m[chosen], shown, trace.positions_m, trace.forces_n, back)
-    return _with_points(done, out, trace.forces_n[chosen])
+    places_m, forces_n = trace.positions_m, trace.forces_n
+    done = FewestPoints(shown, points_m=places_m[chosen], places_m=places_m, forces_n=forces_n, rebuilt_n=back)
+    return _with_points(done, out, forces_n[chosen])
 
 
 def _kept(points_m: Float64s, forces_n: Float64s, count: int) -> tuple[Int64s, Kernel, Float64s]:
@@ -398,7 +393,7 @@ def next_points(source: str | Path, count: int, measured: str | Path | None = No
         "deviation_nowhere_measured_n": interpolant.scale_n * 3**0.5,
         "next": rows,
     }
-    return FewestPoints(every[chosen], shown, known.positions_m, known.forces_n)
+    return FewestPoints(shown, points_m=every[chosen], places_m=known.positions_m, forces_n=known.forces_n)
 
 
 def _words(kernel: Kernel, criterion: str = "error") -> dict[str, Any]:
