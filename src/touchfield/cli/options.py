@@ -155,9 +155,10 @@ def asks(
             words = text.replace("[", r"\[")  # what stands in brackets is no markup
             option = typer.Option(f"--{name}", help=words, rich_help_panel=group(name))
             key = "as_" if name == "as" else name.replace("-", "_")
-            annotation = Annotated[kind, option]
             more.append(
-                inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+                inspect.Parameter(
+                    key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
+                )
             )
         names = {p.name for p in more}
 

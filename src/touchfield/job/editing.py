@@ -185,11 +185,7 @@ def _write(
     else:
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, FIELD.npz or FIELD.vti")
     figures = {"file": str(out), "frames": len(medium), "rate_hz": medium.rate_hz}
-    figures |= {
-        "grid_shape": list(medium.grid.shape),
-        **shown,
-        "file_bytes": out.stat().st_size if out.is_file() else 0,
-    }
+    figures |= {"grid_shape": list(medium.grid.shape), **shown, "file_bytes": out.stat().st_size}
     return Written(figures, notes, path=out, medium=medium)
 
 

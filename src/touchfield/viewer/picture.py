@@ -233,11 +233,6 @@ class PreviewSpec:
     turn: Float64s
 
 
-def draw_shadows(path: Path, fields: Sequence[ForceField], spec: PreviewSpec) -> None:
-    """Write `shadows` as a PNG."""
-    write_png(shadows(fields, spec), path)
-
-
 def shadows(fields: Sequence[ForceField], spec: PreviewSpec) -> Figure:
     """A figure of fields on one grid: three projections with the box of the grid, in millimetres."""
     grid = fields[0].grid
