@@ -123,12 +123,34 @@ class Played:
         return self
 
     def write_log(self, path: Path) -> None:
-        """The log as comma-separated text."""
-        write_log(path, self._felt(self.rows, "log"))
+        """Write the log as comma-separated text, whole or not at all."""
+        rows = self._felt(self.rows, "log")
+        words = {
+            flags: "+".join(name for name, bit in FLAGS.items() if flags & bit) or "idle"
+            for flags in np.unique(rows["flags"]).tolist()
+        }
+        with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+            file.write(",".join(COLUMNS) + "\n")
+            for first in range(0, len(rows), _ROWS_AT_ONCE):
+                some = rows[first : first + _ROWS_AT_ONCE]
+                numbers = np.column_stack([some[name] for name in _LOGGED]) + 0.0
+                for row, buttons, flags in zip(numbers.tolist(), some["buttons"].tolist(), some["flags"].tolist()):
+                    file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{words[flags]}\n")
 
     def write_wav(self, path: Path) -> str:
-        """The play as sound; what was written."""
-        return write_sound(path, self._felt(self.rows, "wav"))
+        """Write the play as sound; a note on what it holds.
+
+        InvalidArgument if there are fewer than two rows, or too many for a WAV; SourceError if the system refuses.
+        """
+        rows = self._felt(self.rows, "wav")
+        if len(rows) < 2:
+            raise InvalidArgument("--wav", f"a play of {len(rows)} ticks", "at least 2", "Play longer.")
+        samples, (full_n, fast_n) = sound_of(rows["time_s"].astype(np.float64), rows["force_n"].astype(np.float64))
+        write_wav(path, [samples], 2, len(samples))
+        return (
+            f"the sound is {path}: left a tone as loud as |F| (1 is {full_n:.3g} N), right the force from "
+            f"{BAND_HZ[0]:g} Hz on (1 is {fast_n:.3g} N)"
+        )
 
     def draw(self, path: Path) -> None:
         """The picture of the interaction."""
@@ -236,11 +258,8 @@ def _play_point(
     render, medium = spec.render, stream.medium
     drawn = medium[0 if stream.is_live else len(medium) // 2] if spec.is_drawn else None
     caption = f"{spec.device} with the limits of {profile.name}, {len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
-    view = InteractionView(
-        name, caption, medium.axes, rows["time_s"], rows["position_m"], rows["field_force_n"],
-        rows["friction_n"], rows["force_n"], render.peak_n or profile.force_max_n,
-        render.continuous_n or profile.force_continuous_n, drawn,
-    )  # fmt: skip
+    peak_n, continuous_n = render.peak_n or profile.force_max_n, render.continuous_n or profile.force_continuous_n
+    view = InteractionView(name, caption, medium.axes, rows, peak_n, continuous_n, drawn)
     return Played(told, rows, view, notes)
 
 
@@ -358,30 +377,13 @@ device got, in its own; how the grip was turned, in the device's axes; the torqu
 device got, likewise; how far the gripper was open; the time of the medium; the buttons (bit n is button n); and what
 was going on, words joined by +."""
 
+_LOGGED: Final = (
+    "time_s", "position_m", "velocity_m_s", "field_force_n", "friction_n", "force_n", "orientation",
+    "field_torque_nm", "torque_nm", "gripper_m", "media_s",
+)  # fmt: skip
 _ROWS_AT_ONCE: Final = 1 << 14
 TONE_HZ: Final = 220.0
 BAND_HZ: Final = (30.0, 3000.0)
-
-
-def write_log(path: Path, rows: NDArray[Any]) -> None:
-    """Write rows of `touchfield.render.block.record.COLUMNS` as comma-separated text, whole or not at all."""
-    words = {
-        flags: "+".join(name for name, bit in FLAGS.items() if flags & bit) or "idle"
-        for flags in np.unique(rows["flags"]).tolist()
-    }
-    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8") as file:
-        file.write(",".join(COLUMNS) + "\n")
-        for first in range(0, len(rows), _ROWS_AT_ONCE):
-            some = rows[first : first + _ROWS_AT_ONCE]
-            numbers = np.column_stack(
-                [some["time_s"], some["position_m"], some["velocity_m_s"], some["field_force_n"],
-                 some["friction_n"], some["force_n"], some["orientation"], some["field_torque_nm"], some["torque_nm"],
-                 some["gripper_m"], some["media_s"]]
-            )  # fmt: skip
-            for row, buttons, flags in zip(
-                (numbers + 0.0).tolist(), some["buttons"].tolist(), some["flags"].tolist()
-            ):
-                file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{words[flags]}\n")
 
 
 def sound_of(times_s: Float64s, forces_n: Float64s) -> tuple[Float64s, tuple[float, float]]:
@@ -399,18 +401,3 @@ def sound_of(times_s: Float64s, forces_n: Float64s) -> tuple[Float64s, tuple[flo
     both = np.stack([magnitude * np.sin(2 * np.pi * TONE_HZ * at), fast], axis=1)
     scales = float(magnitude.max()), float(np.abs(fast).max())
     return both / [scale or 1.0 for scale in scales], scales
-
-
-def write_sound(path: Path, rows: NDArray[Any]) -> str:
-    """Write rows of `touchfield.render.block.record.COLUMNS` as ``.wav``; a note on what it holds.
-
-    InvalidArgument if there are fewer than two rows, or too many for a WAV; SourceError if the system refuses.
-    """
-    if len(rows) < 2:
-        raise InvalidArgument("--wav", f"a play of {len(rows)} ticks", "at least 2", "Play longer.")
-    samples, (full_n, fast_n) = sound_of(rows["time_s"].astype(np.float64), rows["force_n"].astype(np.float64))
-    write_wav(path, [samples], 2, len(samples))
-    return (
-        f"the sound is {path}: left a tone as loud as |F| (1 is {full_n:.3g} N), right the force from {BAND_HZ[0]:g} "
-        f"Hz on (1 is {fast_n:.3g} N)"
-    )
