@@ -72,6 +72,15 @@ def taken(medium: HapticMedium, places: Sequence[int]) -> HapticMedium:
     return replace(medium, frame_count=count, make_frame=lambda i: medium[places[i]], vibration=band, segments=None)
 
 
+def measured(given: Prepared, received: HapticMedium) -> FidelityMeter:
+    """A few frames of a medium, evenly spaced, against what a receiver of another has, by the coder's mask."""
+    meter, medium = FidelityMeter(given.spec.k, given.spec.f0_n or EncodeSpec().f0_n), given.medium
+    for n in spread(len(medium), _LOOKED_AT):
+        back = received[n]
+        meter.add(medium[n], back if back.grid == medium.grid else rebuilt(back, medium.grid))
+    return meter
+
+
 def with_history(medium: HapticMedium, key: str, words: str) -> Mapping[str, str]:
     """The provenance of a medium with what is done to it now."""
     before = medium.provenance.get(key)
@@ -303,10 +312,7 @@ def resample_file(
         raise InvalidArgument("touchfield resample", "the lattice and the rate it has", "another lattice or rate")
     on_grid = resampled(given.medium, grid, kernel)
     medium = retimed(on_grid, rate_hz or given.medium.rate_hz)
-    meter = FidelityMeter(given.spec.k, given.spec.f0_n or EncodeSpec().f0_n)
-    for n in spread(len(given.medium), _LOOKED_AT):
-        back = on_grid[n] if grid == given.medium.grid else rebuilt(on_grid[n], given.medium.grid)
-        meter.add(given.medium[n], back)
+    meter = measured(given, on_grid)
     spacing, lost = [1e3 * h for h in grid.spacing_m], meter.mask_violation_share
     shown = {"spacing_mm": spacing, "kernel": kernel, "nmse_db": meter.nmse_db, "mask_violation_share": lost}
     done = _write(given, [source], medium, out, report, **shown)
@@ -342,11 +348,9 @@ def levels_of_detail(
     rows: list[dict[str, Any]] = []
     try:
         for level in range(wanted + 1):
-            one = _level(medium, level)
+            one = detail_level(medium, level)
             path = _write(given, [source], one, folder / f"level-{level}.touch", silent).path
-            meter = FidelityMeter(given.spec.k, given.spec.f0_n or EncodeSpec().f0_n)
-            for n in spread(len(medium), _LOOKED_AT):
-                meter.add(medium[n], rebuilt(one[n], medium.grid) if level else one[n])
+            meter = measured(given, one)
             row = {"level": level, "grid_shape": list(one.grid.shape), "file_bytes": path.stat().st_size}
             beyond = meter.mask_violations / max(1, meter.supported_voxels)
             row |= {"nmse_db": meter.nmse_db, "mask_violations_per_supported_voxel": beyond}
@@ -355,7 +359,7 @@ def levels_of_detail(
         if store is not None:
             from touchfield.medium.zarr_store import write_zarr
 
-            coarser = [_level(medium, n) for n in range(1, wanted + 1)]
+            coarser = [detail_level(medium, n) for n in range(1, wanted + 1)]
             write_zarr(store, medium, told=given.placement.told(), levels=coarser)
     finally:
         if not is_kept:
@@ -365,7 +369,8 @@ def levels_of_detail(
     return Result({"level": min(fits, default=None), "levels": rows}, notes)
 
 
-def _level(medium: HapticMedium, level: int) -> HapticMedium:
+def detail_level(medium: HapticMedium, level: int) -> HapticMedium:
+    """The medium on a lattice that is halved so often."""
     if level == 0:
         return medium
     grid = reduce(lambda g, _: halved(g), range(level), medium.grid)

@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
-from touchfield.job.editing import _write, read_medium, spread, with_history
+from touchfield.job.editing import _write, measured, read_medium, spread, with_history
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.prepare import Prepared
 from touchfield.job.result import Result
@@ -41,7 +41,6 @@ from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.sources.contact_trace import CurlFree, recorded_contacts, require_contacts, thinned_contacts
 from touchfield.viewer.plots import draw_points
 
-_LOOKED_AT: Final = 8
 _HAND_KG, _INERTIA_KG = 0.05, 0.045  # as `touchfield.render.spec` has them, the second of the least device
 _SPEED_M_S: Final = 0.2  # the fastest slide of `touchfield.perception.hand_motion`
 _PUSH_SHARE: Final = 0.25  # of a device's greatest force, where its continuous one is not known
@@ -169,9 +168,7 @@ def _modes(given: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any
     if spec.rank is None:
         found = replace(found, modes=found.modes.first(max(1, found.modes.rank_for(spec.decibels))))
     f0_n = given.spec.f0_n or EncodeSpec().f0_n
-    modes, meter, free = found.modes, FidelityMeter(given.spec.k, f0_n), freedom(found, f0_n)
-    for i in spread(len(medium), _LOOKED_AT):
-        meter.add(medium[i], found.field(i))
+    modes, meter, free = found.modes, measured(given, replace(medium, make_frame=found.field)), freedom(found, f0_n)
     shown: dict[str, Any] = {
         "modes": spec.modes,
         "rank": modes.rank,
