@@ -137,19 +137,19 @@ def partition(
     from touchfield.job.editing import read_medium
     from touchfield.job.mapping import partition_workspace
 
-    given = read_medium(medium).medium
+    source = read_medium(medium).medium
     if not 0 <= depth <= 7:
         raise InvalidArgument("--depth", f"{depth}", "0 to 7")
-    own = [max(1, n >> depth) for n in given.grid.shape]
+    own = [max(1, n >> depth) for n in source.grid.shape]
     x, y, z = numbers_of("--shape", shape, (3,), _COUNTS, int) if shape else own
     with progress("partition") as report:
-        done = partition_workspace(given, (x, y, z), penalty_bits, quantiser, report)
+        done = partition_workspace(source, (x, y, z), penalty_bits, quantiser, report)
     rows = []
     for box in done.boxes:
         low, high = ((1e3 * corner).round(6).tolist() for corner in done.grid(box).box_m)
         rows.append({"depth": box.depth, "low_mm": low, "high_mm": high, "lost_bits": box.lost_bits})
-    told = {name: value for name, value in done.summary().items() if name != "boxes"}
-    show({"box_count": len(rows), **told, "boxes": rows}, medium, as_json)
+    figures = {name: value for name, value in done.summary().items() if name != "boxes"}
+    show({"box_count": len(rows), **figures, "boxes": rows}, medium, as_json)
 
 
 @command(
@@ -284,6 +284,6 @@ def reduce(
         from touchfield.viewer.plots import draw_reduction
 
         draw_reduction(plot, done.values, done.field, done.felt, done.shown["hand"])
-    told = dict(done.shown)
-    held_out = {} if as_json else told.pop("held_out", {})
-    show({**told, **{f"held_out_{name}": value for name, value in held_out.items()}}, medium, as_json, done.notes)
+    figures = dict(done.shown)
+    held_out = {} if as_json else figures.pop("held_out", {})
+    show({**figures, **{f"held_out_{name}": value for name, value in held_out.items()}}, medium, as_json, done.notes)

@@ -148,17 +148,17 @@ def _say(note: str) -> None:
 
 def render_spec(asked: dict[str, Any]) -> RenderSpec:
     """The options as the renderer takes them."""
-    given = {name: value for name, value in fields_of(RenderSpec, asked).items() if value is not None}
-    given["tool"] = tool_of(asked["tool"])
+    values = {name: value for name, value in fields_of(RenderSpec, asked).items() if value is not None}
+    values["tool"] = tool_of(asked["tool"])
     if asked["materials"] is not None:
-        given["materials"] = read_materials(asked["materials"])
+        values["materials"] = read_materials(asked["materials"])
     if asked["deformation"] is not None:
-        given["deformation"] = read_deformation(asked["deformation"])
+        values["deformation"] = read_deformation(asked["deformation"])
     if asked["clutch_mm"] is not None:
-        given["clutch_m"] = tuple(v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], (3,), _TRIPLE))
+        values["clutch_m"] = tuple(v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], (3,), _TRIPLE))
     if asked["gravity_n"] is not None:
-        given["gravity_n"] = numbers_of("--gravity-n", asked["gravity_n"], (3,), _TRIPLE)
-    return RenderSpec(**given, blend=not asked["no_blend"])
+        values["gravity_n"] = numbers_of("--gravity-n", asked["gravity_n"], (3,), _TRIPLE)
+    return RenderSpec(**values, blend=not asked["no_blend"])
 
 
 def tool_of(words: str) -> Tool | None:

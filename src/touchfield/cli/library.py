@@ -60,14 +60,14 @@ def search(
             weights[name] = float(number)
         except ValueError:
             raise InvalidArgument("--weight", repr(words), "PART=NUMBER, such as amplitude=2") from None
-    found = run(folder, like, count, weights, index_file)
+    result = run(folder, like, count, weights, index_file)
     if as_json:
-        show(found.summary(), str(like), True, found.notes)
+        show(result.summary(), str(like), True, result.notes)
         return
-    typer.echo(f"like {like}, of {found.media} media ({found.query_ms:.1f} ms)")
-    for rank, match in enumerate(found.matches, start=1):
+    typer.echo(f"like {like}, of {result.media} media ({result.query_ms:.1f} ms)")
+    for rank, match in enumerate(result.matches, start=1):
         typer.echo(f"{rank:4d}  {match.distance:.4f}  {match.name}")
-    show_notes(found.notes)
+    show_notes(result.notes)
 
 
 @command("Study", "similar one.touch other.touch")
@@ -86,11 +86,11 @@ def similar(
 
     with progress("similar", "step") as report:
         done = run(first, second, encode_spec(asked), quantiser=quantiser, over=over, frames=looks, report=report)
-    told = done.summary()
+    figures = done.summary()
     if not as_json:
         names = {"normalised": "NMI", "variation": "VI / bit", "jensen_shannon": "sqrt(JSD)", "compression": "NCD"}
-        told = {names.get(k, k): v["value"] if k in names and v else v for k, v in told.items()}
-    show(told, f"{first} and {second}", as_json, done.notes)
+        figures = {names.get(k, k): v["value"] if k in names and v else v for k, v in figures.items()}
+    show(figures, f"{first} and {second}", as_json, done.notes)
 
 
 @command("Study", "correlate video.mp4 room.touch")
@@ -114,9 +114,9 @@ def correlate(
         )  # fmt: skip
     rows = []
     for look in done:
-        told = look.found.summary()
-        rows.append({"frame": look.frame, "picture": look.picture, "mutual_bits": told["mutual"]["value"],
-                     **{name: value for name, value in told.items() if name != "mutual"}})  # fmt: skip
+        figures = look.found.summary()
+        rows.append({"frame": look.frame, "picture": look.picture, "mutual_bits": figures["mutual"]["value"],
+                     **{name: value for name, value in figures.items() if name != "mutual"}})  # fmt: skip
     notes = tuple(dict.fromkeys(note for look in done for note in look.found.mutual.notes))
     if as_json:
         show({"looks": rows}, str(stream), True, notes)

@@ -234,12 +234,12 @@ def _show_plan(plan: Plan, as_json: bool, notes: tuple[str, ...] = ()) -> None:
 
 
 def _cells(plan: Plan, trial: Trial) -> tuple[str, ...]:
-    told = trial.summary()
-    control = f"{told['step_n']:g} N" if told["step_n"] is not None else f"{told['k']:g}"
-    nmse = "exact" if told["nmse_db"] is None else f"{told['nmse_db']:.2f}"
+    figures = trial.summary()
+    control = f"{figures['step_n']:g} N" if figures["step_n"] is not None else f"{figures['k']:g}"
+    nmse = "exact" if figures["nmse_db"] is None else f"{figures['nmse_db']:.2f}"
     kept = f"{100 * trial.mask_kept:.2f} %"
-    kind = f"paper {told['directions']}" if told["directions"] else trial.kind
-    return (str(told["nw"] or "-"), kind, control, f"{plan.cost(trial):,.0f}", nmse, kept)
+    kind = f"paper {figures['directions']}" if figures["directions"] else trial.kind
+    return (str(figures["nw"] or "-"), kind, control, f"{plan.cost(trial):,.0f}", nmse, kept)
 
 
 @command(

@@ -100,12 +100,12 @@ SCENE: tuple[Row, ...] = (
 def _coder_rows() -> tuple[Row, ...]:
     """One option for each that a coder takes; where several take one, its help tells what it is to each."""
     words = [word for one in field_coders().values() for word in one.makers]
-    told: dict[str, tuple[type, list[str]]] = {}
+    options: dict[str, tuple[type, list[str]]] = {}
     for one in field_coders().values():
         for option in one.options:
-            told.setdefault(option.key, (option.kind, []))[1].append(f"{one.name}: {option.help}")
+            options.setdefault(option.key, (option.kind, []))[1].append(f"{one.name}: {option.help}")
     rows: list[Row] = [("coder", str, words[0], f"{', '.join(words)} (literal: every part as printed in the paper).")]
-    for key, (kind, helps) in told.items():
+    for key, (kind, helps) in options.items():
         asked, default = (bool, False) if kind is bool else (kind | None, None)
         rows.append((key.replace("_", "-"), asked, default, " ".join(helps)))
     return tuple(rows)
@@ -232,14 +232,14 @@ def _coder(asked: dict[str, Any]) -> dict[str, Any]:
     own = next((one for one in coders if word in one.makers), None)
     if own is None:
         raise InvalidArgument("--coder", repr(word), f"one of {', '.join(w for one in coders for w in one.makers)}")
-    given = {key: value for key, value in asked.items() if value is not None and value is not False}
+    values = {key: value for key, value in asked.items() if value is not None and value is not False}
     taken = {option.key for option in own.options}
     for other in coders:
         for option in other.options:
-            if option.key in given and option.key not in taken:
+            if option.key in values and option.key not in taken:
                 said = f"--{option.key.replace('_', '-')} works with --coder {other.name}, not with {word}"
                 raise InvalidArgument(said, mend="Take it out, or change the coder.")
-    chosen = {key: given[key] for key in given if key in taken | set(own.hints)}
+    chosen = {key: values[key] for key in values if key in taken | set(own.hints)}
     return {"coder": own.name, own.name: own.makers[word](chosen)}
 
 

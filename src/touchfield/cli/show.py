@@ -57,8 +57,8 @@ def literal_console() -> Console:
 def show(values: Mapping[str, Any], title: str, as_json: bool, notes: tuple[str, ...] = ()) -> None:
     """Print `values` as one JSON object, or as a table with its notes."""
     if as_json:
-        told = _unsigned_zeros({**values, "notes": list(notes)})
-        sys.stdout.write(json.dumps(told, default=_plain, allow_nan=False) + "\n")
+        answer = _unsigned_zeros({**values, "notes": list(notes)})
+        sys.stdout.write(json.dumps(answer, default=_plain, allow_nan=False) + "\n")
         return
     literal_console().print(title, style="bold", soft_wrap=True)
     show_table([(name, _text(value)) for name, value in values.items()])

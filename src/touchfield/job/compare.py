@@ -52,9 +52,9 @@ class Comparison:
     """Of objects: the mask against the source with its bodies where the file has them, and how far that is, m."""
 
     def __repr__(self) -> str:
-        told = self.summary()
+        figures = self.summary()
         names = ("frames", "file_bytes", "bits_per_supported_voxel", "nmse_db", "mask_violation_share")
-        short = (f"{name} {told[name]:.6g}" for name in names if told[name] is not None)
+        short = (f"{name} {figures[name]:.6g}" for name in names if figures[name] is not None)
         return f"<Comparison: {', '.join(short)}>"
 
     def summary(self) -> dict[str, Any]:
@@ -149,10 +149,10 @@ def compare(
         composed = None
         if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
             composed = compare_scenes(scene, opened.scene, meter.k, floor_n)
-            told = (
+            text = (
                 f"the mask is that of the source with each body where the file has it, {1e6 * composed[1]:.1f} um off"
             )
-            notes = (*notes, f"{told} at most; *_in_place are without that tolerance")
+            notes = (*notes, f"{text} at most; *_in_place are without that tolerance")
         bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)

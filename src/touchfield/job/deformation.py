@@ -78,7 +78,7 @@ def tracks_of(
         if not len(at):
             raise InvalidArgument(str(stream), "a first frame without any force", "one that can be felt")
         yields = {"compliance_m_per_n": compliance_m_per_n, "relax_s": relax_s}
-        made, rms = lattice_of(at.min(axis=0), at.max(axis=0), controls, **yields), 0.0
+        bend, rms = lattice_of(at.min(axis=0), at.max(axis=0), controls, **yields), 0.0
     else:
         scene = AnimatedMeshScene(Path(motion.model), motion.animation, rate_hz=motion.rate_hz)
         behind = _BEHIND * float(spacing.mean()) / opened.reader.head.mapping_scale
@@ -93,17 +93,17 @@ def tracks_of(
         looks = np.concatenate([points(taken[n]) for n in np.unique(np.linspace(0, len(taken) - 1, 16).astype(int))])
         lattice = lattice_of(looks.min(axis=0), looks.max(axis=0), controls)
         rest = points(taken[0] if motion.rest_frame is None else motion.rest_frame)
-        made, rms = fitted(rest, map(points, taken), lattice, motion.rate_hz, lambda done: report(done, len(taken)))
-        made = replace(made, compliance_m_per_n=compliance_m_per_n, relax_s=relax_s)
-    made.write(out)
+        bend, rms = fitted(rest, map(points, taken), lattice, motion.rate_hz, lambda done: report(done, len(taken)))
+        bend = replace(bend, compliance_m_per_n=compliance_m_per_n, relax_s=relax_s)
+    bend.write(out)
     size = Path(out).stat().st_size
     figures = {
-        "frames": len(made),
-        "control_points": list(made.displacement_m.shape[1:4]),
+        "frames": len(bend),
+        "control_points": list(bend.displacement_m.shape[1:4]),
         "rms_mm": 1e3 * rms,  # distance of the points of the surface from where the model has them
-        "least_determinant": made.least_determinant()[0],
-        "compliance_m_per_n": made.compliance_m_per_n,
+        "least_determinant": bend.least_determinant()[0],
+        "compliance_m_per_n": bend.compliance_m_per_n,
         "file_bytes": size,
-        "bytes_per_frame": size / len(made),
+        "bytes_per_frame": size / len(bend),
     }
     return Result({"file": str(out), **figures})

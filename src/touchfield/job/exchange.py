@@ -131,17 +131,17 @@ def import_effect(
     kind = Path(source).suffix.lower()
     if kind not in IMPORTS:
         raise InvalidArgument(str(source), f"the ending {Path(source).suffix!r}", " or ".join(IMPORTS))
-    found = (read_ahap if kind == ".ahap" else read_hjif_array)(source, rate_hz)
-    told_n = found.force_max_n if force_max_n is None else force_max_n
-    own = effect_device(found.effect.lattice, found.device_name, told_n)
-    symbolic = effect_medium(found.effect, device_grid(own), own.force_max_n, {"format": kind[1:]})
+    pattern = (read_ahap if kind == ".ahap" else read_hjif_array)(source, rate_hz)
+    full_n = pattern.force_max_n if force_max_n is None else force_max_n
+    own = effect_device(pattern.effect.lattice, pattern.device_name, full_n)
+    symbolic = effect_medium(pattern.effect, device_grid(own), own.force_max_n, {"format": kind[1:]})
     medium = felt_medium(symbolic, asked.chain, own.force_max_n)
     if asked.vibration is not None:
         medium = vibrating(medium, VibrationRule.parse(asked.vibration), own.force_max_n)
     if asked.frames is not None:
         start, stop = asked.frames
         medium = medium.between(start, len(medium) if stop is None else stop)
-    prepared = Prepared(medium, own, Placement(), replace(asked, device=own.name, nw=None), found.notes)
+    prepared = Prepared(medium, own, Placement(), replace(asked, device=own.name, nw=None), pattern.notes)
     return encode_prepared(prepared, out, provenance_of(source, prepared), report)
 
 
@@ -231,8 +231,8 @@ def _export_force(
         write_wav(path, [forces_n / (along_n or 1.0)], 3, len(forces_n))
         notes = (f"Full scale is {along_n:.6g} N, the greatest force along an axis: a sound has no newtons.",)
     else:
-        told = f"force along {Path(trajectory).name}"
-        write_hjif_force(path, forces_n, timescale, device_name=name, full_scale_n=full_scale_n, description=told)
+        title = f"force along {Path(trajectory).name}"
+        write_hjif_force(path, forces_n, timescale, device_name=name, full_scale_n=full_scale_n, description=title)
         if along_n > full_scale_n:
             notes = (
                 "Readers that put it out as sound, such as the reference synthesiser, clip above "

@@ -156,10 +156,10 @@ class Played:
         """The picture of the interaction."""
         draw_interaction(path, self._felt(self.view, "plot"))
 
-    def _felt(self, found: Any, option: str) -> Any:
-        if found is None:
+    def _felt(self, part: Any, option: str) -> Any:
+        if part is None:
             raise _for_points(option)
-        return found
+        return part
 
 
 def play(
@@ -187,11 +187,11 @@ def play(
 
 def stream_device(stream: OpenStream) -> Device:
     """The profile that a stream was made for, or what it tells of one that is not known."""
-    told = stream.told_device
-    if told.name not in device_names():  # nor is a file looked for whose path a stream names
-        return told
-    known = device(told.name)
-    return known if known.is_array == told.is_array else told
+    own = stream.told_device
+    if own.name not in device_names():  # nor is a file looked for whose path a stream names
+        return own
+    known = device(own.name)
+    return known if known.is_array == own.is_array else own
 
 
 def _play_point(
@@ -201,23 +201,23 @@ def _play_point(
     if stream.reader.head.device_type == 2:
         mend = "Play it on an array (bhaptics, osc, pins), or encode the scene for a point (--device phantom-omni)."
         raise InvalidArgument(name, f"a stream for the array {stream.reader.head.device_name}", "one in space", mend)
-    given = None if spec.trajectory is None else read_trace(spec.trajectory)
+    trajectory = None if spec.trajectory is None else read_trace(spec.trajectory)
     if spec.trace is not None:
         recorded = read_trace(spec.trace)
-        given = Trace(recorded.times_s, stream.placement.to_hand(recorded.positions_m))
-    choice = point_device(spec.device, given)
+        trajectory = Trace(recorded.times_s, stream.placement.to_hand(recorded.positions_m))
+    choice = point_device(spec.device, trajectory)
     named = spec.profile or choice.profile
     profile = device(named) if named else stream_device(stream)
     if choice.is_simulated:
         profile = replace(profile, axes=field_of.axes)
         spec = replace(spec, render=replace(spec.render, up="lattice"))  # it moves in the field's own axes
-        given = given or _probe(spec, profile, stream.medium[:1] if stream.is_live else field_of)
-        choice = point_device(spec.device, given)
+        trajectory = trajectory or _probe(spec, profile, stream.medium[:1] if stream.is_live else field_of)
+        choice = point_device(spec.device, trajectory)
     elif spec.offline:
         raise InvalidArgument(f"--offline works with --device sim, not with {choice.name}")
     seconds = spec.seconds  # None: to the end of the medium, or for ever where it has none
-    if seconds is None and given is not None:
-        seconds = max(float(given.times_s[-1]), _LEAST_S)
+    if seconds is None and trajectory is not None:
+        seconds = max(float(trajectory.times_s[-1]), _LEAST_S)
     times: dict[str, Any] = {"loop": spec.loop, "speed": spec.speed, "start_s": spec.start_s}
     if spec.offline:
         error: Exception | None
@@ -244,7 +244,7 @@ def _play_point(
             notes, error, statistics = (*notes, str(error)), None, _before_end(statistics, rows)
     friction = spec.render.friction if spec.render.friction is not None else field_of.friction
     put, touched = np.linalg.norm(rows["force_n"], axis=1), rows["field_force_n"].any(axis=1)
-    told = {
+    figures = {
         "device": spec.device,
         "profile": profile.name,
         "friction": friction,
@@ -254,13 +254,13 @@ def _play_point(
         **statistics,
     }
     if error is not None:
-        return Played(told, rows, None, notes, error)
+        return Played(figures, rows, None, notes, error)
     render, medium = spec.render, stream.medium
     drawn = medium[0 if stream.is_live else len(medium) // 2] if spec.is_drawn else None
     caption = f"{spec.device} with the limits of {profile.name}, {len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
     peak_n, continuous_n = render.peak_n or profile.force_max_n, render.continuous_n or profile.force_continuous_n
     view = InteractionView(name, caption, medium.axes, rows, peak_n, continuous_n, drawn)
-    return Played(told, rows, view, notes)
+    return Played(figures, rows, view, notes)
 
 
 def _before_end(statistics: dict[str, Any], rows: NDArray[Any]) -> dict[str, Any]:
@@ -320,9 +320,9 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
             pass
     if player.error is not None:
         raise player.error
-    told = asdict(player.statistics)
-    told["stalled_share"] = told["stalled"] / max(told["sent"], 1)
-    return Played({"device": spec.device, "profile": chosen.profile.name, **told}, None, None, player.notes)
+    figures = asdict(player.statistics)
+    figures["stalled_share"] = figures["stalled"] / max(figures["sent"], 1)
+    return Played({"device": spec.device, "profile": chosen.profile.name, **figures}, None, None, player.notes)
 
 
 def _for_points(option: str) -> InvalidArgument:

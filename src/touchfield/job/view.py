@@ -132,8 +132,8 @@ def _page(
             raise
     if against is None or fine is None:
         return Page(page_of(data, name, figures, movie), figures)
-    told = compare(against, path, report=report).summary()
-    figures |= {key: told[key] for key in _COMPARED if told.get(key) is not None}
+    figures_of_source = compare(against, path, report=report).summary()
+    figures |= {key: figures_of_source[key] for key in _COMPARED if figures_of_source.get(key) is not None}
     figures |= {"source_bytes": len(fine.data), "source_share": fine.share}
     return Page(page_of(data, name, figures, movie, fine.data), figures)
 
