@@ -17,7 +17,7 @@ import numpy as np
 
 from machine import Bar, Figures, at_least, at_most, bench, figure, timed
 from touchfield.devices import device
-from touchfield.job.array_medium import array_medium
+from touchfield.job.array_medium import array_drives
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.render.sampler import FieldSampler
 
@@ -44,7 +44,7 @@ def conversion(made: list[ForceField], name: str) -> Figures:
     stream: Any = SimpleNamespace(
         medium=medium, reader=SimpleNamespace(head=SimpleNamespace(device_type=1, force_max_n=3.0))
     )
-    drives = array_medium(stream, device(name)).drives()
+    drives = array_drives(stream, device(name))
     numbers = iter(range(len(made)))
     return {"lattice": device(name).lattice, **timed(lambda: drives.drives(next(numbers)), runs=len(made) - 1)}
 

@@ -94,7 +94,7 @@ def model(path: Path, rest: int, nw: int, folder: Path) -> Moving:
     # the pose alone, where the whole stretch has been fitted to
     encode(str(path), stream, replace(spec, frames=(rest, rest + 1), fit_frames=(first, stop)))
     told = tracks_of(stream, out, Motion(path, None, (first, stop), rest))
-    return Moving(list(medium), medium[SIDE], read_deformation(out), told.rms_m)
+    return Moving(list(medium), medium[SIDE], read_deformation(out), told.shown["rms_mm"] / 1e3)
 
 
 def carried(moving: Moving, folder: Path) -> Figures:

@@ -283,17 +283,17 @@ def test_a_file_is_brought_onto_another_lattice_and_its_error_told(stream: Path,
 
 def test_each_level_of_detail_tells_its_bytes_and_its_error(stream: Path, tmp_path: Path) -> None:
     done = levels_of_detail(stream, tmp_path / "levels", spec=EXACT)
-    sizes = [row["file_bytes"] for row in done.rows]
-    errors = [row["mask_violations_per_supported_voxel"] for row in done.rows]
-    assert [row["grid_shape"] for row in done.rows] == [[32] * 3, [16] * 3, [8] * 3]
+    sizes = [row["file_bytes"] for row in done.shown["levels"]]
+    errors = [row["mask_violations_per_supported_voxel"] for row in done.shown["levels"]]
+    assert [row["grid_shape"] for row in done.shown["levels"]] == [[32] * 3, [16] * 3, [8] * 3]
     assert sizes == sorted(sizes, reverse=True) and errors == sorted(errors) and errors[0] == 0
-    for level, row in enumerate(done.rows):
+    for level, row in enumerate(done.shown["levels"]):
         path = tmp_path / "levels" / f"level-{level}.touch"
         assert row["file"] == str(path) and path.stat().st_size == row["file_bytes"]
         assert list(tf.decode(path).grid.shape) == row["grid_shape"]
-    assert levels_of_detail(stream, most_bytes=sizes[1], spec=EXACT).level == 1
+    assert levels_of_detail(stream, most_bytes=sizes[1], spec=EXACT).shown["level"] == 1
     none = levels_of_detail(stream, levels=1, most_bytes=10, spec=EXACT)
-    assert none.level is None and "10 bytes" in none.notes[0]
+    assert none.shown["level"] is None and "10 bytes" in none.notes[0]
     with pytest.raises(InvalidArgument):
         levels_of_detail(stream, levels=9)
 

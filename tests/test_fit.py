@@ -22,7 +22,6 @@ from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.height_scene import HeightScene
 from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES, Body, Scene
 from touchfield.sources.shapes import Box, Sphere
-from touchfield.viewer import picture
 
 GRID = Grid((4, 5, 6), (0.01, 0.02, 0.03), (-0.1, 0.0, 0.1))
 
@@ -128,7 +127,7 @@ def test_a_preview_shows_where_the_scene_lies(tmp_path: Path, monkeypatch: pytes
     box = AnalyticScene((Box((0.4, 0.0, 0.0), (0.04, 0.02, 0.05)),))
     box.axes = axes
     drawn: list = []
-    monkeypatch.setattr(picture, "write_png", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr("touchfield.job.view.write_png", lambda figure, path: drawn.append(figure))
     prepared = prepare(box, EncodeSpec(nw=5))
     draw_preview(prepared, tmp_path / "a.png")
     (figure,) = drawn

@@ -140,13 +140,15 @@ def test_a_body_farther_from_its_place_than_is_tolerated_excuses_nothing(stream:
     assert far["worst_mask_ratio"] == far["worst_mask_ratio_in_place"]
 
 
-def test_the_picture_of_a_long_stream_tells_its_rate(stream: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_picture_of_a_long_stream_tells_its_rate(
+    stream: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     drawn: list[PictureSpec] = []
     module = sys.modules["touchfield.job.compare"]
     monkeypatch.setattr(module, "draw_comparison", lambda *rest: drawn.append(rest[-1]))
     compared = job.compare(falling(), stream)
     compared.stream["cr_full"] = 3.7e-6
-    compared.draw("unused.png")
+    compared.draw(tmp_path / "drawn.png")
     assert "CR 3.7e-06" in drawn[0].caption
 
 

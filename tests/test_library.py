@@ -91,13 +91,13 @@ def test_only_what_changed_is_decoded_again(folder: Path, decoded: list[str]) ->
     decoded.clear()
     before = first.path.read_bytes()
     again = index_folder(folder)
-    assert not decoded and again.described == 0 and again.kept == 8
+    assert not decoded and again.shown["described"] == 0 and again.shown["kept"] == 8
     assert first.path.read_bytes() == before
     os.utime(folder / "sphere.touch", ns=(1, 1))  # another time, the same bytes
     (folder / "torus.touch").rename(folder / "ring.touch")
     shutil.copyfile(folder / "plate.touch", folder / "copy.touch")
     third = index_folder(folder)
-    assert not decoded and third.gone == 1
+    assert not decoded and third.shown["gone"] == 1
     assert {"ring.touch", "copy.touch"} < set(third.library.rows) and "torus.touch" not in third.library.rows
     tf.encode(body("lens"), folder / "plate.touch")
     (folder / "cut.touch").unlink()

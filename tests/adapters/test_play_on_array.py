@@ -10,7 +10,7 @@ from osc_listener import Listener, listening
 from touchfield import job
 from touchfield.adapters.registry import array_device
 from touchfield.job import EncodeSpec
-from touchfield.job.array_medium import array_medium
+from touchfield.job.array_medium import array_drives
 from touchfield.render.array_player import ArrayPlayer
 from touchfield.sources.tiny_scenes import tiny_scenes
 
@@ -22,7 +22,7 @@ def test_a_file_is_felt_frame_by_frame(tmp_path: Path) -> None:
     job.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST))
     with listening() as line, job.open_stream(path) as stream:
         array = array_device(f"osc:127.0.0.1:{line.getsockname()[1]}")
-        frames = array_medium(stream, array.profile).drives()
+        frames = array_drives(stream, array.profile)
         with ArrayPlayer(frames, array, rate_hz=frames.rate_hz, speed=0.5) as player:
             assert player.wait(30)
         listener = Listener(array.profile)

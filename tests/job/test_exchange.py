@@ -67,7 +67,7 @@ def probe(path: Path, rows: list[tuple[float, ...]]) -> Path:
 def test_a_stream_for_a_vest_as_hjif_and_back(tmp_path: Path) -> None:
     path, drives = vest_stream(tmp_path / "a.touch")
     done = export(path, tmp_path / "a.hjif")
-    assert done.device == "tactsuit-x40" and done.seconds == pytest.approx(0.3)
+    assert done.shown["device"] == "tactsuit-x40" and done.shown["seconds"] == pytest.approx(0.3)
     assert done.summary()["columns"] == 4 and done.summary()["file_bytes"] == (tmp_path / "a.hjif").stat().st_size
     read = read_hjif_array(tmp_path / "a.hjif", 20.0)
     assert read.effect.drives == pytest.approx(drives, rel=K, abs=2e-5)
@@ -87,7 +87,7 @@ def test_a_stream_for_a_vest_as_a_pattern(tmp_path: Path) -> None:
     path, drives = vest_stream(tmp_path / "a.touch")
     done = export(path, tmp_path / "a.tact", panel="back")
     spans = read_tact(tmp_path / "a.tact")
-    assert done.told["panel"] == "back" and len(spans) == 6 and {one.position for one in spans} == {"VestBack"}
+    assert done.shown["panel"] == "back" and len(spans) == 6 and {one.position for one in spans} == {"VestBack"}
     for one, wanted in zip(spans, drives):
         assert one.intensities == pytest.approx(wanted, abs=K + 0.0051)
 
@@ -95,8 +95,8 @@ def test_a_stream_for_a_vest_as_a_pattern(tmp_path: Path) -> None:
 def test_fields_in_space_are_pooled_onto_the_array(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
     done = export(path, tmp_path / "a.tact")
-    assert done.device == "tactsuit-x40" and read_tact(tmp_path / "a.tact")[0].intensities.max() > 0.9
-    assert export(path, tmp_path / "a.hjif", "tshirt-32x32").told["columns"] == 32
+    assert done.shown["device"] == "tactsuit-x40" and read_tact(tmp_path / "a.tact")[0].intensities.max() > 0.9
+    assert export(path, tmp_path / "a.hjif", "tshirt-32x32").shown["columns"] == 32
     assert json.loads((tmp_path / "a.hjif").read_text())["level"] == 2
 
 
@@ -108,7 +108,7 @@ def test_a_force_along_a_trajectory(tmp_path: Path) -> None:
     expected = np.array([0, 2.0 * 0.75, 2.0 * 0.5, 2.75 * 0.5, 0])  # frame 1 holds half of frame 0, from 0.1 s on
     found = np.interp([0, 0.05, 0.1, 0.2, 0.3], times, forces[:, 2])
     assert found == pytest.approx(expected, rel=2 * K, abs=1e-4) and np.abs(forces[:, :2]).max() < 0.01
-    assert done.told["samples"] == 301 and done.told["greatest_n"] == pytest.approx(1.5, rel=2 * K)
+    assert done.shown["samples"] == 301 and done.shown["greatest_n"] == pytest.approx(1.5, rel=2 * K)
 
 
 def test_a_probe_seen_seldom_meets_what_lies_between(tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_a_probe_seen_seldom_meets_what_lies_between(tmp_path: Path) -> None:
     assert not forces[0].any() and not forces[-1].any() and forces[:, 2].max() > 2.5
     for rows, ticks in (([0.0, 0.0001], 10000), ([0.0, 131.07], 500), ([5.0], 1000)):
         slow = probe(tmp_path / "p.csv", [(t, 0, 0, 0) for t in rows])
-        assert export(path, tmp_path / "f.hjif", trajectory=slow).told["ticks_per_second"] == ticks
+        assert export(path, tmp_path / "f.hjif", trajectory=slow).shown["ticks_per_second"] == ticks
 
 
 def test_newtons_above_one_are_told_to_clip_in_sound(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_newtons_above_one_are_told_to_clip_in_sound(tmp_path: Path) -> None:
 
 def test_sounds_clips_and_patterns(tmp_path: Path) -> None:
     path, drives = vest_stream(tmp_path / "a.touch")
-    assert export(path, tmp_path / "a.wav").seconds == pytest.approx(0.3)
+    assert export(path, tmp_path / "a.wav").shown["seconds"] == pytest.approx(0.3)
     with wave.open(str(tmp_path / "a.wav")) as sound:
         assert (sound.getnchannels(), sound.getframerate(), sound.getsampwidth()) == (drives[0].size, 8000, 2)
     for name in ("a.haptic", "a.ahap"):
@@ -170,7 +170,7 @@ def test_what_exceeds_the_peak_is_shortened(tmp_path: Path) -> None:
     peak_n = device("phantom-omni").force_max_n
     assert np.abs(forces).max() == pytest.approx(peak_n) and "shortened" in done.notes[0]
     other = export(path, tmp_path / "g.hjif", "novint-falcon", deep)
-    assert other.told["force_max_n"] == device("novint-falcon").force_max_n
+    assert other.shown["force_max_n"] == device("novint-falcon").force_max_n
 
 
 def test_effects_of_others_become_streams(tmp_path: Path) -> None:

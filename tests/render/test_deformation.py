@@ -313,7 +313,7 @@ def test_an_animated_model_bends_the_stream_of_a_pose(tmp_path: Path, capsys: py
     assert not bent.displacement_m[0].any() and bent.displacement_m[-1].any()
     with job.open_stream(stream) as opened:
         spacing_mm = 1e3 * float(np.mean(opened.grid.spacing_m))
-    assert told["rms_mm"] < 0.2 * spacing_mm
+    assert 0.02 * spacing_mm < told["rms_mm"] < 0.2 * spacing_mm, "millimetres, as few controls cannot follow it all"
     play = ["play", str(stream), "--offline", "--seconds", "0.1", "--deformation"]
     assert _exit_code([*play, str(tracks)]) == 0
     for words, said in (

@@ -86,32 +86,33 @@ def live(
         return
     layer = coarse_layer(source, prepared) if coarse else None
     under = layer[1] if layer else None
-    with LiveServer(sender, _access(asked), Pages(served_page(), empty_page()), under) as server, ExitStack() as held:
+    pages = Pages(served_page(), empty_page())
+    with LiveServer(sender, _access(asked), pages, under) as server, ExitStack() as stack:
         word = "?token=..." if asked["token"] else ""
         typer.echo(f"ws://{server.address}/live{word}  http://{server.address}/live.json{word}", err=True)
         typer.echo(f"in a browser: http://{server.address}/view{word}", err=True)
-        send = _sending(server.add, sender, udp, "fine" if layer else "alone", held)
+        send = _sending(server.add, sender, udp, "fine" if layer else "alone", stack)
         also = None
         if layer:
             typer.echo(f"coarse layer: ws://{server.address}/coarse/live{word}", err=True)
-            also = layer[0], _sending(server.add_coarse, layer[1], udp, "coarse", held)
+            also = layer[0], _sending(server.add_coarse, layer[1], udp, "coarse", stack)
         try:
             sent = broadcast(prepared, send, spec, say, coarse=also)
         finally:
             server.end()
-    told = {**sent.summary(), "most_receivers": server.most_receivers, "skipped": server.skipped, "left": server.left}
-    show(told, source, as_json, prepared.notes)
+    sums = {**sent.summary(), "most_receivers": server.most_receivers, "skipped": server.skipped, "left": server.left}
+    show(sums, source, as_json, prepared.notes)
 
 
 def _sending(
-    add: Callable[[LiveSegment], bytes], sender: LiveSender, address: str | None, layer: Layer, held: ExitStack
+    add: Callable[[LiveSegment], bytes], sender: LiveSender, address: str | None, layer: Layer, stack: ExitStack
 ) -> Callable[[LiveSegment], bytes]:
     """A call that has a segment sent, by datagrams too where an address is given."""
     if address is None:
         return add
     from touchfield.stream.udp import UdpSender
 
-    link = held.enter_context(UdpSender(sender, address, layer))
+    link = stack.enter_context(UdpSender(sender, address, layer))
 
     def send(segment: LiveSegment) -> bytes:
         message = add(segment)

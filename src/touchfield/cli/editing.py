@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from touchfield.cli.main import Asked, Json, command
-from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, frames_of
-from touchfield.cli.show import check_picture, progress, show, show_notes, show_rows
+from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, frames_of, numbers_of
+from touchfield.cli.show import check_results, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import length_m
 from touchfield.job import editing
@@ -25,12 +25,7 @@ Out = Annotated[Path, typer.Argument(help="OUT.touch, or a field: FIELD.npz, FIE
 Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, gaussian, box, sinc, or trilinear for none.")]
 
 
-def counts_of(option: str, text: str) -> list[int]:
-    """NX,NY,NZ of an option."""
-    parts = text.split(",")
-    if len(parts) != 3 or not all(p.strip().isdecimal() for p in parts):
-        raise InvalidArgument(option, repr(text), "NX,NY,NZ, such as 64,64,32")
-    return [int(p) for p in parts]
+_COUNTS = "NX,NY,NZ, such as 64,64,32"
 
 
 @command("Make")
@@ -97,7 +92,7 @@ def resample(
     as_json: Json = False,
 ) -> None:
     """Bring MEDIUM onto another lattice or to another rate, and tell what a receiver then lacks."""
-    samples = None if shape is None else counts_of("--shape", shape)
+    samples = None if shape is None else numbers_of("--shape", shape, (3,), _COUNTS, int)
     lattice = nw, samples, None if spacing is None else length_m(spacing, "--spacing")
     with progress("resample") as report:
         done = editing.resample_file(medium, out, lattice, rate_hz, kernel, coder_spec(asked), report)
@@ -121,10 +116,11 @@ def lod(
     with progress("lod", "level") as report:
         done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(asked), report)
     if as_json:
-        show({"level": done.level, "levels": done.rows}, medium, True, done.notes)
+        show(done.summary(), medium, True, done.notes)
         return
-    show_rows(done.rows, f"levels of detail of {medium}")
-    best = () if done.level is None or most_bytes is None else (f"level {done.level} is the finest that fits",)
+    show_rows(done.shown["levels"], f"levels of detail of {medium}")
+    level = done.shown["level"]
+    best = () if level is None or most_bytes is None else (f"level {level} is the finest that fits",)
     show_notes((*best, *done.notes))
 
 
@@ -141,18 +137,19 @@ def partition(
     from touchfield.job.editing import read_medium
     from touchfield.job.mapping import partition_workspace
 
-    given = read_medium(medium).medium
+    source = read_medium(medium).medium
     if not 0 <= depth <= 7:
         raise InvalidArgument("--depth", f"{depth}", "0 to 7")
-    x, y, z = counts_of("--shape", shape) if shape else [max(1, n >> depth) for n in given.grid.shape]
+    own = [max(1, n >> depth) for n in source.grid.shape]
+    x, y, z = numbers_of("--shape", shape, (3,), _COUNTS, int) if shape else own
     with progress("partition") as report:
-        done = partition_workspace(given, (x, y, z), penalty_bits, quantiser, report)
+        done = partition_workspace(source, (x, y, z), penalty_bits, quantiser, report)
     rows = []
     for box in done.boxes:
         low, high = ((1e3 * corner).round(6).tolist() for corner in done.grid(box).box_m)
         rows.append({"depth": box.depth, "low_mm": low, "high_mm": high, "lost_bits": box.lost_bits})
-    told = {name: value for name, value in done.summary().items() if name != "boxes"}
-    show({"box_count": len(rows), **told, "boxes": rows}, medium, as_json)
+    figures = {name: value for name, value in done.summary().items() if name != "boxes"}
+    show({"box_count": len(rows), **figures, "boxes": rows}, medium, as_json)
 
 
 @command(
@@ -178,13 +175,15 @@ def texture(
     from touchfield.render.material import read_materials, write_table
     from touchfield.sources.recording import read_recording
 
-    for source in (*sources, *([into] if into else [])):
-        check_picture(source, out)
-        check_picture(source, plot)
+    check_results((*sources, into), out, plot)
     tables = [read_materials(path) for path in sources if path.suffix.lower() == ".json"]
     recorded = [path for path in sources if path.suffix.lower() != ".json"]
     if recorded:
-        speeds, forces = (_numbers(*pair, len(recorded)) for pair in (("speed-m-s", speed_m_s), ("force-n", force_n)))
+        count = len(recorded)
+        expected = f"one number, or one for each of {count} recordings: 0.05,0.1"
+        named = ("--speed-m-s", speed_m_s), ("--force-n", force_n)
+        values = [numbers_of(option, text, (1, count), expected) for option, text in named]
+        speeds, forces = ((own * count)[:count] for own in values)  # one number is that of all
         recordings = [read_recording(path, full_scale_m_s2) for path in recorded]
         tables.append((texture_of(recordings, speeds, forces, name or out.stem, friction),))
     elif speed_m_s or force_n or name or friction is not None:
@@ -203,18 +202,6 @@ def texture(
         str(out),
         as_json,
     )
-
-
-def _numbers(option: str, text: str | None, count: int) -> list[float]:
-    """One number for each recording."""
-    try:
-        values = [float(part) for part in (text or "").split(",")]
-    except ValueError:
-        values = []
-    if len(values) not in (1, count):
-        found = "nothing" if text is None else repr(text)
-        raise InvalidArgument(f"--{option}", found, f"one number, or one for each of {count} recordings: 0.05,0.1")
-    return values * (count if len(values) == 1 else 1)
 
 
 def _draw(path: Path, materials: tuple[Material, ...]) -> None:
@@ -254,15 +241,13 @@ def deform(
     """Bend STREAM at the receiver: by the motion of a model, or under the finger."""
     from touchfield.job.deformation import Motion, tracks_of
 
-    check_picture(stream, out)
-    if model is not None:
-        check_picture(model, out)
+    check_results((stream, model), out)
     motion = Motion(model, animation, frames_of("--frames", frames), rest_frame, rate_hz) if model else None
     with progress("deform", "frame") as report:
         done = tracks_of(
             stream, out, motion, controls=controls, compliance_m_per_n=yield_m_per_n, relax_s=relax_s, report=report
         )
-    show({"file": str(out), **done.summary()}, str(out), as_json)
+    show(done.summary(), str(out), as_json)
 
 
 @command(
@@ -291,8 +276,7 @@ def reduce(
     """Tell in how few numbers MEDIUM varies, how many bits a degree of freedom has, and what no hand can feel."""
     from touchfield.job.reduction import ReductionSpec, reduce_medium
 
-    for picture in (plot, out, cull):
-        check_picture(medium, picture)
+    check_results((medium,), plot, out, cull)
     spec = ReductionSpec(modes, rank, nmse_db, device, push_n, mass_kg, speed_m_s, trace)
     with progress("reduce") as report:
         done = reduce_medium(medium, out, cull, spec, coder_spec(asked), report)
@@ -300,6 +284,6 @@ def reduce(
         from touchfield.viewer.plots import draw_reduction
 
         draw_reduction(plot, done.values, done.field, done.felt, done.shown["hand"])
-    told = dict(done.shown)
-    held_out = {} if as_json else told.pop("held_out", {})
-    show({**told, **{f"held_out_{name}": value for name, value in held_out.items()}}, medium, as_json, done.notes)
+    figures = dict(done.shown)
+    held_out = {} if as_json else figures.pop("held_out", {})
+    show({**figures, **{f"held_out_{name}": value for name, value in held_out.items()}}, medium, as_json, done.notes)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
 
 from touchfield.cli.main import Asked, Json, Stream, command
-from touchfield.cli.options import Row, asks, numbers_of
-from touchfield.cli.show import check_picture, progress, show
+from touchfield.cli.options import Row, asks, fields_of, numbers_of
+from touchfield.cli.show import check_results, progress, show
 from touchfield.errors import InvalidArgument
 from touchfield.medium.deformation import read_deformation
 from touchfield.render.material import read_materials
@@ -89,17 +88,19 @@ def play(
     as_json: Json = False,
 ) -> None:
     """Feel STREAM on a device, or on a simulated hand."""
-    from touchfield.job.play import PlaySpec
+    from touchfield.job.play import PlaySpec, check_play
     from touchfield.job.play import play as run
 
     if check:
-        _check(stream, asked["speed"], as_json)
+        verdict = check_play(stream, asked["speed"])
+        show(verdict, stream, as_json)
+        if not verdict["can_play"]:
+            raise typer.Exit(1)
         return
-    for target in (log, plot, wav):
-        check_picture(stream, target)
-    given = {name.replace("-", "_"): asked[name.replace("-", "_")] for name, *_ in PLAY}
+    check_results((stream,), log, plot, wav)
     is_logged = not (log is plot is wav is None)
-    spec = PlaySpec(**given, is_logged=is_logged, is_drawn=plot is not None, render=render_spec(asked))
+    beside = {"is_logged": is_logged, "is_drawn": plot is not None, "render": render_spec(asked)}
+    spec = PlaySpec(**{**fields_of(PlaySpec, asked), **beside})
     with _bridge(stream, bridge) as watch, progress("play", "s") as report:
         played = run(stream, spec, report, _say, watch)
     notes = played.notes
@@ -140,16 +141,6 @@ def _bridge(stream: str, is_shown: bool) -> Iterator[Callable[[Any], None]]:
         yield server.follow
 
 
-def _check(stream: str, speed: float, as_json: bool) -> None:
-    """Tell whether a stream can be decoded in time; exit code 1 where not."""
-    from touchfield.job.play import check_play
-
-    told = check_play(stream, speed)
-    show(told, str(stream), as_json)
-    if not told["can_play"]:
-        raise typer.Exit(1)
-
-
 def _say(note: str) -> None:
     """Print a note at once, beside the result."""
     typer.echo(f"note: {note}", err=True)
@@ -157,17 +148,17 @@ def _say(note: str) -> None:
 
 def render_spec(asked: dict[str, Any]) -> RenderSpec:
     """The options as the renderer takes them."""
-    given = {f.name: asked[f.name] for f in fields(RenderSpec) if asked.get(f.name) is not None}
-    given["tool"] = tool_of(asked["tool"])
+    values = {name: value for name, value in fields_of(RenderSpec, asked).items() if value is not None}
+    values["tool"] = tool_of(asked["tool"])
     if asked["materials"] is not None:
-        given["materials"] = read_materials(asked["materials"])
+        values["materials"] = read_materials(asked["materials"])
     if asked["deformation"] is not None:
-        given["deformation"] = read_deformation(asked["deformation"])
+        values["deformation"] = read_deformation(asked["deformation"])
     if asked["clutch_mm"] is not None:
-        given["clutch_m"] = tuple(v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], 3, _TRIPLE))
+        values["clutch_m"] = tuple(v / 1000 for v in numbers_of("--clutch-mm", asked["clutch_mm"], (3,), _TRIPLE))
     if asked["gravity_n"] is not None:
-        given["gravity_n"] = numbers_of("--gravity-n", asked["gravity_n"], 3, _TRIPLE)
-    return RenderSpec(**given, blend=not asked["no_blend"])
+        values["gravity_n"] = numbers_of("--gravity-n", asked["gravity_n"], (3,), _TRIPLE)
+    return RenderSpec(**values, blend=not asked["no_blend"])
 
 
 def tool_of(words: str) -> Tool | None:

@@ -9,7 +9,7 @@ import typer
 
 from touchfield.cli.main import Asked, Json, Stream, command
 from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, encode_spec, numbers_of, workers_of
-from touchfield.cli.show import check_picture, is_same_file, progress, show, show_notes, show_rows
+from touchfield.cli.show import check_results, keep_source, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 
 Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
@@ -60,14 +60,14 @@ def search(
             weights[name] = float(number)
         except ValueError:
             raise InvalidArgument("--weight", repr(words), "PART=NUMBER, such as amplitude=2") from None
-    found = run(folder, like, count, weights, index_file)
+    result = run(folder, like, count, weights, index_file)
     if as_json:
-        show(found.summary(), str(like), True, found.notes)
+        show(result.summary(), str(like), True, result.notes)
         return
-    typer.echo(f"like {like}, of {found.media} media ({found.query_ms:.1f} ms)")
-    for rank, match in enumerate(found.matches, start=1):
+    typer.echo(f"like {like}, of {result.media} media ({result.query_ms:.1f} ms)")
+    for rank, match in enumerate(result.matches, start=1):
         typer.echo(f"{rank:4d}  {match.distance:.4f}  {match.name}")
-    show_notes(found.notes)
+    show_notes(result.notes)
 
 
 @command("Study", "similar one.touch other.touch")
@@ -86,11 +86,11 @@ def similar(
 
     with progress("similar", "step") as report:
         done = run(first, second, encode_spec(asked), quantiser=quantiser, over=over, frames=looks, report=report)
-    told = done.summary()
+    figures = done.summary()
     if not as_json:
         names = {"normalised": "NMI", "variation": "VI / bit", "jensen_shannon": "sqrt(JSD)", "compression": "NCD"}
-        told = {names.get(k, k): v["value"] if k in names and v else v for k, v in told.items()}
-    show(told, f"{first} and {second}", as_json, done.notes)
+        figures = {names.get(k, k): v["value"] if k in names and v else v for k, v in figures.items()}
+    show(figures, f"{first} and {second}", as_json, done.notes)
 
 
 @command("Study", "correlate video.mp4 room.touch")
@@ -106,7 +106,7 @@ def correlate(
     """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and whether by chance."""
     from touchfield.job.library import correlate as run
 
-    camera = None if intrinsics is None else numbers_of("--intrinsics", intrinsics, 4, "fx,fy,cx,cy")
+    camera = None if intrinsics is None else numbers_of("--intrinsics", intrinsics, (4,), "fx,fy,cx,cy")
     with progress("correlate") as report:
         done = run(
             video, stream, frames=looks, reading=reading, intrinsics=camera, source_rate_hz=source_rate_hz,
@@ -114,9 +114,9 @@ def correlate(
         )  # fmt: skip
     rows = []
     for look in done:
-        told = look.found.summary()
-        rows.append({"frame": look.frame, "picture": look.picture, "mutual_bits": told["mutual"]["value"],
-                     **{name: value for name, value in told.items() if name != "mutual"}})  # fmt: skip
+        figures = look.found.summary()
+        rows.append({"frame": look.frame, "picture": look.picture, "mutual_bits": figures["mutual"]["value"],
+                     **{name: value for name, value in figures.items() if name != "mutual"}})  # fmt: skip
     notes = tuple(dict.fromkeys(note for look in done for note in look.found.mutual.notes))
     if as_json:
         show({"looks": rows}, str(stream), True, notes)
@@ -148,9 +148,9 @@ def points(
     from touchfield.job.reduction import fewest_points, next_points
     from touchfield.job.spec import EncodeSpec
 
-    check_picture(source, plot)
-    if out is not None and is_same_file(source, out):
-        raise InvalidArgument(str(out), "the file that is read", "another name")
+    check_results((source,), plot)
+    if out is not None:
+        keep_source(source, out)
     if is_next and (out is not None or modes is not None):
         raise InvalidArgument("--next", "OUT or --modes beside it", "neither: nothing is rebuilt yet")
     if measured is not None and not is_next:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 from urllib.parse import urlsplit
@@ -13,7 +12,7 @@ import typer
 from touchfield.cli.main import Asked, Json, Source, Stream, command
 from touchfield.cli.options import ALLOW_OUTSIDE, SCENE, asks, encode_spec
 from touchfield.cli.show import (
-    check_picture,
+    check_results,
     is_same_file,
     keep_source,
     literal_console,
@@ -21,6 +20,7 @@ from touchfield.cli.show import (
     show,
     show_motion,
     show_notes,
+    show_table,
 )
 from touchfield.container.remote import is_remote
 from touchfield.errors import InvalidArgument, MissingExtra
@@ -29,7 +29,6 @@ from touchfield.viewer.page import is_our_picture
 
 if TYPE_CHECKING:
     from touchfield.job import Measurement
-    from touchfield.measure.capacity import Capacity
     from touchfield.measure.passivity import Passivity
     from touchfield.measure.quantity import Quantity
 
@@ -51,8 +50,7 @@ def view(
     """Open STREAM in the browser: seen, played, probed and heard, without any network."""
     from touchfield.job.view import view as run
 
-    for read in (stream, source or stream):
-        check_picture(read, out)
+    check_results((stream, source), out)
     with progress("view") as report:
         page = run(stream, source, report, tuple(device or ()))
     path = page.save(out) if out else None
@@ -132,7 +130,7 @@ def measure(
 
     encode = encode_spec({**asked, "device": reference})
     spec = job.MeasureSpec(quantiser, over, estimator, tuple(device or ()), not no_limits, encode, density)
-    check_picture(medium, plot)
+    check_results((medium,), plot)
     with progress("measure", "step") as report:
         measurement = job.measure_medium(medium, spec, report)
     if plot is not None:
@@ -150,65 +148,51 @@ _WARNINGS = ("bias", "few", "too low", "overshoots", "negative", "diluted", "not
 """Words of notes that tell how far a number may be trusted; such notes come first."""
 
 
-def show_measurement(found: Measurement, as_json: bool, notes: tuple[str, ...]) -> None:
+def show_measurement(measurement: Measurement, as_json: bool, notes: tuple[str, ...]) -> None:
     """Print a measurement as one JSON object, or as tables with their notes."""
+    m = measurement
     if as_json:
-        show(found.summary(), "", True, (*found.notes, *notes))
+        show(m.summary(), "", True, (*m.notes, *notes))
         return
     literal_console().print(
-        f"{found.name}: {found.frames} frame(s) of {found.voxels:,} voxels, {found.occupancy:.3%} with a force; "
-        f"Q is {found.quantiser}, {found.alphabet:,} symbols",
+        f"{m.name}: {m.frames} frame(s) of {m.voxels:,} voxels, {m.occupancy:.3%} with a force; "
+        f"Q is {m.quantiser}, {m.alphabet:,} symbols",
         style="bold", soft_wrap=True,
     )  # fmt: skip
-    _table("information", [*_entropies(found), *(_row(q, "") for q in found.in_time.values())])
-    if found.limits is not None:
-        _table("coding limits: what a coder of this medium can hope for", _limits(found))
-    if found.capacities:
-        _table("capacity of devices (eq. 1 to 3)", _capacities(found))
-    if found.passivity is not None:
-        _table("energy, frame with the largest support", _energy(found.passivity))
-    interval = found.entropy.interval
+    tables = {
+        "information": [_row(q, what) for q, what in (*_entropies(m), (m.per_frame, ""), *_in_time(m))],
+        "coding limits: what a coder of this medium can hope for": _limits(m),
+        "capacity of devices (eq. 1 to 3)": _capacities(m),
+        "energy, frame with the largest support": [] if m.passivity is None else _energy(m.passivity),
+    }
+    for title, rows in tables.items():
+        if rows:
+            show_table(rows, title=title, right=(1,), whole=3)
+    interval = m.entropy.interval
     if interval is not None:
         literal_console().print(f"intervals ({interval.level:.0%}) speak of {interval.population}", soft_wrap=True)
-    show_notes(_notes(found, notes))
+    show_notes(_notes(m, notes))
 
 
-def _notes(found: Measurement, notes: tuple[str, ...]) -> list[str]:
+def _notes(m: Measurement, notes: tuple[str, ...]) -> list[str]:
     """Each note once, after the quantities that it is about: warnings, other notes, those of the scene."""
-    about: dict[str, list[str]] = {}
-    for name, note in _notes_of_quantities(found):
-        names = about.setdefault(note, [])
-        if name not in names:
-            names.append(name)
+    named = [(f"{q.name} {what}".strip(), q) for q, what in (*_entropies(m), *_in_time(m))]
+    if m.limits is not None:
+        named += [(rate.name, rate) for rate in m.limits.scan_lines.rates[1:]]
+        named += [(c.per_voxel.name, c.per_voxel) for c in m.limits.contexts]
+    for device, c in m.capacities.items():
+        named += [(f"{device}, {c.rendered.name}", c.rendered), (device, c.wmr)]
+    about: dict[str, dict[str, None]] = {}
+    for name, quantity in named:
+        for note in quantity.notes:
+            if not note.endswith(" contexts"):  # the table counts them
+                about.setdefault(note, {})[name] = None
+    for note in m.passivity.notes if m.passivity is not None else ():
+        about.setdefault(note, {})["energy"] = None
     # what a device's capacity says is among the notes of the measurement too, as "DEVICE: NOTE"
     every = [f"{', '.join(names)}: {note}" for note, names in about.items()]
-    every = list(dict.fromkeys((*every, *found.notes, *notes)))
+    every = list(dict.fromkeys((*every, *m.notes, *notes)))
     return sorted(every, key=lambda note: not any(word in note for word in _WARNINGS) or note in notes)
-
-
-def _notes_of_quantities(found: Measurement) -> Iterator[tuple[str, str]]:
-    """Pairs of a quantity's name and a note that it carries."""
-    named = [
-        (
-            f"{found.entropy.name} over the visits",
-            found.entropy if found.entropy.weighting == "interaction" else None,
-        ),
-        (f"{found.voxel.name} over all voxels", found.voxel),
-        (f"{found.corrected.name} over all voxels, Miller-Madow", found.corrected),
-        (f"{found.object.name} over the object", found.object),
-        *((q.name, q) for q in found.in_time.values()),
-    ]
-    if found.limits is not None:
-        named += [(rate.name, rate) for rate in found.limits.scan_lines.rates[1:]]
-        named += [(c.per_voxel.name, c.per_voxel) for c in found.limits.contexts]
-    for device, c in found.capacities.items():
-        named += [(f"{device}, {c.rendered.name}", c.rendered), (device, c.wmr)]
-    for name, quantity in named:
-        for note in quantity.notes if quantity is not None else ():
-            if not note.endswith(" contexts"):  # the table counts them
-                yield name, note
-    for note in found.passivity.notes if found.passivity is not None else ():
-        yield "energy", note
 
 
 def _row(quantity: Quantity, what: str) -> Row:
@@ -222,46 +206,42 @@ def _number(value: float, digits: int) -> str:
     return "none" if math.isnan(value) else f"{value + 0.0:.{digits}g}"
 
 
-def _entropies(found: Measurement) -> list[Row]:
-    rows = [
-        _row(found.voxel, "over all voxels"),
-        _row(found.corrected, "over all voxels, Miller-Madow"),
-        _row(found.object, "over the object"),
-        _row(found.per_frame, ""),
-    ]
-    if found.entropy.weighting == "interaction":
-        rows.insert(0, _row(found.entropy, "over the visits of the trace"))
-    return rows
+def _entropies(m: Measurement) -> list[tuple[Quantity, str]]:
+    """H(S) under each weighting, and what that is."""
+    visits = [(m.entropy, "over the visits of the trace")] if m.entropy.weighting == "interaction" else []
+    everywhere = [(m.voxel, "over all voxels"), (m.corrected, "over all voxels, Miller-Madow")]
+    return [*visits, *everywhere, (m.object, "over the object")]
 
 
-def _limits(found: Measurement) -> list[Row]:
-    assert found.limits is not None
-    each = found.voxels * found.frames / found.supported_voxels
-    rows = [("H(S)", _number(found.voxel.value * each, 5), "", "bit/supported voxel, no neighbours")]
-    for rate in found.limits.scan_lines.rates[1:]:
-        what = _DILUTED.format("blocks") if rate.notes else f"block rate of the lines along {found.limits.scan_axis}"
+def _in_time(m: Measurement) -> list[tuple[Quantity, str]]:
+    return [(quantity, "") for quantity in m.in_time.values()]
+
+
+def _limits(m: Measurement) -> list[Row]:
+    if m.limits is None:
+        return []
+    each = m.voxels * m.frames / m.supported_voxels
+    rows = [("H(S)", _number(m.voxel.value * each, 5), "", "bit/supported voxel, no neighbours")]
+    for rate in m.limits.scan_lines.rates[1:]:
+        what = _DILUTED.format("blocks") if rate.notes else f"block rate of the lines along {m.limits.scan_axis}"
         rows.append((rate.name, _number(rate.value * each, 5), "", what))
-    for c in found.limits.contexts:
+    for c in m.limits.contexts:
         what = _DILUTED.format("contexts") if c.is_diluted else f"{c.contexts:,} contexts"
         rows.append((c.per_voxel.name, _number(c.per_voxel.value * each, 5), "", what))
-    if found.file_bits is not None:
-        rows.append(("this file", _number(found.file_bits / found.supported_voxels, 5), "", "everything counted"))
+    if m.file_bits is not None:
+        rows.append(("this file", _number(m.file_bits / m.supported_voxels, 5), "", "everything counted"))
     return rows
 
 
-def _capacities(found: Measurement) -> list[Row]:
+def _capacities(m: Measurement) -> list[Row]:
     rows = []
-    for name, c in found.capacities.items():
-        rows.append(_row(_shown(c, c.capacity, name), f"of the {c.codomain_bits:,.0f} that it could be told"))
-        rows.append(_row(_shown(c, c.wmr, "  WMR"), "rendered"))
-        rows.append(_row(_shown(c, c.hil, "  HIL"), "lost"))
+    for name, c in m.capacities.items():
+        # no interval where that of H(M(W)) is unknown: it would speak of H(W) alone, and be too narrow
+        unknown = c.reading == "realised" and c.rendered.interval is None
+        of = f"of the {c.codomain_bits:,.0f} that it could be told"
+        for quantity, label, what in ((c.capacity, name, of), (c.wmr, "  WMR", "rendered"), (c.hil, "  HIL", "lost")):
+            rows.append(_row(quantity.of(name=label, interval=None if unknown else quantity.interval), what))
     return rows
-
-
-def _shown(of: Capacity, quantity: Quantity, name: str) -> Quantity:
-    """Without an interval where that of H(M(W)) is unknown: it would speak of H(W) alone, and be too narrow."""
-    unknown = of.reading == "realised" and of.rendered.interval is None
-    return quantity.of(name=name, interval=None if unknown else quantity.interval)
 
 
 def _energy(p: Passivity) -> list[Row]:
@@ -274,16 +254,3 @@ def _energy(p: Passivity) -> list[Row]:
         ("relative curl", _number(curl, 4), "", why if math.isnan(curl) else meaning),
         ("worst loop", _number(loop, 4), "", why if math.isnan(loop) else gained),
     ]
-
-
-def _table(title: str, rows: list[Row]) -> None:
-    from rich.table import Table
-
-    table = Table(show_header=False, box=None, pad_edge=False, title=title, title_justify="left")
-    table.add_column(no_wrap=True, overflow="fold")
-    table.add_column(justify="right", no_wrap=True, overflow="fold")
-    table.add_column(no_wrap=True, overflow="fold")
-    table.add_column(overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    literal_console().print(table)

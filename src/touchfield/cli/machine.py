@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from touchfield.adapters.registry import Check
 from touchfield.cli.main import Json, command
-from touchfield.cli.show import literal_console, progress, show
+from touchfield.cli.show import literal_console, progress, show, show_table
 from touchfield.devices import devices as profiles
 
 _TOLD = (
@@ -34,33 +33,26 @@ def demo(
 @command("Set up", "devices --verbose")
 def devices(as_json: Json = False, verbose: Annotated[bool, typer.Option(help="With all sources.")] = False) -> None:
     """List the device profiles, with their sources."""
-    _list_devices(as_json, verbose)
-
-
-def _list_devices(as_json: bool, verbose: bool) -> None:
-    """Print the profiles as a table, or as one object that holds every value and its source."""
     if as_json:
         show({d.name: {name: getattr(d, name) for name in _TOLD} for d in profiles()}, "", True)
         return
-    from rich.table import Table
-
-    console = literal_console()
-    table = Table(title="device profiles", title_justify="left", box=None, pad_edge=False)
-    table.add_column("name", no_wrap=True)
-    for heading in ("type", "workspace mm", "samples", "peak N", "rate Hz", "unverified"):
-        table.add_column(heading, overflow="fold")
+    rows = []
     for d in profiles():
         unverified = sum(source.startswith("unverified") for source in d.sources.values())
-        table.add_row(
-            d.name,
-            "array" if d.is_array else "point",
-            "x".join(f"{x:g}" for x in d.workspace_mm),
-            "x".join(str(n) for n in d.lattice),
-            f"{d.force_max_n:g}",
-            "-" if d.rate_hz is None else f"{d.rate_hz:g}",
-            f"{unverified} of {len(d.sources)}",
+        rows.append(
+            (
+                d.name,
+                "array" if d.is_array else "point",
+                "x".join(f"{x:g}" for x in d.workspace_mm),
+                "x".join(str(n) for n in d.lattice),
+                f"{d.force_max_n:g}",
+                "-" if d.rate_hz is None else f"{d.rate_hz:g}",
+                f"{unverified} of {len(d.sources)}",
+            )
         )
-    console.print(table)
+    headings = ("name", "type", "workspace mm", "samples", "peak N", "rate Hz", "unverified")
+    show_table(rows, headings, "device profiles")
+    console = literal_console()
     if not verbose:
         console.print("every value's source: touchfield devices --verbose, or --json")
         return
@@ -90,11 +82,7 @@ def doctor(
     """Say what is installed, what is missing, and how to mend it."""
     from touchfield.job.setup import examine
 
-    _list_checks(examine(device), as_json)
-
-
-def _list_checks(report: dict[str, list[Check]], as_json: bool) -> None:
-    """Print what a doctor found: one line each, and how to mend what is missing."""
+    report = examine(device)
     if as_json:
         show({name: [asdict(one) for one in checks] for name, checks in report.items()}, "", True)
         return

@@ -59,8 +59,8 @@ def _described(parameter: inspect.Parameter) -> inspect.Parameter:
         return parameter
     flag = f"--{parameter.name.replace('_', '-')}"
     is_argument = parameter.default is parameter.empty
-    told = typer.Argument(help=words) if is_argument else typer.Option(flag, help=words)
-    return parameter.replace(annotation=Annotated[parameter.annotation.__origin__, told])
+    declaration = typer.Argument(help=words) if is_argument else typer.Option(flag, help=words)
+    return parameter.replace(annotation=Annotated[parameter.annotation.__origin__, declaration])
 
 
 # typer carries a click of its own in some versions and imports it in others; its errors' base is found either way

@@ -24,7 +24,7 @@ from touchfield.cli.options import (
     workers_of,
 )
 from touchfield.cli.show import (
-    check_picture,
+    check_results,
     keep_source,
     literal_console,
     progress,
@@ -32,6 +32,7 @@ from touchfield.cli.show import (
     show_motion,
     show_notes,
     show_rows,
+    show_table,
 )
 from touchfield.container.remote import is_remote
 from touchfield.cuda import computing
@@ -123,7 +124,7 @@ def filter_(
     if workers is not None and out.suffix != ".touch":
         raise InvalidArgument(f"--workers works with OUT.touch, not with {out.suffix}")
     keep_source(source, out)
-    check_picture(source, plot)
+    check_results((source,), plot)
     measured = None
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
@@ -162,7 +163,7 @@ def field(
     """Write the device-filtered force field before coding, what `encode` starts from; or draw it, with --preview."""
     if out is None and preview is None:
         raise InvalidArgument("touchfield field makes FIELD.npz or FIELD.vti, or draws --preview PNG: name one")
-    check_picture(source, preview)
+    check_results((source,), preview)
     if out is not None:
         keep_source(source, out)
     shown: dict[str, Any] = {}
@@ -197,7 +198,7 @@ def plan(
     if spec.nw is None:
         raise InvalidArgument("--nominal does not go with plan: name --nw, the finest lattice to try")
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
-    check_picture(source, out)
+    check_results((source,), out)
     spec = replace(spec, touch=replace(spec.touch, effort=effort))
     with progress("plan", "setting") as report, workers_of(workers) as executor:
         chosen = job.plan(source, amount, spec, search, report, executor)
@@ -211,17 +212,11 @@ def _show_plan(plan: Plan, as_json: bool, notes: tuple[str, ...] = ()) -> None:
     if as_json:
         show(plan.summary(), "", True, (*plan.notes, *notes))
         return
-    from rich.table import Table
-
-    console = literal_console()
     title = f"{plan.source}: {plan.frames_tried} frames under {len(plan.trials)} settings; the frontier"
-    console.print(title, style="bold", soft_wrap=True)
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for i, heading in enumerate(("", "nw", "coder", "k or step", plan.unit, "NMSE dB", "mask kept")):
-        table.add_column(heading, justify="left" if i in (0, 2) else "right")
-    for trial in plan.front():
-        table.add_row("->" if trial is plan.chosen else "", *_cells(plan, trial))
-    console.print(table)
+    literal_console().print(title, style="bold", soft_wrap=True)
+    rows = [("->" if trial is plan.chosen else "", *_cells(plan, trial)) for trial in plan.front()]
+    headings = ("", "nw", "coder", "k or step", plan.unit, "NMSE dB", "mask kept")
+    show_table(rows, headings, right=(1, 3, 4, 5, 6))
     papers = [t for t in plan.trials if t.spec.coder == "paper" and plan.is_within(t)]
     said = [
         *plan.notes,
@@ -239,12 +234,12 @@ def _show_plan(plan: Plan, as_json: bool, notes: tuple[str, ...] = ()) -> None:
 
 
 def _cells(plan: Plan, trial: Trial) -> tuple[str, ...]:
-    told = trial.summary()
-    control = f"{told['step_n']:g} N" if told["step_n"] is not None else f"{told['k']:g}"
-    nmse = "exact" if told["nmse_db"] is None else f"{told['nmse_db']:.2f}"
+    figures = trial.summary()
+    control = f"{figures['step_n']:g} N" if figures["step_n"] is not None else f"{figures['k']:g}"
+    nmse = "exact" if figures["nmse_db"] is None else f"{figures['nmse_db']:.2f}"
     kept = f"{100 * trial.mask_kept:.2f} %"
-    kind = f"paper {told['directions']}" if told["directions"] else trial.kind
-    return (str(told["nw"] or "-"), kind, control, f"{plan.cost(trial):,.0f}", nmse, kept)
+    kind = f"paper {figures['directions']}" if figures["directions"] else trial.kind
+    return (str(figures["nw"] or "-"), kind, control, f"{plan.cost(trial):,.0f}", nmse, kept)
 
 
 @command(
@@ -266,10 +261,7 @@ def export(
     """Write STREAM in another format: drives of an array, the force along --trajectory, or a page for any browser."""
     from touchfield.job.exchange import export as run
 
-    keep_source(stream, out)
-    for read in (trajectory, source):
-        if read is not None:
-            keep_source(read, out)
+    check_results((stream, trajectory, source), out)
     with progress("export") as report:
         done = run(stream, out, device, trajectory, panel, report, full_scale_n, source)
     show(done.summary(), str(out), as_json, done.notes)

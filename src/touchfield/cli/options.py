@@ -6,7 +6,7 @@ Each is one row; `asks` gives a command the rows it takes, so that two commands 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
@@ -100,12 +100,12 @@ SCENE: tuple[Row, ...] = (
 def _coder_rows() -> tuple[Row, ...]:
     """One option for each that a coder takes; where several take one, its help tells what it is to each."""
     words = [word for one in field_coders().values() for word in one.makers]
-    told: dict[str, tuple[type, list[str]]] = {}
+    options: dict[str, tuple[type, list[str]]] = {}
     for one in field_coders().values():
         for option in one.options:
-            told.setdefault(option.key, (option.kind, []))[1].append(f"{one.name}: {option.help}")
+            options.setdefault(option.key, (option.kind, []))[1].append(f"{one.name}: {option.help}")
     rows: list[Row] = [("coder", str, words[0], f"{', '.join(words)} (literal: every part as printed in the paper).")]
-    for key, (kind, helps) in told.items():
+    for key, (kind, helps) in options.items():
         asked, default = (bool, False) if kind is bool else (kind | None, None)
         rows.append((key.replace("_", "-"), asked, default, " ".join(helps)))
     return tuple(rows)
@@ -150,15 +150,16 @@ def asks(
     def give(command: Callable[..., Any]) -> Callable[..., Any]:
         own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "asked"]
         rows = sorted((row for group in groups for row in group), key=lambda row: row[0] not in FIRST)
-        more = [
-            inspect.Parameter(
-                _identifier(name),
-                inspect.Parameter.KEYWORD_ONLY,
-                default=default,
-                annotation=Annotated[kind, _option(name, text, group(name))],
+        more = []
+        for name, kind, default, text in rows:
+            words = text.replace("[", r"\[")  # what stands in brackets is no markup
+            option = typer.Option(f"--{name}", help=words, rich_help_panel=group(name))
+            key = "as_" if name == "as" else name.replace("-", "_")
+            more.append(
+                inspect.Parameter(
+                    key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
+                )
             )
-            for name, kind, default, text in rows
-        ]
         names = {p.name for p in more}
 
         @wraps(command)
@@ -174,11 +175,6 @@ def asks(
         return call
 
     return give
-
-
-def _option(name: str, text: str, panel: str | None) -> Any:
-    text = text.replace("[", r"\[")  # what stands in brackets is no markup
-    return typer.Option(f"--{name}", help=text, rich_help_panel=panel)
 
 
 def _panel(name: str) -> str:
@@ -199,10 +195,6 @@ def _panel(name: str) -> str:
     return "Scene"
 
 
-def _identifier(name: str) -> str:
-    return "as_" if name == "as" else name.replace("-", "_")
-
-
 def frames_of(option: str, text: str | None) -> tuple[int, int | None] | None:
     """The frames of START:STOP, or of the number of one."""
     if text is None:
@@ -218,18 +210,18 @@ def frames_of(option: str, text: str | None) -> tuple[int, int | None] | None:
     return first, last
 
 
-def numbers_of(option: str, text: str, count: int, expected: str) -> Any:
-    """So many numbers between commas, as a tuple."""
+def numbers_of(option: str, text: str | None, counts: Sequence[int], expected: str, kind: type = float) -> Any:
+    """The numbers between commas, as a tuple; there must be as many as one of `counts`."""
     try:
-        numbers = tuple(float(word) for word in text.split(","))
+        numbers = tuple(kind(word) for word in (text or "").split(","))
     except ValueError:
         numbers = ()
-    if len(numbers) != count:
-        raise InvalidArgument(option, repr(text), expected)
+    if len(numbers) not in counts:
+        raise InvalidArgument(option, repr(text) if text else "nothing", expected)
     return numbers
 
 
-def _of(spec: type[Any], asked: dict[str, Any]) -> dict[str, Any]:
+def fields_of(spec: type[Any], asked: dict[str, Any]) -> dict[str, Any]:
     """The values of the fields of a spec; an option is called as its field is."""
     return {f.name: asked[f.name] for f in fields(spec) if f.name in asked}
 
@@ -240,47 +232,38 @@ def _coder(asked: dict[str, Any]) -> dict[str, Any]:
     own = next((one for one in coders if word in one.makers), None)
     if own is None:
         raise InvalidArgument("--coder", repr(word), f"one of {', '.join(w for one in coders for w in one.makers)}")
-    given = {key: value for key, value in asked.items() if value is not None and value is not False}
+    values = {key: value for key, value in asked.items() if value is not None and value is not False}
     taken = {option.key for option in own.options}
     for other in coders:
         for option in other.options:
-            if option.key in given and option.key not in taken:
-                raise _of_another(option.key, other.name, word)
-    chosen = {key: given[key] for key in given if key in taken | set(own.hints)}
+            if option.key in values and option.key not in taken:
+                said = f"--{option.key.replace('_', '-')} works with --coder {other.name}, not with {word}"
+                raise InvalidArgument(said, mend="Take it out, or change the coder.")
+    chosen = {key: values[key] for key in values if key in taken | set(own.hints)}
     return {"coder": own.name, own.name: own.makers[word](chosen)}
-
-
-def _of_another(key: str, coder: str, taken: str) -> InvalidArgument:
-    said = f"--{key.replace('_', '-')} works with --coder {coder}, not with {taken}"
-    return InvalidArgument(said, mend="Take it out, or change the coder.")
-
-
-def _filter_name(key: str) -> str | None:
-    name = key.replace("_", "-")
-    return name if name in field_filters() else None
-
-
-def _once(name: str, words: list[str]) -> str:
-    if len(words) > 1:
-        mend = "Filter twice: the .touch file of the first run may be the source of the second."
-        raise InvalidArgument(f"--{name} can be given once, not {len(words)} times", mend=mend)
-    return words[0]
 
 
 def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
     """The options as the job takes them."""
-    source = SourceOptions(kind=asked["as"], **_of(SourceOptions, asked))
+    source = SourceOptions(kind=asked["as"], **fields_of(SourceOptions, asked))
     if source.intrinsics and Path(source.intrinsics).suffix and not Path(source.intrinsics).exists():
         looks_like_numbers = all(c in "0123456789.,+-eE " for c in source.intrinsics)
         if not looks_like_numbers:
             raise InvalidArgument("--intrinsics", repr(source.intrinsics), "fx,fy,cx,cy or a file that exists")
-    as_given = {name: value for name, value in _of(EncodeSpec, asked).items() if name != "coder"}
-    chain = tuple((name, _once(name, asked[key])) for key in asked if (name := _filter_name(key)) and asked[key])
+    as_given = {name: value for name, value in fields_of(EncodeSpec, asked).items() if name != "coder"}
+    chain = []
+    for name, words in ((key.replace("_", "-"), asked[key]) for key in asked):
+        if name not in field_filters() or not words:
+            continue
+        if len(words) > 1:
+            mend = "Filter twice: the .touch file of the first run may be the source of the second."
+            raise InvalidArgument(f"--{name} can be given once, not {len(words)} times", mend=mend)
+        chain.append((name, words[0]))
     as_given |= {
         "nw": None if asked["nominal"] else asked["nw"],
         "frames": frames_of("--frames", asked["frames"]),
         "fit_frames": frames_of("--fit-frames", asked["fit_frames"]),
-        "filters": chain,
+        "filters": tuple(chain),
     }
     return EncodeSpec(**as_given, source=source, **(_coder(asked) if "coder" in asked else {}))
 

@@ -7,10 +7,10 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from touchfield.errors import InvalidArgument
 
@@ -32,16 +32,19 @@ def keep_source(source: str | Path, out: Path) -> None:
         raise InvalidArgument(str(out), "the file that is read", "another name", "Name a new file for the result.")
 
 
-def check_picture(source: str | Path, picture: Path | None) -> None:
-    """Check before the work that a picture (or any result beside the main one) can be written, or InvalidArgument.
+def check_results(reads: Sequence[str | Path | None], *results: Path | None) -> None:
+    """Check before the work that results can be written, or InvalidArgument.
 
-    Its folder must be there, and it must not be the file that is read.
+    The folder of each must be there, and it must be none of the files that are read; None is no file.
     """
-    if picture is None:
-        return
-    if not picture.parent.is_dir():
-        raise InvalidArgument(str(picture), f"no folder {picture.parent}", "a folder that is there")
-    keep_source(source, picture)
+    for out in results:
+        if out is None:
+            continue
+        if not out.parent.is_dir():
+            raise InvalidArgument(str(out), f"no folder {out.parent}", "a folder that is there")
+        for read in reads:
+            if read is not None:
+                keep_source(read, out)
 
 
 def literal_console() -> Console:
@@ -54,11 +57,11 @@ def literal_console() -> Console:
 def show(values: Mapping[str, Any], title: str, as_json: bool, notes: tuple[str, ...] = ()) -> None:
     """Print `values` as one JSON object, or as a table with its notes."""
     if as_json:
-        told = _unsigned_zeros({**values, "notes": list(notes)})
-        sys.stdout.write(json.dumps(told, default=_plain, allow_nan=False) + "\n")
+        answer = _unsigned_zeros({**values, "notes": list(notes)})
+        sys.stdout.write(json.dumps(answer, default=_plain, allow_nan=False) + "\n")
         return
     literal_console().print(title, style="bold", soft_wrap=True)
-    _print_columns([(name, _text(value)) for name, value in values.items()])
+    show_table([(name, _text(value)) for name, value in values.items()])
     show_notes(notes)
 
 
@@ -82,19 +85,30 @@ def show_rows(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     while columns:
         ends = accumulate(_GAP + max(map(len, column)) for column in columns)
         count = max(1, sum(end <= room for end in ends))
-        _print_columns(list(zip(keys, *columns[:count], strict=True)))
+        show_table(list(zip(keys, *columns[:count], strict=True)))
         columns = columns[count:]
         if columns:
             console.print()
 
 
-def _print_columns(lines: Sequence[tuple[str, ...]]) -> None:
-    """Print lines of cells; what is too long goes on below, and nothing is cut off."""
+def show_table(
+    lines: Sequence[Sequence[str]],
+    headings: Sequence[str] = (),
+    title: str | None = None,
+    right: Sequence[int] = (),
+    whole: int = 1,
+) -> None:
+    """Print lines of cells; what is too long goes on below, and nothing is cut off.
+
+    Columns `right`, counted from 0, are flush right; the first `whole` are not broken.
+    """
     from rich.table import Table
 
-    table = Table(show_header=False, box=None, pad_edge=False, padding=(0, _GAP, 0, 0))
-    for place in range(len(lines[0]) if lines else 0):
-        table.add_column(overflow="fold", no_wrap=place == 0)
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, _GAP, 0, 0))
+    table.show_header = bool(headings)
+    for place, heading in enumerate(headings or [""] * len(lines[0] if lines else ())):
+        justify: Literal["left", "right"] = "right" if place in right else "left"
+        table.add_column(heading, justify=justify, overflow="fold", no_wrap=place < whole)
     for line in lines:
         table.add_row(*line)
     literal_console().print(table)
@@ -153,9 +167,12 @@ def progress(
 
     `later` are the kernels that helpers compile ahead, if any need be compiled; without `compiles` none does.
     """
-    compilation = compilation_told if compiles else _no_compilation
+
+    def compilation(tell: Callable[[str], None]) -> AbstractContextManager[None]:
+        return compilation_told(tell, later) if compiles else nullcontext()
+
     if not sys.stderr.isatty():
-        with compilation(lambda line: None, later):
+        with compilation(lambda line: None):
             yield lambda done, total: None
         return
     from rich.console import Console
@@ -175,13 +192,8 @@ def progress(
     )
     with Progress(*columns, console=Console(stderr=True, emoji=False), transient=True) as bar:
         task = bar.add_task(what, total=None)
-        with compilation(lambda line: bar.console.print(line, highlight=False), later):
+        with compilation(lambda line: bar.console.print(line, highlight=False)):
             yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-@contextmanager
-def _no_compilation(tell: Callable[[str], None], later: Sequence[str] = ()) -> Iterator[None]:
-    yield
 
 
 @contextmanager

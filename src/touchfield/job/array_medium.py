@@ -9,7 +9,7 @@ with several the medium fills one, in front by default.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -30,56 +30,40 @@ PANELS: Final = ("front", "back")
 """Names of the panels of an array, in their order."""
 
 
-@dataclass(frozen=True)
-class ArrayMedium:
-    """A medium on the lattice of an array.
-
-    `medium` is on (columns, rows, 1) samples, and so is its vibration band, if it has one. Sample (i, j, 0) is column
-    i; if j counts from the top tells `is_top_first`. `force_max_n` drives an actuator fully: that of the stream where
-    it was made for an array, else of the device.
-    """
-
-    medium: HapticMedium
-    device: Device
-    force_max_n: float
-
-    def drives(self, panel: str = PANELS[0]) -> Drives:
-        """Drives of the actuators, frame by frame, on one panel of the device."""
-        return Drives(self, panel)
-
-
 class Drives:
     """Drives of the actuators of a device, frame by frame; a frame is made when it is asked for.
 
-    The medium fills one `panel` of the device, of `PANELS`; the others stay off. InvalidArgument if the device has
-    no such panel.
+    `medium` is on (columns, rows, 1) samples, and so is its vibration band, if it has one. Sample (i, j, 0) is column
+    i; if j counts from the top tells `is_top_first`. `force_max_n` drives an actuator fully: that of the stream where
+    it was made for an array, else of the device. The medium fills one `panel` of the device, of `PANELS`; the others
+    stay off. InvalidArgument if the device has no such panel.
     """
 
-    def __init__(self, array: ArrayMedium, panel: str = PANELS[0]) -> None:
-        there = PANELS[: array.device.panels]
+    def __init__(self, medium: HapticMedium, device: Device, force_max_n: float, panel: str = PANELS[0]) -> None:
+        there = PANELS[: device.panels]
         if panel not in there:
-            raise InvalidArgument("panel", f"{panel!r} of {array.device.name}", " or ".join(there))
-        self._medium, self._full_n, self._panel = array.medium, array.force_max_n, there.index(panel)
-        self.device, self.rate_hz, self.frame_count = array.device, array.medium.rate_hz, array.medium.frame_count
-        columns, rows, _ = array.device.lattice
-        self._shape = (array.device.panels, rows, columns)
-        self._flip = not is_top_first(array.medium.axes)
+            raise InvalidArgument("panel", f"{panel!r} of {device.name}", " or ".join(there))
+        self.medium, self.device, self.force_max_n = medium, device, force_max_n
+        self.rate_hz, self.frame_count = medium.rate_hz, medium.frame_count
+        columns, rows, _ = device.lattice
+        self._shape, self._panel = (device.panels, rows, columns), there.index(panel)
+        self._flip = not is_top_first(medium.axes)
 
     def __len__(self) -> int:
         return self.frame_count
 
     def drives(self, frame: int) -> Float32s:
         """Drives of one frame, float32 [panels, rows, columns], 0 to 1; row 0 is the top one, column 0 the left."""
-        support = self._medium[frame].support()
+        support = self.medium[frame].support()
         image_n = np.zeros(self._shape[:0:-1], np.float32)
         image_n[support.positions[:, 0], support.positions[:, 1]] = support.amplitudes_n
-        band = self._medium.vibration
+        band = self.medium.vibration
         if band is not None:
             one = band[frame]
             at = (one.positions[:, 0], one.positions[:, 1])
             image_n[at] = np.maximum(image_n[at], one.amplitudes_n)
         with np.errstate(over="ignore"):  # of a stream whose F_max is next to nothing
-            share = np.minimum(image_n.astype(np.float64) / self._full_n, 1.0)
+            share = np.minimum(image_n.astype(np.float64) / self.force_max_n, 1.0)
         return self._on_panel(share.astype(np.float32))
 
     def frequencies(self, frame: int) -> Float32s | None:
@@ -87,7 +71,7 @@ class Drives:
 
         None, for every frame alike, where the medium has no band.
         """
-        band = self._medium.vibration
+        band = self.medium.vibration
         if band is None:
             return None
         one, image_hz = band[frame], np.zeros(self._shape[:0:-1], np.float32)
@@ -102,7 +86,7 @@ class Drives:
         return panels
 
 
-def array_medium(stream: OpenStream, device: Device) -> ArrayMedium:
+def array_drives(stream: OpenStream, device: Device, panel: str = PANELS[0]) -> Drives:
     """A stream on the actuators of a device of type 2; it must stay open as long as frames are asked for.
 
     InvalidArgument if the device is not an array, or the stream's box has no extent that could be laid over it.
@@ -111,14 +95,14 @@ def array_medium(stream: OpenStream, device: Device) -> ArrayMedium:
         raise InvalidArgument("device", f"{device.name}, a point", "an array of actuators (type 2)")
     medium, head = stream.medium, stream.reader.head
     if head.device_type == 2 and medium.grid.shape == device.lattice:
-        return ArrayMedium(medium, device, head.force_max_n)
+        return Drives(medium, device, head.force_max_n, panel)
     scene, spec = StoredScene(replace(medium, vibration=None)), EncodeSpec()  # as `encode --device` maps it
     law = law_of(spec, device)  # a stored field ignores it but for the depth around the field
     mapping = mapping_of(scene, device, spec, profile_of(law, law.saturation_m))
     pooled, band = mapping.medium(scene), medium.vibration
     if band is not None:
         pooled = replace(pooled, vibration=_pooled_band(band, mapping.placement, mapping.grid))
-    return ArrayMedium(pooled, device, device.force_max_n)
+    return Drives(pooled, device, device.force_max_n, panel)
 
 
 def is_top_first(axes: str) -> bool:

@@ -337,6 +337,6 @@ def name_of(sent: Sent, *asked: Any) -> str | None:
     path, state = Path(sent.source), []
     files = sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() else []
     for file in files:
-        told = file.stat()
-        state.append((str(file), told.st_size, told.st_mtime_ns))
+        state_of = file.stat()
+        state.append((str(file), state_of.st_size, state_of.st_mtime_ns))
     return hashlib.sha256(json.dumps([__version__, sent.source, state, *asked]).encode()).hexdigest()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -17,12 +17,12 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.registry import FieldFilter
 from touchfield.job.editing import spread
-from touchfield.job.placing import felt_objects
+from touchfield.job.placing import felt_objects, stored_medium
 from touchfield.job.prepare import Prepared, Source, open_scene, prepare
 from touchfield.job.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec
 from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.medium import ForceField, HapticMedium, HapticScene
+from touchfield.medium import ForceField, HapticScene
 from touchfield.parallel import Report, silent
 from touchfield.perception.hand_motion import Forces, HandMotion, HoldMeter, SlideMeter, SlideSpec
 from touchfield.perception.human import vibration_threshold
@@ -52,9 +52,9 @@ class Comparison:
     """Of objects: the mask against the source with its bodies where the file has them, and how far that is, m."""
 
     def __repr__(self) -> str:
-        told = self.summary()
+        figures = self.summary()
         names = ("frames", "file_bytes", "bits_per_supported_voxel", "nmse_db", "mask_violation_share")
-        short = (f"{name} {told[name]:.6g}" for name in names if told[name] is not None)
+        short = (f"{name} {figures[name]:.6g}" for name in names if figures[name] is not None)
         return f"<Comparison: {', '.join(short)}>"
 
     def summary(self) -> dict[str, Any]:
@@ -125,22 +125,19 @@ def compare(
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
-        original, notes, scene, exact = source_medium(source, opened, allow_outside)
-        decoded = opened.medium
+        original = source_medium(source, opened, allow_outside)
+        decoded, scene, notes = opened.medium, original.scene, original.notes
         drawn_frame = len(decoded) // 2 if frame is None else frame
         if not 0 <= drawn_frame < len(decoded):
             raise InvalidArgument("frame", repr(frame), f"0 to {len(decoded) - 1}")
-        if len(original) != len(decoded):
-            found, expected = f"{len(decoded)} frames", f"the source's {len(original)}"
-            raise InvalidArgument(str(stream), found, expected, "Name the source it came from.")
         # a stream that promises no floor is measured without one: the least that a meter takes
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         masking = opened.masking if k is None and f0_n is None else None
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
-        hand, counter, supported = HandMeter(opened, scene, exact), SymbolCounter(), 0
+        hand, counter, supported = HandMeter(opened, scene, original.exact), SymbolCounter(), 0
         quantise = opened.quantiser()  # the entropies are of one random variable
         for i in range(len(decoded)):
-            x, y = original[i], decoded[i]
+            x, y = original.medium[i], decoded[i]
             meter.add(x, y)
             hand.add(i, x, y)
             counter.add(quantise(x), x.grid.voxel_count)
@@ -152,27 +149,21 @@ def compare(
         composed = None
         if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
             composed = compare_scenes(scene, opened.scene, meter.k, floor_n)
-            told = (
+            text = (
                 f"the mask is that of the source with each body where the file has it, {1e6 * composed[1]:.1f} um off"
             )
-            notes = (*notes, f"{told} at most; *_in_place are without that tolerance")
+            notes = (*notes, f"{text} at most; *_in_place are without that tolerance")
         bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
     return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, hand.motion(), voxels, composed)
 
 
-class Original(NamedTuple):
-    """A source on the stream's lattice, and what is known of it beside."""
+def source_medium(source: Source, opened: OpenStream, allow_outside: bool = False) -> Prepared:
+    """The source of a stream, filtered again as its provenance says, on the stream's lattice.
 
-    medium: HapticMedium
-    notes: tuple[str, ...]
-    scene: HapticScene | None = None
-    exact: Forces | None = None
-
-
-def source_medium(source: Source, opened: OpenStream, allow_outside: bool = False) -> Original:
-    """The source of a stream, filtered again as its provenance says; InvalidArgument if it lies elsewhere."""
+    InvalidArgument if it lies elsewhere, or has another number of frames.
+    """
     head, provenance = opened.reader.head, opened.reader.provenance
     if "spec" not in provenance:
         mend = "Compare it with its field, FIELD.npz."
@@ -180,22 +171,29 @@ def source_medium(source: Source, opened: OpenStream, allow_outside: bool = Fals
     form = "voxel" if opened.scene is None else "object"
     spec = replace(EncodeSpec.from_json(provenance["spec"]), representation=form)
     spec = replace(spec, source=replace(spec.source, allow_outside=allow_outside))
+    stored = None
     if isinstance(source, (str, Path)) and Path(source).suffix == ".npz" and Path(source).is_file():
-        scene = open_scene(source, replace(spec.source, kind=None))
-        stored = getattr(scene, "medium", None)
-        if isinstance(stored, HapticMedium) and stored.grid == opened.grid:
-            if len(stored) != head.frame_count and spec.frames is not None:  # the range that was asked of `encode`
-                stored = stored.between(spec.frames[0], spec.frames[0] + head.frame_count)
-            return Original(stored, scene.notes)
-    prepared = prepare(source, spec)
-    (ours, theirs), place = (prepared.medium.grid, opened.grid), prepared.placement
-    mine = [*ours.shape, *ours.spacing_m, *ours.origin_m, place.scale, *place.offset_m]
-    own = [*theirs.shape, *theirs.spacing_m, *theirs.origin_m, head.mapping_scale, *head.mapping_offset_m]
-    if not np.allclose(mine, own, rtol=1e-6, atol=1e-9):
-        found = "a scene that lies elsewhere in the workspace than the stream's"
-        raise InvalidArgument(str(source), found, mend="Name its own source.")
-    told = ("compared with the objects before coding, not with the voxel representation",) if prepared.scene else ()
-    return Original(prepared.medium, (*prepared.notes, *told), prepared.scene, prepared.exact)
+        field = open_scene(source, replace(spec.source, kind=None))
+        stored = stored_medium(field)
+    if stored is not None and stored.grid == opened.grid:
+        if len(stored) != head.frame_count and spec.frames is not None:  # the range that was asked of `encode`
+            stored = stored.between(spec.frames[0], spec.frames[0] + head.frame_count)
+        original = Prepared(stored, opened.told_device, opened.placement, spec, field.notes)
+    else:
+        original = prepare(source, spec)
+        (ours, theirs), place = (original.medium.grid, opened.grid), original.placement
+        mine = [*ours.shape, *ours.spacing_m, *ours.origin_m, place.scale, *place.offset_m]
+        own = [*theirs.shape, *theirs.spacing_m, *theirs.origin_m, head.mapping_scale, *head.mapping_offset_m]
+        if not np.allclose(mine, own, rtol=1e-6, atol=1e-9):
+            found = "a scene that lies elsewhere in the workspace than the stream's"
+            raise InvalidArgument(str(source), found, mend="Name its own source.")
+        if original.scene:
+            note = "compared with the objects before coding, not with the voxel representation"
+            original = replace(original, notes=(*original.notes, note))
+    if len(original.medium) != head.frame_count:
+        found, expected = f"{head.frame_count} frames", f"the source's {len(original.medium)}"
+        raise InvalidArgument(opened.reader.name, found, expected, "Name the source it came from.")
+    return original
 
 
 class HandMeter:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
+from touchfield.job.result import Result
 from touchfield.medium.deformation import Deformation, fitted
 from touchfield.parallel import Report, silent
 from touchfield.sources.animated_mesh import AnimatedMeshScene
@@ -17,28 +18,6 @@ from touchfield.stream.opened import open_stream
 
 _MARGIN: Final = 0.05  # of the lattice beyond what it bends, of its longest side
 _BEHIND: Final = 2.0  # mean spacings below the surface, where a second layer of points is held
-
-
-@dataclass(frozen=True)
-class Tracks:
-    """A deformation fitted to a model, and how well."""
-
-    deformation: Deformation
-    rms_m: float  # distance of the points of the surface from where the model has them
-    file_bytes: int
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        made, size = self.deformation, self.file_bytes
-        return {
-            "frames": len(made),
-            "control_points": list(made.displacement_m.shape[1:4]),
-            "rms_mm": 1e3 * self.rms_m,
-            "least_determinant": made.least_determinant()[0],
-            "compliance_m_per_n": made.compliance_m_per_n,
-            "file_bytes": size,
-            "bytes_per_frame": size / len(made),
-        }
 
 
 class Motion(NamedTuple):
@@ -78,7 +57,7 @@ def tracks_of(
     compliance_m_per_n: float = 0.0,
     relax_s: float = 0.05,
     report: Report = silent,
-) -> Tracks:
+) -> Result:
     """Write the deformation of a stream: the motion of a model, which it shows at rest, and what it yields.
 
     What moves far from rest folds: a long motion is stretches, each with a rest of its own. Without a motion the
@@ -99,7 +78,7 @@ def tracks_of(
         if not len(at):
             raise InvalidArgument(str(stream), "a first frame without any force", "one that can be felt")
         yields = {"compliance_m_per_n": compliance_m_per_n, "relax_s": relax_s}
-        made, rms = lattice_of(at.min(axis=0), at.max(axis=0), controls, **yields), 0.0
+        bend, rms = lattice_of(at.min(axis=0), at.max(axis=0), controls, **yields), 0.0
     else:
         scene = AnimatedMeshScene(Path(motion.model), motion.animation, rate_hz=motion.rate_hz)
         behind = _BEHIND * float(spacing.mean()) / opened.reader.head.mapping_scale
@@ -114,7 +93,17 @@ def tracks_of(
         looks = np.concatenate([points(taken[n]) for n in np.unique(np.linspace(0, len(taken) - 1, 16).astype(int))])
         lattice = lattice_of(looks.min(axis=0), looks.max(axis=0), controls)
         rest = points(taken[0] if motion.rest_frame is None else motion.rest_frame)
-        made, rms = fitted(rest, map(points, taken), lattice, motion.rate_hz, lambda done: report(done, len(taken)))
-        made = replace(made, compliance_m_per_n=compliance_m_per_n, relax_s=relax_s)
-    made.write(out)
-    return Tracks(made, rms, Path(out).stat().st_size)
+        bend, rms = fitted(rest, map(points, taken), lattice, motion.rate_hz, lambda done: report(done, len(taken)))
+        bend = replace(bend, compliance_m_per_n=compliance_m_per_n, relax_s=relax_s)
+    bend.write(out)
+    size = Path(out).stat().st_size
+    figures = {
+        "frames": len(bend),
+        "control_points": list(bend.displacement_m.shape[1:4]),
+        "rms_mm": 1e3 * rms,  # distance of the points of the surface from where the model has them
+        "least_determinant": bend.least_determinant()[0],
+        "compliance_m_per_n": bend.compliance_m_per_n,
+        "file_bytes": size,
+        "bytes_per_frame": size / len(bend),
+    }
+    return Result({"file": str(out), **figures})

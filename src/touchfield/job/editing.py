@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial, reduce
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from touchfield.filters.registry import field_filters, filter_of, length_m
 from touchfield.filters.resample import LOW_PASSES, halved, interpolated, most_levels, pyramid, rebuilt, resample
 from touchfield.job.encode import encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared, is_stream, prepare
+from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid, HapticMedium
@@ -69,6 +70,15 @@ def taken(medium: HapticMedium, places: Sequence[int]) -> HapticMedium:
     if band is not None:
         band = replace(band, frame_count=count, make_frame=[band[i] for i in places].__getitem__)
     return replace(medium, frame_count=count, make_frame=lambda i: medium[places[i]], vibration=band, segments=None)
+
+
+def fidelity_of(prepared: Prepared, received: HapticMedium) -> FidelityMeter:
+    """A few frames of a medium, evenly spaced, against what a receiver of another has, by the coder's mask."""
+    meter, medium = FidelityMeter(prepared.spec.k, prepared.spec.f0_n or EncodeSpec().f0_n), prepared.medium
+    for n in spread(len(medium), _LOOKED_AT):
+        back = received[n]
+        meter.add(medium[n], back if back.grid == medium.grid else rebuilt(back, medium.grid))
+    return meter
 
 
 def with_history(medium: HapticMedium, key: str, words: str) -> Mapping[str, str]:
@@ -109,29 +119,29 @@ def joined(
 ) -> tuple[HapticMedium, tuple[str, ...]]:
     """A medium in the axes, on the lattice and at the rate of another one, and notes on what that took."""
     notes: list[str] = []
-    made = medium
+    result = medium
     turn = axes_matrix(medium.axes, like.axes)
     if (turn != np.eye(3)).any():
-        motion, before = RigidMotion(tuple(map(tuple, turn.tolist()))), made  # type: ignore[arg-type]
+        motion, before = RigidMotion(tuple(map(tuple, turn.tolist()))), result  # type: ignore[arg-type]
         box = np.sort(motion.points_m(np.stack(medium.grid.box_m)), axis=0)
         shape = tuple(np.abs(turn @ np.array(medium.grid.shape)).astype(int).tolist())
         grid = Grid.over_box(box[0], box[1], shape)
-        made = replace(
-            made, grid=grid, axes=like.axes, make_frame=lambda i: interpolated(before[i], grid, motion),
+        result = replace(
+            result, grid=grid, axes=like.axes, make_frame=lambda i: interpolated(before[i], grid, motion),
             vibration=None, segments=None,
         )  # fmt: skip
         notes.append(f"{name}: turned from {medium.axes} to {like.axes}")
-    if made.grid != like.grid:
-        notes.append(f"{name}: {made.grid.words} resampled to {like.grid.words}")
-        places, (low, high) = made.grid.to_m(made[len(made) // 2].positions()), like.grid.box_m
+    if result.grid != like.grid:
+        notes.append(f"{name}: {result.grid.words} resampled to {like.grid.words}")
+        places, (low, high) = result.grid.to_m(result[len(result) // 2].positions()), like.grid.box_m
         is_outside = ((places < low) | (places > high)).any(axis=1)
         if is_outside.any():
             notes.append(f"{name}: {100 * is_outside.mean():.3g} % of its samples lie outside, and are left out")
-        made = resampled(made, like.grid, kernel)
-    if made.rate_hz != like.rate_hz:
-        notes.append(f"{name}: {made.rate_hz:g} Hz to {like.rate_hz:g} Hz")
-        made = retimed(made, like.rate_hz)
-    return replace(made, axes=like.axes), tuple(notes)
+        result = resampled(result, like.grid, kernel)
+    if result.rate_hz != like.rate_hz:
+        notes.append(f"{name}: {result.rate_hz:g} Hz to {like.rate_hz:g} Hz")
+        result = retimed(result, like.rate_hz)
+    return replace(result, axes=like.axes), tuple(notes)
 
 
 def lattice_of(grid: Grid, nw: int | None, shape: Sequence[int] | None, spacing_m: float | None) -> Grid:
@@ -158,38 +168,34 @@ _MOST_TOLD: Final = 1000  # characters of a history that a file keeps
 _LOOKED_AT: Final = 8
 
 
-@dataclass(frozen=True)
-class Written:
+@dataclass(frozen=True, kw_only=True)
+class Written(Result):
     """A file that was made of a medium."""
 
     path: Path
     medium: HapticMedium
-    shown: Mapping[str, Any]
-    notes: tuple[str, ...] = ()
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        told = {"file": str(self.path), "frames": len(self.medium), "rate_hz": self.medium.rate_hz}
-        size = self.path.stat().st_size if self.path.is_file() else 0
-        return {**told, "grid_shape": list(self.medium.grid.shape), **self.shown, "file_bytes": size}
 
 
 def _write(
-    given: Prepared, sources: Sequence[str | Path], medium: HapticMedium, to: str | Path, report: Report, **shown: Any
+    like: Prepared, sources: Sequence[str | Path], medium: HapticMedium, to: str | Path, report: Report, **shown: Any
 ) -> Written:
     """Write a medium that was made of one, coded as its spec says; with the notes of the coder."""
     out = Path(to)
     for source in sources:
         if out.exists() and Path(source).exists() and out.samefile(source):
             raise InvalidArgument(str(out), "a file that is read", "another name", "Name a new file for the result.")
+    notes: tuple[str, ...] = ()
     if out.suffix in (".npz", ".vti"):
-        return Written(write_field(out, medium, report, given.placement), medium, shown)
-    if out.suffix != ".touch":
+        out = write_field(out, medium, report, like.placement)
+    elif out.suffix == ".touch":
+        made = replace(like, medium=medium, scene=None, exact=None, source=None, reference=FILTERED, notes=())
+        history = {key: medium.provenance[key][:_MOST_TOLD] for key in _TOLD if key in medium.provenance}
+        notes = encode_prepared(made, out, {**provenance_of(sources[0], made), **history}, report).notes
+    else:
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, FIELD.npz or FIELD.vti")
-    made = replace(given, medium=medium, scene=None, exact=None, source=None, reference=FILTERED, notes=())
-    history = {key: medium.provenance[key][:_MOST_TOLD] for key in _TOLD if key in medium.provenance}
-    done = encode_prepared(made, out, {**provenance_of(sources[0], made), **history}, report)
-    return Written(out, medium, shown, done.notes)
+    figures = {"file": str(out), "frames": len(medium), "rate_hz": medium.rate_hz}
+    figures |= {"grid_shape": list(medium.grid.shape), **shown, "file_bytes": out.stat().st_size}
+    return Written(figures, notes, path=out, medium=medium)
 
 
 def edit(
@@ -210,21 +216,22 @@ def edit(
     """
     if not operators:
         raise InvalidArgument("--operator", "none", "at least one")
-    given, where = read_medium(source, spec), region_of(region)
-    medium = given.medium
+    prepared, where = read_medium(source, spec), region_of(region)
+    medium = prepared.medium
     for words in operators:
-        medium = edited_medium(medium, where, operator_of(words, given), feather_m, frames)
+        medium = edited_medium(medium, where, operator_of(words, prepared), feather_m, frames)
     start, stop = frames or (0, None)
     middle = (start + (len(medium) if stop is None else stop)) // 2
-    before, after = given.medium[middle], medium[middle]
+    before, after = prepared.medium[middle], medium[middle]
     done = _write(
-        given, [source], medium, out, report, region=where.words, operators=list(operators), looked_at_frame=middle,
+        prepared, [source], medium, out, report,
+        region=where.words, operators=list(operators), looked_at_frame=middle,
         samples_changed=(before.scaled(-1.0) + after).support_count,
         samples_felt_before=before.support_count, samples_felt_after=after.support_count,
         greatest_n_before=float(before.support().amplitudes_n.max(initial=0.0)),
         greatest_n_after=float(after.support().amplitudes_n.max(initial=0.0)),
     )  # fmt: skip
-    if done.path.suffix == ".touch" and given.spec.coder == "touch" and given.spec.touch.mode != "lossless":
+    if done.path.suffix == ".touch" and prepared.spec.coder == "touch" and prepared.spec.touch.mode != "lossless":
         note = "outside the region the field is as it was, but coded again: --mode lossless keeps its bits"
         return replace(done, notes=(*done.notes, note))
     return done
@@ -264,12 +271,12 @@ def splice(
         if frames is not None and not is_stream(path):
             medium = medium.between(frames[0], len(medium) if frames[1] is None else frames[1])
         if not media:
-            given = one
+            first = one
         else:
             medium, more = joined(medium, media[0], kernel, path.name)
             notes += more
-            if one.device.force_max_n > given.device.force_max_n:
-                most_n = given.device.force_max_n
+            if one.device.force_max_n > first.device.force_max_n:
+                most_n = first.device.force_max_n
                 medium = replace(medium, make_frame=partial(_limited, medium, most_n))
                 notes += (f"{path.name}: forces beyond {most_n:g} N are shortened to that",)
         if medium.vibration is not None and len(parts) > 1:
@@ -279,7 +286,7 @@ def splice(
         raise InvalidArgument("--fade-s", repr(fade_s), "seconds, 0 or more")
     whole = reduce(lambda a, b: cross_faded(a, b, round(fade_s * a.rate_hz)), media)
     shown = {"parts": [len(m) for m in media], "seconds": len(whole) / whole.rate_hz}
-    done = _write(given, [path for path, _ in parts], whole, out, report, **shown)
+    done = _write(first, [path for path, _ in parts], whole, out, report, **shown)
     return replace(done, notes=(*notes, *done.notes))
 
 
@@ -300,30 +307,19 @@ def resample_file(
 
     TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
-    given = read_medium(source, spec)
-    grid = lattice_of(given.medium.grid, *lattice)
-    if grid == given.medium.grid and rate_hz in (None, given.medium.rate_hz):
+    prepared = read_medium(source, spec)
+    grid = lattice_of(prepared.medium.grid, *lattice)
+    if grid == prepared.medium.grid and rate_hz in (None, prepared.medium.rate_hz):
         raise InvalidArgument("touchfield resample", "the lattice and the rate it has", "another lattice or rate")
-    on_grid = resampled(given.medium, grid, kernel)
-    medium = retimed(on_grid, rate_hz or given.medium.rate_hz)
-    meter = FidelityMeter(given.spec.k, given.spec.f0_n or EncodeSpec().f0_n)
-    for n in spread(len(given.medium), _LOOKED_AT):
-        back = on_grid[n] if grid == given.medium.grid else rebuilt(on_grid[n], given.medium.grid)
-        meter.add(given.medium[n], back)
+    on_grid = resampled(prepared.medium, grid, kernel)
+    medium = retimed(on_grid, rate_hz or prepared.medium.rate_hz)
+    meter = fidelity_of(prepared, on_grid)
     spacing, lost = [1e3 * h for h in grid.spacing_m], meter.mask_violation_share
     shown = {"spacing_mm": spacing, "kernel": kernel, "nmse_db": meter.nmse_db, "mask_violation_share": lost}
-    done = _write(given, [source], medium, out, report, **shown)
-    if given.medium.vibration is None:
+    done = _write(prepared, [source], medium, out, report, **shown)
+    if prepared.medium.vibration is None:
         return done
     return replace(done, notes=(*done.notes, "the vibration is left out"))
-
-
-class Detail(NamedTuple):
-    """Levels of detail, the finest first: a row of figures each; `level` is the finest within the bytes asked for."""
-
-    rows: tuple[dict[str, Any], ...]
-    level: int | None
-    notes: tuple[str, ...]
 
 
 def levels_of_detail(
@@ -333,15 +329,15 @@ def levels_of_detail(
     most_bytes: int | None = None,
     spec: EncodeSpec | None = None,
     report: Report = silent,
-) -> Detail:
+) -> Result:
     """Each level of detail of a medium as a file of its own, with its bytes and what a receiver of it lacks.
 
     `out` is a folder for level-0.touch, level-1.touch, ..., or OUT.zarr, a store of them all (extra ``zarr``);
-    without it they are only measured. `levels` is how often the lattice is halved (until 8 samples are left), and
-    `Detail.level` the finest level of `most_bytes` or less.
+    without it they are only measured. `levels` is how often the lattice is halved (until 8 samples are left). Of the
+    result ``levels`` are rows of figures, the finest first, and ``level`` is the finest of `most_bytes` or less.
     """
-    given = read_medium(source, spec)
-    medium, most = given.medium, most_levels(given.medium.grid)
+    prepared = read_medium(source, spec)
+    medium, most = prepared.medium, most_levels(prepared.medium.grid)
     wanted = max(0, most - 3) if levels is None else levels
     if not 0 <= wanted <= most:
         raise InvalidArgument("--levels", f"{wanted}", f"0 to {most}")
@@ -353,11 +349,9 @@ def levels_of_detail(
     rows: list[dict[str, Any]] = []
     try:
         for level in range(wanted + 1):
-            one = _level(medium, level)
-            path = _write(given, [source], one, folder / f"level-{level}.touch", silent).path
-            meter = FidelityMeter(given.spec.k, given.spec.f0_n or EncodeSpec().f0_n)
-            for n in spread(len(medium), _LOOKED_AT):
-                meter.add(medium[n], rebuilt(one[n], medium.grid) if level else one[n])
+            one = detail_level(medium, level)
+            path = _write(prepared, [source], one, folder / f"level-{level}.touch", silent).path
+            meter = fidelity_of(prepared, one)
             row = {"level": level, "grid_shape": list(one.grid.shape), "file_bytes": path.stat().st_size}
             beyond = meter.mask_violations / max(1, meter.supported_voxels)
             row |= {"nmse_db": meter.nmse_db, "mask_violations_per_supported_voxel": beyond}
@@ -366,17 +360,18 @@ def levels_of_detail(
         if store is not None:
             from touchfield.medium.zarr_store import write_zarr
 
-            coarser = [_level(medium, n) for n in range(1, wanted + 1)]
-            write_zarr(store, medium, told=given.placement.told(), levels=coarser)
+            coarser = [detail_level(medium, n) for n in range(1, wanted + 1)]
+            write_zarr(store, medium, told=prepared.placement.told(), levels=coarser)
     finally:
         if not is_kept:
             shutil.rmtree(folder, ignore_errors=True)
     fits = [row["level"] for row in rows if most_bytes is None or row["file_bytes"] <= most_bytes]
     notes = () if fits else (f"no level takes {most_bytes} bytes or less",)
-    return Detail(tuple(rows), min(fits) if fits else None, notes)
+    return Result({"level": min(fits, default=None), "levels": rows}, notes)
 
 
-def _level(medium: HapticMedium, level: int) -> HapticMedium:
+def detail_level(medium: HapticMedium, level: int) -> HapticMedium:
+    """The medium on a lattice that is halved so often."""
     if level == 0:
         return medium
     grid = reduce(lambda g, _: halved(g), range(level), medium.grid)

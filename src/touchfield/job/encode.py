@@ -100,16 +100,16 @@ def encode(
         return done
     began = time.perf_counter()
     spec = spec or EncodeSpec()
-    given = as_source(source, spec.device, grid)
-    prepared = prepare(given, spec)
-    story = provenance_of(given, prepared)
+    scene = as_source(source, spec.device, grid)
+    prepared = prepare(scene, spec)
+    story = provenance_of(scene, prepared)
     if executor is None or prepared.scene is not None:
         done = encode_prepared(prepared, out, story, report)
         if executor is not None:
             done = replace(done, told=("Objects take one process: no worker was asked",))
     else:
-        supported, told = spread_voxels(Path(out), Sent.of(source, grid), prepared, story, executor, report)
-        done = Encoded(prepared, Path(out).stat().st_size, 0.0, supported, told)
+        supported, notes = spread_voxels(Path(out), Sent.of(source, grid), prepared, story, executor, report)
+        done = Encoded(prepared, Path(out).stat().st_size, 0.0, supported, notes)
     return replace(done, encode_s=time.perf_counter() - began)
 
 

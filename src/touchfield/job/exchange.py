@@ -13,7 +13,7 @@ adds, friction, damping and its device's limits, depends on the hand: only what 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,9 +45,10 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.filters.device_filter import device_grid
 from touchfield.filters.registry import felt_medium
-from touchfield.job.array_medium import PANELS, array_medium
+from touchfield.job.array_medium import PANELS, array_drives
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared, Source
+from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.view import view
 from touchfield.medium.grid import Placement
@@ -63,22 +64,6 @@ _MOST_SAMPLES: Final = 1 << 23
 _VEST: Final = "tactsuit-x40"
 
 
-@dataclass(frozen=True)
-class Exported:
-    """A file that `export` wrote; `told` is what else a summary tells, such as frames, or the greatest force."""
-
-    path: Path
-    device: str
-    seconds: float
-    told: dict[str, Any]
-    notes: tuple[str, ...] = ()
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        size = self.path.stat().st_size
-        return {"file_bytes": size, "device": self.device, "seconds": self.seconds, **self.told}
-
-
 def export(
     stream: str | Path,
     out: str | Path,
@@ -88,7 +73,7 @@ def export(
     report: Report = silent,
     full_scale_n: float = 1.0,
     against: Source | None = None,
-) -> Exported:
+) -> Result:
     """Write a stream in another format, by the ending of `out`.
 
     ``.hjif`` (ISO/IEC 23090-31) and ``.wav`` (a channel an actuator) hold the drives of an array, or with
@@ -115,9 +100,9 @@ def export(
         if kind == ".html":
             head, page = opened.reader.head, view(stream, against, report)
             page.save(path)
-            told = {"frames": head.frame_count}
-            told |= {key: page.figures[key] for key in ("source_bytes",) if key in page.figures}
-            return Exported(path, head.device_name, head.frame_count / head.rate_hz, told)
+            figures = {"frames": head.frame_count}
+            figures |= {key: page.figures[key] for key in ("source_bytes",) if key in page.figures}
+            return _exported(path, head.device_name, head.frame_count / head.rate_hz, figures)
         if trajectory is not None:
             return _export_force(opened, path, kind, device_name, trajectory, full_scale_n)
         return _export_array(opened, path, kind, device_name, panel, report)
@@ -146,28 +131,35 @@ def import_effect(
     kind = Path(source).suffix.lower()
     if kind not in IMPORTS:
         raise InvalidArgument(str(source), f"the ending {Path(source).suffix!r}", " or ".join(IMPORTS))
-    found = (read_ahap if kind == ".ahap" else read_hjif_array)(source, rate_hz)
-    told_n = found.force_max_n if force_max_n is None else force_max_n
-    own = effect_device(found.effect.lattice, found.device_name, told_n)
-    symbolic = effect_medium(found.effect, device_grid(own), own.force_max_n, {"format": kind[1:]})
+    pattern = (read_ahap if kind == ".ahap" else read_hjif_array)(source, rate_hz)
+    full_n = pattern.force_max_n if force_max_n is None else force_max_n
+    own = effect_device(pattern.effect.lattice, pattern.device_name, full_n)
+    symbolic = effect_medium(pattern.effect, device_grid(own), own.force_max_n, {"format": kind[1:]})
     medium = felt_medium(symbolic, asked.chain, own.force_max_n)
     if asked.vibration is not None:
         medium = vibrating(medium, VibrationRule.parse(asked.vibration), own.force_max_n)
     if asked.frames is not None:
         start, stop = asked.frames
         medium = medium.between(start, len(medium) if stop is None else stop)
-    prepared = Prepared(medium, own, Placement(), replace(asked, device=own.name, nw=None), found.notes)
+    prepared = Prepared(medium, own, Placement(), replace(asked, device=own.name, nw=None), pattern.notes)
     return encode_prepared(prepared, out, provenance_of(source, prepared), report)
+
+
+def _exported(
+    path: Path, device_name: str, seconds: float, figures: dict[str, Any], notes: tuple[str, ...] = ()
+) -> Result:
+    size = path.stat().st_size
+    return Result({"file_bytes": size, "device": device_name, "seconds": seconds, **figures}, notes)
 
 
 def _export_array(
     stream: OpenStream, path: Path, kind: str, device_name: str | None, panel: str, report: Report
-) -> Exported:
+) -> Result:
     if panel not in PANELS:
         raise InvalidArgument("panel", repr(panel), " or ".join(PANELS))
     chosen = _array(stream, kind, device_name)
     # a back that the profile does not count is a front worn behind
-    drives = array_medium(stream, chosen).drives(panel if chosen.panels > 1 else PANELS[0])
+    drives = array_drives(stream, chosen, panel if chosen.panels > 1 else PANELS[0])
     columns, rows, _ = chosen.lattice
     checked_frames("stream", len(drives), columns * rows, MAX_MEDIUM_VALUES)
     nth = PANELS.index(panel) if chosen.panels > 1 else 0
@@ -192,10 +184,10 @@ def _export_array(
         write_hjif_array(path, effect, chosen.name, panel=panel, description=title)
     else:
         notes = (write_ahap if kind == ".ahap" else write_haptic)(path, effect, path.stem, title)
-    told = {"columns": columns, "rows": rows, "panel": panel, "frames": len(effect), "rate_hz": effect.rate_hz}
+    figures = {"columns": columns, "rows": rows, "panel": panel, "frames": len(effect), "rate_hz": effect.rate_hz}
     if not effect.drives.any():
         notes = (*notes, "Nothing can be felt: no actuator is driven.")
-    return Exported(path, chosen.name, len(effect) / effect.rate_hz, told, notes)
+    return _exported(path, chosen.name, len(effect) / effect.rate_hz, figures, notes)
 
 
 def _array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
@@ -215,7 +207,7 @@ def _array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
 
 def _export_force(
     stream: OpenStream, path: Path, kind: str, device_name: str | None, trajectory: str | Path, full_scale_n: float
-) -> Exported:
+) -> Result:
     head = stream.reader.head
     name, peak_n = head.device_name, head.force_max_n
     if device_name is not None:
@@ -239,8 +231,8 @@ def _export_force(
         write_wav(path, [forces_n / (along_n or 1.0)], 3, len(forces_n))
         notes = (f"Full scale is {along_n:.6g} N, the greatest force along an axis: a sound has no newtons.",)
     else:
-        told = f"force along {Path(trajectory).name}"
-        write_hjif_force(path, forces_n, timescale, device_name=name, full_scale_n=full_scale_n, description=told)
+        title = f"force along {Path(trajectory).name}"
+        write_hjif_force(path, forces_n, timescale, device_name=name, full_scale_n=full_scale_n, description=title)
         if along_n > full_scale_n:
             notes = (
                 "Readers that put it out as sound, such as the reference synthesiser, clip above "
@@ -258,7 +250,7 @@ def _export_force(
         "force_max_n": peak_n,
         "greatest_n": greatest_n,
     }
-    return Exported(path, name, float(times_s[-1]), figures, notes)
+    return _exported(path, name, float(times_s[-1]), figures, notes)
 
 
 def _ticks_per_second(trace: Trace) -> int:

@@ -12,10 +12,9 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from importlib import import_module
 from typing import Any, Final, TypeVar
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, import_extra
 from touchfield.parallel import worker_count
 
 Item = TypeVar("Item")
@@ -39,10 +38,7 @@ def executor_of(words: str) -> Iterator[Executor]:
         with ProcessPoolExecutor(int(rest), context, _use_threads, (each,)) as pool:
             yield pool
     elif kind == "dask" and rest:
-        try:
-            Client: Any = import_module("distributed").Client
-        except ImportError:
-            raise MissingExtra("--workers dask:ADDRESS", "distributed", "cluster") from None
+        Client = import_extra("distributed", "--workers dask:ADDRESS", "distributed", "cluster").Client
         try:
             client = Client(rest, timeout=_PATIENCE_S, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -71,61 +67,47 @@ def in_order(
     sent to the workers of an `executor`, and weights are not looked at. SourceError if a worker is lost and its
     executor cannot go on without it.
     """
-    if executor is not None:
-        yield from _elsewhere(executor, work, items)
-        return
     workers = worker_count()
-    if workers == 1:
-        for item in items:
-            yield work(item)
+    if executor is None and workers == 1:
+        yield from map(work, items)
         return
-    pool = ThreadPoolExecutor(workers, thread_name_prefix="touchfield-job")
+
+    def of_pool(step: Callable[[], Any]) -> Any:
+        try:
+            return step()
+        except (TouchfieldError, MemoryError):
+            raise
+        except Exception as error:  # of a worker that was killed, or cannot read its task
+            if executor is None:
+                raise
+            found = f"that one ended before its work was done ({type(error).__name__}: {str(error)[:300]})"
+            raise SourceError("a worker", found, mend="The same command goes on from what is finished.") from error
+
+    pool = executor or ThreadPoolExecutor(workers, thread_name_prefix="touchfield-job")
+    most = workers + 1 if executor is None else _MOST_SUBMITTED
     waiting: deque[tuple[Future[Result], int]] = deque()
     under_way = 0
     try:
         for item in items:
-            own = weight(item)
-            while waiting and (len(waiting) > workers or (most_weight and under_way + own > most_weight)):
+            own = weight(item) if executor is None else 0
+            while waiting and (len(waiting) >= most or (most_weight and under_way + own > most_weight)):
                 first, size = waiting.popleft()
-                yield first.result()
+                yield of_pool(first.result)
                 under_way -= size
-            waiting.append((pool.submit(work, item), own))
+            waiting.append((of_pool(partial(pool.submit, work, item)), own))
             under_way += own
             del item
             while waiting and waiting[0][0].done():
                 first, size = waiting.popleft()
-                yield first.result()
+                yield of_pool(first.result)
                 under_way -= size
         while waiting:
-            yield waiting.popleft()[0].result()
+            yield of_pool(waiting.popleft()[0].result)
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _elsewhere(executor: Executor, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """Results of an executor's workers, in the order of the items."""
-    waiting: deque[Future[Result]] = deque()
-    try:
-        for item in items:
-            while len(waiting) >= _MOST_SUBMITTED or (waiting and waiting[0].done()):
-                yield _result(waiting.popleft().result)
-            waiting.append(_result(partial(executor.submit, work, item)))
-        while waiting:
-            yield _result(waiting.popleft().result)
-    finally:
-        for future in waiting:
+        for future, _ in waiting:
             future.cancel()
-
-
-def _result(attempt: Callable[[], Result]) -> Result:
-    """A result; what ends in a worker and is no error of ours (it was killed, or cannot read its task) is told."""
-    try:
-        return attempt()
-    except (TouchfieldError, MemoryError):
-        raise
-    except Exception as error:
-        found = f"that one ended before its work was done ({type(error).__name__}: {str(error)[:300]})"
-        raise SourceError("a worker", found, mend="The same command goes on from what is finished.") from error
+        if executor is None:
+            pool.shutdown()
 
 
 def _use_threads(count: int) -> None:

@@ -28,6 +28,7 @@ from touchfield.job.editing import joined, spread, taken
 from touchfield.job.executors import in_order
 from touchfield.job.mapping import SymbolFrames
 from touchfield.job.prepare import Source, StreamScene, decode, prepare
+from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, Descriptor, descriptor, part_slots
 from touchfield.measure.quantity import FewSamplesWarning
@@ -84,8 +85,8 @@ class Library:
         if "files" not in archive.names or archive.header("files").data_bytes > _MOST_STATE_BYTES:
             raise SourceError(where, "no such array, or one that is too large", expected)
         try:
-            told: dict[str, Any] = json.loads(archive.read("files").tobytes())
-            entries = {name: Entry(int(s), int(t), int(c), str(f)) for name, (s, t, c, f) in told.items()}
+            rows_by_name: dict[str, Any] = json.loads(archive.read("files").tobytes())
+            entries = {name: Entry(int(s), int(t), int(c), str(f)) for name, (s, t, c, f) in rows_by_name.items()}
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise SourceError(where, f"text that cannot be read ({error})", expected) from None
         rows = {name: index[name].values for name in index.names if name in entries}
@@ -111,10 +112,10 @@ class Library:
 
     def save(self, path: Path) -> None:
         """Write the library, whole or not at all; equal ones give equal bytes."""
-        told = {name: astuple(self.entries[name]) for name in sorted(self.entries)}
+        entries = {name: astuple(self.entries[name]) for name in sorted(self.entries)}
         with atomic_path(path) as temporary:
             self.index().save(temporary)
-            array = np.frombuffer(json.dumps(told).encode(), np.uint8)
+            array = np.frombuffer(json.dumps(entries).encode(), np.uint8)
             info = zipfile.ZipInfo("files.npy")
             with zipfile.ZipFile(temporary, "a") as archive, archive.open(info, "w") as stream:
                 np.lib.format.write_array(stream, array, version=(1, 0), allow_pickle=False)
@@ -128,26 +129,17 @@ def library_path(folder: Path, path: Path | None = None) -> Path:
     return path or whole.parent / f"{whole.name or 'root'}.index.npz"
 
 
-@dataclass(frozen=True)
-class Indexed:
+@dataclass(frozen=True, kw_only=True)
+class Indexed(Result):
     """Counts of one run of `index_folder`."""
 
     path: Path
     library: Library
-    described: int
-    kept: int
-    gone: int
-    seconds: float
 
     @property
     def faults(self) -> dict[str, str]:
         """Faults of the files that are left out, by name."""
         return {name: entry.fault for name, entry in self.library.entries.items() if entry.fault}
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        counts = {"described": self.described, "kept": self.kept, "gone": self.gone, "left_out": len(self.faults)}
-        return {"index": str(self.path), "media": len(self.library.rows), **counts, "seconds": self.seconds}
 
 
 def index_folder(
@@ -196,7 +188,10 @@ def index_folder(
         kept.forget(name)
     if changed or gone or not target.exists():
         kept.save(target)
-    return Indexed(target, kept, len(fresh), len(files) - len(fresh), len(gone), time.perf_counter() - began)
+    counts = {"described": len(fresh), "kept": len(files) - len(fresh), "gone": len(gone)}
+    counts |= {"left_out": sum(bool(entry.fault) for entry in kept.entries.values())}
+    figures = {"index": str(target), "media": len(kept.rows), **counts, "seconds": time.perf_counter() - began}
+    return Indexed(figures, path=target, library=kept)
 
 
 def described(path: Path) -> tuple[Float64s | None, str]:
@@ -213,8 +208,8 @@ def _files(folder: Path) -> dict[str, tuple[int, int]]:
     return {path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns) for path in paths}
 
 
-def _same(entry: Entry | None, told: tuple[int, int]) -> bool:
-    return entry is not None and (entry.size, entry.mtime_ns) == told and entry.crc != _UNREAD
+def _same(entry: Entry | None, size_and_time: tuple[int, int]) -> bool:
+    return entry is not None and (entry.size, entry.mtime_ns) == size_and_time and entry.crc != _UNREAD
 
 
 def _crc(path: Path) -> int:
@@ -276,8 +271,8 @@ def search(
         entry = descriptor(like if isinstance(like, HapticMedium) else decode(like))
     index = library.index()
     began = time.perf_counter()
-    found = index.query(entry, count + (own in library.rows), weights)
-    matches = tuple(match for match in found if match.name != own)[:count]
+    nearest = index.query(entry, count + (own in library.rows), weights)
+    matches = tuple(match for match in nearest if match.name != own)[:count]
     return Retrieved(matches, len(index), 1e3 * (time.perf_counter() - began), notes)
 
 
@@ -321,9 +316,9 @@ def similar(
     if frames < 1:
         raise InvalidArgument("frames", f"{frames}", "1 or more")
     one, other = (prepare(source, spec).medium for source in (first, second))
-    told = [np.zeros(DESCRIPTOR_LENGTH)] * 2
+    values = [np.zeros(DESCRIPTOR_LENGTH)] * 2
     for n, medium in enumerate((one, other)):
-        told[n] = descriptor(medium, frames).values
+        values[n] = descriptor(medium, frames).values
         report(n + 1, 3)
     beside, notes = joined(other, one, name="the second")
     count = min(len(one), len(beside))
@@ -341,7 +336,7 @@ def similar(
             measured = similarity(mine, theirs, over, compressed=False)
             notes = (*notes, f"no NCD: {error}")
     report(3, 3)
-    parts = {name: float(np.linalg.norm(told[0][slot] - told[1][slot])) for name, slot in part_slots()}
+    parts = {name: float(np.linalg.norm(values[0][slot] - values[1][slot])) for name, slot in part_slots()}
     return Alike(measured, parts, len(places), notes)
 
 
@@ -383,7 +378,7 @@ def correlate(
     if pictures.frame_count > 1:
         last = min(last, math.floor((pictures.frame_count - 1) / rate_hz * medium.rate_hz + 1e-9))
     places = spread(last + 1, frames)
-    done: list[Looked] = []
+    looks: list[Looked] = []
     for n in places:
         at = min(round(n / medium.rate_hz * rate_hz), pictures.frame_count - 1)
         luma = pictures.values(at).astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
@@ -391,9 +386,9 @@ def correlate(
             luma, touched = _from_the_front(luma, medium, n, reading)
         else:
             touched = _from_the_camera(luma.shape, pictures, medium, n, opened.placement, intrinsics, reading)
-        done.append(Looked(n, at, picture_correlation(luma, touched)))
-        report(len(done), len(places))
-    return tuple(done)
+        looks.append(Looked(n, at, picture_correlation(luma, touched)))
+        report(len(looks), len(places))
+    return tuple(looks)
 
 
 def _from_the_front(luma: Float64s, medium: HapticMedium, frame: int, reading: str) -> tuple[Float64s, Float64s]:

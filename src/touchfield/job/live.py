@@ -22,8 +22,9 @@ from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.errors import InvalidArgument
-from touchfield.filters.resample import halved, pyramid, rebuilt
+from touchfield.filters.resample import pyramid, rebuilt
 from touchfield.job.coding import head_of
+from touchfield.job.editing import detail_level
 from touchfield.job.encode import provenance_of
 from touchfield.job.prepare import Prepared, Source, as_source, prepare
 from touchfield.job.spec import EncodeSpec
@@ -113,10 +114,7 @@ def coarse_layer(source: Source, prepared: Prepared) -> tuple[Prepared, LiveSend
     if spec.coder == "touch":
         k, f0_n = min(2 * spec.touch.k, 0.5), 2 * spec.touch.f0_n
         spec = replace(spec, touch=replace(spec.touch, k=k, f0_n=f0_n, mode="mask"))
-    medium = replace(
-        fine, grid=halved(fine.grid), make_frame=lambda i: _coarse(fine[i]), vibration=None, segments=None
-    )
-    coarse = replace(prepared, medium=medium, spec=spec, scene=None, exact=None, source=None)
+    coarse = replace(prepared, medium=detail_level(fine, 1), spec=spec, scene=None, exact=None, source=None)
     layer = f"half of {fine.grid.words}; NMSE of the first frame {meter.nmse_db:.1f} dB"
     return coarse, _sender(source, coarse, layer=layer)
 

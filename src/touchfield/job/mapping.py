@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -119,40 +120,31 @@ def _cropped(medium: HapticMedium, own: Grid, low: Int64s, high: Int64s) -> Hapt
 class SymbolFrames(Sequence[FieldSymbols]):
     """The frames of a medium through Q, each made when it is asked for; the last two are kept.
 
-    `object_counts` tells how many voxels of each that was made are not 0. A slice makes nothing yet.
+    `object_counts` tells how many voxels of each that was made are not 0. A slice makes nothing yet, and shares what
+    is kept.
     """
 
     def __init__(self, medium: HapticMedium, quantiser: FieldQuantiser) -> None:
         self.medium, self.quantiser = medium, quantiser
         self.object_counts: dict[int, int] = {}
         self._kept: dict[int, FieldSymbols] = {}
+        self._numbers = range(len(medium))
 
     def __len__(self) -> int:
-        return len(self.medium)
+        return len(self._numbers)
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
-            return FrameRange(self, range(len(self))[index])
-        i = range(len(self))[index]
+            part = copy(self)
+            part._numbers = self._numbers[index]
+            return part
+        i = self._numbers[index]
         if i not in self._kept:
             while len(self._kept) > 1:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[i] = self.quantiser(self.medium[i])
             self.object_counts[i] = self._kept[i].object_count
         return self._kept[i]
-
-
-class FrameRange(Sequence[FieldSymbols]):
-    """Some of the frames, without making them twice."""
-
-    def __init__(self, frames: SymbolFrames, numbers: range) -> None:
-        self._frames, self._numbers = frames, numbers
-
-    def __len__(self) -> int:
-        return len(self._numbers)
-
-    def __getitem__(self, index: Any) -> Any:
-        return self._frames[self._numbers[index]]
 
 
 def partition_workspace(

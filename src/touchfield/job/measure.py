@@ -211,8 +211,8 @@ def measure_medium(
         warnings.simplefilter("ignore", FewSamplesWarning)  # each quantity carries the note
         counts = field_counts(frames)
         voxel = entropy(counts["voxel"], estimator=spec.estimator)
-        held = sum(frames.object_counts.values())
-        if not held:
+        supported = sum(frames.object_counts.values())
+        if not supported:
             found, mend = "a medium without any force", "Take other frames, or look at the source."
             if quantise.top_n > 0:
                 found, mend = f"a medium without any force under {quantise.words}", "Take a finer --quantiser."
@@ -245,7 +245,7 @@ def measure_medium(
         notes += (f"the limits do not count the table that tells what the {quantise.alphabet - 1:,} vectors are",)
     done()
     return Measurement(
-        name, quantise.words, quantise.alphabet, len(medium), medium.grid.voxel_count, held, asked_for, voxel,
+        name, quantise.words, quantise.alphabet, len(medium), medium.grid.voxel_count, supported, asked_for, voxel,
         on_object, corrected, per_frame, in_time, limits, capacities, energy, file_bits, notes,
     )  # fmt: skip
 
@@ -280,8 +280,8 @@ def _capacity(
     quantise = shown.quantiser.fit(shown.medium, shown.device.force_max_n)
     frames = SymbolFrames(shown.medium, quantise)
     voxels = shown.medium.grid.voxel_count
-    told = field_counts(frames, overs=("voxel",))["voxel"]
-    rendered = entropy(told, estimator=spec.estimator).times(voxels, "bit/frame", "H(M(W))")
+    rendered_counts = field_counts(frames, overs=("voxel",))["voxel"]
+    rendered = entropy(rendered_counts, estimator=spec.estimator).times(voxels, "bit/frame", "H(M(W))")
     most = codomain_bits(voxels, quantise.alphabet)
     is_same = reference.medium.grid.shape == shown.medium.grid.shape and reference.quantiser.words == quantise.words
     if is_same and all(
@@ -290,8 +290,8 @@ def _capacity(
     ):  # no loss has to be estimated
         ratio: Interval | None = Interval(1.0, 1.0, 1.0, "M(W) and W have the same symbols everywhere")
     else:
-        both = shared_counts((reference, frames), (shown.own_grid, shown.medium.grid), (counts, told))
+        both = shared_counts((reference, frames), (shown.own_grid, shown.medium.grid), (counts, rendered_counts))
         per_lattice = reference.medium.grid.voxel_count, voxels
         ratio = None if both is None else paired_ratio(both, per_lattice, most, spec.estimator)
-    found = capacity(per_frame, rendered, most, ratio=ratio)
-    return found, (*shown.notes, *found.notes, f"its Q is {quantise.words}")
+    result = capacity(per_frame, rendered, most, ratio=ratio)
+    return result, (*shown.notes, *result.notes, f"its Q is {quantise.words}")

@@ -186,13 +186,13 @@ class Trial:
     @property
     def options(self) -> str:
         """The options of `touchfield encode` for it."""
-        told = self.summary()
-        words = [] if told["nw"] is None else [f"--nw {told['nw']}"]
-        if told["coder"] == "paper":
+        figures = self.summary()
+        words = [] if figures["nw"] is None else [f"--nw {figures['nw']}"]
+        if figures["coder"] == "paper":
             words.append("--coder paper")
         for key in ("mode", "k", "f0_n", "step_n", "nq", "directions"):
-            if told[key] is not None and told[key] != "mask":
-                value = told[key] if isinstance(told[key], str) else f"{told[key]:g}"
+            if figures[key] is not None and figures[key] != "mask":
+                value = figures[key] if isinstance(figures[key], str) else f"{figures[key]:g}"
                 words.append(f"--{key.replace('_', '-')} {value}")
         return " ".join(words)
 

@@ -23,7 +23,7 @@ from touchfield.adapters.touch_down import touch_down
 from touchfield.arrays import Float64s
 from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
-from touchfield.job.array_medium import array_medium
+from touchfield.job.array_medium import array_drives
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.trace import Trace, read_trace
@@ -123,21 +123,43 @@ class Played:
         return self
 
     def write_log(self, path: Path) -> None:
-        """The log as comma-separated text."""
-        write_log(path, self._felt(self.rows, "log"))
+        """Write the log as comma-separated text, whole or not at all."""
+        rows = self._felt(self.rows, "log")
+        words = {
+            flags: "+".join(name for name, bit in FLAGS.items() if flags & bit) or "idle"
+            for flags in np.unique(rows["flags"]).tolist()
+        }
+        with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+            file.write(",".join(COLUMNS) + "\n")
+            for first in range(0, len(rows), _ROWS_AT_ONCE):
+                some = rows[first : first + _ROWS_AT_ONCE]
+                numbers = np.column_stack([some[name] for name in _LOGGED]) + 0.0
+                for row, buttons, flags in zip(numbers.tolist(), some["buttons"].tolist(), some["flags"].tolist()):
+                    file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{words[flags]}\n")
 
     def write_wav(self, path: Path) -> str:
-        """The play as sound; what was written."""
-        return write_sound(path, self._felt(self.rows, "wav"))
+        """Write the play as sound; a note on what it holds.
+
+        InvalidArgument if there are fewer than two rows, or too many for a WAV; SourceError if the system refuses.
+        """
+        rows = self._felt(self.rows, "wav")
+        if len(rows) < 2:
+            raise InvalidArgument("--wav", f"a play of {len(rows)} ticks", "at least 2", "Play longer.")
+        samples, (full_n, fast_n) = sound_of(rows["time_s"].astype(np.float64), rows["force_n"].astype(np.float64))
+        write_wav(path, [samples], 2, len(samples))
+        return (
+            f"the sound is {path}: left a tone as loud as |F| (1 is {full_n:.3g} N), right the force from "
+            f"{BAND_HZ[0]:g} Hz on (1 is {fast_n:.3g} N)"
+        )
 
     def draw(self, path: Path) -> None:
         """The picture of the interaction."""
         draw_interaction(path, self._felt(self.view, "plot"))
 
-    def _felt(self, found: Any, option: str) -> Any:
-        if found is None:
+    def _felt(self, part: Any, option: str) -> Any:
+        if part is None:
             raise _for_points(option)
-        return found
+        return part
 
 
 def play(
@@ -165,11 +187,11 @@ def play(
 
 def stream_device(stream: OpenStream) -> Device:
     """The profile that a stream was made for, or what it tells of one that is not known."""
-    told = stream.told_device
-    if told.name not in device_names():  # nor is a file looked for whose path a stream names
-        return told
-    known = device(told.name)
-    return known if known.is_array == told.is_array else told
+    own = stream.told_device
+    if own.name not in device_names():  # nor is a file looked for whose path a stream names
+        return own
+    known = device(own.name)
+    return known if known.is_array == own.is_array else own
 
 
 def _play_point(
@@ -179,23 +201,23 @@ def _play_point(
     if stream.reader.head.device_type == 2:
         mend = "Play it on an array (bhaptics, osc, pins), or encode the scene for a point (--device phantom-omni)."
         raise InvalidArgument(name, f"a stream for the array {stream.reader.head.device_name}", "one in space", mend)
-    given = None if spec.trajectory is None else read_trace(spec.trajectory)
+    trajectory = None if spec.trajectory is None else read_trace(spec.trajectory)
     if spec.trace is not None:
         recorded = read_trace(spec.trace)
-        given = Trace(recorded.times_s, stream.placement.to_hand(recorded.positions_m))
-    choice = point_device(spec.device, given)
+        trajectory = Trace(recorded.times_s, stream.placement.to_hand(recorded.positions_m))
+    choice = point_device(spec.device, trajectory)
     named = spec.profile or choice.profile
     profile = device(named) if named else stream_device(stream)
     if choice.is_simulated:
         profile = replace(profile, axes=field_of.axes)
         spec = replace(spec, render=replace(spec.render, up="lattice"))  # it moves in the field's own axes
-        given = given or _probe(spec, profile, stream.medium[:1] if stream.is_live else field_of)
-        choice = point_device(spec.device, given)
+        trajectory = trajectory or _probe(spec, profile, stream.medium[:1] if stream.is_live else field_of)
+        choice = point_device(spec.device, trajectory)
     elif spec.offline:
         raise InvalidArgument(f"--offline works with --device sim, not with {choice.name}")
     seconds = spec.seconds  # None: to the end of the medium, or for ever where it has none
-    if seconds is None and given is not None:
-        seconds = max(float(given.times_s[-1]), _LEAST_S)
+    if seconds is None and trajectory is not None:
+        seconds = max(float(trajectory.times_s[-1]), _LEAST_S)
     times: dict[str, Any] = {"loop": spec.loop, "speed": spec.speed, "start_s": spec.start_s}
     if spec.offline:
         error: Exception | None
@@ -222,7 +244,7 @@ def _play_point(
             notes, error, statistics = (*notes, str(error)), None, _before_end(statistics, rows)
     friction = spec.render.friction if spec.render.friction is not None else field_of.friction
     put, touched = np.linalg.norm(rows["force_n"], axis=1), rows["field_force_n"].any(axis=1)
-    told = {
+    figures = {
         "device": spec.device,
         "profile": profile.name,
         "friction": friction,
@@ -232,16 +254,13 @@ def _play_point(
         **statistics,
     }
     if error is not None:
-        return Played(told, rows, None, notes, error)
+        return Played(figures, rows, None, notes, error)
     render, medium = spec.render, stream.medium
     drawn = medium[0 if stream.is_live else len(medium) // 2] if spec.is_drawn else None
     caption = f"{spec.device} with the limits of {profile.name}, {len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
-    view = InteractionView(
-        name, caption, medium.axes, rows["time_s"], rows["position_m"], rows["field_force_n"],
-        rows["friction_n"], rows["force_n"], render.peak_n or profile.force_max_n,
-        render.continuous_n or profile.force_continuous_n, drawn,
-    )  # fmt: skip
-    return Played(told, rows, view, notes)
+    peak_n, continuous_n = render.peak_n or profile.force_max_n, render.continuous_n or profile.force_continuous_n
+    view = InteractionView(name, caption, medium.axes, rows, peak_n, continuous_n, drawn)
+    return Played(figures, rows, view, notes)
 
 
 def _before_end(statistics: dict[str, Any], rows: NDArray[Any]) -> dict[str, Any]:
@@ -291,7 +310,7 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
     if spec.is_logged:
         raise _for_points("log, --plot or --wav")
     chosen = array_device(spec.device, device(spec.profile) if spec.profile else None)
-    drives = array_medium(stream, chosen.profile).drives(spec.panel)
+    drives = array_drives(stream, chosen.profile, spec.panel)
     with ArrayPlayer(drives, chosen, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
         try:
             while not player.wait_begun(_LOOK_S):  # preparation is no playing time
@@ -301,9 +320,9 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
             pass
     if player.error is not None:
         raise player.error
-    told = asdict(player.statistics)
-    told["stalled_share"] = told["stalled"] / max(told["sent"], 1)
-    return Played({"device": spec.device, "profile": chosen.profile.name, **told}, None, None, player.notes)
+    figures = asdict(player.statistics)
+    figures["stalled_share"] = figures["stalled"] / max(figures["sent"], 1)
+    return Played({"device": spec.device, "profile": chosen.profile.name, **figures}, None, None, player.notes)
 
 
 def _for_points(option: str) -> InvalidArgument:
@@ -358,30 +377,13 @@ device got, in its own; how the grip was turned, in the device's axes; the torqu
 device got, likewise; how far the gripper was open; the time of the medium; the buttons (bit n is button n); and what
 was going on, words joined by +."""
 
+_LOGGED: Final = (
+    "time_s", "position_m", "velocity_m_s", "field_force_n", "friction_n", "force_n", "orientation",
+    "field_torque_nm", "torque_nm", "gripper_m", "media_s",
+)  # fmt: skip
 _ROWS_AT_ONCE: Final = 1 << 14
 TONE_HZ: Final = 220.0
 BAND_HZ: Final = (30.0, 3000.0)
-
-
-def write_log(path: Path, rows: NDArray[Any]) -> None:
-    """Write rows of `touchfield.render.block.record.COLUMNS` as comma-separated text, whole or not at all."""
-    words = {
-        flags: "+".join(name for name, bit in FLAGS.items() if flags & bit) or "idle"
-        for flags in np.unique(rows["flags"]).tolist()
-    }
-    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8") as file:
-        file.write(",".join(COLUMNS) + "\n")
-        for first in range(0, len(rows), _ROWS_AT_ONCE):
-            some = rows[first : first + _ROWS_AT_ONCE]
-            numbers = np.column_stack(
-                [some["time_s"], some["position_m"], some["velocity_m_s"], some["field_force_n"],
-                 some["friction_n"], some["force_n"], some["orientation"], some["field_torque_nm"], some["torque_nm"],
-                 some["gripper_m"], some["media_s"]]
-            )  # fmt: skip
-            for row, buttons, flags in zip(
-                (numbers + 0.0).tolist(), some["buttons"].tolist(), some["flags"].tolist()
-            ):
-                file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{words[flags]}\n")
 
 
 def sound_of(times_s: Float64s, forces_n: Float64s) -> tuple[Float64s, tuple[float, float]]:
@@ -399,18 +401,3 @@ def sound_of(times_s: Float64s, forces_n: Float64s) -> tuple[Float64s, tuple[flo
     both = np.stack([magnitude * np.sin(2 * np.pi * TONE_HZ * at), fast], axis=1)
     scales = float(magnitude.max()), float(np.abs(fast).max())
     return both / [scale or 1.0 for scale in scales], scales
-
-
-def write_sound(path: Path, rows: NDArray[Any]) -> str:
-    """Write rows of `touchfield.render.block.record.COLUMNS` as ``.wav``; a note on what it holds.
-
-    InvalidArgument if there are fewer than two rows, or too many for a WAV; SourceError if the system refuses.
-    """
-    if len(rows) < 2:
-        raise InvalidArgument("--wav", f"a play of {len(rows)} ticks", "at least 2", "Play longer.")
-    samples, (full_n, fast_n) = sound_of(rows["time_s"].astype(np.float64), rows["force_n"].astype(np.float64))
-    write_wav(path, [samples], 2, len(samples))
-    return (
-        f"the sound is {path}: left a tone as loud as |F| (1 is {full_n:.3g} N), right the force from {BAND_HZ[0]:g} "
-        f"Hz on (1 is {fast_n:.3g} N)"
-    )

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Float64s
 from touchfield.codec.registry import coder
 from touchfield.container import TouchReader
 from touchfield.container.remote import is_remote
@@ -22,6 +20,7 @@ from touchfield.job.placing import Mapping, felt_objects, haptic_scene, mapping_
 from touchfield.job.spec import COEFFICIENTS, OWN_FORCES, EncodeSpec
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.grid import Placement
+from touchfield.perception.hand_motion import Forces
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.options import SourceOptions
@@ -98,9 +97,6 @@ def as_source(source: object, device_name: str, grid: Grid | None = None) -> str
 def decode(path: str | Path) -> HapticMedium:
     """The medium of a ``.touch`` file, whose frames are decoded when asked for; FormatError if it cannot be read."""
     return StreamScene(path).medium
-
-
-Forces = Callable[[Float64s], Float64s]
 
 
 REPRESENTATIONS: Final = ("auto", "voxel", "object")

@@ -196,8 +196,8 @@ def encode_to_target(
         tries = _Tries(source, _kept(prepare(source, spec)), target, temporary, report)
         control = _on_all(tries, _first_guess(tries))
         assert tries.last is not None
-    told, note = _wording(tries, control)
-    return replace(tries.last, encode_s=time.perf_counter() - began, told=(*tries.last.told, note), search=told)
+    figures, note = _wording(tries, control)
+    return replace(tries.last, encode_s=time.perf_counter() - began, told=(*tries.last.told, note), search=figures)
 
 
 def _first_guess(tries: _Tries) -> float:
@@ -248,18 +248,18 @@ def _on_all(tries: _Tries, start: float) -> float:
 def _wording(tries: _Tries, log_control: float) -> tuple[dict[str, Any], str]:
     """Keys of the summary that tell of the search, and a note for people."""
     asked, chosen, target = tries.prepared.spec.touch, tries.spec(log_control).touch, tries.target
-    told: dict[str, Any] = {"target_bytes": target.bytes, "target_nmse_db": target.nmse_db}
-    told |= {"nmse_db": tries.reached[log_control][1], "encodes": tries.count}
-    told |= {"asked_k": asked.k, "asked_f0_n": asked.f0_n}
+    figures: dict[str, Any] = {"target_bytes": target.bytes, "target_nmse_db": target.nmse_db}
+    figures |= {"nmse_db": tries.reached[log_control][1], "encodes": tries.count}
+    figures |= {"asked_k": asked.k, "asked_f0_n": asked.f0_n}
     reached = tries.words(log_control)
     if tries.is_step:
-        return told, f"{reached} with a step of {chosen.step_n:.4g} N, found in {tries.count} encodings"
+        return figures, f"{reached} with a step of {chosen.step_n:.4g} N, found in {tries.count} encodings"
     if chosen.k == asked.k:
-        return told, f"{reached} with the k that was asked for, {chosen.k:g}"
+        return figures, f"{reached} with the k that was asked for, {chosen.k:g}"
     way = "raised" if chosen.k > asked.k else "lowered"
     of_k, of_f0 = f"{asked.k:g} to {chosen.k:.4g}", f"{asked.f0_n:g} to {chosen.f0_n:.4g} N"
     weaker = "; this weaker promise is the one that is kept" if way == "raised" else ""
-    return told, f"{reached}: k was {way} from {of_k}, and F_0 from {of_f0}{weaker}"
+    return figures, f"{reached}: k was {way} from {of_k}, and F_0 from {of_f0}{weaker}"
 
 
 def _kept(prepared: Prepared) -> Prepared:

@@ -8,10 +8,10 @@ medium -> the fewest points that tell it, by its modes or a field without curl; 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,10 @@ from scipy.spatial import KDTree
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
-from touchfield.job.editing import Written, _write, read_medium, spread, with_history
+from touchfield.job.editing import _write, fidelity_of, read_medium, spread, with_history
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.prepare import Prepared
+from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.interaction import visits
@@ -40,7 +41,6 @@ from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.sources.contact_trace import CurlFree, recorded_contacts, require_contacts, thinned_contacts
 from touchfield.viewer.plots import draw_points
 
-_LOOKED_AT: Final = 8
 _HAND_KG, _INERTIA_KG = 0.05, 0.045  # as `touchfield.render.spec` has them, the second of the least device
 _SPEED_M_S: Final = 0.2  # the fastest slide of `touchfield.perception.hand_motion`
 _PUSH_SHARE: Final = 0.25  # of a device's greatest force, where its continuous one is not known
@@ -69,11 +69,10 @@ class ReductionSpec:
             raise InvalidArgument("--nmse-db", repr(self.decibels), "decibels below 0, such as -30")
 
 
-class Reduction(NamedTuple):
-    """Findings for people and programs, notes; singular values, the frame in the middle, and what of it is felt."""
+@dataclass(frozen=True, kw_only=True)
+class Reduction(Result):
+    """Findings for people and programs; singular values, the frame in the middle, and what of it is felt."""
 
-    shown: dict[str, Any]
-    notes: tuple[str, ...]
     values: Float64s
     field: ForceField
     felt: Bools
@@ -110,11 +109,11 @@ def reduce_medium(
     TouchfieldError if anything is at fault; nothing is then left under these names.
     """
     spec = spec or ReductionSpec()
-    given = read_medium(source, coder)
+    prepared = read_medium(source, coder)
     trace = None if spec.trace is None else read_trace(spec.trace)
-    known = device(spec.device) if spec.device else given.device
-    medium, hand = given.medium, hand_of(known, spec)
-    found, shown = _modes(given, spec)
+    known = device(spec.device) if spec.device else prepared.device
+    medium, hand = prepared.medium, hand_of(known, spec)
+    modes, shown = _modes(prepared, spec)
     reach = reach_of(medium, hand)
     felt, held = reach.samples, np.zeros(medium.grid.shape, bool)
     for frame in medium:
@@ -135,11 +134,11 @@ def reduce_medium(
         notes += ("what the hand of --trace never came near is left out, too: nothing is promised to another",)
     felt = ~np.logical_or.reduce(list(left_out.values()))
     over = "voxel" if trace is None else f"interaction:{spec.trace}"
-    told = measure_medium(medium, MeasureSpec("weber:0.1", over, limits=False, encode=given.spec))
+    bits = measure_medium(medium, MeasureSpec("weber:0.1", over, limits=False, encode=prepared.spec))
     every, kept = (np.unique(np.argwhere(own) // BRICK, axis=0) for own in (held, held & felt))
     shown |= {
-        "entropy_bits_per_voxel": told.voxel.value,
-        **({} if trace is None else {"entropy_bits_per_visit": told.entropy.value}),
+        "entropy_bits_per_voxel": bits.voxel.value,
+        **({} if trace is None else {"entropy_bits_per_visit": bits.entropy.value}),
         "hand": hand.words,
         "stopping_force_n": reach.stopped_n,
         "supported_samples": int(np.count_nonzero(held)),
@@ -148,30 +147,29 @@ def reduce_medium(
         "bricks_left_out": len(every) - len(kept),
     }
     if cull is not None:
-        done = _write(given, [source], culled(medium, felt), cull, report)
+        done = _write(prepared, [source], culled(medium, felt), cull, report)
         shown |= {"culled_file": str(done.path), "culled_file_bytes": done.path.stat().st_size}
         notes += done.notes
-        if given.spec.coder != "touch" or given.spec.touch.mode != "lossless":
+        if prepared.spec.coder != "touch" or prepared.spec.touch.mode != "lossless":
             notes += ("what is left was coded again: --mode lossless keeps its bits",)
     if out is not None:
-        words = with_history(medium, "edits", f"rebuilt from {found.modes.rank} modes, {spec.modes}")
-        rebuilt = replace(medium, make_frame=found.field, segments=None, provenance=words)
-        done = _write(given, [source], rebuilt, out, report)
+        words = with_history(medium, "edits", f"rebuilt from {modes.modes.rank} modes, {spec.modes}")
+        rebuilt = replace(medium, make_frame=modes.field, segments=None, provenance=words)
+        done = _write(prepared, [source], rebuilt, out, report)
         shown |= {"file": str(done.path), "file_bytes": done.path.stat().st_size}
         notes += done.notes
-    return Reduction(shown, notes, found.modes.values, medium[len(medium) // 2], felt)
+    return Reduction(shown, notes, values=modes.modes.values, field=medium[len(medium) // 2], felt=felt)
 
 
-def _modes(given: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any]]:
+def _modes(prepared: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any]]:
     """The modes that are kept, and what they and the held-out frames tell."""
-    medium = given.medium
+    medium = prepared.medium
     found = reduced(medium, spec.modes, spec.rank)
     if spec.rank is None:
         found = replace(found, modes=found.modes.first(max(1, found.modes.rank_for(spec.decibels))))
-    f0_n = given.spec.f0_n or EncodeSpec().f0_n
-    modes, meter, free = found.modes, FidelityMeter(given.spec.k, f0_n), freedom(found, f0_n)
-    for i in spread(len(medium), _LOOKED_AT):
-        meter.add(medium[i], found.field(i))
+    f0_n = prepared.spec.f0_n or EncodeSpec().f0_n
+    modes, free = found.modes, freedom(found, f0_n)
+    meter = fidelity_of(prepared, replace(medium, make_frame=found.field))
     shown: dict[str, Any] = {
         "modes": spec.modes,
         "rank": modes.rank,
@@ -206,21 +204,14 @@ _LATTICE: Final = 8000
 _COLUMNS: Final = "x_m,y_m,z_m,fx_n,fy_n,fz_n"
 
 
-@dataclass(frozen=True)
-class FewestPoints:
+@dataclass(frozen=True, kw_only=True)
+class FewestPoints(Result):
     """Points of a medium or a recording, in the order they were chosen."""
 
-    points_m: Float64s  # [n, 3]
-    shown: Mapping[str, Any]
+    points_m: Float64s = field(repr=False)  # [n, 3]
     places_m: Float64s = field(repr=False)  # [m, 3]; where the field is known
     forces_n: Float64s = field(repr=False)  # [m, 3]; there, in the frame that is drawn
     rebuilt_n: Float64s | None = field(default=None, repr=False)  # likewise; None of points yet to be measured
-    written: Written | None = None
-    notes: tuple[str, ...] = ()
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        return {**self.shown, **(self.written.summary() if self.written else {})}
 
     def draw(self, path: Path, mask: tuple[float, float]) -> None:
         """Write the picture, PNG: the field, the field rebuilt and the error in units of the mask (k, F_0)."""
@@ -311,14 +302,15 @@ def fewest_points(
     for n, frame in enumerate(frames):
         meter.add(given.medium[frame], medium[frame])
         report(n + 1, len(frames))
-    told = {"points": count, "samples": len(middle), "frames_learnt": len(frames), **shown}
-    told |= {name: getattr(meter, name) for name in ("nmse_db", "worst_mask_ratio", "mask_violation_share")}
-    done = FewestPoints(domain.places_m[chosen], told, domain.places_m, middle, back)
+    figures = {"points": count, "samples": len(middle), "frames_learnt": len(frames), **shown}
+    figures |= {name: getattr(meter, name) for name in ("nmse_db", "worst_mask_ratio", "mask_violation_share")}
+    places_m = domain.places_m
+    done = FewestPoints(figures, points_m=places_m[chosen], places_m=places_m, forces_n=middle, rebuilt_n=back)
     if out is None or Path(out).suffix == ".csv":
         return _with_points(done, out, middle[chosen])
     written = _write(given, [source], medium, out, report)
     left_out = () if given.medium.vibration is None else ("the vibration is left out",)
-    return replace(done, written=written, notes=(*written.notes, *left_out))
+    return replace(done, shown={**figures, **written.shown}, notes=(*written.notes, *left_out))
 
 
 def _of_recording(trace: ContactTrace, source: str, count: int, out: str | Path | None) -> FewestPoints:
@@ -330,8 +322,9 @@ def _of_recording(trace: ContactTrace, source: str, count: int, out: str | Path 
     chosen, kernel, back = _kept(trace.positions_m, trace.forces_n, count)
     error, whole = ((back - trace.forces_n) ** 2).sum(), (trace.forces_n**2).sum()
     shown = {"points": count, "samples": len(back), **_words(kernel), "nmse_db": _db(error / whole)}
-    done = FewestPoints(trace.positions_m[chosen], shown, trace.positions_m, trace.forces_n, back)
-    return _with_points(done, out, trace.forces_n[chosen])
+    places_m, forces_n = trace.positions_m, trace.forces_n
+    done = FewestPoints(shown, points_m=places_m[chosen], places_m=places_m, forces_n=forces_n, rebuilt_n=back)
+    return _with_points(done, out, forces_n[chosen])
 
 
 def _kept(points_m: Float64s, forces_n: Float64s, count: int) -> tuple[Int64s, Kernel, Float64s]:
@@ -350,9 +343,9 @@ def _by_modes(medium: HapticMedium, domain: _Domain, frames: list[int], count: i
     rows = np.empty((len(frames), 3 * len(domain.keys)), np.float32)
     for row, frame in zip(rows, frames, strict=True):
         row[:] = domain.forces_n(medium[frame]).reshape(-1)
-    made = pod(rows, min(count if modes is None else modes, len(frames)))
-    rows -= made.rebuild(made.coefficients(rows)).astype(np.float32)
-    return mode_points(made, count, (rows**2).mean(axis=0, dtype=np.float64).reshape(-1, 3).sum(axis=1))
+    basis = pod(rows, min(count if modes is None else modes, len(frames)))
+    rows -= basis.rebuild(basis.coefficients(rows)).astype(np.float32)
+    return mode_points(basis, count, (rows**2).mean(axis=0, dtype=np.float64).reshape(-1, 3).sum(axis=1))
 
 
 def next_points(source: str | Path, count: int, measured: str | Path | None = None) -> FewestPoints:
@@ -398,7 +391,7 @@ def next_points(source: str | Path, count: int, measured: str | Path | None = No
         "deviation_nowhere_measured_n": interpolant.scale_n * 3**0.5,
         "next": rows,
     }
-    return FewestPoints(every[chosen], shown, known.positions_m, known.forces_n)
+    return FewestPoints(shown, points_m=every[chosen], places_m=known.positions_m, forces_n=known.forces_n)
 
 
 def _words(kernel: Kernel, criterion: str = "error") -> dict[str, Any]:

@@ -128,11 +128,11 @@ class EncodeSpec:
 
     def to_json(self) -> str:
         """The spec as the stream's provenance keeps it, without what is asked of a coder that is not taken."""
-        told = {**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None}
-        for name in (*(c for c in CODERS if c != self.coder), *(n for n in _OPTIONAL if told[n] is None)):
-            del told[name]
-        del told["source"]["allow_outside"]  # the user's alone, each time
-        return json.dumps(told, separators=(",", ":"))
+        values = {**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None}
+        for name in (*(c for c in CODERS if c != self.coder), *(n for n in _OPTIONAL if values[n] is None)):
+            del values[name]
+        del values["source"]["allow_outside"]  # the user's alone, each time
+        return json.dumps(values, separators=(",", ":"))
 
     def asked(self) -> dict[str, Any]:
         """All that differs from the defaults, by the names of the options."""

@@ -54,9 +54,9 @@ def store_materials(stream: str | Path, materials: Sequence[Material], out: str 
     Raises `InvalidArgument` if the table is longer than 4096 letters, `FormatError` of the stream, `SourceError` if
     the system refuses.
     """
-    told = stored_json(materials)
+    text = stored_json(materials)
     with TouchReader(stream) as reader, TouchWriter(out) as writer:
-        writer.write_head(reader.head, {**reader.provenance, KEY: told})
+        writer.write_head(reader.head, {**reader.provenance, KEY: text})
         for n in range(reader.object_count):
             writer.write_object(reader.read_object(n))
         for n, entry in enumerate(reader.segments):

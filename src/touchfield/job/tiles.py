@@ -107,9 +107,9 @@ def encode_tiles(
             report(len(finished.counts) * len(medium) // total, len(medium))
         supported = sum(finished.counts.values())
         finished.forget()
-    told = (f"{before} of {total} tiles were there from an earlier run",) if before else ()
+    notes = (f"{before} of {total} tiles were there from an earlier run",) if before else ()
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
-    return Tiled(prepared, size, time.perf_counter() - began, supported, told, tiles=total)
+    return Tiled(prepared, size, time.perf_counter() - began, supported, notes, tiles=total)
 
 
 class _Finished:

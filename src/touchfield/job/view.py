@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.devices import device_names
 from touchfield.errors import InvalidArgument
@@ -28,7 +29,7 @@ from touchfield.stream.mux import demux
 from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.browser import page_of
 from touchfield.viewer.page import write_png
-from touchfield.viewer.picture import PreviewSpec, draw_shadows, shadows
+from touchfield.viewer.picture import PreviewSpec, shadows
 
 _MOST_FRAMES: Final = 30  # of a medium in memory, which is coded for the page
 _HEIGHT_PX: Final = 640
@@ -131,8 +132,8 @@ def _page(
             raise
     if against is None or fine is None:
         return Page(page_of(data, name, figures, movie), figures)
-    told = compare(against, path, report=report).summary()
-    figures |= {key: told[key] for key in _COMPARED if told.get(key) is not None}
+    figures_of_source = compare(against, path, report=report).summary()
+    figures |= {key: figures_of_source[key] for key in _COMPARED if figures_of_source.get(key) is not None}
     figures |= {"source_bytes": len(fine.data), "source_share": fine.share}
     return Page(page_of(data, name, figures, movie, fine.data), figures)
 
@@ -156,16 +157,14 @@ def draw_preview(prepared: Prepared, path: str | Path) -> None:
     MissingExtra if matplotlib is not installed.
     """
     medium, placement = prepared.medium, prepared.placement
-    frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
-    which = f"frame{'s' * (len(frames) > 1)} {', '.join(map(str, frames))} of {len(medium)}"
     x, y, z = placement.offset_m
     up = "lattice" if prepared.device.is_array else "auto"  # as `play` lays it
     turn = axes_matrix(BOX_AXES, medium.axes, up)
+    where = f"in the workspace of {prepared.device.name}"
     if (turn != axes_matrix(BOX_AXES, medium.axes)).any():
-        which += f", {'xyz'[int(np.argmax(np.abs(turn[:, 1])))]} up for the hand"
+        where = f"{'xyz'[int(np.argmax(np.abs(turn[:, 1])))]} up for the hand, {where}"
     caption = f"{placement.wording}; the middle is the scene's ({x:.4g}, {y:.4g}, {z:.4g}) m; {medium.axes}"
-    spec = PreviewSpec(f"{which}, in the workspace of {prepared.device.name}", caption, turn)
-    draw_shadows(Path(path), [medium[i] for i in frames], spec)
+    write_png(_shadows(medium, where, caption, turn), Path(path))
 
 
 def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
@@ -173,13 +172,18 @@ def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
 
     MissingExtra if matplotlib is not installed.
     """
-    frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
-    title = f"frame{'s' * (len(frames) > 1)} {', '.join(map(str, frames))} of {len(medium)}, on the medium's lattice"
-    spec = PreviewSpec(title, f"{medium.grid.words}; {medium.axes}", axes_matrix(BOX_AXES, medium.axes, "auto"))
-    figure = shadows([medium[i] for i in frames], spec)
+    turn = axes_matrix(BOX_AXES, medium.axes, "auto")
+    figure = _shadows(medium, "on the medium's lattice", f"{medium.grid.words}; {medium.axes}", turn)
     if path is not None:
         write_png(figure, Path(path))
     return figure
+
+
+def _shadows(medium: HapticMedium, where: str, caption: str, turn: Float64s) -> Any:
+    """The first frame of a medium, the middle one and the last in one figure."""
+    frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
+    title = f"frame{'s' * (len(frames) > 1)} {', '.join(map(str, frames))} of {len(medium)}, {where}"
+    return shadows([medium[i] for i in frames], PreviewSpec(title, caption, turn))
 
 
 class FineSource(NamedTuple):
@@ -195,9 +199,6 @@ def fine_source(source: Source, opened: OpenStream, report: Report = silent) -> 
     InvalidArgument if the source lies elsewhere, has other frames, or takes more than `MOST_BYTES`.
     """
     head, original = opened.reader.head, source_medium(source, opened)
-    if len(original.medium) != head.frame_count:
-        found, expected = f"{len(original.medium)} frames", f"the stream's {head.frame_count}"
-        raise InvalidArgument("the source", found, expected, "Name the source it came from.")
     size = 0
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "source.touch"

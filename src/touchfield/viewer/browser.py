@@ -49,7 +49,7 @@ def page_of(
     `movie` a file that browsers play, its media type, and its second at which the touch begins; `source` what was
     encoded, as a file on the same lattice: the page shows it, and the difference, too.
     """
-    told = json.dumps(figures, default=str).replace("<", "\\u003c")  # no word of a stranger's ends the element
+    known = json.dumps(figures, default=str).replace("<", "\\u003c")  # no word of a stranger's ends the element
     medium = base64.b64encode(data).decode("ascii")
     named = _MEDIUM.replace('data-name=""', f'data-name="{html.escape(name)}"')
     shown = _MOVIE
@@ -58,6 +58,6 @@ def page_of(
         shown = _MOVIE.replace('data-type="" data-at="0"', f'data-type="{html.escape(kind)}" data-at="{at_s:.6f}"')
         shown = shown.replace("><", f">{base64.b64encode(film).decode('ascii')}<")
     beside = _SOURCE.replace("><", f">{base64.b64encode(source).decode('ascii')}<")
-    page = empty_page().replace(_MOVIE, shown).replace(_FIGURES, _FIGURES.replace("null", told))
+    page = empty_page().replace(_MOVIE, shown).replace(_FIGURES, _FIGURES.replace("null", known))
     page = page.replace(_SOURCE, beside)
     return page.replace(_MEDIUM, named.replace("><", f">{medium}<"))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.viewer.page import titled_figure, write_png
@@ -30,20 +31,17 @@ _SHORTEST_S: Final = 0.02
 
 @dataclass(frozen=True)
 class InteractionView:
-    """Content of `draw_interaction`, float64 [n] or [n, 3].
+    """Content of `draw_interaction`.
 
-    Places of the hand, the field's force there and friction are in the field's axes, which `axes` words; what the
-    device was told to push with is in its own. The support of `background` is drawn behind the path.
+    `rows` are those of a play's log: places of the hand, the field's force there and friction are in the field's
+    axes, which `axes` words; what the device was told to push with is in its own. The support of `background` is
+    drawn behind the path.
     """
 
     title: str
     caption: str
     axes: str
-    times_s: Float64s
-    positions_m: Float64s
-    field_n: Float64s
-    friction_n: Float64s
-    put_n: Float64s
+    rows: NDArray[Any]
     peak_n: float
     continuous_n: float | None = None
     background: ForceField | None = None
@@ -70,15 +68,16 @@ def draw_interaction(path: Path, view: InteractionView) -> None:
     figure = titled_figure("the picture of an interaction", f"{view.title}\n{view.caption}", 14.0, 9.0)
     places = figure.add_gridspec(3, 2, width_ratios=(3, 2))
     hand, force, parts = (figure.add_subplot(places[row, 0]) for row in range(3))
-    spans = contacts(view.times_s, view.field_n)
-    _draw_axes(hand, view.times_s, 1e3 * view.positions_m, "xyz", "hand, mm", title=view.axes, title_fontsize=7)
+    rows, times_s = view.rows, view.rows["time_s"]
+    spans = contacts(times_s, rows["field_force_n"])
+    _draw_axes(hand, times_s, 1e3 * rows["position_m"], "xyz", "hand, mm", title=view.axes, title_fontsize=7)
     _draw_force(force, view)
-    _draw_axes(parts, view.times_s, view.put_n, ("Fx", "Fy", "Fz"), "put out, N\n(device's axes)")
+    _draw_axes(parts, times_s, rows["force_n"], ("Fx", "Fy", "Fz"), "put out, N\n(device's axes)")
     for axis in (hand, force, parts):
         for begin, end in spans:
             axis.axvspan(begin, end, color=_CONTACT, alpha=0.22, lw=0)
-        if len(view.times_s):
-            axis.set_xlim(view.times_s[0], max(view.times_s[-1], view.times_s[0] + 1e-3))
+        if len(times_s):
+            axis.set_xlim(times_s[0], max(times_s[-1], times_s[0] + 1e-3))
     _name_contacts(hand, spans)
     parts.set_xlabel("time, s")
     right = places[:, 1].subgridspec(2, 1)
@@ -111,11 +110,12 @@ def _draw_axes(axis: Any, times_s: Float64s, rows: Float64s, names: Sequence[str
 
 
 def _draw_force(axis: Any, view: InteractionView) -> None:
-    rows = ((view.field_n, _FIELD, "of the field"), (view.friction_n, _FRICTION, "friction"),
-            (view.put_n, _PUT, "put out"))  # fmt: skip
-    for forces, colour, label in rows:
-        axis.plot(view.times_s, np.linalg.norm(forces, axis=1), color=colour, lw=1.2, label=label)
-    top = float(np.linalg.norm(view.put_n, axis=1).max(initial=0.0))
+    rows = view.rows
+    lines = (("field_force_n", _FIELD, "of the field"), ("friction_n", _FRICTION, "friction"),
+             ("force_n", _PUT, "put out"))  # fmt: skip
+    for name, colour, label in lines:
+        axis.plot(rows["time_s"], np.linalg.norm(rows[name], axis=1), color=colour, lw=1.2, label=label)
+    top = float(np.linalg.norm(rows["force_n"], axis=1).max(initial=0.0))
     for limit, word in ((view.peak_n, "peak"), (view.continuous_n, "continuous")):
         if limit is not None and limit <= 2 * max(top, 1e-9):
             axis.axhline(limit, color="0.5", lw=0.8, ls="--")
@@ -141,10 +141,10 @@ def _draw_path(figure: Any, axis: Any, view: InteractionView, across: tuple[int,
         )  # fmt: skip
     else:
         axis.set_aspect("equal", adjustable="datalim")
-    size = np.linalg.norm(view.put_n, axis=1)
+    size, places_mm = np.linalg.norm(view.rows["force_n"], axis=1), 1e3 * view.rows["position_m"]
     order = np.argsort(size, kind="stable")
     drawn = axis.scatter(
-        1e3 * view.positions_m[order, horizontal], 1e3 * view.positions_m[order, vertical],
+        places_mm[order, horizontal], places_mm[order, vertical],
         c=size[order], s=5, cmap="viridis", vmin=0, vmax=max(float(size.max(initial=0.0)), 1e-9),
     )  # fmt: skip
     figure.colorbar(drawn, ax=axis, label="|F| put out, N", shrink=0.85)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from touchfield.errors import MissingExtra
+from touchfield.errors import import_extra
 from touchfield.medium.atomic import atomic_path
 
 if TYPE_CHECKING:
@@ -26,11 +26,10 @@ def titled_figure(purpose: str, title: str, width_inch: float, height_inch: floa
 
     Raises MissingExtra, which names the `purpose` ("the picture of a comparison"), if matplotlib is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtra(purpose, "matplotlib", "report") from None
+    import_extra("matplotlib", purpose, "matplotlib", "report")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     lines = lines_that_fit(title, width_inch)
     height = height_inch + _LINE_INCH * (len(lines) - 1)
     figure = Figure(figsize=(width_inch, height), dpi=_DOTS_PER_INCH, layout="constrained")

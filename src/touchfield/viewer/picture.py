@@ -195,9 +195,9 @@ def _bar(figure: Any, image: Any, panels: Any, label: str, **style: Any) -> None
     figure.colorbar(image, ax=panels, shrink=0.85, **style).set_label(label, fontsize=8)
 
 
-def _span(held: Bools, count: int) -> slice:
+def _span(has_force: Bools, count: int) -> slice:
     """The range that is held, with a margin of a twentieth; all if nothing is."""
-    places = np.flatnonzero(held)
+    places = np.flatnonzero(has_force)
     if not len(places):
         return slice(0, count)
     margin = 1 + (places[-1] - places[0]) // 20
@@ -231,11 +231,6 @@ class PreviewSpec:
     title: str
     caption: str
     turn: Float64s
-
-
-def draw_shadows(path: Path, fields: Sequence[ForceField], spec: PreviewSpec) -> None:
-    """Write `shadows` as a PNG."""
-    write_png(shadows(fields, spec), path)
 
 
 def shadows(fields: Sequence[ForceField], spec: PreviewSpec) -> Figure:
