@@ -194,7 +194,7 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
     if data[0] != _VERSION:
         raise UnsupportedVersion(where, f"version {data[0]}", f"version {_VERSION}", "A newer touchfield reads it.")
     mode, support, effort, masking = data[1] & 3, data[1] >> 2 & 1, data[1] >> 3 & 3, data[1] >> 5
-    if effort >= len(EFFORTS) or masking > (mode == 0):
+    if effort > 2 or masking > (mode == 0):
         expected = "an effort of 0 to 2, and masking in mode 0 only"
         raise CorruptFile(where, f"{data[1]:#x} for mode, support, effort and masking", expected)
     names = _NUMBERS[MODES[mode]] + (_MASKING if masking else ())
@@ -205,7 +205,8 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
         raise CorruptFile(where, repr(numbers), "finite numbers")
     if masking and not numbers["masking"] > 0:
         raise CorruptFile(where, f"masking with a share of {numbers['masking']}", "one above 0")
-    spec = TouchSpec(mode=MODES[mode], support=SUPPORTS[support], effort=EFFORTS[effort])
+    # 2 was an effort that tried more: its files decode as others do
+    spec = TouchSpec(mode=MODES[mode], support=SUPPORTS[support], effort=EFFORTS[min(effort, 1)])
     try:
         return replace(spec, **numbers)
     except InvalidArgument as error:
