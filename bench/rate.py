@@ -33,6 +33,7 @@ from machine import RESULTS, SHARED, Bar, Figures, at_least, at_most, keep, show
 from rate_fields import FRAMES, WALL_VOXELS, Case, cases
 from rate_pool import Job, Pool, fields_in, fingerprint, kept
 from rate_symbols import F0_N, K
+from touchfield.codec.touch.spec import EFFORTS
 
 SIDES = (5, 6, 7)
 WHAT = ("NMSE", "promise", "five", "speed", "objects", "picture")
@@ -207,11 +208,11 @@ def arguments() -> Any:
     parser.add_argument("--quick", action="store_true", help="one field at n_w 6, no speed and no objects")
     parser.add_argument("--nw", type=int, nargs="+", default=list(SIDES))
     parser.add_argument("--fields", nargs="+", help="names such as 'tum band'")
-    parser.add_argument("--efforts", nargs="+", default=list(ours.EFFORTS), choices=ours.EFFORTS)
+    parser.add_argument("--efforts", nargs="+", default=list(EFFORTS), choices=EFFORTS)
     parser.add_argument("--only", nargs="+", default=list(WHAT), choices=WHAT, help="some of it")
     parser.add_argument("--keep", type=Path, help="a folder of figures, to go on from")
     asked = parser.parse_args()
-    is_all = (tuple(asked.nw), asked.efforts, tuple(asked.only)) == (SIDES, list(ours.EFFORTS), WHAT)
+    is_all = (tuple(asked.nw), asked.efforts, tuple(asked.only)) == (SIDES, list(EFFORTS), WHAT)
     asked.is_full = is_all and not asked.quick and not asked.fields
     if asked.quick:
         asked.nw, asked.fields = [6], ["tum band", "motorcycle band"]
@@ -242,7 +243,7 @@ def measured(asked: Any, pool: Pool, chosen: list[Case]) -> Report:
 
 def bars(figures: dict[str, Any]) -> list[Bar]:
     """Those of the report of these figures."""
-    return Report(ours.EFFORTS, BEFORE, figures["sizes"], figures["speeds"]).bars()
+    return Report(EFFORTS, BEFORE, figures["sizes"], figures["speeds"]).bars()
 
 
 def main() -> None:

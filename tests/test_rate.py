@@ -178,7 +178,7 @@ def row(at, touch, *, frames=1, ratio=None, peer=300.0, beyond=0):
 def report_of(*rows, speeds=()):
     former = {"tum band, nw 7": {"default": 100.0}}
     before = {"promise": former, "NMSE": former, "p_over_i, promise": {"tum band, nw 7": 0.5}, "p_over_i, NMSE": {}}
-    return reports.Report(ours.EFFORTS, before, list(rows), list(speeds))
+    return reports.Report(reports.EFFORTS, before, list(rows), list(speeds))
 
 
 @pytest.mark.parametrize(("size", "met"), [(99.0, True), (101.0, False)])

@@ -12,8 +12,8 @@ import numpy as np
 
 from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.layout import MAX_POSES, CodedObject
-from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import field_decoder
+from touchfield.codec.segment import BitAccount, promise_kept
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
@@ -135,18 +135,10 @@ class ObjectStream:
         modes = {told["mode"] for told in described if "mode" in told}
         if not modes:
             return {}
-        worst = None
-        for i, entry in enumerate(self.reader.segments):
-            own = self.decoder.parts(self._body(i)).worst
-            if own is not None and (worst is None or own.ratio > worst.ratio):
-                worst = own._replace(frame=entry.first_frame + own.frame)
-        ratio, frame, voxel = worst or (None, None, None)
+        segments = enumerate(self.reader.segments)
         return {
             "mode": ", ".join(sorted(modes)),
-            "promise_kept": None if ratio is None else ratio <= 1,
-            "worst_mask_ratio": ratio,
-            "worst_frame": frame,
-            "worst_voxel": None if voxel is None else list(voxel),
+            **promise_kept((entry.first_frame, self.decoder.parts(self._body(i)).worst) for i, entry in segments),
             "place_tolerance_um": 1e6 * self.decoder.place_tolerance_m,
         }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.rate import BitAccount, compression_ratio
 from touchfield.codec.registry import coder
-from touchfield.codec.touch.body import Promise, TouchCost
+from touchfield.codec.segment import BitAccount, compression_ratio, promise_kept
+from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
 from touchfield.container.remote import is_live
 from touchfield.errors import InvalidArgument
@@ -244,35 +244,13 @@ class VoxelStream(OpenStream):
         if not coder(self.reader.head.coder).has_promise:
             return told
         costs = [cost for cost in self.costs if isinstance(cost, TouchCost)]
-        told["guesses"] = sum(cost.guess_bits > 0 for cost in costs)
-        told["bits_guesses"] = sum(cost.guess_bits for cost in costs)
+        told["guesses"] = sum(cost.bits.models > 0 for cost in costs)
+        told["bits_guesses"] = sum(cost.bits.models for cost in costs)
         told["bits_sent_apart"] = sum(cost.exception_bits for cost in costs)
         segments = enumerate(self.reader.segments)
-        return told | _promise_kept(
-            (s.first_frame, self.decoder.promise(self.reader.read_segment(i))) for i, s in segments
+        return told | promise_kept(
+            (s.first_frame, self.decoder.worst(self.reader.read_segment(i))) for i, s in segments
         )
-
-
-def _promise_kept(segments: Iterable[tuple[int, Promise]]) -> dict[str, Any]:
-    """Keys of the promise of a whole file: its mode, and the largest |error| / allowed and where it is.
-
-    In mode "nmse", which promises nothing, the ratio and its place are None. `segments` are the first frame of each,
-    and its promise.
-    """
-    mode, jnd_deg, worst = "", None, None
-    for first, promise in segments:
-        mode, jnd_deg, own = promise.mode, promise.direction_jnd_deg, promise.worst
-        if own is not None and (worst is None or own.ratio > worst[0]):
-            worst = own.ratio, first + own.frame, list(own.voxel)
-    ratio, frame, voxel = worst or (None, None, None)
-    return {
-        "mode": mode,
-        **({} if jnd_deg is None else {"direction_jnd_deg": jnd_deg}),
-        "promise_kept": None if ratio is None else ratio <= 1,
-        "worst_mask_ratio": ratio,
-        "worst_frame": frame,
-        "worst_voxel": voxel,
-    }
 
 
 class SceneStream(OpenStream):

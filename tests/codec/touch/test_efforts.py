@@ -67,7 +67,7 @@ def test_a_solid_is_guessed(effort: str) -> None:
         body, decoder, _ = round_trip([hills(40)], spec)
         (record,) = BodyReader(body, hills(40).grid, exact=False).records(1)
         (cost,) = decoder.costs(body, 1)
-        assert bool(record.guess) == (cost.bits.models > 0) == (cost.guess_bits > 0) == (asked == "auto")
+        assert bool(record.guess) == (cost.bits.models > 0) == (asked == "auto")
         sizes.append(len(body))
     assert sizes[0] < sizes[1]
 
@@ -75,7 +75,7 @@ def test_a_solid_is_guessed(effort: str) -> None:
 def test_a_surface_that_stands_is_not_guessed_again() -> None:
     body, decoder, _ = round_trip([hills(40), hills(40)], TouchSpec())
     first, second = decoder.costs(body, 2)
-    assert second.guess_bits == 0 and second.bits.total < 0.1 * first.bits.total
+    assert second.bits.models == 0 and second.bits.total < 0.1 * first.bits.total
 
 
 @pytest.fixture(scope="module")

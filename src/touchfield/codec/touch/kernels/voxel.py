@@ -309,13 +309,13 @@ def aim(law, work, here):
     """Set centre, axes and level of the residual, and on which side of it other predictions lie."""
     of, rows = work.of, work.rows
     for k in range(3):
-        rows[ws.CENTRE, k] = work.rows[ws.BLEND, k]
+        rows[ws.CENTRE, k] = rows[ws.BLEND, k]
         if of[BASED]:  # seen from the blend the other opinion lies the other way
-            work.rows[ws.APART, k] = -work.rows[ws.APART, k]
+            rows[ws.APART, k] = -rows[ws.APART, k]
     length = ws.length_of(rows[ws.CENTRE, 0], rows[ws.CENTRE, 1], rows[ws.CENTRE, 2])
     if rows[ws.CENTRE, 0] == 0 and rows[ws.CENTRE, 1] == 0 and rows[ws.CENTRE, 2] == 0:
         rows[ws.CENTRE, 2] = 1
-    ws.axes_along(rows[ws.CENTRE, 0], rows[ws.CENTRE, 1], rows[ws.CENTRE, 2], length, rows)
+    ws.axes_along(rows, length)
     of[LEVEL] = ws.level_of(min(length, (1 << 18) - 1), law.border, law.first)
     of[_LENGTH] = length
     step = ws.step_at(length, law.floor, law.rate)
