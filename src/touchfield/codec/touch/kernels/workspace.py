@@ -105,18 +105,13 @@ def length_of(v0, v1, v2):
 
 
 @lean
-def store(window, at, v0, v1, v2, a, sizes, slope):
+def store(window, at, vector, a, sizes, slope):
     """Fill a cell: moving along the force by a sample a penalty field loses `slope` of its length."""
-    c = at * WIDTH
-    window[c] = v0
-    window[c + 1] = v1
-    window[c + 2] = v2
-    window[c + 3] = a
-    inverse = (np.int64(1) << 28) // a
-    window[c + 4] = a - ((((v0 * inverse) >> 14) * slope[0]) >> 14)
-    window[c + 5] = a - ((((v1 * inverse) >> 14) * slope[1]) >> 14)
-    window[c + 6] = a - ((((v2 * inverse) >> 14) * slope[2]) >> 14)
-    window[c + 7] = sizes
+    c, inverse = at * WIDTH, (np.int64(1) << 28) // a
+    for k in range(3):
+        window[c + k] = vector[k]
+        window[c + AHEAD + k] = a - ((((vector[k] * inverse) >> 14) * slope[k]) >> 14)
+    window[c + LENGTH], window[c + SIZES] = a, sizes
 
 
 @lean
@@ -158,8 +153,8 @@ def copy_reference(window, old, slope):
                 at = (x * SIDE + y) * SIDE + z
                 a = np.int64(old[at * 4 + 3])
                 if a > 0:
-                    v0, v1, v2 = np.int64(old[at * 4]), np.int64(old[at * 4 + 1]), np.int64(old[at * 4 + 2])
-                    store(window, at, v0, v1, v2, a, np.int64(0), slope)
+                    vector = np.int64(old[at * 4]), np.int64(old[at * 4 + 1]), np.int64(old[at * 4 + 2])
+                    store(window, at, vector, a, np.int64(0), slope)
 
 
 @lean
