@@ -3,7 +3,7 @@
     python bench/bench_promise.py [--quick] [--frames N] [--nw N]
 
 Every scene of the optional folder ../shared/data, and the samples of the package, at n_w 6 for a Phantom Omni, at
-k = 0.05, 0.1 and 0.25 and F_0 = 0.05 N, efforts fast, default and max, 3 frames of each. The decoded frames
+k = 0.05, 0.1 and 0.25 and F_0 = 0.05 N, efforts fast and default, 3 frames of each. The decoded frames
 are compared with the fields before coding by `touchfield.perception.mask`, apart from the coder's own check. Exits
 with 1 where a voxel is beyond.
 """
@@ -72,7 +72,7 @@ def measure(frames: int, nw: int) -> Figures:
         start = max(0, min(len(medium) // 4, len(medium) - frames))
         some = [medium[i] for i in range(start, min(start + frames, len(medium)))]
         for k in (0.05, 0.1, 0.25):
-            for effort in ("fast", "default", "max"):
+            for effort in ("fast", "default"):
                 rows.append(row_of(name, medium.grid, some, TouchSpec(k=k, f0_n=F0_N, effort=effort)))
     return {"frames": frames, "nw": nw, "rows": rows, "beyond": sum(column(rows, "beyond"))}
 

@@ -33,17 +33,17 @@ from machine import RESULTS, SHARED, Bar, Figures, at_least, at_most, keep, show
 from rate_fields import FRAMES, WALL_VOXELS, Case, cases
 from rate_pool import Job, Pool, fields_in, fingerprint, kept
 from rate_symbols import F0_N, K
+from touchfield.codec.touch.spec import EFFORTS
 
 SIDES = (5, 6, 7)
 WHAT = ("NMSE", "promise", "five", "speed", "objects", "picture")
 PICTURE_NW = 6
-DEFAULT, STRONGEST = "default", ours.STRONGEST
-MEAN_DEFAULT, MEAN_STRONGEST, WORST_STRONGEST, P_OVER_I = 1.0, 1.12, 1.25, 1.0
-"""Over the figures before: bytes on the mean of the fields, and at worst; later frames over frames coded alone."""
+DEFAULT = "default"
+MEAN, P_OVER_I = 1.0, 1.0
+"""Over the figures before: bytes on the mean of the fields; later frames over frames coded alone."""
 SPEEDS = {
     ("tum band", DEFAULT, "decode"): 60, ("tum band", DEFAULT, "encode"): 12, ("icl band", DEFAULT, "decode"): 30,
-    ("icl band", DEFAULT, "encode"): 8, ("tum band", STRONGEST, "decode"): 15, ("icl band", STRONGEST, "decode"): 5,
-    ("tum band", "fast", "encode"): 40, ("icl band", "fast", "encode"): 20,
+    ("icl band", DEFAULT, "encode"): 8, ("tum band", "fast", "encode"): 40, ("icl band", "fast", "encode"): 20,
 }  # fmt: skip
 """Frames a second at 128^3 on two cores, at least."""
 SAME_DB = 0.1
@@ -91,7 +91,7 @@ class Report:
 
     def tables(self) -> Iterator[str]:
         """Those that hold anything."""
-        ends = ("best peer", "bytes", "over default", "over strongest", "coded source", "on paper's symbols")
+        ends = ("best peer", "bytes", "over default", "coded source", "on paper's symbols")
         head = ("field", "NMSE dB", "paper", *self.efforts, "P over I", "beyond", "worst", *ends)
         for (at, frames), title in TITLES.items():
             if rows := [self._cells(row) for row in self.at(at, frames)]:
@@ -102,9 +102,9 @@ class Report:
         touch, (on, on_size) = row["touch"], best(row.get("on_paper", {}))
         return (
             row["field"], text(row["nmse_db"]), text(row.get("paper")),
-            *(text(touch.get(e)) for e in self.efforts), text(row["p_over_i"].get(STRONGEST)),
+            *(text(touch.get(e)) for e in self.efforts), text(row["p_over_i"].get(DEFAULT)),
             text(row.get("beyond")), text(row.get("worst")),
-            name, text(size), *(text(size / touch.get(e, math.nan)) for e in (DEFAULT, STRONGEST)),
+            name, text(size), text(size / touch.get(DEFAULT, math.nan)),
             text(row["peers"].get("coded source")), f"{text(on_size)} {on}",
         )  # fmt: skip
 
@@ -114,36 +114,30 @@ class Report:
         pairs = [(over(row), under(row)) for row in self.at(at, frames)]
         return [a / b for a, b in pairs if a and b and math.isfinite(a / b)]
 
-    def _former(self, row: Figures, effort: str) -> float | None:
+    def _former(self, row: Figures) -> float | None:
         """Bytes of the same field before, if they were measured at the same error."""
         old = self.before[row["at"]].get(row["field"], {})
-        return old.get(effort) if abs(old.get("nmse_db", row["nmse_db"]) - row["nmse_db"]) < SAME_DB else None
+        return old.get(DEFAULT) if abs(old.get("nmse_db", row["nmse_db"]) - row["nmse_db"]) < SAME_DB else None
 
     def ranges(self) -> dict[str, list[float]]:
         """How many times as large as ours the best peer is over all fields, at least and at most."""
         found = {}
         for at, frames in TITLES:
-            for effort in dict.fromkeys((DEFAULT, STRONGEST)):
-                over = self._ratios(
-                    at, frames, lambda r: best(r["peers"])[1], lambda r, e=effort: r["touch"].get(e)
-                )  # fmt: skip
-                if over:
-                    found[f"{effort}, {at}, {frames} frame{'s' * (frames > 1)}"] = [min(over), max(over)]
+            over = self._ratios(at, frames, lambda r: best(r["peers"])[1], lambda r: r["touch"].get(DEFAULT))
+            if over:
+                found[f"{DEFAULT}, {at}, {frames} frame{'s' * (frames > 1)}"] = [min(over), max(over)]
         return found
 
     def bars(self) -> list[Bar]:
         """Beside the figures before, the best peer, and frames a second."""
         made: list[Bar] = []
         for at in ("promise", "NMSE"):
-            for effort, old, most in ((DEFAULT, "default", MEAN_DEFAULT), (STRONGEST, "max", MEAN_STRONGEST)):
-                over = self._ratios(at, 1, lambda r, e=effort: r["touch"].get(e), lambda r, o=old: self._former(r, o))
-                told = f"{at}, one frame: bytes of {effort} over the former {old}, {len(over)} fields"
-                made.append(at_most(f"{told}, mean", mean(over), most))
-                if old == "max":
-                    made.append(at_most(f"{told}, worst", max(over, default=None), WORST_STRONGEST))
+            over = self._ratios(at, 1, lambda r: r["touch"].get(DEFAULT), self._former)
+            told = f"{at}, one frame: bytes of {DEFAULT} over the former {DEFAULT}, {len(over)} fields"
+            made.append(at_most(f"{told}, mean", mean(over), MEAN))
             former = self.before[f"p_over_i, {at}"]
-            over = self._ratios(at, 5, lambda r: r["p_over_i"].get(STRONGEST), lambda r, f=former: f.get(r["field"]))
-            told = f"{at}, five frames: P over I of {STRONGEST} over the former, {len(over)} fields, mean"
+            over = self._ratios(at, 5, lambda r: r["p_over_i"].get(DEFAULT), lambda r, f=former: f.get(r["field"]))
+            told = f"{at}, five frames: P over I of {DEFAULT} over the former, {len(over)} fields, mean"
             made.append(at_most(told, mean(over), P_OVER_I))
         beyond = [row["beyond"] for row in self.sizes if row["at"] == "promise"]
         made.append(at_most("voxels beyond the mask, all efforts", sum(beyond) if beyond else None, 0))
@@ -158,10 +152,10 @@ class Report:
 
 
 def jobs_of(case: Case, at: str, count: int, efforts: Sequence[str]) -> list[Job]:
-    """Coder `touch` and the peers; of five frames the default and the strongest effort, and each frame alone, too."""
+    """Coder `touch` and the peers; of five frames the default effort, and each frame alone, too."""
     made = [Job(case, "by_peers", count, {"at": at})]
     for effort in efforts:
-        if count == 1 or effort in (DEFAULT, STRONGEST):
+        if count == 1 or effort == DEFAULT:
             for interframe in ("auto", "off")[:count]:
                 made.append(Job(case, "by_us", count, {"at": at, "effort": effort, "interframe": interframe}))
     return made
@@ -214,11 +208,11 @@ def arguments() -> Any:
     parser.add_argument("--quick", action="store_true", help="one field at n_w 6, no speed and no objects")
     parser.add_argument("--nw", type=int, nargs="+", default=list(SIDES))
     parser.add_argument("--fields", nargs="+", help="names such as 'tum band'")
-    parser.add_argument("--efforts", nargs="+", default=list(ours.EFFORTS), choices=ours.EFFORTS)
+    parser.add_argument("--efforts", nargs="+", default=list(EFFORTS), choices=EFFORTS)
     parser.add_argument("--only", nargs="+", default=list(WHAT), choices=WHAT, help="some of it")
     parser.add_argument("--keep", type=Path, help="a folder of figures, to go on from")
     asked = parser.parse_args()
-    is_all = (tuple(asked.nw), asked.efforts, tuple(asked.only)) == (SIDES, list(ours.EFFORTS), WHAT)
+    is_all = (tuple(asked.nw), asked.efforts, tuple(asked.only)) == (SIDES, list(EFFORTS), WHAT)
     asked.is_full = is_all and not asked.quick and not asked.fields
     if asked.quick:
         asked.nw, asked.fields = [6], ["tum band", "motorcycle band"]
@@ -249,7 +243,7 @@ def measured(asked: Any, pool: Pool, chosen: list[Case]) -> Report:
 
 def bars(figures: dict[str, Any]) -> list[Bar]:
     """Those of the report of these figures."""
-    return Report(ours.EFFORTS, BEFORE, figures["sizes"], figures["speeds"]).bars()
+    return Report(EFFORTS, BEFORE, figures["sizes"], figures["speeds"]).bars()
 
 
 def main() -> None:

@@ -21,13 +21,12 @@ from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
-from touchfield.codec.touch.spec import EFFORTS, TouchSpec
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 
 PAPER = PaperSpec(nq=6, directions="octa3", deadband="none")
 """Coder `paper` as the comparisons take it: 258 directions."""
-STRONGEST = EFFORTS[-1]
 CORES = 2
 """That the bars of speed are for."""
 
@@ -100,7 +99,7 @@ def object_bytes(nw: int) -> dict[str, float]:
     groups = [[medium[i] for i in range(start, start + 8)] for start in range(0, len(medium) - 7, 250)]
     voxels = float(np.mean([paper(group).bytes / len(group) for group in groups])) * len(medium)
     found = {f"voxels, coder paper, nw {nw}": voxels}
-    touch = TouchSpec(k=K, f0_n=F0_N, effort=STRONGEST)
+    touch = TouchSpec(k=K, f0_n=F0_N)
     specs = {"paper": EncodeSpec(nw=nw, coder="paper", paper=PAPER), "touch": EncodeSpec(nw=nw, touch=touch)}
     with tempfile.TemporaryDirectory() as folder:
         for name, spec in specs.items():

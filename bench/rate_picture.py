@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from rate_ours import STRONGEST
-
 STYLES = {
     # Okabe and Ito's colours, which the colour-blind tell apart, with dashes beside them; ours is thick
     "touch": ("#000000", 3.4, "-"), "paper": ("#D55E00", 2.2, "-"), "zpaq -m5": ("#0072B2", 1.6, "-"),
@@ -18,7 +16,7 @@ STYLES = {
     "JPEG XL": ("#009E73", 1.6, "-"), "SZ3": ("#CC79A7", 1.4, "-"), "SPERR": ("#CC79A7", 1.4, "--"),
     "zfp": ("#C88A00", 1.4, "-"), "Draco": ("#7A5C14", 1.4, "--"),
 }  # fmt: skip
-NAMES = {"touch": f"touch {STRONGEST} (ours)", "paper": "the paper's coder"}
+NAMES = {"touch": "touch (ours)", "paper": "the paper's coder"}
 WORDS = {"tum": "TUM desk", "icl": "ICL living room", "band": "as a wall", "height": "as a solid"}
 SHOWN_DB = (-12.0, -40.0)
 LABELS_DB = 18.5

@@ -66,8 +66,8 @@ def by_peers(case: Case, frames: list[ForceField], at: str) -> Figures:
 
 
 def curve(case: Case, frames: list[ForceField]) -> Figures:
-    """Points (NMSE in dB, bytes) of one frame by our coders, the strongest effort."""
-    touch = [ours.touch(frames, mode="nmse", step_n=step, effort=ours.STRONGEST) for step in STEPS_N]
+    """Points (NMSE in dB, bytes) of one frame by our coders."""
+    touch = [ours.touch(frames, mode="nmse", step_n=step) for step in STEPS_N]
     paper = [ours.paper(frames, nq=nq, directions=directions) for nq, directions in PAPER]
     return {name: [[one.nmse_db, one.bytes] for one in made] for name, made in (("touch", touch), ("paper", paper))}
 

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.rate import BitAccount, compression_ratio
-from touchfield.codec.segment import FrameStats
+from touchfield.codec.segment import BitAccount, FrameStats, compression_ratio
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, encode, open_stream, prepare
 from touchfield.job.spec import DEFAULT_F0_N

@@ -28,12 +28,11 @@ def row(rows: list[dict[str, Any]], **wanted: Any) -> dict[str, Any]:
 def of_rate() -> list[str]:
     rate = results("rate")
     peer = {key: [f"{value:.2g}" for value in pair] for key, pair in rate["best_peer_over_ours"].items()}
-    default, most, nmse = (peer[f"{key}, 1 frame"] for key in ("default, promise", "max, promise", "default, NMSE"))
+    default, nmse = (peer[f"{key}, 1 frame"] for key in ("default, promise", "default, NMSE"))
     tum, icl = (row(rate["speeds"], field=f"{name} band, nw 7", effort="default") for name in ("tum", "icl"))
     decode, encode = ([round(s[f"{key}_frames_s"]) for s in (tum, icl)] for key in ("decode", "encode"))
     return [
         f"needs {default[0]} to {default[1]} times the bytes of effort `default`",
-        f"and {most[0]} to {most[1]} times those of `max`",
         f"it needs {nmse[0]} to {nmse[1]} times those of `default`",
         f"the TUM walls decode at {decode[0]} frames a second and the ICL walls at {decode[1]}",
         f"and encode at {encode[0]} and {encode[1]}.",

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.rate import BitAccount, compression_ratio
+from touchfield.codec.segment import BitAccount, compression_ratio
 from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
 from touchfield.measure.fidelity import FidelityMeter

@@ -22,7 +22,7 @@ from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.encoder import fitted_code
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.paper.quantisers import lloyd_max_levels, uniform_levels, weber_levels
-from touchfield.codec.rate import RAW_BITS_PER_VECTOR
+from touchfield.codec.segment import RAW_BITS_PER_VECTOR
 from touchfield.devices import device
 from touchfield.filters import LOW_PASSES, limited, resample
 from touchfield.filters.fir import fir_filter

@@ -76,7 +76,7 @@ def test_spatial_masking_is_in_the_file_and_compare_holds_it(
         ("--amplitude weber", "--amplitude"),
         ("--interframe closed", "interframe"),
         ("--coder paper --f0-n 0.1", "--f0-n works with --coder touch, not with paper"),
-        ("--coder paper --effort max", "--effort"),
+        ("--coder paper --effort fast", "--effort"),
         ("--coder paper-literal --mode nmse", "--mode"),
         ("--coder paper --lossless-quantised", "--lossless-quantised"),
         ("--coder paper --target-bytes 5000", "--target-bytes"),

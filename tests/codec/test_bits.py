@@ -14,10 +14,8 @@ from touchfield.codec import kernels
 from touchfield.codec.kernels import (
     INPUTS,
     PLACE,
-    PRICING,
     SQUASH,
     STRETCH,
-    TASK,
     Bits,
     end_of,
     fresh,
@@ -122,23 +120,6 @@ def test_bits_that_were_expected_cost_next_to_nothing(length: int) -> None:
     calls = np.array([(CODE, 3, 0)] * 1000 + [(EVEN, 0, 8)] * length, np.int64)
     values = np.append(np.ones(1000, np.int64), np.zeros(length, np.int64))
     assert length <= len(written(calls, values)[1]) <= length + 6
-
-
-@given(scripts())
-def test_pricing_changes_nothing_and_tells_about_what_writing_takes(script: tuple[np.ndarray, np.ndarray]) -> None:
-    calls, values = script
-    bits = writer(16 * len(calls) + 64, models())
-    total = 0.0
-    for n in range(len(calls)):
-        before = bits.state.copy(), bits.chances.copy(), bits.weights.copy()
-        bits.state[TASK], bits.cost[0] = PRICING, 0.0
-        run(bits, calls[n : n + 1], values[n : n + 1].copy())
-        bits.state[TASK] = kernels.WRITING
-        same = np.array_equal(bits.state, before[0]) and np.array_equal(bits.chances, before[1])
-        assert same and np.array_equal(bits.weights, before[2])
-        total += bits.cost[0]
-        run(bits, calls[n : n + 1], values[n : n + 1].copy())
-    assert 8 * len(end_of(bits)) <= total + 64
 
 
 def test_tables_are_of_the_logistic_function() -> None:

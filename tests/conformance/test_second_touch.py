@@ -63,7 +63,7 @@ def nothing(t: int) -> ForceField:
 CASES: dict[str, tuple[Callable[[int], ForceField], TouchSpec]] = {
     "ball": (ball, TouchSpec(guess="off", interframe="on")),
     "ball, guessed": (ball, TouchSpec(f0_n=0.01, interframe="off")),
-    "ball, max": (ball, TouchSpec(effort="max", guess="off")),
+    "ball, fast": (ball, TouchSpec(effort="fast", guess="off")),
     "directions": (ball, TouchSpec(mode="mask-direction", support="exact", f0_n=0.02)),
     "nmse": (ball, TouchSpec(mode="nmse", step_n=0.1)),
     "noise": (noise, TouchSpec(f0_n=0.0, interframe="on")),

@@ -115,7 +115,7 @@ def test_a_provenance_holds_what_is_asked_of_its_coder_alone() -> None:
 def test_what_a_coder_does_not_take_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="nq 5 works with coder paper, not with touch"):
         EncodeSpec(paper=PaperSpec(nq=5))
-    with pytest.raises(InvalidArgument, match="effort 'max' works with coder touch, not with paper"):
-        EncodeSpec(coder="paper", touch=TouchSpec(effort="max"))
+    with pytest.raises(InvalidArgument, match="effort 'fast' works with coder touch, not with paper"):
+        EncodeSpec(coder="paper", touch=TouchSpec(effort="fast"))
     with pytest.raises(InvalidArgument, match="coder"):
         EncodeSpec(coder="mp3")

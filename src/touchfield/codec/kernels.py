@@ -3,8 +3,8 @@
 A range coder of 48 bits that moves words of 16: `X` is the low end of the interval (encoder, with a carry into what
 is written) or the distance of the code from it (decoder). A chance has 22 bits and a count of what it has seen in
 one number of 32 bits. Several chances are mixed on the logistic scale by weights that learn as well. All is of whole
-numbers below 2^62, the tables too: equal bytes on every machine. The same functions write, read and price: a caller
-gives the bit, or anything when reading, and takes what is returned.
+numbers below 2^62, the tables too: equal bytes on every machine. The same functions write and read: a caller gives
+the bit, or anything when reading, and takes what is returned.
 
 On these stand the loops of the support (a bit for each box of the octree of bricks, and for each sample) and of whole
 numbers, each told by its sign and its binary digits in contexts of the three before it.
@@ -17,12 +17,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Float64s, Int32s, Int64s
+from touchfield.arrays import Int32s, Int64s
 from touchfield.lean import entry, inlined, lean
 
 X, RANGE, PLACE, TASK = range(4)  # places in the state, int64 [4]
-# tasks. An encoder that prices adds up in ``Bits.cost`` what bits would take, and changes nothing else
-WRITING, READING, PRICING = range(3)
+WRITING, READING = range(2)  # tasks
 INPUTS: Final = 12  # chances mixed at once, at most
 _ONE: Final = 1 << 48
 _LEAST: Final = 1 << 32
@@ -60,7 +59,6 @@ class Bits(NamedTuple):
     weights: Int32s  # [sets, INPUTS]; of the inputs that are mixed, 1/65536
     inputs: Int64s  # [INPUTS]; contexts of the next mixed bit
     drawn: Int64s  # [INPUTS]; room for their logits
-    cost: Float64s  # [1]; bits priced
 
 
 class Models(NamedTuple):
@@ -81,7 +79,7 @@ def fresh(contexts: int, sets: int) -> Models:
 
 def _bits(state: list[int], buffer: NDArray[np.uint8], models: Models) -> Bits:
     room = np.zeros(INPUTS, np.int64), np.zeros(INPUTS, np.int64)
-    return Bits(np.array(state, np.int64), buffer, models.chances, models.weights, *room, np.zeros(1))
+    return Bits(np.array(state, np.int64), buffer, models.chances, models.weights, *room)
 
 
 def writer(room: int, models: Models) -> Bits:
@@ -164,19 +162,11 @@ def _learn(chances, context, packed, bit):
     chances[context] = (chance << 10) | (seen + np.int64(seen < _LIMIT))
 
 
-@lean
-def _priced(bits, p, bit):
-    bits.cost[0] -= np.log2(np.float64(p if bit else 65536 - p) / 65536.0)
-    return bit
-
-
 @entry
 def code(bits, context, bit):
     """One bit by the chance of one context."""
     packed = np.int64(bits.chances[context])
     p = min(max(packed >> 16, np.int64(_FLOOR)), np.int64(65536 - _FLOOR))
-    if bits.state[TASK] == PRICING:
-        return _priced(bits, p, bit)
     bit = _narrow(bits.state, bits.buffer, p, bit)
     _learn(bits.chances, context, packed, bit)
     return bit
@@ -198,8 +188,6 @@ def mixed_chance(bits, count, chosen):
 def mix(bits, count, chosen, bit):
     """One bit by `count` contexts in ``bits.inputs``, mixed by the weights `chosen`."""
     p = mixed_chance(bits, count, chosen)
-    if bits.state[TASK] == PRICING:
-        return _priced(bits, p, bit)
     bit = _narrow(bits.state, bits.buffer, p, bit)
     error = (bit << 16) - p
     for n in range(count):
@@ -212,9 +200,6 @@ def mix(bits, count, chosen, bit):
 @lean
 def even(bits, value, count):
     """`count` even bits, the highest first."""
-    if bits.state[TASK] == PRICING:
-        bits.cost[0] += count
-        return value & ((np.int64(1) << count) - 1)
     out = np.int64(0)
     for n in range(count - 1, -1, -1):
         out = (out << 1) | _narrow(bits.state, bits.buffer, np.int64(32768), (value >> n) & 1)

@@ -95,7 +95,7 @@ class Coder:
     resolve: Callable[[Any, bool], Any] = lambda spec, is_array: spec
     # ``summary(spec)``: what the summary of an encoded file tells of it
     summary: Callable[[Any], dict[str, Any]] = lambda spec: {}
-    has_promise: bool = False  # the decoder's ``promise(body)`` tells what a segment promises
+    has_promise: bool = False  # the decoder's ``worst(body)`` is the worst voxel of a segment
     has_codewords: bool = False  # decoded forces are codewords: measures may take each vector as a symbol
 
     @property

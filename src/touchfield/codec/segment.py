@@ -1,13 +1,17 @@
-"""A segment: its length where nobody asks for one, its bytes, and what each of its frames cost."""
+"""A segment: its length where nobody asks for one, its bytes, and what each of its frames cost.
+
+Paper eq. 9, literal: CR = (C_a + C_d) / (m V 96) with C_a, C_d the lengths in bits of the coded amplitudes and
+directions (the paper calls them vectors), m frames, V voxels of the device lattice, 96 bits a vector. It omits
+the support, the code tables and the headers; CR full counts every bit of the file.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import Final, NamedTuple
-
-from touchfield.codec.rate import BitAccount
+from typing import Any, Final, NamedTuple
 
 SEGMENT_S: Final = 0.5
 """Seconds of the medium that a receiver which joins in the middle, or seeks, decodes before its first frame."""
@@ -31,6 +35,34 @@ def segment_length(asked: int | None, rate_hz: float, seconds: float = SEGMENT_S
 def longest_segment(asked: int | None, rate_hz: float) -> int:
     """Frames in a segment in which frames repeat: as `segment_length`, for a second."""
     return segment_length(asked, rate_hz, STILL_S)
+
+
+RAW_BITS_PER_VECTOR: Final = 96  # three float32 components (paper table 1, "raw storage per sample")
+
+
+@dataclass(frozen=True)
+class BitAccount:
+    """Bits by what they tell."""
+
+    support: int = 0  # where the force is not zero
+    amplitude: int = 0  # C_a: amplitudes, with what says which samples are held
+    direction: int = 0  # C_d
+    side: int = 0  # code tables, lengths, headers, checksums, index, provenance
+    poses: int = 0  # poses of objects (`touchfield.codec.objects`)
+    models: int = 0  # what a frame is predicted from: a surface, moved blocks (`touchfield.codec.touch`)
+
+    @property
+    def total(self) -> int:
+        """All bits."""
+        return sum(getattr(self, f.name) for f in fields(self))
+
+    def __add__(self, other: BitAccount) -> BitAccount:
+        return BitAccount(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+
+def compression_ratio(bits: float, frame_count: int, voxel_count: int) -> float:
+    """Bits over the raw bits of the device-filtered lattice (eq. 9's denominator); lower is better."""
+    return bits / (frame_count * voxel_count * RAW_BITS_PER_VECTOR)
 
 
 class FrameKind(IntEnum):
@@ -76,3 +108,12 @@ class Worst(NamedTuple):
     ratio: float
     frame: int
     voxel: tuple[int, int, int]
+
+
+def promise_kept(segments: Iterable[tuple[int, Worst | None]]) -> dict[str, Any]:
+    """Keys of the promise of a file, of first frames and worst voxels of its segments; None where there is none."""
+    every = [worst._replace(frame=first + worst.frame) for first, worst in segments if worst is not None]
+    if not every:
+        return dict.fromkeys(("promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel"))
+    ratio, frame, voxel = max(every, key=lambda worst: worst.ratio)
+    return {"promise_kept": ratio <= 1, "worst_mask_ratio": ratio, "worst_frame": frame, "worst_voxel": list(voxel)}

@@ -71,6 +71,8 @@ class TouchCodec(ArrayBytesCodec):
         known = (*_OPTIONS, "spacing_m")
         if not isinstance(told, dict) or not set(told) <= set(known):
             raise InvalidArgument(f"codec {NAME}", f"a configuration {told!r}", f"values of {', '.join(known)}")
+        if told.get("effort") == "max":  # of older arrays, which decode as others do
+            told = {**told, "effort": TouchSpec.effort}
         return cls(**told)
 
     def to_dict(self) -> dict[str, Any]:

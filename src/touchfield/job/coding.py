@@ -318,9 +318,10 @@ class _Parts:
             left = int(reader.provenance["supported"])
             for i, entry in enumerate(reader.segments):
                 body = reader.read_segment(i)
-                worst = decoder.promise(body).worst_ratio if kind.has_promise else None
-                if worst is not None and worst > 1:
-                    raise CorruptFile(f"{path} segment {i}", f"a promise that is broken ({worst:g})", "at most 1")
+                worst = decoder.worst(body) if kind.has_promise else None
+                if worst is not None and worst.ratio > 1:
+                    found = f"a promise that is broken ({worst.ratio:g})"
+                    raise CorruptFile(f"{path} segment {i}", found, "at most 1")
                 yield Coded(body, reader.read_vibration(i), entry.frame_count, 0 if i else left)
 
     def join(self, out: Path, every: list[Stretch], provenance: Mapping[str, str]) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from touchfield.codec.objects.promise import Found, compare_scenes
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
-from touchfield.codec.rate import BitAccount
+from touchfield.codec.segment import BitAccount
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import limited
 from touchfield.filters.registry import FieldFilter

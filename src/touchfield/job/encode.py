@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from touchfield._version import __version__
 from touchfield.codec.objects.encoder import ObjectsEncoder
-from touchfield.codec.rate import compression_ratio
 from touchfield.codec.registry import coder, field_encoder
+from touchfield.codec.segment import compression_ratio
 from touchfield.container import TouchWriter
 from touchfield.container.remote import is_remote, sender
 from touchfield.job.coding import Sent, coded_segments, groups_of, head_of, spread_voxels, stretches, written

@@ -18,8 +18,8 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
-from touchfield.codec.rate import RAW_BITS_PER_VECTOR
 from touchfield.codec.registry import coder
+from touchfield.codec.segment import RAW_BITS_PER_VECTOR
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.job.mapping import SymbolFrames, mapped

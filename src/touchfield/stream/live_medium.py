@@ -16,8 +16,8 @@ from threading import Condition
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from touchfield.arrays import Int64s
-from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import coder
+from touchfield.codec.segment import BitAccount
 from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import FormatError, SourceError, UnsupportedVersion
 from touchfield.filters.resample import halved, rebuilt

@@ -13,15 +13,15 @@ import numpy as np
 from touchfield.arrays import Int64s
 from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.layout import MAX_POSES, CodedObject
-from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import field_decoder
+from touchfield.codec.segment import BitAccount, promise_kept
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.parallel import Report, silent
 from touchfield.stream.frames import SegmentFrames, segments_of
-from touchfield.stream.opened import OpenStream, worst_keys
+from touchfield.stream.opened import OpenStream
 
 if TYPE_CHECKING:
     from touchfield.codec.objects.encoder import ObjectsEncoder
@@ -161,7 +161,7 @@ class SceneStream(OpenStream):
         if not modes:  # nothing is promised of the composed field
             return keys
         segments = enumerate(self.reader.segments)
-        worst = worst_keys((entry.first_frame, self.decoder.parts(self._body(i)).worst) for i, entry in segments)
+        worst = promise_kept((entry.first_frame, self.decoder.parts(self._body(i)).worst) for i, entry in segments)
         tolerance_um = 1e6 * self.decoder.place_tolerance_m
         return {**keys, "mode": ", ".join(sorted(modes)), **worst, "place_tolerance_um": tolerance_um}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.rate import BitAccount, compression_ratio
 from touchfield.codec.registry import coder
-from touchfield.codec.touch.body import Promise, TouchCost
+from touchfield.codec.segment import BitAccount, compression_ratio, promise_kept
+from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
 from touchfield.container.remote import is_live
 from touchfield.errors import InvalidArgument
@@ -234,33 +234,12 @@ class VoxelStream(OpenStream):
         if not coder(self.reader.head.coder).has_promise:
             return keys
         costs = [cost for cost in self.costs if isinstance(cost, TouchCost)]
-        keys["guesses"] = sum(cost.guess_bits > 0 for cost in costs)
-        keys["bits_guesses"] = sum(cost.guess_bits for cost in costs)
+        keys["guesses"] = sum(cost.bits.models > 0 for cost in costs)
+        keys["bits_guesses"] = sum(cost.bits.models for cost in costs)
         keys["bits_sent_apart"] = sum(cost.exception_bits for cost in costs)
-        segments = self.reader.segments
-        promises: list[Promise] = [self.decoder.promise(self.reader.read_segment(i)) for i in range(len(segments))]
-        keys["mode"], jnd_deg = promises[-1].mode, promises[-1].direction_jnd_deg
-        if jnd_deg is not None:
-            keys["direction_jnd_deg"] = jnd_deg
-        return keys | worst_keys((s.first_frame, promise.worst) for s, promise in zip(segments, promises))
-
-
-def worst_keys(segments: Iterable[tuple[int, Worst | None]]) -> dict[str, Any]:
-    """Keys of a file's largest |error| / allowed and where it is; None in each where nothing is promised.
-
-    `segments` are the first frame of each, and its worst voxel.
-    """
-    worst: Worst | None = None
-    for first, own in segments:
-        if own is not None and (worst is None or own.ratio > worst.ratio):
-            worst = own._replace(frame=first + own.frame)
-    ratio, frame, voxel = worst or (None, None, None)
-    return {
-        "promise_kept": None if ratio is None else ratio <= 1,
-        "worst_mask_ratio": ratio,
-        "worst_frame": frame,
-        "worst_voxel": None if voxel is None else list(voxel),
-    }
+        segments = enumerate(self.reader.segments)
+        worst = ((s.first_frame, self.decoder.worst(self.reader.read_segment(i))) for i, s in segments)
+        return keys | promise_kept(worst)
 
 
 @contextmanager

@@ -92,7 +92,7 @@ def case_of(seed: int) -> tuple[list[ForceField], TouchSpec]:
         f0_n=float(rng.choice([0.0, 1e-30, 0.001, 0.05, 1.0, 100.0])),
         mode=str(rng.choice(["mask", "mask", "mask-direction"])),
         direction_jnd_deg=float(rng.choice([0.5, 18.4, 89.0])),
-        effort=str(rng.choice(["fast", "default", "default", "max"])),
+        effort=str(rng.choice(["fast", "default"])),
         support=str(rng.choice(["movable", "movable", "exact"])),
         guess=str(rng.choice(["auto", "auto", "off"])),
         interframe=str(rng.choice(["auto", "auto", "off", "on"])),

@@ -48,7 +48,8 @@ def root(n: Any) -> Any:
 
 @njit
 def axes_and_vector(p: Any, along: Any, s1: Any, s2: Any, rows: Any) -> None:
-    kernels.axes_along(p[0], p[1], p[2], max(kernels.root(p[0] ** 2 + p[1] ** 2 + p[2] ** 2), 1), rows)
+    rows[kernels.CENTRE] = p
+    kernels.axes_along(rows, kernels.length_of(p[0], p[1], p[2]))
     kernels.rebuild(along, s1, s2, rows)
 
 

@@ -21,11 +21,11 @@ from touchfield.medium import ForceField
 
 SPECS = (
     TouchSpec(),
-    TouchSpec(f0_n=0.0, k=0.02, effort="max"),
+    TouchSpec(f0_n=0.0, k=0.02),
     TouchSpec(support="exact", k=0.25),
     TouchSpec(mode="mask-direction"),
     TouchSpec(mode="nmse", step_n=0.02),
-    TouchSpec(mode="nmse", step_n=0.3, effort="max"),
+    TouchSpec(mode="nmse", step_n=0.3),
 )
 
 

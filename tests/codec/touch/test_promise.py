@@ -11,8 +11,6 @@ from field_makers import GRID, KINDS, field_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchfield.codec.segment import Worst
-from touchfield.codec.touch.body import Promise
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.promise import agreement, compared
 from touchfield.codec.touch.spec import TouchSpec
@@ -109,16 +107,3 @@ def test_agreement_is_a_share_of_voxels() -> None:
     assert agreement(original, guess, 0.01, MASK) == 0.25
     assert agreement(original, guess, 0.01, replace(MASK, mode="nmse", step_n=0.11)) == 0.25
     assert agreement(ForceField.empty(GRID), FixedField(guess.bricks[:0], vectors[:0]), 0.01, MASK) == 1.0
-
-
-def test_a_promise_tells_what_its_mode_has() -> None:
-    worst = Worst(0.5, 2, (1, 2, 3))
-    told = Promise.of(MASK, worst).describe()
-    assert told == {
-        "mode": "mask", "k": 0.1, "f0_n": 0.05, "direction_jnd_deg": None, "masking": None, "masking_radius_m": None,
-        "worst_ratio": 0.5, "worst_frame": 2, "worst_voxel": [1, 2, 3],
-    }  # fmt: skip
-    assert Promise.of(replace(MASK, mode="mask-direction"), worst).direction_jnd_deg == MASK.direction_jnd_deg
-    assert Promise.of(replace(MASK, masking=0.2), worst).masking == 0.2
-    assert Promise.of(replace(MASK, mode="nmse"), None).worst_ratio is None
-    assert Promise.of(replace(MASK, mode="nmse"), None).k is None

@@ -40,7 +40,7 @@ def check(frames: list[ForceField], spec: TouchSpec) -> None:
             assert violations(a, b, spec.k, spec.f0_n, masking_n=masking_n).count == 0
         if spec.support == "exact":
             assert np.array_equal(held_of(original), held_of(made))
-    told = decoder.promise(body).worst
+    told = decoder.worst(body)
     assert told is not None and worst <= told.ratio <= min(1.0, worst + 1 / 65535 + 1e-12)
 
 

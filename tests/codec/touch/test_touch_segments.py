@@ -12,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from touchfield.codec.registry import coder, field_decoder
-from touchfield.codec.segment import FrameKind
-from touchfield.codec.touch.body import BodyReader, shares_of
+from touchfield.codec.segment import FrameKind, Worst, promise_kept
+from touchfield.codec.touch.body import BodyReader, shares_of, write_body
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.promise import compared, hidden_of
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
@@ -128,7 +129,7 @@ def test_a_mean_error_is_bought_with_bytes(wavy_field: ForceField) -> None:
         body, decoder, (made,) = round_trip([wavy_field], TouchSpec(mode="nmse", step_n=step))
         errors.append(float(((wavy_field.to_dense() - made.to_dense()) ** 2).mean()))
         sizes.append(len(body))
-        assert decoder.promise(body).worst is None
+        assert decoder.worst(body) is None
     assert errors[0] > 4 * errors[1] > 16 * errors[2] and sizes[0] < sizes[1] < sizes[2]
 
 
@@ -138,7 +139,8 @@ def test_lossless_is_exact_to_the_bit(kind: str) -> None:
     body, decoder, decoded = round_trip(frames, TouchSpec(mode="lossless"))
     for a, b in zip(frames, decoded, strict=True):
         assert a.bricks.tobytes() == b.bricks.tobytes() and a.forces_n.tobytes() == b.forces_n.tobytes()
-    assert decoder.promise(body).worst_ratio == 0
+    worst = decoder.worst(body)
+    assert worst is not None and worst.ratio == 0
 
 
 def test_fields_that_cannot_be_coded_are_refused_by_name() -> None:
@@ -176,6 +178,35 @@ def test_parameters_tell_what_was_asked_for(spec: TouchSpec) -> None:
     if len(parameters) > 2:
         with pytest.raises(CorruptFile):
             TouchDecoder(GRID, parameters[:-8] + np.float64(-np.inf).tobytes())
+
+
+def test_an_effort_that_is_no_longer_written_is_read() -> None:
+    body, _, frames = round_trip([field_of("dense", 3)], TouchSpec())
+    parameters = TouchEncoder(GRID, TouchSpec()).parameters
+    former = TouchDecoder(GRID, bytes([1, 2 << 3, *parameters[2:]]))
+    assert former.spec == TouchDecoder(GRID, parameters).spec
+    assert list(former.frames(body, 1)) == frames
+    with pytest.raises(InvalidArgument, match="one of fast, default"):
+        TouchSpec(effort="max")
+
+
+def test_the_worst_error_is_not_rounded_down() -> None:
+    lattice = Lattice(1.0, 100, 0, 100, 0)
+    for ratio in (0.0, 1e-9, 0.5, 0.99999, 1.0):
+        read = BodyReader(write_body(lattice, [], Worst(ratio, 0, (0, 0, 0))), GRID, exact=False).worst
+        assert read is not None and ratio <= read.ratio <= ratio + 1 / 65535
+
+
+def test_the_worst_voxel_of_a_file_is_in_its_frame() -> None:
+    worsts = [
+        (0, Worst(0.5, 2, (1, 2, 3))),
+        (8, Worst(0.75, 1, (4, 5, 6))),
+        (16, None),
+        (24, Worst(0.75, 0, (0, 0, 0))),
+    ]
+    told = {"promise_kept": True, "worst_mask_ratio": 0.75, "worst_frame": 9, "worst_voxel": [4, 5, 6]}
+    assert promise_kept(worsts) == told
+    assert set(promise_kept([(0, None)]).values()) == {None}
 
 
 def test_the_registry_knows_the_coder() -> None:

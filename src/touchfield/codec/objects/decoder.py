@@ -18,8 +18,8 @@ import numpy as np
 from touchfield.arrays import Bools, Int64s
 from touchfield.codec.kernels import NUMBER_CONTEXTS, NUMBER_SETS, Bits, code_numbers, fresh, reader
 from touchfield.codec.objects.layout import NAME, CodedObject, Parameters, SegmentParts
-from touchfield.codec.rate import BitAccount
 from touchfield.codec.registry import FieldDecoder, field_decoder
+from touchfield.codec.segment import BitAccount
 from touchfield.codec.support import check_end
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium import ForceField, PoseTrack

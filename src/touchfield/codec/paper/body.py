@@ -30,8 +30,7 @@ from touchfield.codec.paper import kernels
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.kernels import LONGEST
 from touchfield.codec.paper.quantisers import AmplitudeLevels
-from touchfield.codec.rate import BitAccount
-from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
+from touchfield.codec.segment import BitAccount, FrameCost, FrameKind, FrameStats
 from touchfield.codec.support import decode_numbers, decode_support
 from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument

@@ -27,8 +27,7 @@ from touchfield.arrays import Int64s
 from touchfield.codec.paper.body import MOST_NEWTONS, BodyReader, field_of
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.paper.quantisers import amplitudes_n
-from touchfield.codec.rate import BitAccount
-from touchfield.codec.segment import FrameCost, FrameKind, FrameStats
+from touchfield.codec.segment import BitAccount, FrameCost, FrameKind, FrameStats
 from touchfield.codec.support import decode_numbers, decode_support
 from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument

@@ -34,8 +34,7 @@ from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.kernels import LONGEST, adpcm, pack_bits
 from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.rate import BitAccount
-from touchfield.codec.segment import CodedSegment, FrameKind, FrameStats
+from touchfield.codec.segment import BitAccount, CodedSegment, FrameKind, FrameStats
 from touchfield.codec.support import LARGEST, encode_numbers, encode_support
 from touchfield.codec.varint import chunk, write_varint
 from touchfield.errors import InvalidArgument

@@ -10,13 +10,12 @@ import math
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from touchfield.arrays import Float32s, Int64s
-from touchfield.codec.rate import BitAccount
-from touchfield.codec.segment import FrameCost, FrameKind, Worst
+from touchfield.codec.segment import BitAccount, FrameCost, FrameKind, Worst
 from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.spec import EFFORTS, MODES, SUPPORTS, TouchSpec
 from touchfield.codec.varint import Parts, chunk, read_varint, write_varint
@@ -39,7 +38,6 @@ _NUMBERS: Final = {
 }  # fmt: skip
 _MASKING: Final = ("masking", "masking_radius_m")  # follow with this flag, in mode "mask" only
 _MASKING_FLAG: Final = 32
-_PROMISED: Final = (*_NUMBERS["mask-direction"], *_MASKING)
 
 
 def numbers_of(spec: TouchSpec) -> tuple[str, ...]:
@@ -48,40 +46,9 @@ def numbers_of(spec: TouchSpec) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Promise:
-    """Promise of a segment, and its worst voxel, found by the encoder on the decoder's own output."""
-
-    mode: str  # see `TouchSpec`
-    k: float | None  # None in a mode without it, as the following
-    f0_n: float | None
-    direction_jnd_deg: float | None
-    masking: float | None
-    masking_radius_m: float | None
-    worst: Worst | None  # None in mode "nmse", which promises nothing. In mode "lossless" its ratio is 0
-
-    @classmethod
-    def of(cls, spec: TouchSpec, worst: Worst | None) -> Promise:
-        """The promise of a mode."""
-        mine = {name: getattr(spec, name) if name in numbers_of(spec) else None for name in _PROMISED}
-        return cls(spec.mode, **mine, worst=worst)
-
-    @property
-    def worst_ratio(self) -> float | None:
-        """The largest |error| / allowed."""
-        return None if self.worst is None else self.worst.ratio
-
-    def describe(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        ratio, frame, voxel = self.worst or (None, None, None)
-        numbers = {name: getattr(self, name) for name in ("mode", *_PROMISED)}
-        return {**numbers, "worst_ratio": ratio, "worst_frame": frame, "worst_voxel": voxel and list(voxel)}
-
-
-@dataclass(frozen=True)
 class TouchCost(FrameCost):
-    """Cost of a frame, and how it was coded."""
+    """Cost of a frame, and how it was coded: ``bits.models`` are those of its guess."""
 
-    guess_bits: int  # `BitAccount.models`
     exception_bits: int  # of the side bits those of voxels sent apart
 
 
@@ -114,7 +81,7 @@ class FrameRecord:
         amplitude = payload * self.shares[1] // 255
         models = 8 * len(self.guess)
         bits = BitAccount(support, amplitude, payload - support - amplitude, total - payload - models, models=models)
-        return TouchCost(self.kind, bits, models, 8 * len(self.exceptions))
+        return TouchCost(self.kind, bits, 8 * len(self.exceptions))
 
 
 def shares_of(bits: tuple[float, float, float]) -> tuple[int, int]:
@@ -194,7 +161,7 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
     if data[0] != _VERSION:
         raise UnsupportedVersion(where, f"version {data[0]}", f"version {_VERSION}", "A newer touchfield reads it.")
     mode, support, effort, masking = data[1] & 3, data[1] >> 2 & 1, data[1] >> 3 & 3, data[1] >> 5
-    if effort >= len(EFFORTS) or masking > (mode == 0):
+    if effort > 2 or masking > (mode == 0):
         expected = "an effort of 0 to 2, and masking in mode 0 only"
         raise CorruptFile(where, f"{data[1]:#x} for mode, support, effort and masking", expected)
     names = _NUMBERS[MODES[mode]] + (_MASKING if masking else ())
@@ -205,7 +172,8 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
         raise CorruptFile(where, repr(numbers), "finite numbers")
     if masking and not numbers["masking"] > 0:
         raise CorruptFile(where, f"masking with a share of {numbers['masking']}", "one above 0")
-    spec = TouchSpec(mode=MODES[mode], support=SUPPORTS[support], effort=EFFORTS[effort])
+    # 2 was an effort that tried more: its files decode as others do
+    spec = TouchSpec(mode=MODES[mode], support=SUPPORTS[support], effort=EFFORTS[min(effort, 1)])
     try:
         return replace(spec, **numbers)
     except InvalidArgument as error:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.segment import FrameStats
-from touchfield.codec.touch.body import BodyReader, FrameRecord, Promise, TouchCost, numbers_of, read_parameters
+from touchfield.codec.segment import FrameStats, Worst
+from touchfield.codec.touch.body import BodyReader, FrameRecord, TouchCost, numbers_of, read_parameters
 from touchfield.codec.touch.lattice import TOP, FixedField
 from touchfield.medium import ForceField, Grid
 
@@ -49,9 +49,9 @@ class TouchDecoder:
             made.append(FrameStats(record.kind, count, count, record.cost.bits))
         return made
 
-    def promise(self, body: bytes) -> Promise:
-        """Promise of a segment, and its worst voxel; nothing is decoded."""
-        return Promise.of(self.spec, self._reader(body).worst)
+    def worst(self, body: bytes) -> Worst | None:
+        """Worst voxel of a segment, nothing decoded; None in mode "nmse", which promises nothing."""
+        return self._reader(body).worst
 
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""

@@ -83,11 +83,14 @@ class TouchEncoder:
                 coded, inter, guess = chooser.add(anchor, hidden_of(anchor, self._spec))
             else:
                 coded, inter, guess = chooser.add(frame, hidden_n)
-            found = compared(frame, coded.decoded.field(self._grid, lattice.unit_n), self._spec, hidden_n=hidden_n)
-            apart = Exceptions.of(frame, found.keys, found.places).to_bytes()
-            records.append(FrameRecord(inter, guess, coded.payload, shares_of(coded.bits), apart))
-            seen.append(found)
-        if self._spec.effort == "fast" and not any(len(found.keys) for found in seen):
+            field = coded.decoded.field(self._grid, lattice.unit_n)
+            result = compared(frame, field, self._spec, hidden_n=hidden_n)
+            apart = Exceptions.of(frame, result.keys, result.places)
+            if len(result.keys):
+                result = compared(frame, apart.applied(field), self._spec, hidden_n=hidden_n)
+            records.append(FrameRecord(inter, guess, coded.payload, shares_of(coded.bits), apart.to_bytes()))
+            seen.append(result)
+        if self._spec.effort == "fast" and not any(len(result.keys) for result in seen):
             return self._sealed(lattice, records, seen)  # a decoder makes what was compared, bit for bit
         return self._verified(came, lattice, records)
 

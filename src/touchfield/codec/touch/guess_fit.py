@@ -338,9 +338,9 @@ def fit(
     frame: ForceField, lattice: Lattice, limits: Limits, spec: TouchSpec
 ) -> tuple[tuple[bytes, FixedField] | None, float]:
     """The bytes of a guess within the mask of `limits` and its field, or None; and how often it keeps the rule."""
-    best, most = None, 0.0 if limits.free else _LEAST
-    if limits.free:
-        limits = limits._replace(free=False, k=0.0, f0=_FINENESS * lattice.floor)
+    best, most = None, _LEAST
+    if spec.mode == "nmse":
+        limits, most = limits._replace(f0=_FINENESS * lattice.floor), 0.0
     for kind, provider in ((SPLINE, fit_spline), (COLUMNS, fit_columns)):
         found = provider(frame, lattice, limits) if most < _ENOUGH else None
         if found is not None:

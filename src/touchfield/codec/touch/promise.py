@@ -13,14 +13,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float32s, Int64s
-from touchfield.codec.touch.kernels.encode_pass import DIRECTION, FREE, MASK, compare
+from touchfield.codec.touch.kernels.encode_pass import DIRECTION, MASK, compare
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField
 from touchfield.medium.field import brick_keys
 from touchfield.perception.mask import SpatialMasking
 
-_RULES: Final = {"mask": MASK, "mask-direction": DIRECTION, "nmse": FREE}
 _NOTHING: Final = np.empty((0, 512), np.float32)
 
 
@@ -63,7 +62,9 @@ def compared(
         supported, sent = (int(np.count_nonzero(forces.any(axis=2))) for _, forces in (mine, theirs))
         return Compared(keys[brick], place, math.inf if len(brick) else 0.0, -1, 0, supported, supported, sent)
     angle, exact = math.radians(spec.direction_jnd_deg), spec.support == "exact" and not within_step
-    rule, k, f0_n = (MASK, 0.0, spec.step_n / 2) if within_step else (_RULES[spec.mode], spec.k, spec.f0_n)
+    rule, k, f0_n = DIRECTION if spec.mode == "mask-direction" else MASK, spec.k, spec.f0_n
+    if spec.mode == "nmse":  # which promises nothing
+        k, f0_n = 0.0, spec.step_n / 2 if within_step else math.inf
     room = 64
     while True:
         beyond = np.empty((2, room), np.int64)

@@ -10,7 +10,7 @@ from touchfield.codec.registry import Coder, CoderOption
 from touchfield.errors import InvalidArgument
 
 MODES: Final = ("mask", "mask-direction", "nmse", "lossless")
-EFFORTS: Final = ("fast", "default", "max")
+EFFORTS: Final = ("fast", "default")
 SUPPORTS: Final = ("movable", "exact")
 _CHOICES: Final = {
     "mode": MODES, "effort": EFFORTS, "support": SUPPORTS, "guess": ("auto", "off"),
@@ -36,8 +36,8 @@ class TouchSpec:
     step_n: float = 0.05
     """Step of the uniform lattice of mode "nmse", newtons."""
     effort: str = "default"
-    """One of "fast", "default" or "max": bytes against time, never against the promise. "fast" checks it on the
-    encoder's own reconstruction, which a decoder makes again bit for bit; the others decode their bytes."""
+    """Either "fast" or "default": time against certainty, never against the promise. "fast" checks it on the
+    encoder's own reconstruction, which a decoder makes again bit for bit; "default" decodes its bytes."""
     support: str = "movable"
     """Either "movable", a force of at most F_0 may become none, and none one of at most F_0; or "exact"."""
     masking: float = 0.0
@@ -119,7 +119,7 @@ CODER = Coder(
         CoderOption("direction_jnd_deg", float, "mask-direction: greatest angle, degrees. [default: 18.4]"),
         CoderOption("step_n", float, "mode nmse: step of the lattice, newtons. [default: 0.05]"),
         CoderOption("support", str, "movable (where |F| is at most F_0), or exact. [default: movable]"),
-        CoderOption("effort", str, "fast, default or max: bytes against time. [default: default]"),
+        CoderOption("effort", str, "fast or default: what is tried and checked against time. [default: default]"),
         CoderOption("masking", float, "share of the mean force around that is hidden, 0 to 1. [default: 0]"),
         CoderOption("body_site", str, "masking: where it is felt: finger, palm, belly, forearm. [default: finger]"),
         CoderOption("lossless_quantised", bool, "keep a field that is quantised already exactly."),

@@ -139,8 +139,8 @@ def settle(law, work, here, still):
             rows[ws.VECTOR, k] = rows[ws.EXPECTED, k]
     else:
         voxel.place(law, work, rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2])
-    v0, v1, v2 = rows[ws.VECTOR, 0], rows[ws.VECTOR, 1], rows[ws.VECTOR, 2]
-    ws.store(work.window, here, v0, v1, v2, ws.length_of(v0, v1, v2), voxel.sizes_of(work, still), law.slope)
+    v = rows[ws.VECTOR, 0], rows[ws.VECTOR, 1], rows[ws.VECTOR, 2]
+    ws.store(work.window, here, v, ws.length_of(*v), voxel.sizes_of(work, still), law.slope)
     voxel.learn(work)
 
 

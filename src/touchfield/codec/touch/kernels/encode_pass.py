@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchfield.codec.kernels import PLACE, PRICING, TASK, WRITING, mix, mixed_chance, price
+from touchfield.codec.kernels import PLACE, mix, mixed_chance, price
 from touchfield.codec.touch.kernels import voxel
 from touchfield.codec.touch.kernels import workspace as ws
 from touchfield.codec.touch.kernels.decode_pass import (
@@ -19,13 +19,12 @@ from touchfield.codec.touch.kernels.decode_pass import (
     settle,
     then_of,
 )
-from touchfield.codec.touch.kernels.voxel import before, held
 from touchfield.lean import entry, inlined, lean
 
 _ROOM = 1 << 14  # bytes that a brick cannot fill
 _AROUND = np.array([0, -1, 1], np.int64)
 _ROUNDING = 2e-7  # of a force, lost where whole units become newtons of 32 bits
-_REFERENCE_ERROR = 0.36  # squared steps about, that a voxel taken from the reference may be off in mode nmse
+_LARGER = 0.43  # bits, about, of a component by each step that it is larger
 
 
 class Limits(NamedTuple):
@@ -34,10 +33,12 @@ class Limits(NamedTuple):
     k: float
     f0: float
     sine: float  # of the direction JND; 0 where only the mask rules
-    thrift: float  # what a bit may cost where every error has its price, squared steps
-    free: bool  # no rule at all
     exact: bool  # the support is kept
-    thorough: bool  # candidates are priced by what they really take
+
+
+@lean
+def _size_of(f):
+    return np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
 
 
 @lean
@@ -73,42 +74,24 @@ def kept(d0, d1, d2, f, size, rule):
 @inlined
 def fits(d0, d1, d2, f, rule):
     """True where the vector of the reference may stand for a force; (0, 0, 0) is none."""
-    size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
+    size = _size_of(f)
     there = d0 != 0 or d1 != 0 or d2 != 0
     if rule.exact and there != (size > 0):
         return False
-    if rule.free:
-        return (d0 - f[0]) ** 2 + (d1 - f[1]) ** 2 + (d2 - f[2]) ** 2 <= _REFERENCE_ERROR * rule.f0 * rule.f0
     return kept(d0, d1, d2, f, size, rule)
 
 
-@inlined
-def _mean_sizes(work, here):
-    """Mean sizes of the residuals of the neighbours, along and across."""
-    along = across = 0.0
-    count = 0
-    for axis in range(3):
-        at = before(here, axis)
-        if held(work.window, at):
-            sizes = np.int64(work.window[at * ws.WIDTH + ws.SIZES])
-            along += sizes & 255
-            across += sizes >> 8 & 255
-            count += 1
-    return (along / count, across / count / 2) if count else (3.0, 3.0)
+@lean
+def _guessed(r):
+    """Likely bits of a component; only to compare candidates."""
+    return 0.0 if r == 0 else 1.5 + abs(r) * _LARGER
 
 
 @lean
-def _guessed(r, slope, bit):
-    """Likely cost of a component, by the sizes around; only to compare candidates."""
-    return 0.0 if r == 0 else 1.5 * bit + abs(r) * slope
-
-
-@lean
-def choose(bits, law, work, here, f, size, rule):
+def choose(law, work, f, size, rule):
     """Put the residual of the force `f`, units float64 [3], into the row `STEPS`; the centre is set.
 
-    Of the points around the force the one that costs least, by a guess or, with ``rule.thorough``, by its price; the
-    nearest where none keeps the rule. Returns the cost: bits, or squared steps where every error has its price.
+    Of the points around the force the one that likely costs least; the nearest where none keeps the rule.
     """
     rows, level = work.rows, work.of[voxel.LEVEL]
     along = (f[0] * rows[ws.AXES + 0, 0] + f[1] * rows[ws.AXES + 0, 1] + f[2] * rows[ws.AXES + 0, 2]) / 16384.0
@@ -116,47 +99,27 @@ def choose(bits, law, work, here, f, size, rule):
     across_2 = (f[0] * rows[ws.AXES + 2, 0] + f[1] * rows[ws.AXES + 2, 1] + f[2] * rows[ws.AXES + 2, 2]) / 16384.0
     reached = ws.level_of(min(np.int64(round(abs(along))), np.int64((1 << 18) - 1)), law.border, law.first)
     n0 = np.int64(round(((reached if along >= 0 else -reached) - level) / 256.0))
-    bit = rule.thrift if rule.free else 1.0
-    ease = 1.5 if rule.free else 0.5
-    mean_0, mean_1 = _mean_sizes(work, here)
-    slope_0, slope_1 = bit * 1.5 / (mean_0 + ease), bit * 1.5 / (mean_1 + ease)
-    reach = 4 if f.shape[0] == 4 else 3  # a wide mask often holds a point without a residual
     best = nearest = np.inf
     b0 = b1 = b2 = np.int64(0)
-    for i in range(reach):
-        r0 = n0 + _AROUND[i] if i < 3 else np.int64(0)
-        cost_0 = _guessed(r0, slope_0, bit)
+    for i in range(3):
+        r0 = n0 + _AROUND[i]
         length = ws.amplitude_of(level + 256 * r0, law.border)
         step = ws.step_at(abs(length), law.cross_floor, law.cross_rate)
         n1, n2 = np.int64(round(across_1 / step)), np.int64(round(across_2 / step))
-        for j in range(reach * reach):
-            j1, j2 = j // reach, j % reach
-            r1 = n1 + _AROUND[j1] if j1 < 3 else np.int64(0)
-            r2 = n2 + _AROUND[j2] if j2 < 3 else np.int64(0)
-            cost = cost_0 + _guessed(r1, slope_1, bit) + _guessed(r2, slope_1, bit)
-            if cost >= best and not rule.thorough:
+        for j in range(9):
+            r1, r2 = n1 + _AROUND[j // 3], n2 + _AROUND[j % 3]
+            cost = _guessed(r0) + _guessed(r1) + _guessed(r2)
+            if cost >= best:
                 continue
-            error = (along - length) ** 2 + (across_1 - r1 * step) ** 2 + (across_2 - r2 * step) ** 2
-            if max(abs(r0), abs(r1), abs(r2)) >= 1 << 18 or not _allowed(law, work, r0, r1, r2, f, size, rule):
-                if error < nearest and best == np.inf:
-                    nearest = error
-                    b0, b1, b2 = r0, r1, r2
-                continue
-            if rule.thorough:
-                rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2] = r0, r1, r2
-                task, spent = bits.state[TASK], bits.cost[0]
-                bits.state[TASK], bits.cost[0] = PRICING, 0.0
-                for c in range(3):
-                    voxel.code_step(bits, law, work, c)
-                cost = bit * bits.cost[0]
-                bits.state[TASK], bits.cost[0] = task, spent
-            if rule.free:
-                cost += error / np.float64(law.floor) ** 2
-            if cost < best:
+            if max(abs(r0), abs(r1), abs(r2)) < 1 << 18 and _allowed(law, work, r0, r1, r2, f, size, rule):
                 best = cost
                 b0, b1, b2 = r0, r1, r2
+            elif best == np.inf:
+                error = (along - length) ** 2 + (across_1 - r1 * step) ** 2 + (across_2 - r2 * step) ** 2
+                if error < nearest:
+                    nearest = error
+                    b0, b1, b2 = r0, r1, r2
     rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2] = b0, b1, b2
-    return best
 
 
 @inlined
@@ -168,23 +131,7 @@ def _allowed(law, work, r0, r1, r2, f, size, rule):
     d0, d1, d2 = work.rows[ws.VECTOR, 0], work.rows[ws.VECTOR, 1], work.rows[ws.VECTOR, 2]
     if rule.exact and d0 == 0 and d1 == 0 and d2 == 0:
         return False
-    return rule.free or kept(d0, d1, d2, f, size, rule)
-
-
-@lean
-def still_pays(bits, law, work, here, f, size, rule):
-    """True where to stand costs less than to move, every error having its price; ``bits.cost``: bits to stand."""
-    still_bits = bits.cost[0]
-    error = 0.0
-    for k in range(3):
-        error += (np.float64(work.rows[ws.EXPECTED, k]) - f[k]) ** 2
-    voxel.aim(law, work, here)
-    cost = choose(bits, law, work, here, f, size, rule)
-    if work.of[voxel.BASED]:
-        for k in range(3):
-            work.rows[ws.APART, k] = -work.rows[ws.APART, k]  # as it was before `aim`
-    moved_bits = -np.log2(max(1.0 - 2.0**-still_bits, 1e-5)) + (0.0 if rule.thorough else 1.0)
-    return np.int64(error / np.float64(law.floor) ** 2 + rule.thrift * still_bits < cost + rule.thrift * moved_bits)
+    return kept(d0, d1, d2, f, size, rule)
 
 
 @entry
@@ -221,9 +168,7 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
 
 @inlined
 def _state_of(old, forces, rule):
-    """The brick as the reference has it, if that keeps the rule; it is followed if it does so at half the voxels."""
-    count = agrees = 0
-    whole = True
+    """The brick as the reference has it, if that keeps the rule everywhere; else the reference is followed."""
     for at in range(512):
         c = ((((at >> 6) + ws.LOW) * ws.SIDE + (at >> 3 & 7) + ws.LOW) * ws.SIDE + (at & 7) + ws.LOW) * 4
         f = forces[at]
@@ -232,13 +177,9 @@ def _state_of(old, forces, rule):
         d0, d1, d2 = np.int64(0), np.int64(0), np.int64(0)
         if old[c + 3] > 0:
             d0, d1, d2 = np.int64(old[c]), np.int64(old[c + 1]), np.int64(old[c + 2])
-        here = fits(d0, d1, d2, f, rule)
-        count += 1
-        agrees += here
-        whole = whole and here
-    if whole:
-        return np.int64(2)
-    return np.int64(2 * agrees >= count)
+        if not fits(d0, d1, d2, f, rule):
+            return np.int64(1)
+    return np.int64(2)
 
 
 @inlined
@@ -254,51 +195,40 @@ def _blocks_of(forces, rule):
 
 
 @inlined
-def _worth_holding(bits, law, work, here, near, trusted, f, chosen, rule):
-    """True for a force that may be left away, or made, and should be: where its bit would cost too much."""
-    size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
+def _held(bits, law, work, here, near, trusted, f, size, chosen, rule):
+    """Support of a voxel; a force may be left away, or made, and is where its bit would cost too much."""
     if rule.exact or size > rule.f0 or size > tolerance(f, size, rule):
         return np.int64(size > 0)
     chance = mixed_chance(bits, 3, chosen)
-    if size > 0 and chance < 45000:
-        return np.int64(0)
-    if chance > 55000:
-        voxel.expect(law, work, here, near, trusted)
-        return np.int64(
-            kept(work.rows[ws.EXPECTED, 0], work.rows[ws.EXPECTED, 1], work.rows[ws.EXPECTED, 2], f, size, rule)
-        )
-    return np.int64(size > 0)
+    if chance <= 55000:
+        return np.int64(size > 0 and chance >= 45000)
+    voxel.expect(law, work, here, near, trusted)
+    expected = work.rows[ws.EXPECTED]
+    return np.int64(kept(expected[0], expected[1], expected[2], f, size, rule))
 
 
 @inlined
 def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     near = near_of(work.window, here)
     then = then_of(work.old, here, known)
+    size = _size_of(f)
     begun = price(bits)
     chosen = look_at_support(bits, work, here, near, then)
-    bit = _worth_holding(bits, law, work, here, near, state == 1, f, chosen, rule)
-    bit = mix(bits, 3, chosen, bit)
+    bit = mix(bits, 3, chosen, _held(bits, law, work, here, near, state == 1, f, size, chosen, rule))
     told = price(bits)
     prices[0] += told - begun
     if not bit:
         return
     voxel.expect(law, work, here, near, state == 1)
     voxel.look(law, work, here, near)
-    size = np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
-    still = np.int64(
-        kept(work.rows[ws.EXPECTED, 0], work.rows[ws.EXPECTED, 1], work.rows[ws.EXPECTED, 2], f, size, rule)
-    )
-    if rule.free:
-        bits.state[TASK], bits.cost[0] = PRICING, 0.0
-        voxel.code_still(bits, law, work, here, then, np.int64(1))
-        still = still_pays(bits, law, work, here, f, size, rule)
-        bits.state[TASK] = WRITING
+    expected = work.rows[ws.EXPECTED]
+    still = np.int64(kept(expected[0], expected[1], expected[2], f, size, rule))
     voxel.code_still(bits, law, work, here, then, still)
     prices[1] += price(bits) - told
     told = price(bits)
     if not still:
         voxel.aim(law, work, here)
-        choose(bits, law, work, here, f, size, rule)
+        choose(law, work, f, size, rule)
         for c in range(3):
             voxel.code_step(bits, law, work, c)
             if c == 0:
@@ -310,7 +240,7 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
 
 # An original beside what a decoder makes of it, voxel by voxel of both supports, in float64: bricks of both are
 # merged by their keys, and what neither holds is zero in both.
-MASK, DIRECTION, FREE = 0, 1, 2  # the last: anything goes
+MASK, DIRECTION = 0, 1
 
 _BEHIND = np.iinfo(np.int64).max
 
@@ -318,8 +248,6 @@ _BEHIND = np.iinfo(np.int64).max
 @inlined
 def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle, hidden):
     """The square of |error| / allowed, of an original (x, y, z) and a decoded (u, v, w)."""
-    if rule == FREE:
-        return 0.0
     size2 = x * x + y * y + z * z
     error2 = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
     if error2 == 0.0:

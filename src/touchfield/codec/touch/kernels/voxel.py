@@ -116,21 +116,20 @@ def _gather(work, here):
 def _mean(law, work, here, near):
     """The base: the mean direction of the neighbours, as long as the law makes likely; returns the step there."""
     window, rows = work.window, work.rows
-    s0 = s1 = s2 = total = likely = count = np.int64(0)
+    total = likely = count = np.int64(0)
+    rows[ws.BASE] = 0
     for axis in range(3):
         if near >> axis & 1:
             at = before(here, axis)
             a = np.int64(window[at * ws.WIDTH + ws.LENGTH])
-            s0 += np.int64(window[at * ws.WIDTH])
-            s1 += np.int64(window[at * ws.WIDTH + 1])
-            s2 += np.int64(window[at * ws.WIDTH + 2])
+            for k in range(3):
+                rows[ws.BASE, k] += window[at * ws.WIDTH + k]
             total += a
             likely += max(ahead(window, at, axis), a >> 3)
             count += 1
     scale = min((likely << 16) // (total * count), np.int64(1 << 17))
-    rows[ws.BASE, 0] = (s0 * scale + 32768) >> 16
-    rows[ws.BASE, 1] = (s1 * scale + 32768) >> 16
-    rows[ws.BASE, 2] = (s2 * scale + 32768) >> 16
+    for k in range(3):
+        rows[ws.BASE, k] = (rows[ws.BASE, k] * scale + 32768) >> 16
     step = ws.step_at(likely // count, law.floor, law.rate)
     work.of[INVERSE] = (np.int64(1) << 32) // step
     return step
@@ -139,19 +138,16 @@ def _mean(law, work, here, near):
 @inlined
 def _corrected(work, kind, step):
     """The blend: the base, and what the weights of a kind make of the features."""
+    rows, inverse = work.rows, work.of[INVERSE]
     work.of[_CORRECTED] = kind
-    s0 = s1 = s2 = np.int64(0)
-    for n in range(ws.FEATURES):
-        weight = work.weights[kind, n]
-        for k in range(3):
-            f = (work.rows[ws.FEATURE + n, k] * work.of[INVERSE]) >> 24
-            work.rows[ws.FEATURE + n, k] = min(max(f, np.int64(-_FEATURE_LIMIT)), np.int64(_FEATURE_LIMIT))
-        s0 += weight * work.rows[ws.FEATURE + n, 0]
-        s1 += weight * work.rows[ws.FEATURE + n, 1]
-        s2 += weight * work.rows[ws.FEATURE + n, 2]
-    work.rows[ws.BLEND, 0] = _bounded(work.rows[ws.BASE, 0] + ((s0 >> 16) * step >> 8))
-    work.rows[ws.BLEND, 1] = _bounded(work.rows[ws.BASE, 1] + ((s1 >> 16) * step >> 8))
-    work.rows[ws.BLEND, 2] = _bounded(work.rows[ws.BASE, 2] + ((s2 >> 16) * step >> 8))
+    for k in range(3):
+        total = np.int64(0)
+        for n in range(ws.FEATURES):
+            f = (rows[ws.FEATURE + n, k] * inverse) >> 24
+            f = min(max(f, np.int64(-_FEATURE_LIMIT)), np.int64(_FEATURE_LIMIT))
+            rows[ws.FEATURE + n, k] = f
+            total += work.weights[kind, n] * f
+        rows[ws.BLEND, k] = _bounded(rows[ws.BASE, k] + ((total >> 16) * step >> 8))
 
 
 @lean
@@ -309,13 +305,13 @@ def aim(law, work, here):
     """Set centre, axes and level of the residual, and on which side of it other predictions lie."""
     of, rows = work.of, work.rows
     for k in range(3):
-        rows[ws.CENTRE, k] = work.rows[ws.BLEND, k]
+        rows[ws.CENTRE, k] = rows[ws.BLEND, k]
         if of[BASED]:  # seen from the blend the other opinion lies the other way
-            work.rows[ws.APART, k] = -work.rows[ws.APART, k]
+            rows[ws.APART, k] = -rows[ws.APART, k]
     length = ws.length_of(rows[ws.CENTRE, 0], rows[ws.CENTRE, 1], rows[ws.CENTRE, 2])
     if rows[ws.CENTRE, 0] == 0 and rows[ws.CENTRE, 1] == 0 and rows[ws.CENTRE, 2] == 0:
         rows[ws.CENTRE, 2] = 1
-    ws.axes_along(rows[ws.CENTRE, 0], rows[ws.CENTRE, 1], rows[ws.CENTRE, 2], length, rows)
+    ws.axes_along(rows, length)
     of[LEVEL] = ws.level_of(min(length, (1 << 18) - 1), law.border, law.first)
     of[_LENGTH] = length
     step = ws.step_at(length, law.floor, law.rate)

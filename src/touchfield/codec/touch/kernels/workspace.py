@@ -105,44 +105,32 @@ def length_of(v0, v1, v2):
 
 
 @lean
-def store(window, at, v0, v1, v2, a, sizes, slope):
+def store(window, at, vector, a, sizes, slope):
     """Fill a cell: moving along the force by a sample a penalty field loses `slope` of its length."""
-    c = at * WIDTH
-    window[c] = v0
-    window[c + 1] = v1
-    window[c + 2] = v2
-    window[c + 3] = a
-    inverse = (np.int64(1) << 28) // a
-    window[c + 4] = a - ((((v0 * inverse) >> 14) * slope[0]) >> 14)
-    window[c + 5] = a - ((((v1 * inverse) >> 14) * slope[1]) >> 14)
-    window[c + 6] = a - ((((v2 * inverse) >> 14) * slope[2]) >> 14)
-    window[c + 7] = sizes
+    c, inverse = at * WIDTH, (np.int64(1) << 28) // a
+    for k in range(3):
+        window[c + k] = vector[k]
+        window[c + AHEAD + k] = a - ((((vector[k] * inverse) >> 14) * slope[k]) >> 14)
+    window[c + LENGTH], window[c + SIZES] = a, sizes
 
 
 @lean
 def load(window, cells, near, n):
     """The halo of brick n: two cells deep before it, one behind, of the bricks that are decoded; `near` [n, 13]."""
+    for at in range(_CELLS):
+        window[at * WIDTH + LENGTH] = 0
     for s in range(13):
         dx, dy, dz, slot = s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1, near[n, s]
+        if slot < 0:
+            continue
         z0, z1 = 6 if dz < 0 else 0, 1 if dz > 0 else 8
         for x in range(6 if dx < 0 else 0, 8):
             for y in range(6 if dy < 0 else 0, 1 if dy > 0 else 8):
                 to = (((x + 8 * dx + LOW) * SIDE + y + 8 * dy + LOW) * SIDE + z0 + 8 * dz + LOW) * WIDTH
-                if slot < 0:
-                    for z in range(z1 - z0):
-                        window[to + z * WIDTH + LENGTH] = 0
-                else:
-                    at = (x * 8 + y) * 8 + z0
-                    for z in range(z1 - z0):
-                        for q in range(WIDTH):
-                            window[to + z * WIDTH + q] = cells[slot, at + z, q]
-    # what comes later: of this brick, and beside it
-    for x in range(LOW, LOW + 8):
-        for y in range(LOW, LOW + 9):
-            row = (x * SIDE + y) * SIDE
-            first = LOW if y < LOW + 8 else 0
-            for z in range(first, LOW + 9):
-                window[(row + z) * WIDTH + LENGTH] = 0
+                at = (x * 8 + y) * 8 + z0
+                for z in range(z1 - z0):
+                    for q in range(WIDTH):
+                        window[to + z * WIDTH + q] = cells[slot, at + z, q]
 
 
 @lean
@@ -165,33 +153,27 @@ def copy_reference(window, old, slope):
                 at = (x * SIDE + y) * SIDE + z
                 a = np.int64(old[at * 4 + 3])
                 if a > 0:
-                    v0, v1, v2 = np.int64(old[at * 4]), np.int64(old[at * 4 + 1]), np.int64(old[at * 4 + 2])
-                    store(window, at, v0, v1, v2, a, np.int64(0), slope)
+                    vector = np.int64(old[at * 4]), np.int64(old[at * 4 + 1]), np.int64(old[at * 4 + 2])
+                    store(window, at, vector, a, np.int64(0), slope)
 
 
 @lean
 def load_reference(old, vectors, around, n):
     """Brick n of the reference and one cell around it; `around` [n, 27] holds its slots, below 0 for none."""
+    for at in range(_CELLS):
+        old[at * 4 + 3] = 0
     for s in range(27):
-        dx, dy, dz = s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1
-        slot = around[n, s]
+        dx, dy, dz, slot = s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1, around[n, s]
+        if slot < 0:
+            continue
         for x in range(7 if dx < 0 else 0, 1 if dx > 0 else 8):
             for y in range(7 if dy < 0 else 0, 1 if dy > 0 else 8):
                 for z in range(7 if dz < 0 else 0, 1 if dz > 0 else 8):
                     to = (((x + 8 * dx + LOW) * SIDE + y + 8 * dy + LOW) * SIDE + z + 8 * dz + LOW) * 4
-                    if slot < 0:
-                        old[to + 3] = 0
-                        continue
-                    at = (x * 8 + y) * 8 + z
-                    v0, v1 = np.int64(vectors[slot, at, 0]), np.int64(vectors[slot, at, 1])
-                    v2 = np.int64(vectors[slot, at, 2])
-                    old[to] = v0
-                    old[to + 1] = v1
-                    old[to + 2] = v2
-                    a = np.int64(0)
+                    v0, v1, v2 = vectors[slot, (x * 8 + y) * 8 + z]
+                    old[to], old[to + 1], old[to + 2] = v0, v1, v2
                     if v0 != 0 or v1 != 0 or v2 != 0:
-                        a = length_of(v0, v1, v2)
-                    old[to + 3] = a
+                        old[to + 3] = length_of(np.int64(v0), np.int64(v1), np.int64(v2))
 
 
 LIMIT = (1 << 17) - 1  # no component of a decoded vector is beyond it, units
@@ -228,25 +210,22 @@ def step_at(a, floor, rate):
 
 
 @lean
-def axes_along(p0, p1, p2, a, rows):
-    """Three unit vectors, 1/16384, along (p0, p1, p2) of length a >= 1 and across, into rows from `AXES` on."""
-    inverse = (np.int64(1) << 44) // a
-    e0 = (p0 * inverse + (1 << 29)) >> 30
-    e1 = (p1 * inverse + (1 << 29)) >> 30
-    e2 = (p2 * inverse + (1 << 29)) >> 30
-    if abs(e2) < 14746:
-        h0, h1, h2 = -e1, e0, np.int64(0)
+def axes_along(rows, length):
+    """Three unit vectors, 1/16384, along the row `CENTRE` of a length >= 1 and across, into rows from `AXES` on."""
+    e, h = rows[AXES], rows[AXES + 1]
+    inverse = (np.int64(1) << 44) // length
+    for k in range(3):
+        e[k] = (rows[CENTRE, k] * inverse + (1 << 29)) >> 30
+    if abs(e[2]) < 14746:
+        h[0], h[1], h[2] = -e[1], e[0], 0
     else:
-        h0, h1, h2 = np.int64(0), -e2, e1
-    inverse = (np.int64(1) << 44) // max(np.int64(1), root(h0 * h0 + h1 * h1 + h2 * h2))
-    h0 = (h0 * inverse + (1 << 29)) >> 30
-    h1 = (h1 * inverse + (1 << 29)) >> 30
-    h2 = (h2 * inverse + (1 << 29)) >> 30
-    rows[AXES + 0, 0], rows[AXES + 0, 1], rows[AXES + 0, 2] = e0, e1, e2
-    rows[AXES + 1, 0], rows[AXES + 1, 1], rows[AXES + 1, 2] = h0, h1, h2
-    rows[AXES + 2, 0] = (e1 * h2 - e2 * h1) >> 14
-    rows[AXES + 2, 1] = (e2 * h0 - e0 * h2) >> 14
-    rows[AXES + 2, 2] = (e0 * h1 - e1 * h0) >> 14
+        h[0], h[1], h[2] = 0, -e[2], e[1]
+    inverse = (np.int64(1) << 44) // max(np.int64(1), root(h[0] * h[0] + h[1] * h[1] + h[2] * h[2]))
+    for k in range(3):
+        h[k] = (h[k] * inverse + (1 << 29)) >> 30
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        rows[AXES + 2, k] = (e[i] * h[j] - e[j] * h[i]) >> 14
 
 
 @lean
