@@ -9,7 +9,6 @@ is allocated for it.
 from __future__ import annotations
 
 import math
-import operator
 import re
 import struct
 from abc import ABC, abstractmethod
@@ -71,52 +70,45 @@ class FieldType(ABC):
         """The value at the cursor; CorruptFile, naming `where`, if the bytes run out or it is out of bounds."""
 
 
-class Whole(FieldType):
-    """A whole number without sign: u8, u16, u32 or u64."""
+class Number(FieldType):
+    """A number from `low` to `high`, in the bytes of `packing`; `words` say of what kind."""
 
-    def __init__(self, code: str, low: int = 0, high: int | None = None) -> None:
-        self.packing, size = WHOLE[code], WHOLE[code].size
-        self.low, self.top = low, (1 << 8 * size) - 1 if high is None else high
-        super().__init__(code, f"{low} to {self.top}" if low < self.top else str(low), size, size)
-
-    def encode(self, value: Any, where: str) -> bytes:
-        try:
-            number = -1 if isinstance(value, bool) else operator.index(value)
-        except TypeError:
-            number = -1
-        if not self.low <= number <= self.top:
-            raise InvalidArgument(where, shown(value), f"a whole number, {self.bounds}")
-        return self.packing.pack(number)
-
-    def decode(self, cursor: Cursor, where: str) -> int:
-        value: int = cursor.number(self.packing, where)
-        if not self.low <= value <= self.top:
-            raise cursor.corrupt(where, str(value), self.bounds, self.smallest)
-        return value
-
-
-class Real(FieldType):
-    """A finite number from `low` to `high`, f64 of IEEE 754."""
-
-    def __init__(self, low: float, high: float) -> None:
-        self.low, self.high = low, high
-        super().__init__("f64", f"{low:.15g} to {high:.15g}", REAL.size, REAL.size)
+    def __init__(self, wire: str, bounds: str, packing: struct.Struct, low: float, high: float, words: str) -> None:
+        self.packing, self.low, self.high, self.words = packing, low, high, words
+        super().__init__(wire, bounds, packing.size, packing.size)
 
     def encode(self, value: Any, where: str) -> bytes:
         try:
             # float() would take a string too, struct takes numbers only
-            packed = REAL.pack(value)
+            packed = b"" if isinstance(value, bool) else self.packing.pack(value)
         except (struct.error, TypeError, ValueError, OverflowError):
             packed = b""
         if not packed or not self.low <= value <= self.high:
-            raise InvalidArgument(where, shown(value), f"a number, {self.bounds}")
+            raise InvalidArgument(where, shown(value), f"{self.words}, {self.bounds}")
         return packed
 
-    def decode(self, cursor: Cursor, where: str) -> float:
-        value: float = cursor.number(REAL, where)
+    def decode(self, cursor: Cursor, where: str) -> Any:
+        value = cursor.number(self.packing, where)
         if not self.low <= value <= self.high:
             raise cursor.corrupt(where, repr(value), self.bounds, self.smallest)
         return value
+
+
+class Whole(Number):
+    """A whole number without sign: u8, u16, u32 or u64."""
+
+    def __init__(self, code: str, low: int = 0, high: int | None = None) -> None:
+        packing = WHOLE[code]
+        top = (1 << 8 * packing.size) - 1 if high is None else high
+        bounds = f"{low} to {top}" if low < top else str(low)
+        super().__init__(code, bounds, packing, low, top, "a whole number")
+
+
+class Real(Number):
+    """A finite number from `low` to `high`, f64 of IEEE 754."""
+
+    def __init__(self, low: float, high: float) -> None:
+        super().__init__("f64", f"{low:.15g} to {high:.15g}", REAL, low, high, "a number")
 
 
 class Array(FieldType):
