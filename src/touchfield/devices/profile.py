@@ -186,7 +186,9 @@ def _value(entry: object, rule: _Field, where: str) -> tuple[Any, str]:
     for key in entry:
         if key not in ("value", "source"):
             raise DeviceError(f"{where}.{key}", "an unknown key", "value and source")
-    source, value, where = _text(entry.get("source"), f"{where}.source"), entry.get("value"), f"{where}.value"
+    source = _text(entry.get("source"), f"{where}.source")
+    value: Any = entry.get("value")
+    where += ".value"
     if rule.text:
         return _text(value, where), source
     numbers = value if isinstance(value, list) and rule.count > 1 else [value]

@@ -241,7 +241,7 @@ class BodyReader(SegmentReader):
         """The symbols of a frame, read after those of the frames before it."""
         kind, (amplitudes, directions), tables = frame.kind, frame.streams, self._set(frame.kind)
         bricks, mask = decode_support(frame.support, self._grid, self._before if kind == FrameKind.INTER else None)
-        sent, levels = decode_symbols(tables.amplitude_code, amplitudes, np.count_nonzero(mask), len(tables.levels))
+        sent, levels = decode_symbols(tables.amplitude_code, amplitudes, int(mask.sum()), len(tables.levels))
         _, places = decode_symbols(tables.direction_code, directions, len(levels), len(self._codebook))
         if kind != FrameKind.DIFFERENCE:
             self._before = bricks, mask

@@ -124,42 +124,26 @@ def from_bricks(stage: str, coefficients: Int64s) -> Int64s:
 def _from_wavelet(coefficients: Int64s) -> Int64s:
     out = coefficients.copy()
     for level in reversed(range(LEVELS)):
-        size = BRICK >> level
-        part = out[:, :size, :size, :size]
+        half = BRICK >> (level + 1)
+        part = out[:, : 2 * half, : 2 * half, : 2 * half]
         for axis in (3, 2, 1):
-            part[...] = lifted(part, axis, _joined)
+            x = np.moveaxis(part, axis, 0)
+            coarse, detail = x[:half].copy(), x[half:].copy()
+            x[0::2] = coarse - ((np.concatenate([detail[:1], detail[:-1]]) + detail + 2) >> 2)
+            x[1::2] = detail + ((x[0::2] + np.concatenate([x[2::2], x[-2:-1]])) >> 1)
     return out
-
-
-def lifted(part: Int64s, axis: int, step: Callable[[Int64s], Int64s]) -> Int64s:
-    """A step of lifting along one axis."""
-    return np.moveaxis(step(np.moveaxis(part, axis, 0)), 0, axis)
-
-
-def _joined(x: Int64s) -> Int64s:
-    half = len(x) // 2
-    coarse, detail = x[:half], x[half:]
-    out = np.empty_like(x)
-    out[0::2] = coarse - ((np.concatenate([detail[:1], detail[:-1]]) + detail + 2) >> 2)
-    out[1::2] = detail + ((out[0::2] + np.concatenate([out[2::2], out[-2:-1]])) >> 1)
-    return out
-
-
-def cosines() -> Int64s:
-    """The orthonormal DCT of type 2 in 2^-18, int64 [frequency, sample]."""
-    frequency, sample = np.indices((BRICK, BRICK))
-    scale = np.where(frequency == 0, np.sqrt(1 / BRICK), np.sqrt(2 / BRICK))
-    made = scale * np.cos(np.pi * (2 * sample + 1) * frequency / (2 * BRICK))
-    return np.rint(made * (1 << _COSINE_BITS)).astype(np.int64)
 
 
 def _from_dct(coefficients: Int64s) -> Int64s:
     """In parts of 2^-8 of a step; rounded after each axis."""
-    basis, out = cosines(), coefficients << _FRACTION
+    frequency, sample = np.indices((BRICK, BRICK))
+    scale = np.where(frequency == 0, np.sqrt(1 / BRICK), np.sqrt(2 / BRICK))
+    cosines = scale * np.cos(np.pi * (2 * sample + 1) * frequency / (2 * BRICK))
+    basis, out = np.rint(cosines * (1 << _COSINE_BITS)).astype(np.int64), coefficients << _FRACTION
     for axis in (1, 2, 3):
         turned = np.moveaxis(out, axis, -1)
-        made = sum(turned[..., f : f + 1] * basis[f] for f in range(BRICK))
-        out = np.moveaxis((made + (1 << (_COSINE_BITS - 1))) >> _COSINE_BITS, -1, axis)
+        total = sum(turned[..., f : f + 1] * basis[f] for f in range(BRICK))
+        out = np.moveaxis((total + (1 << (_COSINE_BITS - 1))) >> _COSINE_BITS, -1, axis)
     return out
 
 

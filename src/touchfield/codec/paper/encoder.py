@@ -29,7 +29,7 @@ from touchfield.codec.paper.body import (
     rebuilt,
     set_of,
 )
-from touchfield.codec.paper.decoder import BY_BRICK, GRAIN, LEVELS, ORDER, lifted
+from touchfield.codec.paper.decoder import BY_BRICK, GRAIN, LEVELS, ORDER
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.kernels import LONGEST, adpcm, pack_bits
 from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
@@ -343,16 +343,13 @@ def _to_wavelet(points: Int64s) -> Int64s:
     out = points.copy()
     for level in range(LEVELS):
         size = BRICK >> level
-        part = out[:, :size, :size, :size]
         for axis in (1, 2, 3):
-            part[...] = lifted(part, axis, _split)
+            x = np.moveaxis(out[:, :size, :size, :size], axis, 0)
+            even = x[0::2]
+            detail = x[1::2] - ((even + np.concatenate([even[1:], even[-1:]])) >> 1)
+            coarse = even + ((np.concatenate([detail[:1], detail[:-1]]) + detail + 2) >> 2)
+            x[...] = np.concatenate([coarse, detail])
     return out
-
-
-def _split(x: Int64s) -> Int64s:
-    even, odd = x[0::2], x[1::2]
-    detail = odd - ((even + np.concatenate([even[1:], even[-1:]])) >> 1)
-    return np.concatenate([even + ((np.concatenate([detail[:1], detail[:-1]]) + detail + 2) >> 2), detail])
 
 
 def _to_dct(steps: Float64s) -> Int64s:
