@@ -176,6 +176,7 @@ class Text(FieldType):
 
     def __init__(self, limit: int, pattern: Pattern = TEXT, least: int = 0) -> None:
         self.limit, self.pattern, self.least = limit, pattern, least
+        self.length = Whole("u16", least, limit)
         sizes = f"{least} to" if least else "at most"
         super().__init__("str", f"{sizes} {limit} bytes, {pattern.words}", 2 + least, 2 + limit)
 
@@ -186,19 +187,16 @@ class Text(FieldType):
             data = None
         if data is None or not self.least <= len(data) <= self.limit or not self.pattern.holds(value):
             raise InvalidArgument(where, shown(value), f"a string, {self.bounds}")
-        return WHOLE["u16"].pack(len(data)) + data
+        return self.length.encode(len(data), where) + data
 
     def decode(self, cursor: Cursor, where: str) -> str:
-        length: int = cursor.number(WHOLE["u16"], where)
-        if not self.least <= length <= self.limit:
-            raise cursor.corrupt(where, f"a length of {length} bytes", self.bounds, 2)
-        data = cursor.take(length, where)
+        data = cursor.take(self.length.decode(cursor, f"{where} (bytes)"), where)
         try:
             text = data.decode("utf-8")
         except UnicodeDecodeError:
-            raise cursor.corrupt(where, "bytes that are not UTF-8", self.bounds, length) from None
+            raise cursor.corrupt(where, "bytes that are not UTF-8", self.bounds, len(data)) from None
         if not self.pattern.holds(text):
-            raise cursor.corrupt(where, shown(text), self.bounds, length)
+            raise cursor.corrupt(where, shown(text), self.bounds, len(data))
         return text
 
 
@@ -206,20 +204,15 @@ class Octets(FieldType):
     """Bytes that another document explains: their number as u32, then they."""
 
     def __init__(self, limit: int) -> None:
-        self.limit = limit
+        self.limit, self.length = limit, Whole("u32", 0, limit)
         super().__init__("bytes", f"at most {limit} bytes", 4, 4 + limit)
 
     def encode(self, value: Any, where: str) -> bytes:
         data = octets(value, where)
-        if len(data) > self.limit:
-            raise InvalidArgument(where, f"{len(data)} bytes", self.bounds)
-        return WHOLE["u32"].pack(len(data)) + data
+        return self.length.encode(len(data), f"{where} (bytes)") + data
 
     def decode(self, cursor: Cursor, where: str) -> bytes:
-        length: int = cursor.number(WHOLE["u32"], where)
-        if length > self.limit:
-            raise cursor.corrupt(where, f"a length of {length} bytes", self.bounds, 4)
-        return cursor.take(length, where)
+        return cursor.take(self.length.decode(cursor, f"{where} (bytes)"), where)
 
 
 class Rest(FieldType):
@@ -240,20 +233,18 @@ class Listed(FieldType):
 
     def __init__(self, of: FieldType, limit: int, code: str = "u16") -> None:
         self.of, self.limit, self.code = of, limit, code
-        self.packing, size = WHOLE[code], WHOLE[code].size
+        self.count, size = Whole(code, 0, limit), WHOLE[code].size
         bounds = f"at most {limit}; each {of.bounds}"
         super().__init__(f"list ({code}) of {of.wire}", bounds, size, size + limit * of.largest)
 
     def encode(self, value: Any, where: str) -> bytes:
-        if not isinstance(value, (list, tuple)) or len(value) > self.limit:
+        if not isinstance(value, (list, tuple)):
             raise InvalidArgument(where, shown(value), f"a list of at most {self.limit}")
         members = [self.of.encode(member, f"{where}[{i}]") for i, member in enumerate(value)]
-        return self.packing.pack(len(value)) + b"".join(members)
+        return self.count.encode(len(value), f"{where} (members)") + b"".join(members)
 
     def decode(self, cursor: Cursor, where: str) -> tuple[Any, ...]:
-        count: int = cursor.number(self.packing, where)
-        if count > self.limit:
-            raise cursor.corrupt(where, f"{count} members", f"at most {self.limit}", self.smallest)
+        count = self.count.decode(cursor, f"{where} (members)")
         if count * self.of.smallest > cursor.remaining:
             found = f"{count} members in {cursor.remaining} bytes"
             raise cursor.corrupt(where, found, f"at least {self.of.smallest} bytes each", self.smallest)
