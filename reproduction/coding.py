@@ -7,11 +7,14 @@ of the whole file counts the whole file.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from touchfield.codec.paper.body import BodyReader
+from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.segment import BitAccount, FrameStats, compression_ratio
 from touchfield.errors import InvalidArgument
@@ -131,7 +134,9 @@ class CodedScene:
             encode(self._scene, path, self._spec(frame_count, paper))
             with open_stream(path) as opened:
                 assert isinstance(opened, VoxelStream)
-                frames = tuple(opened.decoder.stats(opened.reader.read_segment(0), frame_count))
+                codebook = Codebook.get(opened.decoder.describe()["directions"])
+                segment = BodyReader(opened.reader.read_segment(0), self.fields[0].grid, codebook)
+                frames = tuple(_stats(segment, frame_count))
                 for original, decoded in zip(self.fields, opened.medium, strict=False):
                     meter.add(original, decoded)
                 file_bits = 8 * opened.file_bytes
@@ -146,6 +151,13 @@ class CodedScene:
             frames,
             voxels,
         )
+
+
+def _stats(segment: BodyReader, frame_count: int) -> Iterator[FrameStats]:
+    """Cost of each frame of a segment, and how many samples it holds and sends."""
+    for frame, cost in segment.frames(frame_count):
+        symbols = segment.symbols(frame)
+        yield FrameStats(cost.kind, len(symbols.sent), len(symbols.levels), cost.bits)
 
 
 class _Kept(Scene):

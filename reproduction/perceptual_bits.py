@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.paper.field_quantiser import Components, FieldQuantiser, Pairs, VectorQuantiser
+from touchfield.codec.paper.field_quantiser import Components, FieldQuantiser, Pairs
 from touchfield.codec.paper.quantisers import weber_levels
 from touchfield.perception.weber import WeberLadder
 
@@ -38,6 +38,7 @@ K_AMPLITUDE: Final = 0.05
 
 LEVELS: Final = 63
 DIRECTIONS: Final = "ico20"
+SLACK: Final = 1 + 1e-6  # what rounding to float32 adds to a force
 
 
 class PerceptualFilter:
@@ -62,9 +63,9 @@ class PerceptualFilter:
 
     def vectors_of(self, symbols: NDArray[np.int32]) -> NDArray[np.float32]:
         """The codewords, newtons, float32 [m, 3]; of a magnitude alone along +z, as an actuator pushes."""
-        quantiser = self.quantiser.vectors
+        quantiser = self.quantiser
         if not isinstance(quantiser, Pairs) or quantiser.codebook is not None:
-            return self.quantiser.vectors_of(symbols)
+            return quantiser.vectors_of(symbols)
         vectors = np.zeros((len(symbols), 3), np.float32)
         vectors[:, 2] = quantiser.levels.levels_n[symbols]
         return vectors
@@ -81,27 +82,23 @@ def three_times_six(force_max_n: float) -> PerceptualFilter:
     """Three signed components of six bits: 31 levels to each side, and zero."""
     ladder = _ladder(K_COMPONENT, LEVELS // 2, force_max_n)
     words = f"weber-components:{K_COMPONENT}/{LEVELS // 2}"
-    return PerceptualFilter(_quantiser(words, force_max_n, Components(weber_levels(ladder))), ladder.force_min_n)
+    return PerceptualFilter(Components(words, force_max_n * SLACK, weber_levels(ladder)), ladder.force_min_n)
 
 
 def six_and_twelve(force_max_n: float) -> PerceptualFilter:
     """Six bits of amplitude, 63 levels and zero, and twelve of direction, 4002 vertices."""
     ladder = _ladder(K_AMPLITUDE, LEVELS, force_max_n)
-    pairs = Pairs(weber_levels(ladder), Codebook.get(DIRECTIONS))
     words = f"weber:{K_AMPLITUDE}, {LEVELS} levels/{DIRECTIONS}"
-    return PerceptualFilter(_quantiser(words, force_max_n, pairs), ladder.force_min_n)
+    pairs = Pairs(words, force_max_n * SLACK, weber_levels(ladder), Codebook.get(DIRECTIONS))
+    return PerceptualFilter(pairs, ladder.force_min_n)
 
 
 def six_bits(force_max_n: float) -> PerceptualFilter:
     """Six bits of magnitude for an actuator: 63 levels and zero."""
     ladder = _ladder(K_AMPLITUDE, LEVELS, force_max_n)
     words = f"weber:{K_AMPLITUDE}, {LEVELS} levels"
-    return PerceptualFilter(_quantiser(words, force_max_n, Pairs(weber_levels(ladder))), ladder.force_min_n)
+    return PerceptualFilter(Pairs(words, force_max_n * SLACK, weber_levels(ladder)), ladder.force_min_n)
 
 
 def _ladder(k: float, steps: int, force_max_n: float) -> WeberLadder:
     return WeberLadder(k, force_max_n / WeberLadder(k, 1.0, 1).ratio ** steps, steps)
-
-
-def _quantiser(words: str, force_max_n: float, vectors: VectorQuantiser) -> FieldQuantiser:
-    return FieldQuantiser(words, force_max_n * (1 + 1e-6), vectors)  # what rounding to float32 adds

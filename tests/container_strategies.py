@@ -51,7 +51,7 @@ def allowed(kind: FieldType) -> Values:
 
 @allowed.register
 def _(kind: Whole) -> Values:
-    return st.integers(kind.low, kind.top) | st.sampled_from([kind.low, kind.top])
+    return st.integers(kind.low, kind.high) | st.sampled_from([kind.low, kind.high])
 
 
 @allowed.register
@@ -116,7 +116,7 @@ def refused(kind: FieldType) -> Iterator[tuple[Any, bytes | None]]:
 @refused.register
 def _(kind: Whole) -> Iterator[tuple[Any, bytes | None]]:
     size = kind.smallest
-    for value in (kind.low - 1, kind.top + 1):
+    for value in (kind.low - 1, kind.high + 1):
         fits = 0 <= value < 1 << 8 * size
         yield value, value.to_bytes(size, "little") if fits else None
     yield from ((1.5, None), ("1", None), (None, None), (True, None))

@@ -250,7 +250,10 @@ CRAFTED = {
         assembled(HEAD, SEGMENT, framed("INDX", b"\xff\xff\xff\x7f")),
         "INDX.segments at byte .*2147483647 members in 0 bytes",
     ),
-    "count beyond its bound": (assembled(HEAD, SEGMENT, framed("INDX", b"\xff" * 4)), "4294967295 members"),
+    "count beyond its bound": (
+        assembled(HEAD, SEGMENT, framed("INDX", b"\xff" * 4)),
+        r"INDX\.segments \(members\) at byte .*: found 4294967295",
+    ),
     "segment not in the index": (with_segment(late=SEGMENT), "a record that the index does not name"),
     "second head": (with_segment(before=HEAD), "HEAD once, first"),
     "second index": (with_segment(after=index_of(GOOD)), "INDX once"),

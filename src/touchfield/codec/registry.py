@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_chec
 from touchfield.errors import InvalidArgument, UnsupportedVersion
 
 if TYPE_CHECKING:
-    from touchfield.codec.segment import CodedSegment, FrameCost, FrameStats
+    from touchfield.codec.segment import CodedSegment, FrameCost
     from touchfield.medium import ForceField, Grid
 
 
@@ -60,9 +60,6 @@ class FieldDecoder(Protocol):
 
     def costs(self, body: bytes, frame_count: int) -> Sequence[FrameCost]:
         """Cost of each frame of a segment, without decoding it."""
-
-    def stats(self, body: bytes, frame_count: int) -> list[FrameStats]:
-        """Cost of each frame of a segment, and how many samples it holds and sends."""
 
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""

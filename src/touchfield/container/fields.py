@@ -9,7 +9,6 @@ is allocated for it.
 from __future__ import annotations
 
 import math
-import operator
 import re
 import struct
 from abc import ABC, abstractmethod
@@ -71,52 +70,45 @@ class FieldType(ABC):
         """The value at the cursor; CorruptFile, naming `where`, if the bytes run out or it is out of bounds."""
 
 
-class Whole(FieldType):
-    """A whole number without sign: u8, u16, u32 or u64."""
+class Number(FieldType):
+    """A number from `low` to `high`, in the bytes of `packing`; `words` say of what kind."""
 
-    def __init__(self, code: str, low: int = 0, high: int | None = None) -> None:
-        self.packing, size = WHOLE[code], WHOLE[code].size
-        self.low, self.top = low, (1 << 8 * size) - 1 if high is None else high
-        super().__init__(code, f"{low} to {self.top}" if low < self.top else str(low), size, size)
-
-    def encode(self, value: Any, where: str) -> bytes:
-        try:
-            number = -1 if isinstance(value, bool) else operator.index(value)
-        except TypeError:
-            number = -1
-        if not self.low <= number <= self.top:
-            raise InvalidArgument(where, shown(value), f"a whole number, {self.bounds}")
-        return self.packing.pack(number)
-
-    def decode(self, cursor: Cursor, where: str) -> int:
-        value: int = cursor.number(self.packing, where)
-        if not self.low <= value <= self.top:
-            raise cursor.corrupt(where, str(value), self.bounds, self.smallest)
-        return value
-
-
-class Real(FieldType):
-    """A finite number from `low` to `high`, f64 of IEEE 754."""
-
-    def __init__(self, low: float, high: float) -> None:
-        self.low, self.high = low, high
-        super().__init__("f64", f"{low:.15g} to {high:.15g}", REAL.size, REAL.size)
+    def __init__(self, wire: str, bounds: str, packing: struct.Struct, low: float, high: float, words: str) -> None:
+        self.packing, self.low, self.high, self.words = packing, low, high, words
+        super().__init__(wire, bounds, packing.size, packing.size)
 
     def encode(self, value: Any, where: str) -> bytes:
         try:
             # float() would take a string too, struct takes numbers only
-            packed = REAL.pack(value)
+            packed = b"" if isinstance(value, bool) else self.packing.pack(value)
         except (struct.error, TypeError, ValueError, OverflowError):
             packed = b""
         if not packed or not self.low <= value <= self.high:
-            raise InvalidArgument(where, shown(value), f"a number, {self.bounds}")
+            raise InvalidArgument(where, shown(value), f"{self.words}, {self.bounds}")
         return packed
 
-    def decode(self, cursor: Cursor, where: str) -> float:
-        value: float = cursor.number(REAL, where)
+    def decode(self, cursor: Cursor, where: str) -> Any:
+        value = cursor.number(self.packing, where)
         if not self.low <= value <= self.high:
             raise cursor.corrupt(where, repr(value), self.bounds, self.smallest)
         return value
+
+
+class Whole(Number):
+    """A whole number without sign: u8, u16, u32 or u64."""
+
+    def __init__(self, code: str, low: int = 0, high: int | None = None) -> None:
+        packing = WHOLE[code]
+        top = (1 << 8 * packing.size) - 1 if high is None else high
+        bounds = f"{low} to {top}" if low < top else str(low)
+        super().__init__(code, bounds, packing, low, top, "a whole number")
+
+
+class Real(Number):
+    """A finite number from `low` to `high`, f64 of IEEE 754."""
+
+    def __init__(self, low: float, high: float) -> None:
+        super().__init__("f64", f"{low:.15g} to {high:.15g}", REAL, low, high, "a number")
 
 
 class Array(FieldType):
@@ -184,6 +176,7 @@ class Text(FieldType):
 
     def __init__(self, limit: int, pattern: Pattern = TEXT, least: int = 0) -> None:
         self.limit, self.pattern, self.least = limit, pattern, least
+        self.length = Whole("u16", least, limit)
         sizes = f"{least} to" if least else "at most"
         super().__init__("str", f"{sizes} {limit} bytes, {pattern.words}", 2 + least, 2 + limit)
 
@@ -194,19 +187,16 @@ class Text(FieldType):
             data = None
         if data is None or not self.least <= len(data) <= self.limit or not self.pattern.holds(value):
             raise InvalidArgument(where, shown(value), f"a string, {self.bounds}")
-        return WHOLE["u16"].pack(len(data)) + data
+        return self.length.encode(len(data), where) + data
 
     def decode(self, cursor: Cursor, where: str) -> str:
-        length: int = cursor.number(WHOLE["u16"], where)
-        if not self.least <= length <= self.limit:
-            raise cursor.corrupt(where, f"a length of {length} bytes", self.bounds, 2)
-        data = cursor.take(length, where)
+        data = cursor.take(self.length.decode(cursor, f"{where} (bytes)"), where)
         try:
             text = data.decode("utf-8")
         except UnicodeDecodeError:
-            raise cursor.corrupt(where, "bytes that are not UTF-8", self.bounds, length) from None
+            raise cursor.corrupt(where, "bytes that are not UTF-8", self.bounds, len(data)) from None
         if not self.pattern.holds(text):
-            raise cursor.corrupt(where, shown(text), self.bounds, length)
+            raise cursor.corrupt(where, shown(text), self.bounds, len(data))
         return text
 
 
@@ -214,20 +204,15 @@ class Octets(FieldType):
     """Bytes that another document explains: their number as u32, then they."""
 
     def __init__(self, limit: int) -> None:
-        self.limit = limit
+        self.limit, self.length = limit, Whole("u32", 0, limit)
         super().__init__("bytes", f"at most {limit} bytes", 4, 4 + limit)
 
     def encode(self, value: Any, where: str) -> bytes:
         data = octets(value, where)
-        if len(data) > self.limit:
-            raise InvalidArgument(where, f"{len(data)} bytes", self.bounds)
-        return WHOLE["u32"].pack(len(data)) + data
+        return self.length.encode(len(data), f"{where} (bytes)") + data
 
     def decode(self, cursor: Cursor, where: str) -> bytes:
-        length: int = cursor.number(WHOLE["u32"], where)
-        if length > self.limit:
-            raise cursor.corrupt(where, f"a length of {length} bytes", self.bounds, 4)
-        return cursor.take(length, where)
+        return cursor.take(self.length.decode(cursor, f"{where} (bytes)"), where)
 
 
 class Rest(FieldType):
@@ -248,20 +233,18 @@ class Listed(FieldType):
 
     def __init__(self, of: FieldType, limit: int, code: str = "u16") -> None:
         self.of, self.limit, self.code = of, limit, code
-        self.packing, size = WHOLE[code], WHOLE[code].size
+        self.count, size = Whole(code, 0, limit), WHOLE[code].size
         bounds = f"at most {limit}; each {of.bounds}"
         super().__init__(f"list ({code}) of {of.wire}", bounds, size, size + limit * of.largest)
 
     def encode(self, value: Any, where: str) -> bytes:
-        if not isinstance(value, (list, tuple)) or len(value) > self.limit:
+        if not isinstance(value, (list, tuple)):
             raise InvalidArgument(where, shown(value), f"a list of at most {self.limit}")
         members = [self.of.encode(member, f"{where}[{i}]") for i, member in enumerate(value)]
-        return self.packing.pack(len(value)) + b"".join(members)
+        return self.count.encode(len(value), f"{where} (members)") + b"".join(members)
 
     def decode(self, cursor: Cursor, where: str) -> tuple[Any, ...]:
-        count: int = cursor.number(self.packing, where)
-        if count > self.limit:
-            raise cursor.corrupt(where, f"{count} members", f"at most {self.limit}", self.smallest)
+        count = self.count.decode(cursor, f"{where} (members)")
         if count * self.of.smallest > cursor.remaining:
             found = f"{count} members in {cursor.remaining} bytes"
             raise cursor.corrupt(where, found, f"at least {self.of.smallest} bytes each", self.smallest)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import struct
 import weakref
 import zlib
 from bisect import bisect_right
 from collections.abc import Mapping
+from itertools import islice, takewhile
 from threading import Lock
 from types import MappingProxyType
 from typing import BinaryIO, Final
@@ -37,8 +37,9 @@ from touchfield.container.wire import (
     known_record,
     read_opening,
     read_record,
+    records_between,
 )  # fmt: skip
-from touchfield.errors import CorruptFile, FormatError, InvalidArgument, TruncatedFile
+from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 
 END_SIZE: Final = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
 MIN_SEGMENT: Final = FRAME_SIZE + RECORD_OF["SEGM"].kind.smallest + CRC_SIZE
@@ -108,7 +109,7 @@ class TouchReader:
         frames = {"first_frame": segment.first_frame, "frame_count": segment.frame_count}
         own = SegmentEntry(**frames, offset=found.offset, length=found.end - found.offset, crc32=crc)
         if own != entry:
-            raise CorruptFile(f"{self.name}: {found.name}", str(own), f"{entry}, as the index says", AGAIN)
+            raise CorruptFile(found.where, str(own), f"{entry}, as the index says", AGAIN)
         return segment.body
 
     def read_vibration(self, index: int) -> bytes | None:
@@ -117,13 +118,13 @@ class TouchReader:
         if index not in self._vibrations:
             return None
         found = self._vibrations[index]
-        told: Vibration
-        told, _ = read_record(self._source, found, "VIBR")
-        if (told.first_frame, told.frame_count) != (entry.first_frame, entry.frame_count):
-            wrong = f"{told.frame_count} frames from frame {told.first_frame}"
+        own: Vibration
+        own, _ = read_record(self._source, found, "VIBR")
+        if (own.first_frame, own.frame_count) != (entry.first_frame, entry.frame_count):
+            wrong = f"{own.frame_count} frames from frame {own.first_frame}"
             right = f"{entry.frame_count} from {entry.first_frame}, as in the segment behind it"
-            raise CorruptFile(f"{self.name}: {found.name}", wrong, right, AGAIN)
-        return told.body
+            raise CorruptFile(found.where, wrong, right, AGAIN)
+        return own.body
 
     def read_object(self, index: int) -> ObjectRecord:
         """Object `index`, 0 to ``object_count - 1``, checked against its CRC-32."""
@@ -144,31 +145,30 @@ class TouchReader:
     def _open(self) -> None:
         source = self._source
         opening = read_opening(source)
-        found_head = find_record(source, OPENING_SIZE, source.size)
+        head_record = find_record(source, OPENING_SIZE, source.size)
         self.head: Head
-        self.head, head_crc = read_record(source, found_head, "HEAD")
-        found_end, end = self._read_end(found_head.end)
-        source.expect(end.index_offset, found_end.end)
-        found_index = find_record(source, end.index_offset, found_end.offset)
+        self.head, _ = read_record(source, head_record, "HEAD")
+        end_record, end = self._read_end(head_record.end)
+        source.expect(end.index_offset, end_record.end)
+        index_record = find_record(source, end.index_offset, end_record.offset)
         index: Index
-        index, index_crc = read_record(source, found_index, "INDX")
-        if index.segments and index.segments[0].offset - found_head.end <= MOST_EXPECTED:
-            source.expect(found_head.end, index.segments[0].offset)
-        self._objects = self._find_objects(found_head.end, found_index.offset)
+        index, _ = read_record(source, index_record, "INDX")
+        if index.segments and index.segments[0].offset - head_record.end <= MOST_EXPECTED:
+            source.expect(head_record.end, index.segments[0].offset)
+        self._objects = self._find_objects(head_record.end, index_record.offset)
         self.object_count = len(self._objects)
-        object_crcs = b"".join(source.read_at(found.crc_offset, CRC_SIZE) for found in self._objects)
-        chain = zlib.crc32(opening + struct.pack("<I", head_crc) + object_crcs + struct.pack("<I", index_crc))
+        chained = (head_record, *self._objects, index_record)
+        chain = zlib.crc32(opening + b"".join(source.read_at(one.crc_offset, CRC_SIZE) for one in chained))
         if chain != end.chain_crc32:
             where, expected = f"{self.name}: TEND.chain_crc32", f"{end.chain_crc32:08x}"
-            raise CorruptFile(
-                where, f"CRC-32 {chain:08x} of opening, HEAD, {self.object_count} OBJT and INDX", expected, AGAIN
-            )
+            wrong = f"CRC-32 {chain:08x} of opening, HEAD, {self.object_count} OBJT and INDX"
+            raise CorruptFile(where, wrong, expected, AGAIN)
         self.segments = index.segments
         self._first_frames = [entry.first_frame for entry in self.segments]
-        self._check_segments(found_head.end, found_index.offset)
+        self._check_segments(head_record.end, index_record.offset)
         # between the records that we know: at once, or of a file elsewhere where a segment is asked for
-        ends = [found_head.end, *(entry.offset + entry.length for entry in self.segments), found_index.end]
-        begins = [*(entry.offset for entry in self.segments), found_index.offset, found_end.offset]
+        ends = [head_record.end, *(entry.offset + entry.length for entry in self.segments), index_record.end]
+        begins = [*(entry.offset for entry in self.segments), index_record.offset, end_record.offset]
         self._gaps = dict(enumerate(zip(ends, begins, strict=True)))
         self._vibrations: dict[int, FoundRecord] = {}
         self.provenance: Mapping[str, str] = MappingProxyType({})
@@ -185,7 +185,13 @@ class TouchReader:
             end: End
             end, _ = read_record(source, found, "TEND")
         except (CorruptFile, TruncatedFile) as error:
-            raise self._missing_end(head_end) from error
+            for found in islice(records_between(source, head_end, source.size), MAX_WALKED):
+                if found.tag == "TEND":  # it is whole, and stands elsewhere
+                    read_record(source, found, "TEND")
+                    surplus = f"{source.size - found.end} bytes after it"
+                    raise CorruptFile(found.where, surplus, "none", AGAIN) from error
+            expected = "a TEND record, last"
+            raise TruncatedFile(self.name, f"no end record in {source.size} bytes", expected, AGAIN) from error
         if end.file_length != source.size:
             where, size = f"{self.name}: TEND.file_length", f"{end.file_length} in a file of {source.size} bytes"
             raise CorruptFile(where, size, "its length", "It was joined to another file, or cut within; " + AGAIN)
@@ -194,40 +200,19 @@ class TouchReader:
             raise CorruptFile(where, str(end.index_offset), bounds, AGAIN)
         return found, end
 
-    def _missing_end(self, place: int) -> FormatError:
-        """Why no end record could be read at the end: found by going from record to record."""
-        source = self._source
-        for _ in range(MAX_WALKED):
-            if source.size - place < FRAME_SIZE:
-                break
-            found = find_record(source, place, source.size)
-            place = found.end
-            if found.tag == "TEND":
-                read_record(source, found, "TEND")
-                surplus = f"{source.size - place} bytes after it"
-                return CorruptFile(f"{self.name}: {found.name}", surplus, "none", AGAIN)
-        return TruncatedFile(self.name, f"no end record in {source.size} bytes", "a TEND record, last", AGAIN)
-
-    def _find_objects(self, begin: int, end: int) -> tuple[FoundRecord, ...]:
+    def _find_objects(self, begin: int, end: int) -> list[FoundRecord]:
         """The objects of a file of coder `objects`, which stand before the first segment; none is read."""
-        objects: list[FoundRecord] = []
         if self.head.coder != OBJECTS_CODER:
-            return ()
-        while begin < end:
-            found = find_record(self._source, begin, end)
-            if found.tag == "SEGM":
-                break
-            if found.tag == "OBJT":
-                objects.append(found)
-            if len(objects) > MAX_OBJECTS:
-                where = f"{self.name}: {found.name}"
-                raise CorruptFile(where, f"more than {MAX_OBJECTS} objects", f"at most {MAX_OBJECTS}", AGAIN)
-            begin = found.end
+            return []
+        before = takewhile(lambda found: found.tag != "SEGM", records_between(self._source, begin, end))
+        objects = list(islice((found for found in before if found.tag == "OBJT"), MAX_OBJECTS + 1))
+        if len(objects) > MAX_OBJECTS:
+            expected = f"at most {MAX_OBJECTS}"
+            raise CorruptFile(objects[-1].where, f"more than {MAX_OBJECTS} objects", expected, AGAIN)
         if not objects:
-            raise CorruptFile(
-                f"{self.name}: HEAD.coder", f"{OBJECTS_CODER!r}, and no OBJT", "an OBJT for each object", AGAIN
-            )
-        return tuple(objects)
+            where = f"{self.name}: HEAD.coder"
+            raise CorruptFile(where, f"{OBJECTS_CODER!r}, and no OBJT", "an OBJT for each object", AGAIN)
+        return objects
 
     def _check_segments(self, begin: int, end: int) -> None:
         """Check that the segments hold every frame once and lie between `begin` and `end` without overlap."""
@@ -248,26 +233,22 @@ class TouchReader:
     def _look_before(self, gap: int) -> None:
         """Look once at the records before segment `gap`, before the index, or before the end."""
         with self._lock:
-            place, begin = self._gaps.get(gap, (0, 0))
             objects = {found.offset for found in self._objects} if gap == 0 else set()
             provenance: dict[str, str] | None = None
             vibration: FoundRecord | None = None
-            while place < begin:
-                found = find_record(self._source, place, begin)
-                where = f"{self.name}: {found.name}"
+            for found in records_between(self._source, *self._gaps.get(gap, (0, 0))):
                 if found.tag == "PROV" and provenance is None and gap == 0:
                     story: Provenance = read_record(self._source, found, "PROV")[0]
                     provenance = {pair.key: pair.value for pair in story.pairs}
                     if len(provenance) < len(story.pairs):
-                        raise CorruptFile(where, "a key twice", "every key once", AGAIN)
+                        raise CorruptFile(found.where, "a key twice", "every key once", AGAIN)
                 elif found.tag == "VIBR" and vibration is None and gap < len(self.segments):
                     vibration = found  # read, and its CRC-32 checked, when it is asked for
                 elif found.offset not in objects:
                     check_crc(self._source, found)
-                    if known_record(self._source, found) is not None:
-                        expected = f"{found.tag} {RECORD_OF[found.tag].place}"
-                        raise CorruptFile(where, "a record that the index does not name", expected, AGAIN)
-                place = found.end
+                    if (record := known_record(found)) is not None:
+                        expected = f"{found.tag} {record.place}"
+                        raise CorruptFile(found.where, "a record that the index does not name", expected, AGAIN)
             if provenance is not None:
                 self.provenance = MappingProxyType(provenance)
             if vibration is not None:

@@ -11,10 +11,11 @@ import http.client
 import re
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 from urllib.parse import urljoin, urlsplit
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
@@ -161,28 +162,28 @@ class _Http:
             raise self._failed("an address that is not http or https")
         path = (to.path or "/") + (f"?{to.query}" if to.query else "")
         headers = {"Range": f"bytes={offset}-{offset + size - 1}", "Accept-Encoding": "identity"}
-        for again in (self._link is None, True):
+        while True:
+            is_new = self._link is None
             if self._link is None:
                 link = http.client.HTTPSConnection if to.scheme == "https" else http.client.HTTPConnection
                 self._link = link(to.hostname, to.port, timeout=_PATIENCE_S)
             try:
                 self._link.request("GET", path, headers=headers)
                 return self._link.getresponse()
-            except (ConnectionError, http.client.RemoteDisconnected, http.client.CannotSendRequest):
+            except (ConnectionError, http.client.CannotSendRequest):
                 self.close()
-                if again:
+                if is_new:
                     raise
-        raise AssertionError("a request without an answer or an error")
 
     def _part(self, answer: http.client.HTTPResponse, offset: int, size: int, deadline: float) -> _Part:
-        told = _RANGE.fullmatch(answer.getheader("Content-Range") or "")
+        content = _RANGE.fullmatch(answer.getheader("Content-Range") or "")
         if answer.status == 200:
             mend = "Serve it with one that does, such as: touchfield serve FOLDER."
             raise self._failed("a server that does not answer ranges", mend)
-        if answer.status != 206 or told is None:
+        if answer.status != 206 or content is None:
             mend = "Check the address." if answer.status in (403, 404, 410) else ""
             raise self._failed(f"{answer.status} {answer.reason}"[:80], mend)
-        begin, last, whole = map(int, told.groups())
+        begin, last, whole = map(int, content.groups())
         if begin != offset or not begin <= last < min(begin + size, whole):
             raise self._failed(f"bytes {begin} to {last} of {whole}, where {size} from {offset} were asked for")
         data = bytearray()
@@ -215,30 +216,30 @@ class _ObjectStore:
             raise MissingExtra(without_secret(url), "obstore", "remote") from None
         folder, _, self._path = url.rpartition("/")
         self._name, self._ask = without_secret(url), obstore
-        self._store = self._tried(lambda: from_url(folder))
+        with self._refusals():
+            self._store = from_url(folder)
 
     def get(self, offset: int, size: int) -> _Part:
         """At most `size` bytes from `offset` on."""
-
-        def part() -> _Part:
-            told = self._ask.get(self._store, self._path, options={"range": (offset, offset + size)})
-            if told.range != (offset, min(offset + size, told.meta["size"])):
-                raise ValueError(f"bytes {told.range}, where {size} from {offset} were asked for")
-            return _Part(bytes(told.bytes()), told.meta["size"], str(told.meta.get("e_tag") or ""))
-
-        made: _Part = self._tried(part)
-        return made
+        with self._refusals():
+            answer = self._ask.get(self._store, self._path, options={"range": (offset, offset + size)})
+            data, meta = bytes(answer.bytes()), answer.meta
+            if answer.range != (offset, min(offset + size, meta["size"])):
+                raise ValueError(f"bytes {answer.range}, where {size} from {offset} were asked for")
+        return _Part(data, meta["size"], str(meta.get("e_tag") or ""))
 
     def put(self, file: Path) -> None:
         """Write a file, in parts where it is large."""
-        self._tried(lambda: self._ask.put(self._store, self._path, file))
+        with self._refusals():
+            self._ask.put(self._store, self._path, file)
 
     def close(self) -> None:
         """Nothing: obstore keeps no connection that must be closed."""
 
-    def _tried(self, call: Callable[[], Any]) -> Any:
+    @contextmanager
+    def _refusals(self) -> Iterator[None]:
         try:
-            return call()
+            yield
         except Exception as error:  # obstore's own and those of each store
             found = str(error).partition("\n")[0][:200]
             raise SourceError(self._name, found, "a .touch file in a store that can be read") from None

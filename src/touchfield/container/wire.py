@@ -12,6 +12,7 @@ import os
 import re
 import struct
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from threading import Lock
 from typing import Any, BinaryIO, Final, NamedTuple
@@ -31,7 +32,7 @@ from touchfield.files import require_plain
 
 
 class ByteSource:
-    """A file that is read at given places: a path, an address such as https://host/x.touch, or an open binary file.
+    """A file that is read at any place: a path, an address such as https://host/x.touch, or an open binary file.
 
     One that is open already must be seekable; it is read from its first byte and left open. `name` is its name in
     messages, `size` its length in bytes, `remote` where it lies elsewhere. `SourceError` if it cannot be opened or
@@ -142,8 +143,9 @@ def encode_record(tag: str, value: Any) -> bytes:
 
 
 class FoundRecord(NamedTuple):
-    """A record whose frame has been read, but not its payload; `offset` is the position of its tag in the file."""
+    """A record whose frame has been read, but not its payload; `offset` is the position of its tag in the `file`."""
 
+    file: str
     tag: str
     flags: int
     payload_length: int
@@ -160,9 +162,9 @@ class FoundRecord(NamedTuple):
         return self.crc_offset + CRC_SIZE
 
     @property
-    def name(self) -> str:
+    def where(self) -> str:
         """Its name in messages."""
-        return f"{self.tag} record at byte {self.offset}"
+        return f"{self.file}: {self.tag} record at byte {self.offset}"
 
 
 def read_opening(source: ByteSource) -> bytes:
@@ -203,13 +205,20 @@ def find_record(source: ByteSource, offset: int, end: int) -> FoundRecord:
         raise CorruptFile(f"{source.name}: record.tag at byte {offset}", found, expected, AGAIN)
     if flags > REQUIRED:
         raise CorruptFile(f"{source.name}: record.flags at byte {offset + 4}", str(flags), "0 or 1", AGAIN)
-    found_record = FoundRecord(tag.decode("ascii"), flags, length, offset)
-    where = f"{source.name}: {found_record.name}"
-    if found_record.end > source.size:
-        raise TruncatedFile(where, f"{source.size} bytes", f"{found_record.end} bytes", AGAIN)
-    if found_record.end > end:
-        raise CorruptFile(where, f"that it ends at byte {found_record.end}", f"at most {end}", AGAIN)
-    return found_record
+    record = FoundRecord(source.name, tag.decode("ascii"), flags, length, offset)
+    if record.end > source.size:
+        raise TruncatedFile(record.where, f"{source.size} bytes", f"{record.end} bytes", AGAIN)
+    if record.end > end:
+        raise CorruptFile(record.where, f"that it ends at byte {record.end}", f"at most {end}", AGAIN)
+    return record
+
+
+def records_between(source: ByteSource, begin: int, end: int) -> Iterator[FoundRecord]:
+    """The records from `begin` to `end`, one after the other, each as `find_record` has it."""
+    while begin < end:
+        found = find_record(source, begin, end)
+        yield found
+        begin = found.end
 
 
 def check_crc(source: ByteSource, found: FoundRecord) -> None:
@@ -219,32 +228,29 @@ def check_crc(source: ByteSource, found: FoundRecord) -> None:
         size = min(CHUNK, found.crc_offset - place)
         crc = zlib.crc32(source.read_at(place, size), crc)
         place += size
-    compare_crc(source, found, crc, source.read_at(found.crc_offset, CRC_SIZE))
+    _compare_crc(found, crc, source.read_at(found.crc_offset, CRC_SIZE))
 
 
-def compare_crc(source: ByteSource, found: FoundRecord, crc: int, stored: bytes) -> None:
+def _compare_crc(found: FoundRecord, crc: int, stored: bytes) -> None:
     """CorruptFile unless `crc` is the stored one."""
     if stored != struct.pack("<I", crc):
         expected = struct.unpack("<I", stored)[0]
         mend = "Bytes of this record were changed: fetch or write the file again."
-        raise CorruptFile(f"{source.name}: {found.name}", f"CRC-32 {crc:08x}", f"{expected:08x}", mend)
+        raise CorruptFile(found.where, f"CRC-32 {crc:08x}", f"{expected:08x}", mend)
 
 
-def known_record(source: ByteSource, found: FoundRecord) -> Record | None:
+def known_record(found: FoundRecord) -> Record | None:
     """The table's row for a record whose CRC-32 holds; None if it may be skipped.
 
     `UnsupportedVersion` if it is unknown and required, `CorruptFile` if its flags are not those of the table.
     """
-    where = f"{source.name}: {found.name}"
     record = RECORD_OF.get(found.tag)
     if record is None:
         if found.flags & REQUIRED:
-            mend = "Read it with a later touchfield."
-            raise UnsupportedVersion(
-                where, "a required record", f"those of format {VERSION_MAJOR}.{VERSION_MINOR}", mend
-            )
+            expected, mend = f"those of format {VERSION_MAJOR}.{VERSION_MINOR}", "Read it with a later touchfield."
+            raise UnsupportedVersion(found.where, "a required record", expected, mend)
     elif found.flags != (REQUIRED if record.required else 0):
-        raise CorruptFile(where, f"flags {found.flags}", f"flags {1 - found.flags}", AGAIN)
+        raise CorruptFile(found.where, f"flags {found.flags}", f"flags {1 - found.flags}", AGAIN)
     return record
 
 
@@ -254,18 +260,18 @@ def read_record(source: ByteSource, found: FoundRecord, tag: str) -> tuple[Any, 
     `CorruptFile` if it is another one, its CRC-32 does not hold, or a field is out of bounds; `UnsupportedVersion` if
     it needs a later version.
     """
-    where = f"{source.name}: {found.name}"
     length, kind = found.payload_length, RECORD_OF[tag].kind
     if found.tag != tag:
         check_crc(source, found)
-        known_record(source, found)
-        raise CorruptFile(where, f"a record {found.tag}", f"a record {tag}", AGAIN)
+        known_record(found)
+        raise CorruptFile(found.where, f"a record {found.tag}", f"a record {tag}", AGAIN)
     if not kind.smallest <= length <= kind.largest:
-        raise CorruptFile(where, f"a payload of {length} bytes", f"{kind.smallest} to {kind.largest} bytes", AGAIN)
+        bounds = f"{kind.smallest} to {kind.largest} bytes"
+        raise CorruptFile(found.where, f"a payload of {length} bytes", bounds, AGAIN)
     data = source.read_at(found.offset, found.end - found.offset)
     crc = zlib.crc32(memoryview(data)[:-CRC_SIZE])
-    compare_crc(source, found, crc, data[-CRC_SIZE:])
-    known_record(source, found)
+    _compare_crc(found, crc, data[-CRC_SIZE:])
+    known_record(found)
     cursor = Cursor(data, source.name, found.offset, FRAME_SIZE, -CRC_SIZE)
     value = kind.decode(cursor, tag)
     if cursor.remaining:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import zlib
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Final
@@ -69,14 +69,7 @@ class TouchWriter:
     def __enter__(self) -> TouchWriter:
         if self._file is not None or self._place:
             raise InvalidArgument("TouchWriter", "one that was entered before", mend="Make a new one.")
-        try:
-            with ExitStack() as stack:
-                temporary = stack.enter_context(atomic_path(self._path))
-                self._file = temporary.open("wb")
-                stack.push(_closing(self._file))
-                self._stack = stack.pop_all()
-        except OSError as error:
-            raise _refusal(self._path, error) from None
+        self._file = self._stack.enter_context(_whole_file(self._path))
         return self
 
     def write_head(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
@@ -180,7 +173,8 @@ class TouchWriter:
             if flush:
                 self._file.flush()
         except OSError as error:
-            raise _refusal(self._path, error) from None
+            mend = MENDS.get(error.errno or 0, "Write to another place.")
+            raise SourceError(str(self._path), reason(error), "a file that can be written", mend) from None
         self._whole = True
         self._place += len(data)
 
@@ -193,23 +187,15 @@ def index_and_end(entries: Iterable[SegmentEntry], place: int, chain: bytes) -> 
     return index + encode_record("TEND", End(index_offset=place, file_length=length, chain_crc32=chain_crc32))
 
 
-def _refusal(path: Path, error: OSError) -> SourceError:
-    """The error for a refusal of the system, and how to mend it."""
-    mend = MENDS.get(error.errno or 0, "Write to another place.")
-    return SourceError(str(path), reason(error), "a file that can be written", mend)
-
-
-def _closing(file: BinaryIO) -> Callable[..., None]:
-    """An exit of `ExitStack` that closes `file`, and keeps quiet if something else has gone wrong already.
-
-    On a full disk closing fails too, as it flushes; that must not hide an interruption.
-    """
-
-    def close(kind: type[BaseException] | None, *_: object) -> None:
+@contextmanager
+def _whole_file(path: Path) -> Iterator[BinaryIO]:
+    """A new file, which is there when the block ends without an error, or not at all."""
+    with atomic_path(path) as temporary:
+        file = temporary.open("wb")
         try:
-            file.close()
-        except OSError:
-            if kind is None:
-                raise
-
-    return close
+            yield file
+        except BaseException:
+            with suppress(OSError):  # on a full disk closing fails too, as it flushes: that must not hide the error
+                file.close()
+            raise
+        file.close()

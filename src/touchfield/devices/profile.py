@@ -187,23 +187,21 @@ def _value(entry: object, rule: _Field, where: str) -> tuple[Any, str]:
         if key not in ("value", "source"):
             raise DeviceError(f"{where}.{key}", "an unknown key", "value and source")
     source = _text(entry.get("source"), f"{where}.source")
-    value = entry.get("value")
+    value: Any = entry.get("value")
+    where += ".value"
     if rule.text:
-        return _text(value, f"{where}.value"), source
-    if rule.count == 1:
-        return _number(value, rule.whole, f"{where}.value"), source
-    if not isinstance(value, list) or len(value) != rule.count:
-        raise DeviceError(f"{where}.value", repr(value)[:80], f"a list of {rule.count} numbers")
-    return tuple(_number(item, rule.whole, f"{where}.value") for item in value), source
-
-
-def _number(value: Any, whole: bool, where: str) -> float | int:
-    limit = MAX_SAMPLES_PER_AXIS if whole else LARGEST
-    expected = f"a positive {'whole ' if whole else ''}number up to {limit:.0f}"
-    is_number = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
-    if not (is_number and math.isfinite(value) and 0 < value <= limit):
-        raise DeviceError(where, repr(value)[:80], expected)
-    return int(value) if whole else float(value)
+        return _text(value, where), source
+    numbers = value if isinstance(value, list) and rule.count > 1 else [value]
+    if len(numbers) != rule.count:
+        raise DeviceError(where, repr(value)[:80], f"a list of {rule.count} numbers")
+    kinds, limit = (int, MAX_SAMPLES_PER_AXIS) if rule.whole else ((int, float), LARGEST)
+    for number in numbers:
+        is_number = isinstance(number, kinds) and not isinstance(number, bool)
+        if not (is_number and math.isfinite(number) and 0 < number <= limit):
+            expected = f"a positive {'whole ' if rule.whole else ''}number up to {limit:.0f}"
+            raise DeviceError(where, repr(number)[:80], expected)
+    checked = tuple(int(number) if rule.whole else float(number) for number in numbers)
+    return (checked if rule.count > 1 else checked[0]), source
 
 
 @cache

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, label
+from scipy.ndimage import binary_dilation, binary_erosion, binary_propagation, distance_transform_edt
 
 from touchfield.arrays import Bools, Float32s, Float64s
 from touchfield.errors import InvalidArgument
@@ -159,7 +159,9 @@ class _Flood:
         while True:
             weak = weak if weak.any() else self.free & (self.away_m > self.layer.start_m)
             if not weak.any():
-                return self._felt()
+                reached = self._inner(self._bounds()[0]) <= self.layer.depth_m
+                # corners of these cells, and a sample more on every side
+                return np.asarray(binary_dilation(np.pad(reached, (0, 1)), np.ones((4, 4, 4), bool), origin=-1))
             changed = self._distance(weak) + self.layer.retreat_m
             self.joined |= weak
             self.away_m = self._away()
@@ -175,10 +177,9 @@ class _Flood:
     def _free(self) -> Bools:
         """Nodes without force in some frame, in one piece with others at the box's faces, if there are any."""
         nodes = np.logical_or.reduce([(~part.any(axis=4)).any(axis=0) for part in self._parts()])
-        pieces, _ = label(nodes, _ALL)
-        faces = np.concatenate([np.take(pieces, at, axis).ravel() for axis in range(3) for at in (0, -1)])
-        outer = np.unique(faces[faces > 0])
-        free = np.isin(pieces, outer) if len(outer) else nodes
+        at_faces = nodes.copy()
+        at_faces[1:-1, 1:-1, 1:-1] = False
+        free = binary_propagation(at_faces, _ALL, mask=nodes) if at_faces.any() else nodes
         return np.pad(free, self.beyond, mode="edge")
 
     def _distance(self, nodes: Bools) -> Float64s:
@@ -226,13 +227,3 @@ class _Flood:
         for corner in np.ndindex(2, 2, 2):
             nodes[tuple((cells[weak] + corner).T)] = True
         return nodes & ~self.joined, float(weak.mean()) if len(weak) else 0.0
-
-    def _felt(self) -> Bools:
-        """Samples of the cells that a hand reaches and of those around, bool [nx, ny, nz]."""
-        low, _ = self._bounds()
-        reached = self._inner(low) <= self.layer.depth_m
-        nx, ny, nz = reached.shape
-        felt = np.zeros((nx + 1, ny + 1, nz + 1), bool)
-        for i, j, k in np.ndindex(2, 2, 2):
-            felt[i : i + nx, j : j + ny, k : k + nz] |= reached
-        return np.asarray(binary_dilation(felt, _ALL))

@@ -26,7 +26,7 @@ from touchfield.stream.frames import SegmentFrames, VibrationFrames, segments_of
 
 if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
-    from touchfield.codec.segment import FrameCost, Worst
+    from touchfield.codec.segment import FrameCost
     from touchfield.devices import Device
     from touchfield.medium.grid import Placement
 

@@ -25,13 +25,13 @@ def test_symbols_are_the_same_where_and_only_where_the_codewords_are(words: str,
     assert quantiser.alphabet > 1 and dense.min() >= 0 and dense.max() < quantiser.alphabet
     if words == "distinct":
         codewords = vectors + 0.0
-    elif isinstance(quantiser.vectors, Components):
-        table = quantiser.vectors.levels
+    elif isinstance(quantiser, Components):
+        table = quantiser.levels
         level = np.searchsorted(table.thresholds_n, np.abs(vectors), side="right")
         codewords = np.sign(vectors) * table.levels_n[level] + 0.0
     else:
-        assert isinstance(quantiser.vectors, Pairs)
-        table, codebook = quantiser.vectors.levels, quantiser.vectors.codebook
+        assert isinstance(quantiser, Pairs)
+        table, codebook = quantiser.levels, quantiser.codebook
         amplitude = np.sqrt((vectors.astype(float) ** 2).sum(axis=1)).astype(np.float32)
         level = table.levels_n[table.encode(amplitude)] * (amplitude > 0)
         directions = np.ones((len(vectors), 1))
@@ -127,8 +127,8 @@ def test_a_codeword_is_its_own_codeword(words: str, wavy_field: ForceField) -> N
 def test_weber_components_keep_the_mask_where_none_is_below_the_ladder() -> None:
     field = ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))
     quantiser = FieldQuantiserSpec.parse("weber-components:0.1/31").fit([field], force_max_n=3.3)
-    assert isinstance(quantiser.vectors, Components) and quantiser.alphabet == 63**3 < 2**18
-    force_min_n = float(quantiser.vectors.levels.thresholds_n[0])
+    assert isinstance(quantiser, Components) and quantiser.alphabet == 63**3 < 2**18
+    force_min_n = float(quantiser.levels.thresholds_n[0])
     assert 3.3 / force_min_n == pytest.approx((1.1 / 0.9) ** 31, rel=1e-4)  # 503 : 1
     rng = np.random.default_rng(4)
     x = rng.uniform(-3.3 / np.sqrt(3), 3.3 / np.sqrt(3), (20_000, 3)).astype(np.float32)

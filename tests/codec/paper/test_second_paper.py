@@ -15,7 +15,7 @@ import pytest
 from touchfield.codec.paper.body import INTER_SET, INTRA_SET, FrameSymbols, set_of
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.directions import Codebook, codebook_names
-from touchfield.codec.paper.encoder import CodedFrame, PaperEncoder, write_body
+from touchfield.codec.paper.encoder import PaperEncoder, write_body
 from touchfield.codec.paper.quantisers import uniform_levels, weber_ladder, weber_levels
 from touchfield.codec.paper.spec import STAGES, PaperSpec
 from touchfield.codec.segment import FrameKind
@@ -123,8 +123,8 @@ def random_body(seed: int, grid: Grid, directions: str, kinds: Sequence[FrameKin
         sent = rng.random(np.count_nonzero(mask)) < rng.choice([0.01, 0.3, 1.0])
         level = (len(levels[set_of(kind)]) * rng.random(np.count_nonzero(sent)) ** 3).astype(np.uint16)
         vertices = (count * rng.random(len(level)) ** 2).astype(np.uint16)
-        told = encode_support(grid, bricks, mask, given if kind == FrameKind.INTER else None)
-        frames.append(CodedFrame(FrameSymbols(kind, bricks, mask, sent, level, vertices), told))
+        support = encode_support(grid, bricks, mask, given if kind == FrameKind.INTER else None)
+        frames.append(FrameSymbols(kind, support, bricks, mask, sent, level, vertices))
         given = given if kind == FrameKind.DIFFERENCE else (bricks, mask)
     return write_body(count, levels, frames, single_holds=seed % 3 == 0).body
 

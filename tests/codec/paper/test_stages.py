@@ -31,10 +31,11 @@ def body_of(frames: list[ForceField], stage: str, step_n: float = STEP_N) -> byt
 
 
 def decoded(frames: list[ForceField], stage: str, step_n: float = STEP_N) -> list[ForceField]:
-    body = body_of(frames, stage, step_n)
+    segment = PaperEncoder(frames[0].grid, PaperSpec(stage=stage, step_n=step_n)).encode_segment(frames)
+    body = segment.body
     decoder = PaperDecoder(frames[0].grid, stage.encode())
-    costs, stats = decoder.costs(body, len(frames)), decoder.stats(body, len(frames))
-    assert [c.bits for c in costs] == [s.bits for s in stats]
+    costs = decoder.costs(body, len(frames))
+    assert [c.bits for c in costs] == [one.bits for one in segment.frames]
     assert sum(c.bits.total for c in costs) == 8 * (len(body) - 8), "all but the step belongs to a frame"
     return list(decoder.frames(body, len(frames)))
 

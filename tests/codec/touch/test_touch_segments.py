@@ -50,7 +50,7 @@ def test_a_frame_follows_the_one_before_where_that_is_smaller() -> None:
     # bits by kind, with and without decoding, are those that the encoder told
     segment = TouchEncoder(frames[0].grid, TouchSpec()).encode_segment(frames)
     assert [c.bits for c in costs] == [s.bits for s in segment.frames]
-    assert decoder.stats(body, 4) == list(segment.frames)
+    assert [c.kind for c in costs] == [s.kind for s in segment.frames]
     assert [s.supported for s in segment.frames] == [f.support_count for f in decoded]
     assert 0 < 8 * len(body) - sum(c.bits.total for c in costs) < 8 * 40
     assert costs[0].bits.support > 0 and costs[0].bits.amplitude > 0 and costs[0].bits.direction > 0

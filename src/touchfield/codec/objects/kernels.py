@@ -115,17 +115,6 @@ def _add(cells, slot, row, at, least, total):
 
 
 @njit(**LEAN)
-def _ratio(sums, rule):
-    """|error| / mask of the sums of the source and the decoded forces, each cut and rounded as a receiver does."""
-    x, y, z = shortened(sums[0, 0], sums[0, 1], sums[0, 2], rule.limit_n)
-    u, v, w = shortened(sums[1, 0], sums[1, 1], sums[1, 2], rule.limit_n)
-    x, y, z = np.float64(np.float32(x)), np.float64(np.float32(y)), np.float64(np.float32(z))
-    u, v, w = np.float64(np.float32(u)), np.float64(np.float32(v)), np.float64(np.float32(w))
-    error = np.sqrt((u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2)
-    return error / max(rule.f0_n, rule.k * np.sqrt(x * x + y * y + z * z))
-
-
-@njit(**LEAN)
 def _span(row, first, size, world, box):
     """Into `box` the workspace's samples about a box of a body's own, first and last; whether there are any."""
     for a in range(3):
@@ -196,7 +185,13 @@ def _compare_voxel(bodies, rows, rule, count, px, py, pz, found):
         at = px - row[T], py - row[T + 1], pz - row[T + 2]
         _add(bodies.source, slot, row, at, least, sums[0])
         _add(bodies.decoded, slot, rows[1, body], at, least, sums[1])
-    ratio = _ratio(sums, rule)
+    # the forces of the source and the decoded ones, each cut and rounded as a receiver does
+    x, y, z = shortened(sums[0, 0], sums[0, 1], sums[0, 2], rule.limit_n)
+    u, v, w = shortened(sums[1, 0], sums[1, 1], sums[1, 2], rule.limit_n)
+    x, y, z = np.float64(np.float32(x)), np.float64(np.float32(y)), np.float64(np.float32(z))
+    u, v, w = np.float64(np.float32(u)), np.float64(np.float32(v)), np.float64(np.float32(w))
+    error = np.sqrt((u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2)
+    ratio = error / max(rule.f0_n, rule.k * np.sqrt(x * x + y * y + z * z))
     for m in range(count):
         body = found.here[m, 0]
         if ratio > found.worst[body]:

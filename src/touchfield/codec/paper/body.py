@@ -17,6 +17,7 @@ literal coder, one zero symbol for each held sample, uses j = 0 alone. A stream 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,8 +30,8 @@ from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.codec.paper import kernels
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.kernels import LONGEST
-from touchfield.codec.paper.quantisers import AmplitudeLevels
-from touchfield.codec.segment import BitAccount, FrameCost, FrameKind, FrameStats
+from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
+from touchfield.codec.segment import BitAccount, FrameCost, FrameKind
 from touchfield.codec.support import decode_numbers, decode_support
 from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument
@@ -123,6 +124,7 @@ class FrameSymbols:
     """Symbols of a frame that go into the stream."""
 
     kind: FrameKind
+    support: bytes  # the code of bricks and mask
     bricks: Int32s  # [n, 3]
     mask: Bools  # [n, 8, 8, 8]; the support (of the differences, in a DIFFERENCE frame)
     sent: Bools  # [L]; per supported sample in raster order: sent, or held
@@ -180,21 +182,51 @@ class TableSet:
     direction_code: HuffmanCode
 
 
-@dataclass(frozen=True)
-class _Frame:
-    """A frame's parts, not decoded yet."""
+class FrameParts(NamedTuple):
+    """A frame, not decoded yet."""
 
-    cost: FrameCost
+    kind: FrameKind
     support: bytes
-    amplitudes: BitStream
-    directions: BitStream
+    streams: tuple[BitStream, ...]  # amplitudes and directions, or the numbers of a stage
+    runs: int = 0  # of the stage of that name
 
 
-class BodyReader:
-    """A segment without a stage; CorruptFile or TruncatedFile for other bytes than the writer's."""
+class SegmentReader(ABC):
+    """A segment, frame by frame; CorruptFile or TruncatedFile for other bytes than the writer's."""
+
+    def __init__(self, body: bytes, grid: Grid) -> None:
+        self._parts, self._grid = Parts(body), grid
+
+    def frames(self, frame_count: int) -> Iterator[tuple[FrameParts, FrameCost]]:
+        """The frames in turn, and their costs; the last one must end the body."""
+        for i in range(frame_count):
+            began = self._parts.at
+            frame = self._next(first=i == 0)
+            bits = BitAccount(8 * len(frame.support), *(stream.bit_length for stream in frame.streams))
+            bits += BitAccount(side=8 * (self._parts.at - began) - bits.total)
+            yield frame, FrameCost(frame.kind, bits)
+        self._parts.check_end()
+
+    @abstractmethod
+    def field(self, frame: FrameParts) -> ForceField:
+        """A frame, decoded after those before it."""
+
+    @abstractmethod
+    def quantise(self, field: ForceField) -> Int64s:
+        """Each supported force as one number: its codeword."""
+
+    @abstractmethod
+    def _next(self, *, first: bool) -> FrameParts: ...
+
+
+class BodyReader(SegmentReader):
+    """A segment without a stage."""
 
     def __init__(self, body: bytes, grid: Grid, codebook: Codebook) -> None:
-        self._parts, self._grid, self._codebook = Parts(body), grid, codebook
+        super().__init__(body, grid)
+        self._codebook = codebook
+        self._before: tuple[Int32s, Bools] | None = None
+        self._decoded: ForceField | None = None
         (kinds,) = self._parts.take(1, "kinds")
         if kinds & ~(INTRA_SET | INTER_SET):
             raise CorruptFile("SEGM.body", f"kinds {kinds:#x}", "bits 0 and 1 only")
@@ -204,46 +236,35 @@ class BodyReader:
         """The amplitude levels of a kind of frame."""
         return self._set(kind).levels
 
-    def fields(self, frame_count: int) -> Iterator[tuple[ForceField, FrameStats]]:
-        """The frames in turn, decoded."""
-        field = None
-        for symbols, stats in self.frames(frame_count):
-            field = rebuilt(self._grid, symbols, self.levels(symbols.kind).levels_n, self._codebook, field)
-            yield field, stats
+    def symbols(self, frame: FrameParts) -> FrameSymbols:
+        """The symbols of a frame, read after those of the frames before it."""
+        kind, (amplitudes, directions), tables = frame.kind, frame.streams, self._set(frame.kind)
+        bricks, mask = decode_support(frame.support, self._grid, self._before if kind == FrameKind.INTER else None)
+        sent, levels = decode_symbols(tables.amplitude_code, amplitudes, int(mask.sum()), len(tables.levels))
+        _, places = decode_symbols(tables.direction_code, directions, len(levels), len(self._codebook))
+        if kind != FrameKind.DIFFERENCE:
+            self._before = bricks, mask
+        return FrameSymbols(kind, frame.support, bricks, mask, sent, levels, places)
 
-    def frames(self, frame_count: int) -> Iterator[tuple[FrameSymbols, FrameStats]]:
-        """The symbols of each frame in turn; the last one must end the body."""
-        previous: tuple[Int32s, Bools] | None = None
-        for i in range(frame_count):
-            frame = self._frame(first=i == 0)
-            kind = frame.cost.kind
-            tables = self._set(kind)
-            bricks, mask = decode_support(frame.support, self._grid, previous if kind == FrameKind.INTER else None)
-            supported = int(np.count_nonzero(mask))
-            sent, levels = decode_symbols(tables.amplitude_code, frame.amplitudes, supported, len(tables.levels))
-            _, directions = decode_symbols(tables.direction_code, frame.directions, len(levels), len(self._codebook))
-            if kind != FrameKind.DIFFERENCE:
-                previous = (bricks, mask)
-            symbols = FrameSymbols(kind, bricks, mask, sent, levels, directions)
-            yield symbols, FrameStats(kind, supported, len(levels), frame.cost.bits)
-        self._parts.check_end()
+    def field(self, frame: FrameParts) -> ForceField:
+        """A frame, decoded after those before it."""
+        symbols = self.symbols(frame)
+        levels_n = self.levels(symbols.kind).levels_n
+        self._decoded = rebuilt(self._grid, symbols, levels_n, self._codebook, self._decoded)
+        return self._decoded
 
-    def costs(self, frame_count: int) -> Iterator[FrameCost]:
-        """Cost of each frame, without decoding it."""
-        for i in range(frame_count):
-            yield self._frame(first=i == 0).cost
-        self._parts.check_end()
+    def quantise(self, field: ForceField) -> Int64s:
+        """Each supported force as one number: its intra level and direction."""
+        vectors = field.vectors_n()
+        levels = self.levels(FrameKind.INTRA).encode(amplitudes_n(vectors)).astype(np.int64)
+        return levels * len(self._codebook) + self._codebook.nearest(vectors)
 
-    def _frame(self, *, first: bool) -> _Frame:
-        began = self._parts.at
+    def _next(self, *, first: bool) -> FrameParts:
         (number,) = self._parts.take(1, "frame kind")
         if number > 2 or (first and number != FrameKind.INTRA):
             raise CorruptFile("SEGM.body frame kind", str(number), "0 in the first frame, 0 to 2 in others")
         support = self._parts.chunk("support")
-        amplitudes, directions = self._bits("amplitudes"), self._bits("directions")
-        bits = BitAccount(8 * len(support), amplitudes.bit_length, directions.bit_length)
-        bits += BitAccount(side=8 * (self._parts.at - began) - bits.total)
-        return _Frame(FrameCost(FrameKind(number), bits), support, amplitudes, directions)
+        return FrameParts(FrameKind(number), support, (self._bits("amplitudes"), self._bits("directions")))
 
     def _bits(self, what: str) -> BitStream:
         bit_length = self._parts.varint(what)
@@ -256,17 +277,16 @@ class BodyReader:
         return chosen
 
     def _table_set(self) -> TableSet:
-        told = self._parts.chunk("amplitude levels")
-        count = len(told) // 4
-        if len(told) % 4 or not 1 <= count <= (1 << 16) - RUN_SYMBOLS:
-            raise CorruptFile("SEGM.body amplitude levels", f"{len(told)} bytes", "4 for each of 1 to 65515 levels")
+        data, where = self._parts.chunk("amplitude levels"), "SEGM.body amplitude levels"
+        count = len(data) // 4
+        if len(data) % 4 or not 1 <= count <= (1 << 16) - RUN_SYMBOLS:
+            raise CorruptFile(where, f"{len(data)} bytes", "4 for each of 1 to 65515 levels")
         try:
-            levels = AmplitudeLevels(np.frombuffer(told, "<f4"))
+            levels = AmplitudeLevels(np.frombuffer(data, "<f4"))
         except InvalidArgument as error:
-            raise CorruptFile("SEGM.body amplitude levels", error.found, error.expected) from None
+            raise CorruptFile(where, error.found, error.expected) from None
         if levels.levels_n[-1] > MOST_NEWTONS:
-            found = f"{levels.levels_n[-1]} N"
-            raise CorruptFile("SEGM.body amplitude levels", found, f"at most {MOST_NEWTONS} N")
+            raise CorruptFile(where, f"{levels.levels_n[-1]} N", f"at most {MOST_NEWTONS} N")
         amplitude_code = HuffmanCode.from_bytes(self._parts.chunk("amplitude code"), count + RUN_SYMBOLS)
         direction_code = HuffmanCode.from_bytes(self._parts.chunk("direction code"), len(self._codebook))
         return TableSet(levels, amplitude_code, direction_code)

@@ -24,12 +24,10 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.paper.body import MOST_NEWTONS, BodyReader, field_of
+from touchfield.codec.paper.body import MOST_NEWTONS, BitStream, BodyReader, FrameParts, SegmentReader, field_of
 from touchfield.codec.paper.directions import Codebook, codebook_names
-from touchfield.codec.paper.quantisers import amplitudes_n
-from touchfield.codec.segment import BitAccount, FrameCost, FrameKind, FrameStats
+from touchfield.codec.segment import FrameCost, FrameKind
 from touchfield.codec.support import decode_numbers, decode_support
-from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
@@ -50,33 +48,31 @@ ORDER: Final = np.argsort(np.indices((BRICK,) * 3).sum(axis=0).reshape(-1), kind
 """The places of a brick's coefficients, low frequencies first: by the sum of the three indices."""
 
 
-class StageReader:
-    """A segment of a stage, as `body.BodyReader`; CorruptFile or TruncatedFile for other bytes than the writer's."""
+class StageReader(SegmentReader):
+    """A segment of a stage."""
 
     def __init__(self, body: bytes, grid: Grid, stage: str) -> None:
-        self._parts, self._grid, self._stage = Parts(body), grid, stage
+        super().__init__(body, grid)
+        self._stage = stage
         (self.step_n,) = struct.unpack("<d", self._parts.take(8, "step"))
         if not 1e-9 <= self.step_n <= MOST_NEWTONS:
             raise CorruptFile("SEGM.body step", f"{self.step_n!r} N", f"1e-9 to {MOST_NEWTONS:g} N")
 
-    def fields(self, frame_count: int) -> Iterator[tuple[ForceField, FrameStats]]:
-        """The frames in turn, decoded."""
-        for _ in range(frame_count):
-            cost, support, runs, numbers = self._frame()
-            bricks, mask = decode_support(support, self._grid)
-            if len(bricks) * _BYTES_PER_BRICK > memory_budget_bytes():
-                found, allowed = f"{len(bricks)} bricks", f"{memory_budget_bytes() // _BYTES_PER_BRICK} at most"
-                raise InvalidArgument("SEGM.body", found, allowed, "Set TOUCHFIELD_MEMORY_GIB.")
-            forces, slots = zero_forces(len(bricks)), raster_slots(bricks, mask)
-            if runs > len(slots):
-                raise CorruptFile("SEGM.body runs", f"{runs}", f"at most {len(slots)}, one for each sample")
-            scale = np.float64(self.step_n) / PARTS[self._stage]
-            vectors = _decoded(self._stage, numbers, (len(bricks), slots, runs)) * scale
-            if vectors.size and np.abs(vectors).max() > MOST_NEWTONS:
-                raise CorruptFile("SEGM.body", "a force that is too large", f"at most {MOST_NEWTONS:g} N")
-            forces.reshape(-1, 3)[slots] = vectors.astype(np.float32)
-            yield field_of(self._grid, bricks, forces), FrameStats(cost.kind, len(slots), len(slots), cost.bits)
-        self._parts.check_end()
+    def field(self, frame: FrameParts) -> ForceField:
+        """A frame, decoded."""
+        bricks, mask = decode_support(frame.support, self._grid)
+        if len(bricks) * _BYTES_PER_BRICK > memory_budget_bytes():
+            found, allowed = f"{len(bricks)} bricks", f"{memory_budget_bytes() // _BYTES_PER_BRICK} at most"
+            raise InvalidArgument("SEGM.body", found, allowed, "Set TOUCHFIELD_MEMORY_GIB.")
+        forces, slots = zero_forces(len(bricks)), raster_slots(bricks, mask)
+        if frame.runs > len(slots):
+            raise CorruptFile("SEGM.body runs", f"{frame.runs}", f"at most {len(slots)}, one for each sample")
+        numbers, scale = frame.streams[0].data, np.float64(self.step_n) / PARTS[self._stage]
+        vectors = _decoded(self._stage, numbers, (len(bricks), slots, frame.runs)) * scale
+        if vectors.size and np.abs(vectors).max() > MOST_NEWTONS:
+            raise CorruptFile("SEGM.body", "a force that is too large", f"at most {MOST_NEWTONS:g} N")
+        forces.reshape(-1, 3)[slots] = vectors.astype(np.float32)
+        return field_of(self._grid, bricks, forces)
 
     def quantise(self, field: ForceField) -> Int64s:
         """Each supported force as one number: the triple of its components in whole steps."""
@@ -85,20 +81,11 @@ class StageReader:
         triple: Int64s = (x << 42) + (y << 21) + z
         return triple
 
-    def costs(self, frame_count: int) -> Iterator[FrameCost]:
-        """Cost of each frame, without decoding it."""
-        for _ in range(frame_count):
-            yield self._frame()[0]
-        self._parts.check_end()
-
-    def _frame(self) -> tuple[FrameCost, bytes, int, bytes]:
-        began = self._parts.at
+    def _next(self, *, first: bool) -> FrameParts:
         support = self._parts.chunk("support")
         runs = self._parts.varint("number of runs") if self._stage == "runs" else 0
         numbers = self._parts.chunk("numbers")
-        bits = BitAccount(8 * len(support), 8 * len(numbers))
-        bits += BitAccount(side=8 * (self._parts.at - began) - bits.total)
-        return FrameCost(FrameKind.INTRA, bits), support, runs, numbers
+        return FrameParts(FrameKind.INTRA, support, (BitStream(numbers, 8 * len(numbers)),), runs)
 
 
 def _decoded(stage: str, data: bytes, known: tuple[int, Int64s, int]) -> Int64s:
@@ -175,16 +162,13 @@ class PaperDecoder:
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
         """The frames of a segment in turn; CorruptFile or TruncatedFile for other bytes than the encoder's."""
-        for field, _ in self._reader(body).fields(frame_count):
-            yield field
+        reader = self._reader(body)
+        for frame, _ in reader.frames(frame_count):
+            yield reader.field(frame)
 
     def costs(self, body: bytes, frame_count: int) -> list[FrameCost]:
         """Cost of each frame of a segment, without decoding it."""
-        return list(self._reader(body).costs(frame_count))
-
-    def stats(self, body: bytes, frame_count: int) -> list[FrameStats]:
-        """Cost of each frame of a segment, and how many samples it holds and sends."""
-        return [stats for _, stats in self._reader(body).fields(frame_count)]
+        return [cost for _, cost in self._reader(body).frames(frame_count)]
 
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -194,18 +178,9 @@ class PaperDecoder:
 
     def quantiser(self, body: bytes) -> Callable[[ForceField], Int64s]:
         """Q of a segment: each supported force to a symbol, by its intra levels and directions, or its step."""
-        reader = self._reader(body)
-        if isinstance(reader, StageReader):
-            return reader.quantise
-        levels, codebook = reader.levels(FrameKind.INTRA), Codebook.get(self._called)
+        return self._reader(body).quantise
 
-        def quantise(field: ForceField) -> Int64s:
-            vectors = field.vectors_n()
-            return levels.encode(amplitudes_n(vectors)).astype(np.int64) * len(codebook) + codebook.nearest(vectors)
-
-        return quantise
-
-    def _reader(self, body: bytes) -> BodyReader | StageReader:
+    def _reader(self, body: bytes) -> SegmentReader:
         if self._called in PARTS:
             return StageReader(body, self._grid, self._called)
         return BodyReader(body, self._grid, Codebook.get(self._called))

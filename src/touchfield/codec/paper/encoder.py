@@ -11,7 +11,7 @@ import heapq
 import struct
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +84,7 @@ class _Coder:
     ) -> None:
         self.grid, self.spec, self.segment, self.levels = grid, spec, segment, levels
         self.decoded: ForceField | None = None
-        self.coded: list[CodedFrame] = []
+        self.coded: list[FrameSymbols] = []
         self._codebook = Codebook.get(spec.directions)
         for i, frame in enumerate(self.segment):
             candidates = []
@@ -98,11 +98,11 @@ class _Coder:
                 candidates.append(self._scanned(FrameKind.DIFFERENCE, frame + self.segment[i - 1].scaled(-1)))
             best = min(candidates, key=self._estimated_bits) if len(candidates) > 1 else candidates[0]
             self.decoded = rebuilt(
-                self.grid, best.symbols, self.levels[set_of(best.symbols.kind)].levels_n, self._codebook, self.decoded
+                self.grid, best, self.levels[set_of(best.kind)].levels_n, self._codebook, self.decoded
             )
             self.coded.append(best)
 
-    def _scanned(self, kind: FrameKind, field: ForceField) -> CodedFrame:
+    def _scanned(self, kind: FrameKind, field: ForceField) -> FrameSymbols:
         """A field, or a field of differences, coded with nothing but its own scan to predict it."""
         vectors, table = field.vectors_n(), self.levels[set_of(kind)]
         levels, directions = table.encode(amplitudes_n(vectors)), self._codebook.nearest(vectors)
@@ -111,11 +111,11 @@ class _Coder:
             decoded = table.levels_n[levels][:, None] * self._codebook.vertices_float32[directions]
             sent = gate(vectors, self.spec.k, self.spec.deadband, decoded)
         support = encode_support(self.grid, field.bricks, field.mask)
-        return CodedFrame(FrameSymbols(kind, field.bricks, field.mask, sent, levels[sent], directions[sent]), support)
+        return FrameSymbols(kind, support, field.bricks, field.mask, sent, levels[sent], directions[sent])
 
-    def _closed_loop(self, frame: ForceField) -> CodedFrame:
+    def _closed_loop(self, frame: ForceField) -> FrameSymbols:
         assert self.decoded is not None
-        before, vectors = self.coded[-1].symbols, frame.vectors_n()
+        before, vectors = self.coded[-1], frame.vectors_n()
         reference = self.decoded.forces_at(brick_keys(self.grid, frame.bricks)).reshape(-1, 3)[frame.raster_slots()]
         sent = np.ones(len(vectors), bool)
         if self.spec.deadband != "none":
@@ -129,15 +129,14 @@ class _Coder:
         levels = self.levels[INTER_SET].encode(amplitudes)
         support = encode_support(self.grid, frame.bricks, frame.mask, (before.bricks, before.mask))
         directions = self._codebook.nearest(difference)
-        return CodedFrame(FrameSymbols(FrameKind.INTER, frame.bricks, frame.mask, sent, levels, directions), support)
+        return FrameSymbols(FrameKind.INTER, support, frame.bricks, frame.mask, sent, levels, directions)
 
-    def _estimated_bits(self, frame: CodedFrame) -> float:
-        symbols = frame.symbols
+    def _estimated_bits(self, symbols: FrameSymbols) -> float:
         count = len(self.levels[set_of(symbols.kind)])
         packed, _, extra = pack_runs(symbols.sent, symbols.levels, count, single=not self.spec.hold_runs)
         amplitude = entropy_bits(np.bincount(packed)) * len(packed) + int(extra.sum())
         direction = entropy_bits(np.bincount(symbols.directions)) * len(symbols.directions)
-        return amplitude + direction + 8 * len(frame.support)
+        return amplitude + direction + 8 * len(symbols.support)
 
 
 def _fitted(spec: PaperSpec, amplitudes_n: Float32s) -> AmplitudeLevels:
@@ -244,21 +243,14 @@ def encode_symbols(
     return BitStream(out.tobytes(), bit_length)
 
 
-class CodedFrame(NamedTuple):
-    """A frame's symbols with its coded support."""
-
-    symbols: FrameSymbols
-    support: bytes
-
-
 def write_body(
-    direction_count: int, levels: Mapping[int, AmplitudeLevels], frames: Sequence[CodedFrame], *, single_holds: bool
+    direction_count: int, levels: Mapping[int, AmplitudeLevels], frames: Sequence[FrameSymbols], *, single_holds: bool
 ) -> CodedSegment:
     """The body of a segment, and what each frame cost; `levels` are by `INTRA_SET` and `INTER_SET`."""
     kinds, tables, packed = 0, b"", {}
     sets = {}
     for kind in (INTRA_SET, INTER_SET):
-        mine = [f.symbols for f in frames if set_of(f.symbols.kind) == kind]
+        mine = [symbols for symbols in frames if set_of(symbols.kind) == kind]
         if not mine:
             continue
         chosen = levels[kind]
@@ -274,13 +266,13 @@ def write_body(
         for code in (made.amplitude_code, made.direction_code):
             tables += chunk(encode_numbers(code.lengths))
     parts, stats = [bytes([kinds]), tables], []
-    for f in frames:
-        symbols, chosen_set = f.symbols, sets[set_of(f.symbols.kind)]
+    for symbols in frames:
+        chosen_set = sets[set_of(symbols.kind)]
         amplitudes = encode_symbols(chosen_set.amplitude_code, *packed[id(symbols)])
         directions = encode_symbols(chosen_set.direction_code, symbols.directions)
-        data = bytes([symbols.kind]) + chunk(f.support)
+        data = bytes([symbols.kind]) + chunk(symbols.support)
         data += b"".join(write_varint(s.bit_length) + s.data for s in (amplitudes, directions))
-        bits = BitAccount(8 * len(f.support), amplitudes.bit_length, directions.bit_length)
+        bits = BitAccount(8 * len(symbols.support), amplitudes.bit_length, directions.bit_length)
         bits += BitAccount(side=8 * len(data) - bits.total)
         parts.append(data)
         stats.append(FrameStats(symbols.kind, len(symbols.sent), len(symbols.levels), bits))

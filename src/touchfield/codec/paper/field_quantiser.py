@@ -18,6 +18,7 @@ Symbol 0 is "no force": where the amplitude falls into the zero bin, too.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -48,15 +49,62 @@ _SLACK: Final = 1 + 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
-    """Amplitude level times direction; without a codebook the amplitude alone."""
+class FieldQuantiser(ABC):
+    """Q, resolved: fields to symbols, for forces of `top_n` newtons at most."""
+
+    words: str
+    top_n: float
+
+    @property
+    @abstractmethod
+    def alphabet(self) -> int:
+        """K: how many symbols there are, "no force" among them."""
+
+    @abstractmethod
+    def _symbols(self, vectors_n: Float32s) -> Int32s: ...
+
+    @abstractmethod
+    def _vectors(self, symbols: Int32s) -> Float32s: ...
+
+    def __call__(self, field: ForceField) -> FieldSymbols:
+        """The symbols of one frame; see `symbols_of`."""
+        symbols = np.zeros((len(field.bricks), BRICK, BRICK, BRICK), np.int32)
+        symbols[field.mask] = self.symbols_of(field.forces_n[field.mask])
+        return FieldSymbols(field.grid, field.bricks, symbols, self.alphabet, self.words)
+
+    def symbols_of(self, vectors_n: Float32s) -> Int32s:
+        """The symbols of force vectors, newtons, float32 [m, 3], int32 [m].
+
+        InvalidArgument if one is greater than the quantiser was made for.
+        """
+        top = float(amplitudes_n(vectors_n).max(initial=0.0))
+        if top > self.top_n:
+            found, allowed = f"a force of {top:.6g} N", f"up to the {self.top_n:.6g} N it was made for"
+            raise InvalidArgument(f"quantiser {self.words}", found, allowed, "Fit it to this field, too.")
+        return self._symbols(vectors_n)
+
+    def vectors_of(self, symbols: Int32s) -> Float32s:
+        """The codewords of symbols [m], newtons, float32 [m, 3]: the inverse of `symbols_of` but for what Q lost.
+
+        InvalidArgument if the quantiser keeps no direction, or there is no such symbol.
+        """
+        if len(symbols) and not 0 <= symbols.min() <= symbols.max() < self.alphabet:
+            raise InvalidArgument("symbols", f"{symbols.min()} to {symbols.max()}", f"0 to {self.alphabet - 1}")
+        return self._vectors(symbols)
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs(FieldQuantiser):
+    """Amplitude level times direction, of which there are N_d; without a codebook the amplitude alone.
+
+    Symbol s > 0 is the pair divmod(s - 1, N_d).
+    """
 
     levels: AmplitudeLevels
     codebook: Codebook | None = None
 
     @property
-    def directions(self) -> int:
-        """N_d: symbol s > 0 is the pair divmod(s - 1, N_d)."""
+    def _directions(self) -> int:
         return 1 if self.codebook is None else len(self.codebook)
 
     @property
@@ -65,25 +113,25 @@ class Pairs:
 
     @property
     def alphabet(self) -> int:
-        return 1 + (len(self.levels) - self._zeros) * self.directions
+        return 1 + (len(self.levels) - self._zeros) * self._directions
 
-    def symbols_of(self, vectors_n: Float32s) -> Int32s:
+    def _symbols(self, vectors_n: Float32s) -> Int32s:
         amplitudes = amplitudes_n(vectors_n)
         levels = self.levels.encode(amplitudes).astype(np.int64) - self._zeros
         direction: Any = 0 if self.codebook is None else self.codebook.nearest(vectors_n)
-        symbols = 1 + levels * self.directions + direction
+        symbols = 1 + levels * self._directions + direction
         return np.where((levels < 0) | (amplitudes == 0), 0, symbols).astype(np.int32)
 
-    def vectors_of(self, symbols: Int32s) -> Float32s:
+    def _vectors(self, symbols: Int32s) -> Float32s:
         if self.codebook is None:
             raise InvalidArgument("quantiser", "no direction", "one with directions")
-        level, direction = np.divmod(np.maximum(symbols, 1) - 1, self.directions)
+        level, direction = np.divmod(np.maximum(symbols, 1) - 1, self._directions)
         amplitude = np.where(symbols > 0, self.levels.levels_n[level + self._zeros], np.float32(0))
         return amplitude[:, None] * self.codebook.vertices_float32[direction]
 
 
 @dataclass(frozen=True, eq=False)
-class Components:
+class Components(FieldQuantiser):
     """Each signed component by the levels of its modulus, of which the first is zero."""
 
     levels: AmplitudeLevels
@@ -92,14 +140,14 @@ class Components:
     def alphabet(self) -> int:
         return (2 * len(self.levels) - 1) ** 3
 
-    def symbols_of(self, vectors_n: Float32s) -> Int32s:
+    def _symbols(self, vectors_n: Float32s) -> Int32s:
         level = self.levels.encode(np.abs(vectors_n).reshape(-1)).astype(np.int64).reshape(-1, 3)
         x, y, z = np.where(vectors_n < 0, -level, level).T
         side = 2 * len(self.levels) - 1
         symbols: Int32s = (((x * side + y) * side + z) % self.alphabet).astype(np.int32)
         return symbols
 
-    def vectors_of(self, symbols: Int32s) -> Float32s:
+    def _vectors(self, symbols: Int32s) -> Float32s:
         side, most = 2 * len(self.levels) - 1, len(self.levels) - 1
         places = (symbols.astype(np.int64) + (self.alphabet - 1) // 2) % self.alphabet
         signed = np.stack(np.unravel_index(places, (side,) * 3), axis=-1) - most
@@ -108,7 +156,7 @@ class Components:
 
 
 @dataclass(frozen=True, eq=False)
-class _Distinct:
+class _Distinct(FieldQuantiser):
     """Every different vector, as the twelve bytes of it, ascending."""
 
     known: NDArray[Any]
@@ -117,7 +165,7 @@ class _Distinct:
     def alphabet(self) -> int:
         return 1 + len(self.known)
 
-    def symbols_of(self, vectors_n: Float32s) -> Int32s:
+    def _symbols(self, vectors_n: Float32s) -> Int32s:
         wanted, zero = _packed(vectors_n), ~vectors_n.any(axis=1)
         place = np.minimum(np.searchsorted(self.known, wanted), max(0, len(self.known) - 1))
         if not (zero | (self.known[place] == wanted if len(self.known) else zero)).all():
@@ -125,14 +173,10 @@ class _Distinct:
             raise InvalidArgument("quantiser distinct", found, "the fields it was made for", mend)
         return np.where(zero, 0, place + 1).astype(np.int32)
 
-    def vectors_of(self, symbols: Int32s) -> Float32s:
+    def _vectors(self, symbols: Int32s) -> Float32s:
         vectors = np.zeros((len(symbols), 3), np.float32)
         vectors[symbols > 0] = self.known[symbols[symbols > 0] - 1].view(np.float32).reshape(-1, 3)
         return vectors
-
-
-VectorQuantiser = Pairs | Components | _Distinct
-"""A form of Q: its `alphabet`, "no force" among it; `symbols_of` float32 [m, 3]; and `vectors_of` int32 [m]."""
 
 
 def _packed(vectors_n: Float32s) -> NDArray[Any]:
@@ -206,7 +250,7 @@ class FieldQuantiserSpec:
                         "Name a quantiser such as weber:0.1.",
                     )
                     raise InvalidArgument("quantiser distinct", found, "a field of a decoder", mend)
-            return FieldQuantiser(self.words, math.inf, _Distinct(known))
+            return _Distinct(self.words, math.inf, known)
         top, amplitudes = 0.0 if force_max_n is None else float(force_max_n), np.zeros(0, np.float32)
         for field in fields if force_max_n is None or self.form == "lloyd-max" else ():
             sizes = amplitudes_n(field.vectors_n())
@@ -214,15 +258,16 @@ class FieldQuantiserSpec:
             if self.form == "lloyd-max":
                 amplitudes = np.concatenate([amplitudes, sizes[:: -(-len(sizes) // _MOST_OF_A_FRAME) or 1]])
                 amplitudes = amplitudes[:: -(-len(amplitudes) // _MOST_TRAINED) or 1]
-        return FieldQuantiser(self.words, top * _SLACK, self._made(top, amplitudes))
+        return self._made(top, amplitudes)
 
-    def _made(self, top_n: float, amplitudes: Float32s) -> VectorQuantiser:
+    def _made(self, top_n: float, amplitudes: Float32s) -> FieldQuantiser:
         """The quantiser up to `top_n` newtons."""
         if self.form == "weber-components":
             if not 1 <= self.levels <= MOST_LEVELS:
                 raise InvalidArgument("weber-components", f"{self.levels} levels", f"1 to {MOST_LEVELS}")
             least = (top_n or 1.0) / WeberLadder(self.number, 1.0, 1).ratio ** self.levels
-            return Components(quantisers.weber_levels(WeberLadder(self.number, least, self.levels)))
+            levels = quantisers.weber_levels(WeberLadder(self.number, least, self.levels))
+            return Components(self.words, top_n * _SLACK, levels)
         if self.form == "weber":
             levels = quantisers.weber_levels(quantisers.weber_ladder(self.number, top_n))
         elif self.form == "lloyd-max":
@@ -233,51 +278,6 @@ class FieldQuantiserSpec:
             if len(levels) - 1 > MOST_LEVELS:
                 found = f"{len(levels) - 1} steps of {self.number:g} N to {top_n:.3g} N"
                 raise InvalidArgument("quantiser components", found, f"up to {MOST_LEVELS}", "Take a larger step.")
-            return Components(levels)
-        return Pairs(levels, None if self.directions == "none" else Codebook.get(self.directions))
-
-
-@dataclass(frozen=True, eq=False)
-class FieldQuantiser:
-    """Q, resolved: fields to symbols, for forces of `top_n` newtons at most."""
-
-    words: str
-    top_n: float
-    vectors: VectorQuantiser
-
-    @property
-    def alphabet(self) -> int:
-        """K: how many symbols there are, "no force" among them."""
-        return self.vectors.alphabet
-
-    @property
-    def directions(self) -> int | None:
-        """N_d: symbol s > 0 is the pair divmod(s - 1, N_d); None where symbols are no such pairs."""
-        pairs = self.vectors
-        return pairs.directions if isinstance(pairs, Pairs) and pairs.codebook is not None else None
-
-    def __call__(self, field: ForceField) -> FieldSymbols:
-        """The symbols of one frame; see `symbols_of`."""
-        symbols = np.zeros((len(field.bricks), BRICK, BRICK, BRICK), np.int32)
-        symbols[field.mask] = self.symbols_of(field.forces_n[field.mask])
-        return FieldSymbols(field.grid, field.bricks, symbols, self.alphabet, self.words)
-
-    def symbols_of(self, vectors_n: Float32s) -> Int32s:
-        """The symbols of force vectors, newtons, float32 [m, 3], int32 [m].
-
-        InvalidArgument if one is greater than the quantiser was made for.
-        """
-        top = float(amplitudes_n(vectors_n).max(initial=0.0))
-        if top > self.top_n:
-            found, allowed = f"a force of {top:.6g} N", f"up to the {self.top_n:.6g} N it was made for"
-            raise InvalidArgument(f"quantiser {self.words}", found, allowed, "Fit it to this field, too.")
-        return self.vectors.symbols_of(vectors_n)
-
-    def vectors_of(self, symbols: Int32s) -> Float32s:
-        """The codewords of symbols [m], newtons, float32 [m, 3]: the inverse of `symbols_of` but for what Q lost.
-
-        InvalidArgument if the quantiser keeps no direction, or there is no such symbol.
-        """
-        if len(symbols) and not 0 <= symbols.min() <= symbols.max() < self.alphabet:
-            raise InvalidArgument("symbols", f"{symbols.min()} to {symbols.max()}", f"0 to {self.alphabet - 1}")
-        return self.vectors.vectors_of(symbols)
+            return Components(self.words, top_n * _SLACK, levels)
+        codebook = None if self.directions == "none" else Codebook.get(self.directions)
+        return Pairs(self.words, top_n * _SLACK, levels, codebook)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.segment import FrameStats, Worst
-from touchfield.codec.touch.body import BodyReader, FrameRecord, TouchCost, numbers_of, read_parameters
+from touchfield.codec.segment import Worst
+from touchfield.codec.touch.body import BodyReader, TouchCost, numbers_of, read_parameters
 from touchfield.codec.touch.lattice import TOP, FixedField
 from touchfield.medium import ForceField, Grid
 
@@ -34,20 +34,33 @@ class TouchDecoder:
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
         """The frames of a segment in turn; CorruptFile or TruncatedFile for other bytes than the encoder's."""
-        for _, field in self._decoded(body, frame_count):
+        from touchfield.codec.touch.body import Exceptions
+        from touchfield.codec.touch.frame import Known, decode_exact, decode_frame, fresh_memory
+        from touchfield.codec.touch.guess import synthesise
+
+        reader = self._reader(body)
+        lattice, memory = reader.lattice, fresh_memory()
+        previous: FixedField | None = None
+        told: Told | None = None
+        for record in reader.records(frame_count):
+            if lattice is None:
+                told = decode_exact(record.payload, self._grid, told if record.inter else None)
+                yield told.field
+                continue
+            if not record.inter:
+                memory = fresh_memory()
+            reference = previous if record.inter else None
+            if record.guess:
+                reference = synthesise(record.guess, self._grid)
+            previous = decode_frame(record.payload, Known(self._grid, lattice, reference, memory))
+            field = previous.field(self._grid, lattice.unit_n)
+            if record.exceptions:
+                field = Exceptions.from_bytes(record.exceptions, self._grid).applied(field)
             yield field
 
     def costs(self, body: bytes, frame_count: int) -> list[TouchCost]:
         """Cost of each frame of a segment, without decoding it."""
         return [record.cost for record in self._reader(body).records(frame_count)]
-
-    def stats(self, body: bytes, frame_count: int) -> list[FrameStats]:
-        """Cost of each frame of a segment, and how many samples it holds; all of them count as sent."""
-        made = []
-        for record, field in self._decoded(body, frame_count):
-            count = field.support_count
-            made.append(FrameStats(record.kind, count, count, record.cost.bits))
-        return made
 
     def worst(self, body: bytes) -> Worst | None:
         """Worst voxel of a segment, nothing decoded; None in mode "nmse", which promises nothing."""
@@ -78,28 +91,3 @@ class TouchDecoder:
 
     def _reader(self, body: bytes) -> BodyReader:
         return BodyReader(body, self._grid, exact=self.spec.mode == "lossless")
-
-    def _decoded(self, body: bytes, frame_count: int) -> Iterator[tuple[FrameRecord, ForceField]]:
-        from touchfield.codec.touch.body import Exceptions
-        from touchfield.codec.touch.frame import Known, decode_exact, decode_frame, fresh_memory
-        from touchfield.codec.touch.guess import synthesise
-
-        reader = self._reader(body)
-        lattice, memory = reader.lattice, fresh_memory()
-        previous: FixedField | None = None
-        told: Told | None = None
-        for record in reader.records(frame_count):
-            if lattice is None:
-                told = decode_exact(record.payload, self._grid, told if record.inter else None)
-                yield record, told.field
-                continue
-            if not record.inter:
-                memory = fresh_memory()
-            reference = previous if record.inter else None
-            if record.guess:
-                reference = synthesise(record.guess, self._grid)
-            previous = decode_frame(record.payload, Known(self._grid, lattice, reference, memory))
-            field = previous.field(self._grid, lattice.unit_n)
-            if record.exceptions:
-                field = Exceptions.from_bytes(record.exceptions, self._grid).applied(field)
-            yield record, field
