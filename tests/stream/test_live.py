@@ -506,7 +506,7 @@ def proxied(address: str, hurt: list[int]) -> tuple[str, threading.Event]:
 def test_a_connection_that_is_cut_is_made_again() -> None:
     notes: list[str] = []
     with on_air() as server:
-        address, done = proxied(server.address, [1500, 1500])
+        address, done = proxied(server.address, [1000, 1000])
         with open_live(f"ws://{address}/live", notes.append) as live:
             for i in range(80):
                 live.medium[i]

@@ -99,15 +99,18 @@ def choose(law, work, f, size, rule):
     across_2 = (f[0] * rows[ws.AXES + 2, 0] + f[1] * rows[ws.AXES + 2, 1] + f[2] * rows[ws.AXES + 2, 2]) / 16384.0
     reached = ws.level_of(min(np.int64(round(abs(along))), np.int64((1 << 18) - 1)), law.border, law.first)
     n0 = np.int64(round(((reached if along >= 0 else -reached) - level) / 256.0))
+    reach = 4 if f.shape[0] == 4 else 3  # a wide mask often holds a point without a residual
     best = nearest = np.inf
     b0 = b1 = b2 = np.int64(0)
-    for i in range(3):
-        r0 = n0 + _AROUND[i]
+    for i in range(reach):
+        r0 = n0 + _AROUND[i] if i < 3 else np.int64(0)
         length = ws.amplitude_of(level + 256 * r0, law.border)
         step = ws.step_at(abs(length), law.cross_floor, law.cross_rate)
         n1, n2 = np.int64(round(across_1 / step)), np.int64(round(across_2 / step))
-        for j in range(9):
-            r1, r2 = n1 + _AROUND[j // 3], n2 + _AROUND[j % 3]
+        for j in range(reach * reach):
+            j1, j2 = j // reach, j % reach
+            r1 = n1 + _AROUND[j1] if j1 < 3 else np.int64(0)
+            r2 = n2 + _AROUND[j2] if j2 < 3 else np.int64(0)
             cost = _guessed(r0) + _guessed(r1) + _guessed(r2)
             if cost >= best:
                 continue
