@@ -1,8 +1,9 @@
 """Touch beside sound and picture: a stream as a timed data track of a movie, and out of it again (paper section 6).
 
 The track's samples are the file cut behind each of its segments, told at the time of their first frame; index and end
-are made again. So a file that is taken out is the one that was put in, byte for byte. In MPEG-TS, which is joined in
-the middle, each sample begins with the head again. Players that know nothing of touch play the rest as before.
+are made again. So a file that is taken out is the one that was put in, byte for byte. Players that know nothing of touch
+play the rest as before. In MPEG-TS, which is joined in the middle, each sample begins with the head again, and is the
+value of a KLV triplet (SMPTE 336M): of data without a registered name ffmpeg guesses from some bytes that it is video.
 
 A DASH manifest (ISO/IEC 23009-1) has sound and picture as ffmpeg cuts them, and the touch as an AdaptationSet of its
 own, whose one Representation is the whole ``.touch`` file, as captions have it: receivers read ranges of it. A
@@ -36,6 +37,9 @@ _SPACE: Final = "urn:mpeg:dash:schema:mpd:2011"
 _CLOCK: Final = Fraction(1, 90000)
 _MOST_BYTES: Final = 1 << 30
 """Of all touch in a movie that is taken out."""
+
+_KLV: Final = bytes.fromhex("060e2b34010101010f00") + b"touch\1\x84"
+"""Key of a triplet, and the first byte of its length, which says that four follow, the highest first."""
 
 _FORMS: Final = (".mp4", ".m4v", ".mov", ".ts", ".mpd")
 
@@ -95,7 +99,7 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
         if kind == ".mpd":
             names = _write_dash(source, Path(stream), out, at_s, 8 * reader.size / seconds)
             return Muxed(out, len(reader.segments), reader.size, seconds, at_s, names)
-        samples = list(_samples(reader, at_s, each_begins=kind == ".ts"))
+        samples = list(_samples(reader, at_s, is_ts=kind == ".ts"))
         options = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if kind != ".ts" else {}
         kept = [one for one in source.streams if one.type in ("video", "audio", "subtitle")]
         names = tuple(one.type for one in kept)
@@ -130,13 +134,16 @@ _Sample = tuple[float, float, bytes]
 """The movie's second at which it begins, how long it lasts, and its bytes."""
 
 
-def _samples(reader: TouchReader, at_s: float, each_begins: bool) -> Iterator[_Sample]:
+def _samples(reader: TouchReader, at_s: float, is_ts: bool) -> Iterator[_Sample]:
     data, begin, rate_hz = reader.read_all(), 0, reader.head.rate_hz
     head_end = reader.segments[0].offset
     for i, entry in enumerate(reader.segments):
         end = entry.offset + entry.length
-        head = data[:head_end] if i and each_begins and reader.head.coder != OBJECTS_CODER else b""
-        yield at_s + entry.first_frame / rate_hz, entry.frame_count / rate_hz, head + data[begin:end]
+        sample = data[begin:end]
+        if is_ts:
+            head = data[:head_end] if i and reader.head.coder != OBJECTS_CODER else b""
+            sample = _KLV + (len(head) + len(sample)).to_bytes(4, "big") + head + sample
+        yield at_s + entry.first_frame / rate_hz, entry.frame_count / rate_hz, sample
         begin = end
 
 
@@ -157,7 +164,7 @@ def _copy(
     try:
         with av.open(str(temporary), "w", format=form, options=options) as sink:
             tracks = {one.index: sink.add_stream_from_template(one) for one in kept}
-            touch: Any = sink.add_data_stream("bin_data") if samples else None
+            touch: Any = sink.add_data_stream("klv" if form == "mpegts" else "bin_data") if samples else None
 
             def put(until_s: float) -> None:
                 while waiting and waiting[-1][0] <= until_s:
@@ -191,7 +198,8 @@ def _found(source: Any, name: str) -> tuple[list[bytes], float]:
     size = 0
     for packet in source.demux(data) if data else ():
         track = tracks.setdefault(packet.stream.index, [])
-        if not packet.size or not (track or bytes(packet).startswith(MAGIC)):
+        begin = len(_KLV) + 4 if bytes(packet).startswith(_KLV) else 0
+        if not packet.size or not (track or bytes(packet)[begin:].startswith(MAGIC)):
             continue
         times.setdefault(packet.stream.index, float((packet.pts or 0) * packet.time_base))
         size += packet.size
@@ -200,7 +208,7 @@ def _found(source: Any, name: str) -> tuple[list[bytes], float]:
         if packet.pts is None and track:  # MPEG-TS tells a long sample in several packets
             track[-1] += bytes(packet)
         else:
-            track.append(bytearray(packet))
+            track.append(bytearray(packet)[begin:])
     first = next(((index, track) for index, track in tracks.items() if track), None)
     if first is None:
         raise SourceError(name, "no track of touch", "a movie that touchfield mux made")
