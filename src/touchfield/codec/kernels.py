@@ -378,21 +378,21 @@ def code_numbers(bits, contexts_at, sets_at, numbers):
             contexts_at, contexts_at + _AROUND + NUMBER_SETS * near,
             contexts_at + _SIZES + NUMBER_SETS * sizes, sets_at,
         )  # fmt: skip
-        size, found = abs(numbers[i]), np.int64(0)
+        size, number = abs(numbers[i]), np.int64(0)
         if _code(bits, at, np.int64(0), np.int64(size > 0)):
             sign = _code(bits, at, np.int64(_SIGN), np.int64(numbers[i] < 0))
             length, more = np.int64(0), np.int64(1)
             while more and length < _LONGEST:
                 length += 1
                 more = _code(bits, at, _MORE + min(length, np.int64(14)), np.int64(size >> length > 0))
-            found = np.int64(1)
+            number = np.int64(1)
             if length > 1:
-                found = 2 | _code(bits, at, _SECOND + min(length, np.int64(15)), (size >> (length - 2)) & 1)
+                number = 2 | _code(bits, at, _SECOND + min(length, np.int64(15)), (size >> (length - 2)) & 1)
             if length > 2:
                 rest = (np.int64(1) << (length - 2)) - 1
-                found = found << (length - 2) | even(bits, size & rest, length - 2)
-            found = -found if sign else found
-        numbers[i] = found
-        r3, r2, r1 = r2, r1, found
+                number = number << (length - 2) | even(bits, size & rest, length - 2)
+            number = -number if sign else number
+        numbers[i] = number
+        r3, r2, r1 = r2, r1, number
         if bits.state[TASK] == READING and bits.state[PLACE] > bits.buffer.shape[0] + 6:
             return

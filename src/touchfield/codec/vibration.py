@@ -87,21 +87,21 @@ def decode_vibration(body: bytes, grid: Grid, frame_count: int) -> list[Vibratio
 
 def encode_symbols(grid: Grid, frames: Sequence[VibrationSymbols]) -> bytes:
     """The body of VIBR for frames in whole numbers."""
-    told = [_bricks_of(grid, one.positions) for one in frames]
+    supports = [_bricks_of(grid, one.positions) for one in frames]
     differences, before = [np.zeros((2, 0), np.int64)], _NOTHING
     for one in frames:
         places, values = _places(grid, one.positions), np.stack([one.amplitudes, one.frequencies]).astype(np.int64)
         guess = np.append(np.zeros((2, 1), np.int64), values, axis=1)[:, :-1]
-        known, past = _same_samples(before, places)
-        guess[:, known] = past
+        same, past = _same_samples(before, places)
+        guess[:, same] = past
         differences.append(values - guess)
         before = places, values
     numbers = np.concatenate(differences, axis=1)
-    brick_count = sum(len(bricks) for bricks, _ in told)
+    brick_count = sum(len(bricks) for bricks, _ in supports)
     bits = writer(brick_count * support.ROOM + numbers.size * kernels.NUMBER_ROOM + 64, fresh(_CONTEXTS, _SETS))
-    given: Bricks | None = None
-    for bricks in told:
-        given = support.code_support(bits, 0, 0, grid, bricks, given)
+    known: Bricks | None = None
+    for bricks in supports:
+        known = support.code_support(bits, 0, 0, grid, bricks, known)
     _code_numbers(bits, numbers)
     return padded(end_of(bits), brick_count + _FRAME * len(frames))
 
@@ -114,14 +114,14 @@ def decode_symbols(body: bytes, grid: Grid, frame_count: int) -> list[VibrationS
     `memory_budget_bytes`.
     """
     bits = reader(body, fresh(_CONTEXTS, _SETS))
-    given: Bricks | None = None
+    known: Bricks | None = None
     brick_count, positions = 0, [np.zeros((0, 3), np.int32)]
     for i in range(frame_count):
-        given = support.code_support(bits, 0, 0, grid, None, given)
-        brick_count += _FRAME + len(given[0])
+        known = support.code_support(bits, 0, 0, grid, None, known)
+        brick_count += _FRAME + len(known[0])
         if len(body) < len(padded(b"", brick_count)):
             raise TruncatedFile(_WHERE, f"{len(body)} bytes", f"{len(padded(b'', brick_count))} or more to frame {i}")
-        positions.append(_positions(*given))
+        positions.append(_positions(*known))
         needed, allowed = sum(map(len, positions)) * _BYTES_PER_SAMPLE, memory_budget_bytes()
         if needed > allowed:
             found, expected = f"{needed / 2**30:.1f} GiB of samples", f"at most {allowed / 2**30:.1f} GiB a segment"

@@ -1,9 +1,10 @@
 """Touch beside sound and picture: a stream as a timed data track of a movie, and out of it again (paper section 6).
 
 The track's samples are the file cut behind each of its segments, told at the time of their first frame; index and end
-are made again. So a file that is taken out is the one that was put in, byte for byte. Players that know nothing of touch
-play the rest as before. In MPEG-TS, which is joined in the middle, each sample begins with the head again, and is the
-value of a KLV triplet (SMPTE 336M): of data without a registered name ffmpeg guesses from some bytes that it is video.
+are made again. So a file that is taken out is the one that was put in, byte for byte. Players that know nothing of
+touch play the rest as before. In MPEG-TS, which is joined in the middle, each sample begins with the head again, and
+is the value of a KLV triplet (SMPTE 336M): of data without a registered name ffmpeg guesses from some bytes that it
+is video.
 
 A DASH manifest (ISO/IEC 23009-1) has sound and picture as ffmpeg cuts them, and the touch as an AdaptationSet of its
 own, whose one Representation is the whole ``.touch`` file, as captions have it: receivers read ranges of it. A

@@ -232,16 +232,16 @@ class ObjectsEncoder:
         rule = ComposedRule(self._scene, spec.k, spec.f0_n)
         suspects: set[int] = set()  # frames that were beyond: looked at first
         while True:
-            found = [self._found(rule, coded, sorted(suspects))] if suspects else []
-            if not found or found[0].beyond == 0:
-                found = [self._found(rule, coded, frames) for frames in self._ranges]
-            ratios = np.max([one.ratios for one in found], axis=0)
+            results = [self._found(rule, coded, sorted(suspects))] if suspects else []
+            if not results or results[0].beyond == 0:
+                results = [self._found(rule, coded, frames) for frames in self._ranges]
+            ratios = np.max([one.ratios for one in results], axis=0)
             if ratios.max() <= 1.0:
-                worst = [Worst(*one.worst) for one in found]
+                worst = [Worst(*one.worst) for one in results]
                 starts = [frames.start for frames in self._ranges]
                 return coded, [w._replace(frame=max(w.frame - i, 0)) for w, i in zip(worst, starts, strict=True)]
             if self._all_rigid:
-                suspects |= {int(frame) for one in found for frame in one.places[one.ratios > 1, 0]}
+                suspects |= {int(frame) for one in results for frame in one.places[one.ratios > 1, 0]}
             for i in np.flatnonzero(ratios > 1):
                 shares[i] *= _SHARE_STEP ** max(1, int(np.log(ratios[i]) / -np.log(_SHARE_STEP) / 2))
                 coded[i] = self._fields(self._scene.objects[i], shares[i])

@@ -245,5 +245,5 @@ class Exceptions(NamedTuple):
         forces = zero_forces(len(keys))
         forces[own] = field.forces_n
         forces.reshape(-1, _SAMPLES, 3)[np.searchsorted(keys, self.keys), self.places] = self.forces_n
-        held = forces.any(axis=(1, 2, 3, 4))
-        return ForceField(field.grid, bricks[held], forces[held])
+        some = forces.any(axis=(1, 2, 3, 4))
+        return ForceField(field.grid, bricks[some], forces[some])

@@ -99,8 +99,8 @@ class TouchEncoder:
         if before is None or self._spec.mode not in ("mask", "mask-direction") or frame.grid != before.grid:
             return frame
         k, f0_n = max(_STANDING * self._spec.k, 0.001), _STANDING * self._spec.f0_n
-        found = compared(frame, before, replace(self._spec, mode="mask", k=k, f0_n=f0_n, support="movable"))
-        return frame if len(found.keys) else before
+        result = compared(frame, before, replace(self._spec, mode="mask", k=k, f0_n=f0_n, support="movable"))
+        return frame if len(result.keys) else before
 
     def _longest_n(self, index: int, frame: ForceField) -> float:
         if frame.grid != self._grid:
@@ -122,26 +122,28 @@ class TouchEncoder:
             body = write_body(lattice, records, None)
             try:
                 pairs = zip(frames, decoder.frames(body, len(frames)), strict=True)
-                found = [compared(*pair, self._spec, hidden_n=hidden_of(pair[0], self._spec)) for pair in pairs]
+                results = [compared(*pair, self._spec, hidden_n=hidden_of(pair[0], self._spec)) for pair in pairs]
             except FormatError as error:
                 raise AssertionError("a body that its own decoder refuses") from error
-            if not any(len(one.keys) for one in found):
-                return self._sealed(lattice, records, found)
-            for i, one in enumerate(found):
+            if not any(len(one.keys) for one in results):
+                return self._sealed(lattice, records, results)
+            for i, one in enumerate(results):
                 if len(one.keys):
                     keys, places, _ = Exceptions.from_bytes(records[i].exceptions, self._grid)
                     keys, places = np.append(keys, one.keys), np.append(places, one.places)
                     records[i] = replace(records[i], exceptions=Exceptions.of(frames[i], keys, places).to_bytes())
         raise AssertionError("a voxel that was sent as it is does not keep the promise")
 
-    def _sealed(self, lattice: Lattice | None, records: list[FrameRecord], found: Sequence[Compared]) -> CodedSegment:
-        worst = None if self._spec.mode == "nmse" else self._worst(found)
-        stats = (FrameStats(r.kind, f.decoded, f.decoded, r.cost.bits) for r, f in zip(records, found, strict=True))
+    def _sealed(
+        self, lattice: Lattice | None, records: list[FrameRecord], results: Sequence[Compared]
+    ) -> CodedSegment:
+        worst = None if self._spec.mode == "nmse" else self._worst(results)
+        stats = (FrameStats(r.kind, f.decoded, f.decoded, r.cost.bits) for r, f in zip(records, results, strict=True))
         return CodedSegment(write_body(lattice, records, worst), tuple(stats))
 
-    def _worst(self, found: Sequence[Compared]) -> Worst:
-        frame = max(range(len(found)), key=lambda i: found[i].worst)
-        one = found[frame]
+    def _worst(self, results: Sequence[Compared]) -> Worst:
+        frame = max(range(len(results)), key=lambda i: results[i].worst)
+        one = results[frame]
         if one.worst_key < 0:
             return Worst(0.0, 0, (0, 0, 0))
         brick = np.unravel_index(one.worst_key, self._grid.brick_shape)
@@ -177,8 +179,8 @@ def _coded(frame: ForceField, palette: Palette, before: Told | None) -> tuple[by
     field = ForceField(frame.grid, frame.bricks[kept], frame.forces_n[kept])
     symbols, models = components(field.forces_n), models_after(before)
     if palette.book:
-        held = symbols[:, 0] >= 0
-        symbols = np.where(held, _symbols(field.forces_n.reshape(-1, 3), palette).T, -1).T.copy()
+        there = symbols[:, 0] >= 0
+        symbols = np.where(there, _symbols(field.forces_n.reshape(-1, 3), palette).T, -1).T.copy()
     head = bytes([palette.book])
     if palette.book and before is None:
         head += len(palette.levels).to_bytes(2, "little") + palette.levels.astype("<f4").tobytes()
@@ -197,14 +199,14 @@ def _products(frames: Sequence[ForceField]) -> Palette | None:
     vectors = [frame.forces_n.reshape(-1, 3) for frame in frames]
     vectors = [v[v.view(np.uint32).any(axis=1)] for v in vectors]
     for name in _TRIED:
-        codebook, found = Codebook.get(name), np.zeros((2, 0))
+        codebook, intervals = Codebook.get(name), np.zeros((2, 0))
         for v in (vectors[0][:64], *vectors):
             bounds = _bounds(v, codebook)
             if not (bounds[0] <= bounds[1]).all() or not np.isfinite(bounds).all():
                 break
-            found = _distinct(np.concatenate([found, bounds], axis=1))
+            intervals = _distinct(np.concatenate([intervals, bounds], axis=1))
         else:
-            levels = np.minimum(found.sum(axis=0) / 2, np.finfo(np.float32).max).astype(np.float32)
+            levels = np.minimum(intervals.sum(axis=0) / 2, np.finfo(np.float32).max).astype(np.float32)
             palette = Palette(1 + codebook_names().index(name), levels)
             if 0 < len(levels) < min(sum(map(len, vectors)), _MOST_LEVELS) and all(
                 np.array_equal(palette.forces(_symbols(v, palette)).view(np.uint32), v.view(np.uint32))

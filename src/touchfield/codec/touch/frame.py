@@ -245,11 +245,11 @@ def decode_exact(data: bytes, grid: Grid, before: Told | None) -> Told:
     if not exact.code_samples(bits, frame_of(grid, bricks, palette, symbols, before)):
         raise CorruptFile(_EXACT, "a symbol that there is not, or the end of the bytes", f"{len(bricks)} bricks")
     check_end(bits, BRICK_COUNTS * len(bricks), _EXACT)
-    held, forces = symbols[:, 0] >= 0, np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
-    made = forces.reshape(-1, 3)[held] = palette.forces(symbols[held])
-    if not np.isfinite(made).all() or not made.view(np.uint32).any(axis=1).all():
+    there, forces = symbols[:, 0] >= 0, np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
+    own = forces.reshape(-1, 3)[there] = palette.forces(symbols[there])
+    if not np.isfinite(own).all() or not own.view(np.uint32).any(axis=1).all():
         raise CorruptFile(_EXACT, "a sample without force, or with one that is not finite", "forces")
-    if not held.reshape(-1, 512).any(axis=1).all():
+    if not there.reshape(-1, 512).any(axis=1).all():
         raise CorruptFile(_EXACT, "a brick without force", "none")
     return Told(ForceField(grid, bricks, forces), palette, symbols, models)
 

@@ -187,7 +187,7 @@ class Chooser:
         return best, inter, guess[0] if guess else b""
 
     def _guesses(self, frame: ForceField, alike: float) -> list[_Guess | None]:
-        """What to try: a guess that is worth it, and none, unless the guess is trusted."""
+        """Guesses to try: one that is worth it, and none beside it, unless it is trusted."""
         if not self._looks or alike >= _STILL:
             return [None]
         guess, kept = fit(frame, self._lattice, self._limits, self._spec)
@@ -206,6 +206,6 @@ class Chooser:
         size = len(coded.payload) + (len(guess[0]) if guess else 0)
         if self._spec.mode != "nmse":
             return float(size)
-        made = sketch.course.turned(coded.decoded.vectors, sketch.order)
-        error = float(((made - sketch.forces) ** 2).sum()) / self._lattice.floor**2
+        decoded = sketch.course.turned(coded.decoded.vectors, sketch.order)
+        error = float(((decoded - sketch.forces) ** 2).sum()) / self._lattice.floor**2
         return error / (8 * _THRIFT) + size

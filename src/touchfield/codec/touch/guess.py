@@ -58,14 +58,14 @@ class Head(NamedTuple):
     @classmethod
     def read(cls, data: bytes) -> tuple[Head, int]:
         """The head at the begin of `data`, and the offset behind it."""
-        told, at = [], 0
+        values, at = [], 0
         for n in range(7):
             least, limit = (2, 6) if n < 3 else (1, 1 << 20)
             value, at = read_varint(data, at, f"{_WHERE}, head {n}", limit)
             if value < least:
                 raise CorruptFile(f"{_WHERE}, head {n}", f"{value}", f"{least} or more")
-            told.append(value)
-        x, y, z, step, a, b, c = told
+            values.append(value)
+        x, y, z, step, a, b, c = values
         return cls((x, y, z), step, (a, b, c)), at
 
 
@@ -235,20 +235,20 @@ def column_forces(view: View, columns: kernels.Columns, size: int | None = None)
     starts = np.where(surfaces[..., kernels.A] > 0, surfaces[..., kernels.Z] >> 8, depth)
     starts = starts.reshape(rows, BRICK, row, BRICK, 2).min(axis=(1, 3, 4))[..., None] + 1
     low = np.arange(0, depth, BRICK)
-    held = (starts < depth) & ((low < depth - starts) if view.inverted else (low + BRICK > starts))
-    found = np.argwhere(held)
-    if size is not None and size < least_size(view, len(found)):
-        least = f"{least_size(view, len(found))} or more"
-        raise TruncatedFile(_COLUMNS, f"{size} bytes for {len(found)} bricks", least, _CHANGED)
-    bricks = np.empty((len(found), 3), np.int32)
-    bricks[:, view.order] = found + np.array([a, b, 0])
+    reached = (starts < depth) & ((low < depth - starts) if view.inverted else (low + BRICK > starts))
+    bricks_at = np.argwhere(reached)
+    if size is not None and size < least_size(view, len(bricks_at)):
+        least = f"{least_size(view, len(bricks_at))} or more"
+        raise TruncatedFile(_COLUMNS, f"{size} bytes for {len(bricks_at)} bricks", least, _CHANGED)
+    bricks = np.empty((len(bricks_at), 3), np.int32)
+    bricks[:, view.order] = bricks_at + np.array([a, b, 0])
     order = np.argsort(brick_keys(view.grid, bricks))
-    i, j, along = found[order].T
-    vectors = np.zeros((len(found), BRICK, BRICK, BRICK, 3), np.int32)
+    i, j, along = bricks_at[order].T
+    vectors = np.zeros((len(bricks_at), BRICK, BRICK, BRICK, 3), np.int32)
     places = np.stack([(i * BRICK + 1) * columns.row + 2 * (j * BRICK + 1), along * BRICK], axis=1)
     seen = vectors.transpose(0, *(1 + c for c in view.order), 4)
-    told = depth, view.inverted, np.array(view.order)
-    for_chunks(kernels.fill_bricks, len(found), places, told, columns, seen, chunk=64)
+    course = depth, view.inverted, np.array(view.order)
+    for_chunks(kernels.fill_bricks, len(bricks_at), places, course, columns, seen, chunk=64)
     return FixedField(bricks[order], vectors)
 
 

@@ -189,13 +189,13 @@ def fit_spline(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[byt
         data, guess = _coded(seen, (x, y, z))
         error = guess.vectors - seen.forces
         within = np.einsum("...i,...i", error, error) <= np.maximum(seen.f0, seen.k * lengths) ** 2
-        held = np.count_nonzero(lengths)
-        bad = held - np.count_nonzero(within & (lengths > 0))
-        told, missed = 8.0 * len(data), _MISS_BITS * bad
-        if best is not None and told + missed >= best[0]:
+        voxels = np.count_nonzero(lengths)
+        bad = voxels - np.count_nonzero(within & (lengths > 0))
+        size, missed = 8.0 * len(data), _MISS_BITS * bad
+        if best is not None and size + missed >= best[0]:
             break
-        best = told + missed, data, guess
-        if missed < told or bad > (1 - _HOPELESS) * held:  # a finer lattice takes some times the bytes
+        best = size + missed, data, guess
+        if missed < size or bad > (1 - _HOPELESS) * voxels:  # a finer lattice takes some times the bytes
             break
     return None if best is None else best[1:]
 
@@ -229,11 +229,11 @@ def _coded(seen: _Frame, shifts: tuple[int, int, int]) -> tuple[bytes, FixedFiel
     head = Head(shifts, step, (x, y, z))
     nodes = Nodes(bricks, shifts)
     values = np.rint(np.clip(_coefficients(seen, shifts, nodes), -REACH, REACH)).astype(np.int64)
-    told = writer(320 * len(bricks) + 64 * len(values) + 64, fresh(SPLINE_CONTEXTS, LIST_SETS))
-    code_bricks(told, 0, 0, grid.brick_shape, bricks, None)
-    code_nodes(told, LIST_CONTEXTS, nodes.before, step, values, np.zeros_like(values))
+    bits = writer(320 * len(bricks) + 64 * len(values) + 64, fresh(SPLINE_CONTEXTS, LIST_SETS))
+    code_bricks(bits, 0, 0, grid.brick_shape, bricks, None)
+    code_nodes(bits, LIST_CONTEXTS, nodes.before, step, values, np.zeros_like(values))
     guess = forces_of(head, grid, bricks, values[nodes.around])
-    return head.to_bytes() + padded(end_of(told), len(bricks)), guess
+    return head.to_bytes() + padded(end_of(bits), len(bricks)), guess
 
 
 class _Samples:
@@ -342,9 +342,9 @@ def fit(
     if spec.mode == "nmse":
         limits, most = limits._replace(f0=_FINENESS * lattice.floor), 0.0
     for kind, provider in ((SPLINE, fit_spline), (COLUMNS, fit_columns)):
-        found = provider(frame, lattice, limits) if most < _ENOUGH else None
-        if found is not None:
-            share = agreement(frame, found[1], lattice.unit_n, spec)
+        fitted = provider(frame, lattice, limits) if most < _ENOUGH else None
+        if fitted is not None:
+            share = agreement(frame, fitted[1], lattice.unit_n, spec)
             if share >= most:
-                best, most = (bytes([kind]) + found[0], found[1]), share
+                best, most = (bytes([kind]) + fitted[0], fitted[1]), share
     return best, most if best else 0.0

@@ -35,11 +35,11 @@ class FixedField:
         """The forces in newtons: one float32 product each, the only floating-point step of decoding."""
         from touchfield.codec.touch.kernels.workspace import newtons
 
-        forces, held = np.empty(self.vectors.shape, np.float32), np.empty(len(self.vectors), np.bool_)
-        newtons(self.vectors.reshape(-1), np.float32(unit_n), forces.reshape(-1), held)
-        if held.all():
+        forces, there = np.empty(self.vectors.shape, np.float32), np.empty(len(self.vectors), np.bool_)
+        newtons(self.vectors.reshape(-1), np.float32(unit_n), forces.reshape(-1), there)
+        if there.all():
             return ForceField(grid, self.bricks, forces)
-        return ForceField(grid, self.bricks[held], forces[held])
+        return ForceField(grid, self.bricks[there], forces[there])
 
 
 BUCKET: Final = 5  # binary digits of the units in which `warp_of` looks for an amplitude together
@@ -105,10 +105,10 @@ def warp_of(floor: int, rate: int) -> tuple[Int64s, Int64s]:
     which is in 1/256 units, until it is past 2^18 units. Returns `border`, int64 [n], ascending,
     and `first`, int64 [8193]: for each bucket of 32 units the last border not above its begin.
     """
-    told = [0]
-    while told[-1] <= 1 << 26:
-        told.append(told[-1] + max(1, max(floor << 8, told[-1] * rate >> 16) >> 4))
-    border = np.array(told, np.int64)
+    borders = [0]
+    while borders[-1] <= 1 << 26:
+        borders.append(borders[-1] + max(1, max(floor << 8, borders[-1] * rate >> 16) >> 4))
+    border = np.array(borders, np.int64)
     buckets = np.arange(0, (1 << 26) + 1, 1 << (BUCKET + 8))
     first = np.searchsorted(border, buckets, side="right") - 1
     return border, np.minimum(first, len(border) - 2)

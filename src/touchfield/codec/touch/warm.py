@@ -34,9 +34,9 @@ def _columns() -> None:
 
     field, spec = solid(), TouchSpec()
     lattice = lattice_for(spec, 2.0)
-    found = fit_columns(field, lattice, limits_for(spec, lattice))
-    if found is not None:
-        agreement(field, columns_of_bytes(found[0], field.grid), lattice.unit_n, spec)
+    columns = fit_columns(field, lattice, limits_for(spec, lattice))
+    if columns is not None:
+        agreement(field, columns_of_bytes(columns[0], field.grid), lattice.unit_n, spec)
 
 
 GROUPS: Final[Mapping[str, Callable[[], None]]] = {"passes": _passes, "columns": _columns}
