@@ -62,6 +62,9 @@ def write_hjif_array(
 ) -> None:
     """Write the drives of an array as ``.hjif``.
 
+    Raises InvalidArgument if the array has more than 127 columns or rows, or a frame takes less than one tick of a
+    millisecond or more than 65535; SourceError if the system refuses to write.
+
     Parameters
     ----------
     path : Path
@@ -72,9 +75,6 @@ def write_hjif_array(
     panel : str
         "front" or "back" of the chest.
     description : str
-
-    Raises InvalidArgument if the array has more than 127 columns or rows, or a frame takes less than one tick of a
-    millisecond or more than 65535; SourceError if the system refuses to write.
     """
     columns, rows, _ = effect.lattice
     if max(columns, rows) > LARGEST_VECTOR:
@@ -119,6 +119,8 @@ def write_hjif_force(
 ) -> None:
     """Write a force over time as ``.hjif``.
 
+    Raises InvalidArgument if the full scale is out of range; SourceError if the system refuses to write.
+
     Parameters
     ----------
     path : Path
@@ -132,8 +134,6 @@ def write_hjif_force(
         Newtons that are told as 1; 1 tells newtons. Readers that put newtons out as sound, the reference synthesiser
         among them, clip them at 1; with another value the file tells shares of it.
     description : str
-
-    Raises InvalidArgument if the full scale is out of range; SourceError if the system refuses to write.
     """
     if not 0 < full_scale_n <= _LARGEST_FORCE_N:
         raise InvalidArgument("full_scale_n", repr(full_scale_n), f"newtons above 0, up to {_LARGEST_FORCE_N:g}")
@@ -252,6 +252,8 @@ def thinned(ticks: Int64s, values: Float64s, tolerances: Sequence[float]) -> Int
     The first and the last are always kept. Each line reaches as far as the tolerances allow (the cone of slopes that
     pass all samples on the way); one pass, in time proportional to the samples.
 
+    Returns int64 [k]: indices of the samples that are kept, ascending.
+
     Parameters
     ----------
     ticks : int64 [n]
@@ -260,8 +262,6 @@ def thinned(ticks: Int64s, values: Float64s, tolerances: Sequence[float]) -> Int
         Samples of m signals that share their keyframes.
     tolerances : m floats
         Greatest distance of each signal from the lines.
-
-    Returns int64 [k]: indices of the samples that are kept, ascending.
     """
     inner = (values[1:-1] == values[:-2]).all(axis=1) & (values[1:-1] == values[2:]).all(axis=1)
     places = np.flatnonzero(np.concatenate([[True], ~inner, [True]])[: len(ticks)])

@@ -59,6 +59,8 @@ _OURS: Final = "our choice: an effect file tells neither sizes nor forces"
 class ArrayEffect:
     """The drives of an array over time.
 
+    Raises InvalidArgument if shapes or types are wrong, or a number is out of range.
+
     Parameters
     ----------
     rate_hz : float
@@ -67,8 +69,6 @@ class ArrayEffect:
         0 to 1; row 0 is the top one, column 0 the left one, as one looks at the array.
     frequencies_hz : float32 [frames, rows, columns] or None
         0 where none is known; None if there are none at all.
-
-    Raises InvalidArgument if shapes or types are wrong, or a number is out of range.
     """
 
     rate_hz: float

@@ -60,6 +60,8 @@ def touch_down(
 ) -> Trace:
     """A trace that touches a field.
 
+    The trace is at 1 kHz, from 0 s on, in the axes and metres of the field.
+
     Parameters
     ----------
     touched : HapticMedium or HapticScene
@@ -73,8 +75,6 @@ def touch_down(
         does not come between.
     start_s, speed : float
         The moment of the medium at which the hand begins, and its seconds in one of the hand's.
-
-    The trace is at 1 kHz, from 0 s on, in the axes and metres of the field.
     """
     seconds = SECONDS
     if len(touched) > 1:

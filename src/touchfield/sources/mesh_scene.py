@@ -48,14 +48,14 @@ class MeshScene(Scene):
     name : str; What to call it in messages.
     notes : tuple of str; What the reader has to tell; what kind of mesh it is comes behind.
 
+    Raises `SourceError` if there is no triangle, or a coordinate or vertex number is at fault; `InvalidArgument` if
+    `shell` or `holes` is unknown.
+
     Attributes
     ----------
     is_one_sided : bool; Of an open mesh.
     velocities_m_s : float64 [n, 3] or None; Of the vertices, if the mesh is one instant of a motion; a profile may
         add a damping times these.
-
-    Raises `SourceError` if there is no triangle, or a coordinate or vertex number is at fault; `InvalidArgument` if
-    `shell` or `holes` is unknown.
     """
 
     axes = UP_Y_AXES

@@ -75,13 +75,13 @@ class Surface:
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
     name : str; What to call it in messages.
 
+    Raises `SourceError` if there is no triangle left, or a number is out of range or not finite.
+
     Attributes
     ----------
     vertices_m : float64 [n, 3], read-only
     triangles : int32 [m, 3], read-only; Each begins with its longest edge; those with a vertex twice are left out.
     is_closed : bool; Whether it encloses something: every edge is balanced, and it is not a sheet laid double.
-
-    Raises `SourceError` if there is no triangle left, or a number is out of range or not finite.
     """
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> None:
