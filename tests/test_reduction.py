@@ -109,6 +109,10 @@ def test_frames_that_were_not_learnt_from_are_told_with_what_they_cost() -> None
     assert found.nmse_db <= -20.0 and found.share > found.share_of_coefficients > 0
     length = len(reduced(medium, "global", 1).modes.basis)
     assert found.share == pytest.approx(found.modes * (length + 60) / (60 * length))
+    learnt, odd = reduced(medium, "global", 15, step=2), range(1, 60, 2)
+    energy = sum(float((medium[i].forces_n.astype(float) ** 2).sum()) for i in odd)
+    caught = sum(float((learnt.coefficients(i)[:, : found.modes] ** 2).sum()) for i in odd)
+    assert found.nmse_db == pytest.approx(10 * np.log10(1 - caught / energy), abs=1e-3)
 
 
 def test_degrees_of_freedom_are_those_that_were_put_in() -> None:

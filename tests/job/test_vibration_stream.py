@@ -78,6 +78,9 @@ def test_a_rule_makes_a_band_that_its_stream_has(tmp_path: Path) -> None:
         assert 80 <= told["vibration_lowest_hz"] < told["vibration_highest_hz"] <= 240
         bodies = [opened.reader.read_vibration(i) or b"" for i in range(3)]
         assert told["bits_vibration"] == 8 * sum(map(len, bodies))
+        parts = ("support", "amplitude", "direction", "models", "side", "vibration")
+        assert sum(told[f"bits_{part}"] for part in parts) == 8 * told["file_bytes"] == 8 * path.stat().st_size
+        assert told["seconds"] == told["frames"] / 50.0 == 0.1
 
 
 def test_a_file_without_vibration_is_what_it_was(tmp_path: Path) -> None:

@@ -122,6 +122,22 @@ def test_a_stream_is_opened_in_three_requests_and_segments_are_fetched_when_felt
         assert source.requests <= 3 + 8
 
 
+def test_what_is_kept_of_a_file_elsewhere_is_bounded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with served(folder) as address, TouchReader(f"{address}/noise.touch") as far:
+        source = far._source.remote
+        assert source is not None
+        longest = max(entry.length for entry in far.segments)
+        monkeypatch.setattr(remote, "_MOST_KEPT", 2 * longest)
+        for i in range(8):
+            far.read_segment(i)
+            assert sum(map(len, source._kept.values())) <= 2 * longest
+        before = source.requests
+        far.read_segment(7)
+        assert source.requests == before
+        far.read_segment(0)
+        assert source.requests == before + 1
+
+
 @pytest.mark.parametrize("name", ["noise.touch", "bodies.touch"])
 def test_forces_from_elsewhere_are_those_of_the_file(folder: Path, name: str) -> None:
     with (
