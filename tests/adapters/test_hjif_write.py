@@ -148,6 +148,8 @@ def test_rows_and_columns_of_an_array(tmp_path: Path) -> None:
 
 def test_options_of_an_array_that_cannot_be(tmp_path: Path) -> None:
     one = ArrayEffect(100.0, np.zeros((2, 1, 1), np.float32))
+    with pytest.raises(InvalidArgument, match="panel"):
+        write_hjif_array(tmp_path / "a.hjif", one, panel="left")
     for rate_hz in (0.01, 1001.0):
         with pytest.raises(InvalidArgument, match="ticks to a frame"):
             write_hjif_array(tmp_path / "a.hjif", ArrayEffect(rate_hz, one.drives))

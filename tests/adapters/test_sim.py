@@ -129,6 +129,11 @@ def test_time_that_cannot_pass_is_refused(dt) -> None:
         opened().advance(dt)
 
 
+def test_there_are_two_kinds_of_hand() -> None:
+    with pytest.raises(InvalidArgument, match="follow or spring"):
+        SimHand(kind="loose")  # type: ignore[arg-type]
+
+
 def test_a_force_that_is_no_number_and_a_closed_hand_are_told() -> None:
     hand = opened()
     with pytest.raises(DeviceError, match="finite newtons"):

@@ -86,4 +86,6 @@ def test_arrays_that_are_no_vest(tmp_path: Path) -> None:
     for rows, columns in ((8, 8), (5, 5), (3, 4), (1, 1)):
         with pytest.raises(InvalidArgument, match="tactsuit-x40"):
             write_tact(tmp_path / "a.tact", ArrayEffect(20.0, np.zeros((2, rows, columns), np.float32)))
+    with pytest.raises(InvalidArgument, match="panel"):
+        write_tact(tmp_path / "a.tact", ArrayEffect(20.0, np.zeros((2, 5, 4), np.float32)), panel="top")
     assert list(tmp_path.iterdir()) == []

@@ -107,6 +107,12 @@ def test_whatever_comes_nothing_is_raised(coming: list[bytes | int]) -> None:
     assert all(m in MESSAGES for m in out)
 
 
+@pytest.mark.parametrize("repair", [-0.1, 4.1, float("nan")])
+def test_repair_that_cannot_be(repair: float) -> None:
+    with pytest.raises(InvalidArgument, match="repair"):
+        Datagrams(1, repair)
+
+
 @pytest.mark.parametrize("text", ["", "host", "host:", ":9", "host:0", "host:99999", "host:x"])
 def test_addresses_that_are_none(text: str) -> None:
     with pytest.raises(InvalidArgument):

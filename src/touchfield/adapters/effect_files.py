@@ -51,7 +51,7 @@ from touchfield.adapters.bhaptics import COLUMNS, POSITIONS, ROWS_OF
 from touchfield.adapters.hjif_write import thinned
 from touchfield.adapters.symbolic import TRANSIENT_S, filled_hz
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.medium.atomic import atomic_path
 
 if TYPE_CHECKING:
@@ -74,13 +74,14 @@ def fits_vest(lattice: tuple[int, int, int]) -> bool:
 def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front") -> None:
     """Write the drives of a vest, four columns and five, four or two rows, as ``.tact``.
 
-    `panel` is "front" or "back". Raises InvalidArgument if the array is another; SourceError if the system refuses to
-    write.
+    `panel` is "front" or "back". Raises InvalidArgument if the array is another, or there is no such panel;
+    SourceError if the system refuses to write.
     """
     columns, rows, _ = effect.lattice
     if not fits_vest(effect.lattice):
         found, expected = f"{columns} columns, {rows} rows", f"{COLUMNS} columns, and 5, 4 or 2 rows"
         raise InvalidArgument("array", found, expected, "Take --device tactsuit-x40.")
+    require_one_of("panel", panel, _PANELS)
     length_ms = max(1, round(1000 * len(effect) / effect.rate_hz))
     silence = [(0, length_ms, np.zeros((ROWS, COLUMNS), np.int64))]
     spans = list(_spans(effect)) or silence

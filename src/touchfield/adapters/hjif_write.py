@@ -33,7 +33,7 @@ from touchfield.adapters.hjif_read import DEFAULT_TIMESCALE, LARGEST_VECTOR
 from touchfield.adapters.hmpg_read import LARGEST_PHASE
 from touchfield.adapters.symbolic import filled_hz
 from touchfield.arrays import Float32s, Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.medium import MAX_FREQUENCY_HZ
 
@@ -62,8 +62,8 @@ def write_hjif_array(
 ) -> None:
     """Write the drives of an array as ``.hjif``.
 
-    Raises InvalidArgument if the array has more than 127 columns or rows, or a frame takes less than one tick of a
-    millisecond or more than 65535; SourceError if the system refuses to write.
+    Raises InvalidArgument if the array has more than 127 columns or rows, there is no such panel, or a frame takes
+    less than one tick of a millisecond or more than 65535; SourceError if the system refuses to write.
 
     Parameters
     ----------
@@ -79,6 +79,7 @@ def write_hjif_array(
     columns, rows, _ = effect.lattice
     if max(columns, rows) > LARGEST_VECTOR:
         raise InvalidArgument("array", f"{columns} x {rows} actuators", "at most 127 columns and rows in HJIF")
+    require_one_of("panel", panel, _PANELS)
     gap = DEFAULT_TIMESCALE / effect.rate_hz
     if not 1 <= gap <= MAX_SPAN_TICKS:
         found = f"{effect.rate_hz:g} frames a second, {gap:g} ticks to a frame"

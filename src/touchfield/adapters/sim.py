@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, cast
 import numpy as np
 
 from touchfield.adapters.registry import Check, DeviceKind, Opener
-from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.errors import DeviceError, InvalidArgument, require_one_of
 from touchfield.render.point_device import PointDevice, Quaternion
 
 if TYPE_CHECKING:
@@ -50,10 +50,11 @@ class SimHand(PointDevice):
     trajectory : Trace or None
         In the field's metres, from 0 s on; before its first and after its last sample the hand (or its target)
         rests there. None: it rests at the origin.
-    kind : "follow" or "spring"
+    kind : "follow" or "spring"; InvalidArgument for another.
     """
 
     def __init__(self, trajectory: Trace | None = None, kind: HandKind = "follow") -> None:
+        require_one_of("hand", kind, _KINDS)
         self.kind = kind
         self._constants: tuple[float, ...] = _SPRING if kind == "spring" else ()
         # copies: to the compiler a read-only array is another type

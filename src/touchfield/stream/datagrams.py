@@ -56,10 +56,12 @@ class Datagrams:
     stream : int
         Names this stream among others that may come to the same place, 0 to 2^32 - 1.
     repair : float
-        Repair symbols, share of the others.
+        Repair symbols, share of the others; InvalidArgument if it is not 0 to 4.
     """
 
     def __init__(self, stream: int, repair: float = 0.22) -> None:
+        if not 0 <= repair <= 4:
+            raise InvalidArgument("repair", f"{repair:g}", "0 to 4, such as 0.22")
         self._stream, self._repair, self._number = stream, repair, 0
         self._waiting: deque[list[list[bytes]]] = deque()
 
