@@ -148,9 +148,8 @@ _WARNINGS = ("bias", "few", "too low", "overshoots", "negative", "diluted", "not
 """Words of notes that tell how far a number may be trusted; such notes come first."""
 
 
-def show_measurement(measurement: Measurement, as_json: bool, notes: tuple[str, ...]) -> None:
+def show_measurement(m: Measurement, as_json: bool, notes: tuple[str, ...]) -> None:
     """Print a measurement as one JSON object, or as tables with their notes."""
-    m = measurement
     if as_json:
         show(m.summary(), "", True, (*m.notes, *notes))
         return

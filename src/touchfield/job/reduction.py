@@ -113,7 +113,7 @@ def reduce_medium(
     trace = None if spec.trace is None else read_trace(spec.trace)
     known = device(spec.device) if spec.device else prepared.device
     medium, hand = prepared.medium, hand_of(known, spec)
-    modes, shown = _modes(prepared, spec)
+    approximation, shown = _modes(prepared, spec)
     reach = reach_of(medium, hand)
     felt, held = reach.samples, np.zeros(medium.grid.shape, bool)
     for frame in medium:
@@ -153,12 +153,12 @@ def reduce_medium(
         if prepared.spec.coder != "touch" or prepared.spec.touch.mode != "lossless":
             notes += ("what is left was coded again: --mode lossless keeps its bits",)
     if out is not None:
-        words = with_history(medium, "edits", f"rebuilt from {modes.modes.rank} modes, {spec.modes}")
-        rebuilt = replace(medium, make_frame=modes.field, segments=None, provenance=words)
+        words = with_history(medium, "edits", f"rebuilt from {approximation.modes.rank} modes, {spec.modes}")
+        rebuilt = replace(medium, make_frame=approximation.field, segments=None, provenance=words)
         done = _write(prepared, [source], rebuilt, out, report)
         shown |= {"file": str(done.path), "file_bytes": done.path.stat().st_size}
         notes += done.notes
-    return Reduction(shown, notes, values=modes.modes.values, field=medium[len(medium) // 2], felt=felt)
+    return Reduction(shown, notes, values=approximation.modes.values, field=medium[len(medium) // 2], felt=felt)
 
 
 def _modes(prepared: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any]]:

@@ -157,7 +157,7 @@ class SceneStream(OpenStream):
             "frame_kinds": {"object": self.reader.head.frame_count},
         }
         described = [decoder.describe() for decoder in self.decoder.field_decoders]
-        modes = {keys["mode"] for keys in described if "mode" in keys}
+        modes = {one["mode"] for one in described if "mode" in one}
         if not modes:  # nothing is promised of the composed field
             return keys
         segments = enumerate(self.reader.segments)
