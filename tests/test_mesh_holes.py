@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from test_mesh_scene import segment_distance
+from mesh_makers import segment_distance
 from touchfield.errors import InvalidArgument
 from touchfield.medium import Grid
 from touchfield.sources.laws import ForceProfile

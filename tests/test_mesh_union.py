@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from test_mesh_scene import Mesh, all_points, cube, distance_to, inverted, measured, together
+from mesh_makers import Mesh, all_points, cube, distance_to, inverted, measured, together
 from touchfield.medium import Grid
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene, union_of

@@ -16,8 +16,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.stream.live import Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
 
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
-from tests.stream.test_live import HEAD, field, segment, sender_of
-
+from live_makers import HEAD, field, segment, sender_of
 from touchfield.stream.datagrams import MOST_DATAGRAM, Datagrams, Gathering
 from touchfield.stream.live_client import open_live
 from touchfield.stream.udp import UdpSender, place_of

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
-from tests.stream.test_live import GRID, HEAD, Hand, field, medium, segment
 
+from live_makers import GRID, HEAD, Hand, field, medium, segment
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument, SourceError

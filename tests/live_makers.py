@@ -1,0 +1,59 @@
+"""Segments of a small live stream, each field of which tells its number."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.container import Head
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.stream.live import (
+    LiveSegment,
+    LiveSender,
+)  # fmt: skip
+
+GRID = Grid((16, 16, 16), (0.01,) * 3, (-0.075,) * 3)
+
+ENCODER = TouchEncoder(GRID, TouchSpec(effort="fast"))
+
+HEAD = Head(
+    grid_shape=GRID.shape, spacing_m=GRID.spacing_m, origin_m=GRID.origin_m, rate_hz=50.0, frame_count=1,
+    axes="x right, y up, z towards the user", device_name="phantom-omni", device_type=1, force_max_n=3.3,
+    mapping_scale=1.0, mapping_offset_m=(0.0, 0.0, 0.0), weber_fraction=0.1, force_threshold_n=0.05, friction=0.0,
+    damping_n_s_per_m=0.0, tags=("direct",), coder="touch", coder_parameters=ENCODER.parameters,
+)  # fmt: skip
+
+
+def field(number: int) -> ForceField:
+    """A field that tells its number by its height."""
+    dense = np.zeros((16, 16, 16, 3), np.float32)
+    dense[:, :, : 2 + number % 12] = (0, 0, 2)
+    return ForceField.from_dense(GRID, dense)
+
+
+def segment(first: int, count: int = 5) -> LiveSegment:
+    return LiveSegment(first, count, ENCODER.encode_segment([field(first + i) for i in range(count)]).body)
+
+
+def sender_of(count: int) -> tuple[LiveSender, list[bytes]]:
+    sender = LiveSender()
+    sender.open(HEAD, {"source": "test"})
+    return sender, [sender.opening, *(sender.add(segment(5 * i)) for i in range(count))]
+
+
+class Hand:
+    """A player with a clock of its own."""
+
+    def __init__(self, media_s: float) -> None:
+        self.media_s, self.speed = media_s, 1.0
+
+    def seek(self, time_s: float) -> None:
+        self.media_s = time_s
+
+    def set_speed(self, speed: float) -> None:
+        self.speed = speed
+
+
+def medium() -> HapticMedium:
+    return HapticMedium.from_frames([field(i) for i in range(50)], 50.0, HEAD.axes)

@@ -1,0 +1,108 @@
+"""A live stream as a medium that is played: frames that come, are lost, are late, and clocks that jump."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from live_makers import HEAD, Hand, field, segment
+from touchfield.errors import SourceError
+from touchfield.stream.live import (
+    ENDLESS,
+    Ended,
+    LiveSegment,
+    Lost,
+    Opened,
+)  # fmt: skip
+from touchfield.stream.live_medium import LiveEnd, LiveFrames, LiveStream
+
+
+def frames_of(*events: LiveSegment | Lost) -> LiveFrames:
+    frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}))
+    for event in events:
+        frames.take(event)
+    return frames
+
+
+def test_frames_are_those_that_were_sent_and_lost_ones_hold_no_force() -> None:
+    frames = frames_of(segment(10), Lost(15, 5), segment(20))
+    for i in (0, 4, 10, 14):
+        np.testing.assert_allclose(frames(i).to_dense(), field(10 + i).to_dense(), atol=0.2)
+    assert not frames(7).support_count and frames.lost == 5
+    assert frames.is_there(14) and not frames.is_there(15)
+
+
+def test_who_has_fallen_behind_goes_on_with_the_newest() -> None:
+    notes: list[str] = []
+    frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), notes.append)
+    for i in range(8):
+        frames.take(segment(5 * i))
+    np.testing.assert_allclose(frames(3).to_dense(), field(35).to_dense(), atol=0.2)
+    assert frames.skipped == 32 and frames.stream_frame(3) == 35 and "behind" in notes[0]
+
+
+@pytest.mark.parametrize("begins_s", [-1.5, -0.2, 0.0, 0.2, 4.0])
+def test_play_stays_at_what_is_due(begins_s: float) -> None:
+    """Segments of a tenth of a second come up to 30 ms late: soon play is behind the latest of them, and not far."""
+    now, rng = [0.0], np.random.default_rng(4)
+    opened = Opened(replace(HEAD, frame_count=ENDLESS), {})
+    frames = LiveFrames(opened, clock_s=lambda: now[0])
+    live, hand, waits = LiveStream("live", opened, frames, False), Hand(begins_s), 0
+    late, sent = rng.uniform(0, 0.03, 60), 0
+    bodies = [segment(5 * i) for i in range(12)]
+    for step in range(500):
+        now[0] = 0.01 * step
+        while now[0] >= 0.1 * sent + late[sent]:
+            frames.take(replace(bodies[sent % 12], first_frame=5 * sent))
+            sent += 1
+        if step % 10 == 0:
+            live.keep_up(hand)
+        if step > 300:
+            waits += hand.media_s * 50 > 5 * sent
+            assert -0.06 < now[0] - hand.media_s < 0.08
+        hand.media_s += 0.01 * hand.speed
+    assert waits == 0
+
+
+@pytest.mark.parametrize(("here_s", "there_s"), [(1000.0, 0.0), (0.0, 60.0), (-300.0, 0.0)])
+def test_a_clock_that_jumps_is_followed(here_s: float, there_s: float) -> None:
+    """The receiver's clock jumps after two seconds, or the sender's: half a second later play is where it was."""
+    now, sent = 0.0, 0
+    frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), clock_s=lambda: now + here_s * (now >= 2))
+    live, hand = LiveStream("live", Opened(HEAD, {}), frames, False), Hand(0.0)
+    bodies = [segment(5 * i) for i in range(12)]
+    for step in range(500):
+        now = 0.01 * step
+        while now >= 0.1 * (sent + 1):
+            skipped = round(there_s * 50) * (now >= 2)
+            frames.take(replace(bodies[sent % 12], first_frame=5 * sent + skipped))
+            sent += 1
+        if step % 10 == 0:
+            live.keep_up(hand)
+        if step > 260 or 150 < step < 199:
+            assert -0.02 < now + there_s * (now >= 2) - hand.media_s - 0.1 < 0.1
+            assert frames.is_there(int(hand.media_s * 50))
+        hand.media_s += 0.01 * hand.speed
+
+
+def test_a_segment_that_cannot_be_decoded_costs_only_itself() -> None:
+    bad = LiveSegment(5, 5, b"\0" * 50)
+    frames = frames_of(segment(0), bad, segment(10))
+    assert frames.lost == 5 and not frames(5).support_count and frames(10).support_count
+
+
+def test_the_end_and_silence_are_told() -> None:
+    frames = frames_of(segment(0))
+    with pytest.raises(SourceError, match="far ahead"):
+        frames(100_000)
+    frames.take(Ended())
+    assert frames(4).support_count and frames.is_there(5)
+    with pytest.raises(LiveEnd):
+        frames(5)
+    clock = iter(range(0, 1000, 20))
+    silent = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), clock_s=lambda: float(next(clock)))
+    silent.take(segment(0))
+    with pytest.raises(SourceError, match="no segment for 10 s"):
+        silent(7)

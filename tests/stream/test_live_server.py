@@ -1,0 +1,263 @@
+"""Live streams on the air: a sender in time, a server and receivers on loopback, and what a bad network does."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from live_makers import field, medium, segment, sender_of
+from touchfield.errors import FormatError, InvalidArgument, SourceError
+from touchfield.job import EncodeSpec
+from touchfield.job.live import LiveSpec, broadcast, opened_sender
+from touchfield.job.play import PlaySpec, play
+from touchfield.stream.access import Access
+from touchfield.stream.live import (
+    ENDLESS,
+    LiveReceiver,
+    LiveSegment,
+    Lost,
+    Refused,
+    file_of,
+)  # fmt: skip
+from touchfield.stream.live_client import open_live
+from touchfield.stream.live_server import LiveServer
+from touchfield.stream.opened import open_stream
+
+
+def test_frames_go_on_the_air_in_time() -> None:
+    prepared, sender = opened_sender(medium(), EncodeSpec())
+    now = [0.0]
+    took: list[tuple[float, LiveSegment]] = []
+
+    def send(one: LiveSegment) -> bytes:
+        took.append((now[0], one))
+        return sender.add(one)
+
+    def pause(seconds: float) -> None:
+        time.sleep(0.01)  # the coder's thread
+        now[0] += seconds
+
+    sent = broadcast(prepared, send, LiveSpec(0.1, loop=True, seconds=3.0), clock_s=lambda: now[0], pause=pause)
+    assert sent.frames + sent.left_out == 150 and sent.segments == len(took) >= 3
+    assert all(one.first_frame % 5 == 0 for _, one in took)
+    assert all(at - one.stop / 50 >= -1e-9 for at, one in took)  # nothing before its time
+
+
+@pytest.mark.parametrize("wrong", [{"segment_s": 0.0}, {"segment_s": 11.0}, {"seconds": 0.0}])
+def test_times_that_cannot_be(wrong: dict[str, float]) -> None:
+    with pytest.raises(InvalidArgument):
+        LiveSpec(**wrong)  # type: ignore[arg-type]
+
+
+pytest.importorskip("aiohttp", reason="live streams need the extra broadcast")
+
+
+@contextmanager
+def on_air(access: Access = Access(port=0), segments: int = 10**6) -> Iterator[LiveServer]:
+    """A server that sends a segment of five frames every tenth of a second."""
+    done, sender = threading.Event(), sender_of(0)[0]
+    bodies = [segment(5 * i) for i in range(12)]
+
+    def run(server: LiveServer) -> None:
+        for i in range(segments):
+            server.add(replace(bodies[i % 12], first_frame=5 * i))
+            if done.wait(0.1):
+                return
+        server.end()
+
+    with LiveServer(sender, access) as server:
+        thread = threading.Thread(target=run, args=(server,), daemon=True)
+        thread.start()
+        yield server
+        done.set()
+        thread.join()
+
+
+@pytest.mark.parametrize("form", ["ws://{}/live", "http://{}/live.json"])
+def test_receivers_get_the_frames_that_are_sent(form: str) -> None:
+    with on_air() as server, open_stream(form.format(server.address)) as live:
+        assert live.is_live and live.reader.head.frame_count == ENDLESS
+        for i in range(12):
+            got, number = live.medium[i], live.medium.make_frame.stream_frame(i)  # type: ignore[attr-defined]
+            np.testing.assert_allclose(got.to_dense(), field(number % 60).to_dense(), atol=0.2)
+        frames = live.medium.make_frame
+        assert frames.lost == frames.refused == 0  # type: ignore[attr-defined]
+
+
+def test_what_is_live_is_played_until_its_end() -> None:
+    notes: list[str] = []
+    with on_air() as server:  # code is loaded or compiled first, and takes none of the time below
+        assert play(f"ws://{server.address}/live", PlaySpec("sim", seconds=0.2)).error is None
+    with on_air(segments=40) as server:
+        played = play(f"ws://{server.address}/live", PlaySpec("sim", seconds=20.0), tell=notes.append)
+    assert played.error is None and "the sender has ended the stream" in played.notes
+    assert played.statistics["frames_used"] > 20 and played.statistics["last_force_n"] == 0
+
+
+def test_connections_that_say_nothing_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundred connections where sixty fit: the others are closed, and soon the sixty, and a receiver hears all."""
+    monkeypatch.setattr("touchfield.stream.access._most_connections", lambda: 60)
+    monkeypatch.setattr("touchfield.stream.access._PATIENCE_S", 0.5)
+
+    def is_closed(link: socket.socket) -> bool:
+        link.settimeout(5)
+        try:
+            return link.recv(1) == b""
+        except ConnectionError:
+            return True
+
+    with on_air() as server:
+        host, port = server.address.split(":")
+        silent = [socket.create_connection((host, int(port))) for _ in range(100)]
+        assert all(map(is_closed, silent))
+        with open_stream(f"ws://{server.address}/live") as live:
+            time.sleep(0.7)  # who has asked stays, however long it says nothing
+            assert [live.medium[i].support_count > 0 for i in range(20)] == [True] * 20
+        for link in silent:
+            link.close()
+
+
+def test_many_receivers_and_bad_ones_beside_them() -> None:
+    """Ten that read, one that never does, one that talks, and one that sends garbage: the ten miss nothing."""
+    with on_air() as server:
+        host, port = server.address.split(":")
+        mute = socket.create_connection((host, int(port)))
+        mute.sendall(
+            f"GET /live HTTP/1.1\r\nHost: {server.address}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+        )
+        garbage = socket.create_connection((host, int(port)))
+        garbage.sendall(b"\x16\x03\x01" + bytes(range(256)) * 8)
+        idle = [socket.create_connection((host, int(port))) for _ in range(50)]
+
+        async def receive() -> list[list[int]]:
+            import aiohttp
+
+            async with aiohttp.ClientSession() as session:
+
+                async def one(says: str) -> list[int]:
+                    receiver, seen = LiveReceiver(), list[int]()
+                    async with session.ws_connect(f"ws://{server.address}/live") as link:
+                        if says:
+                            await link.send_str(says)
+                        async for message in link:
+                            for event in receiver.receive(message.data):
+                                assert not isinstance(event, Lost | Refused)
+                                seen += [event.first_frame] if isinstance(event, LiveSegment) else []
+                            if len(seen) == 8:
+                                break
+                    return seen
+
+                return await asyncio.gather(*(one("") for _ in range(10)), one("hello"))
+
+        *heard, talker = asyncio.run(receive())
+        assert all(len(seen) == 8 and np.diff(seen).tolist() == [5] * 7 for seen in heard)
+        assert len(talker) < 8  # who speaks is left
+        assert server.most_receivers >= 11
+        for link in (mute, garbage, *idle):
+            link.close()
+
+
+def test_who_may_not_receive() -> None:
+    access = Access(port=0, token="a long word")
+    with on_air(access) as server:
+        with pytest.raises(SourceError, match="401"), open_live(f"ws://{server.address}/live"):
+            pass
+        with open_live(f"ws://{server.address}/live?token=a%20long%20word") as live:
+            assert live.medium[0].support_count
+    with on_air() as server:
+
+        async def from_page(origin: str) -> int:
+            import aiohttp
+
+            async with aiohttp.ClientSession() as session:
+                with suppress(aiohttp.WSServerHandshakeError):
+                    async with session.ws_connect(f"ws://{server.address}/live", headers={"Origin": origin}):
+                        return 101
+                return 403
+
+        assert asyncio.run(from_page("https://evil.example")) == 403
+        assert asyncio.run(from_page(f"http://{server.address}")) == 101
+
+
+def test_what_is_not_there_is_told() -> None:
+    with pytest.raises(SourceError, match="Check the address"), open_live("ws://127.0.0.1:1/live"):
+        pass
+    with (
+        on_air() as server,
+        pytest.raises(SourceError, match="404"),
+        open_live(f"http://{server.address}/other/live.json"),
+    ):
+        pass
+
+
+def proxied(address: str, hurt: list[int]) -> tuple[str, threading.Event]:
+    """A relay in front of a server; connections are cut after so many bytes, the last one never."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    listener.settimeout(0.05)
+    host, port = address.split(":")
+    done = threading.Event()
+
+    def relay(link: socket.socket, most: int) -> None:
+        with link, socket.create_connection((host, int(port))) as server:
+
+            def up() -> None:
+                with suppress(OSError):
+                    while data := link.recv(65536):
+                        server.sendall(data.replace(listener_name, address.encode()))
+
+            threading.Thread(target=up, daemon=True).start()
+            passed = 0
+            with suppress(OSError):
+                while not done.is_set() and (data := server.recv(4096)):
+                    link.sendall(data)
+                    passed += len(data)
+                    if passed > most:
+                        link.shutdown(socket.SHUT_RDWR)
+                        return
+
+    def run() -> None:
+        limits = list(hurt)
+        while not done.is_set():
+            try:
+                link, _ = listener.accept()
+            except TimeoutError:
+                continue
+            most = limits.pop(0) if limits else 1 << 40
+            threading.Thread(target=relay, args=(link, most), daemon=True).start()
+
+    name = f"127.0.0.1:{listener.getsockname()[1]}"
+    listener_name = name.encode()
+    threading.Thread(target=run, daemon=True).start()
+    return name, done
+
+
+def test_a_connection_that_is_cut_is_made_again() -> None:
+    notes: list[str] = []
+    with on_air() as server:
+        address, done = proxied(server.address, [1000, 1000])
+        with open_live(f"ws://{address}/live", notes.append) as live:
+            for i in range(80):
+                live.medium[i]
+        done.set()
+    assert sum("connecting again" in note for note in notes) == 2
+
+
+def test_a_segment_is_a_file_of_its_own(tmp_path: Path) -> None:
+    _, (opening, _, second) = sender_of(2)
+    (tmp_path / "segment.touch").write_bytes(file_of(opening, second))
+    with open_stream(tmp_path / "segment.touch") as opened:
+        assert len(opened.medium) == 5 and opened.reader.provenance["source"] == "test"
+        for i in range(5):
+            np.testing.assert_allclose(opened.medium[i].to_dense(), field(5 + i).to_dense(), atol=0.2)
+    with pytest.raises(FormatError):
+        file_of(opening, second[:-1])

@@ -1,0 +1,124 @@
+"""Depth pictures in files: each form read back, damage and bombs one clear error."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from PIL import Image
+
+from touchfield.errors import SourceError
+from touchfield.sources import pictures
+
+shapes = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=9)
+
+
+@given(hnp.arrays(st.sampled_from([np.uint8, np.uint16]), shapes), st.sampled_from([".png", ".tif"]))
+def test_integer_pictures_come_back(
+    tmp_path_factory: pytest.TempPathFactory, values: np.ndarray, suffix: str
+) -> None:
+    path = tmp_path_factory.mktemp("p") / f"a{suffix}"
+    Image.fromarray(values).save(path)
+    read = pictures.read_picture(path)
+    assert read.dtype == values.dtype
+    assert np.array_equal(read, values)
+
+
+@given(
+    hnp.arrays(
+        st.sampled_from(["<u2", ">u2", "<f4", ">f8", "<i4", "u1", "<f2"]), shapes, elements=st.integers(0, 99)
+    ),
+    st.booleans(),
+)
+def test_npy_pictures_come_back(
+    tmp_path_factory: pytest.TempPathFactory, values: np.ndarray, is_fortran: bool
+) -> None:
+    path = tmp_path_factory.mktemp("p") / "a.npy"
+    np.save(path, np.asfortranarray(values) if is_fortran else values)
+    read = pictures.read_picture(path)
+    assert np.array_equal(read, values)
+    assert read.dtype.isnative and read.flags.c_contiguous and read.flags.writeable
+
+
+def test_float_tiff_comes_back(tmp_path: Path) -> None:
+    values = np.linspace(0, 3, 12, dtype=np.float32).reshape(3, 4)
+    Image.fromarray(values).save(tmp_path / "a.tiff")
+    assert np.array_equal(pictures.read_picture(tmp_path / "a.tiff"), values)
+    assert pictures.picture_header(tmp_path / "a.tiff") == pictures.PictureHeader(4, 3, "float32", 1)
+
+
+@pytest.mark.filterwarnings("ignore:Corrupt EXIF:UserWarning")
+@pytest.mark.parametrize("suffix", [".png", ".npy", ".tif"])
+def test_a_picture_cut_anywhere_is_a_source_error(tmp_path: Path, suffix: str) -> None:
+    whole, cut = tmp_path / f"whole{suffix}", tmp_path / f"cut{suffix}"
+    values = np.random.default_rng(1).integers(0, 65535, (6, 7)).astype(np.uint16)
+    if suffix == ".npy":
+        np.save(whole, values)
+    else:
+        Image.fromarray(values).save(whole)
+    data = whole.read_bytes()
+    needed = len(data) - (20 if suffix == ".png" else 0)  # without its checksums and last chunk all pixels are there
+    for length in range(needed):
+        cut.write_bytes(data[:length])
+        with pytest.raises(SourceError, match="cut"):
+            pictures.read_picture(cut)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@given(st.sampled_from([".png", ".npy", ".tif"]), st.integers(0, 400), st.integers(1, 255))
+def test_a_flipped_byte_gives_an_array_or_a_source_error(
+    tmp_path_factory: pytest.TempPathFactory, suffix: str, at: int, flip: int
+) -> None:
+    path = tmp_path_factory.mktemp("p") / f"a{suffix}"
+    values = np.arange(42, dtype=np.uint16).reshape(6, 7) * 999
+    if suffix == ".npy":
+        np.save(path, values)
+    else:
+        Image.fromarray(values).save(path)
+    data = bytearray(path.read_bytes())
+    data[at % len(data)] ^= flip
+    path.write_bytes(bytes(data))
+    with suppress(SourceError):
+        assert pictures.read_picture(path).ndim == 2
+
+
+def _png_of(width: int, height: int) -> bytes:
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    head = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
+    body = zlib.compress(bytes(1000))
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", body) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "words"), [(60000, 60000, "at most"), (8000, 8000, "in .* bytes"), (0, 5, "at least one")]
+)
+def test_a_bomb_is_refused_from_its_header(tmp_path: Path, width: int, height: int, words: str) -> None:
+    path = tmp_path / "bomb.png"
+    path.write_bytes(_png_of(width, height))
+    with pytest.raises(SourceError, match=words):
+        pictures.read_picture(path)
+
+
+@pytest.mark.parametrize("dtype", ["O", "<c8", "<U4", [("a", "<f4")]])
+def test_an_npy_of_something_else_than_numbers_is_refused(tmp_path: Path, dtype: object) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((2, 2), dtype), allow_pickle=True)  # type: ignore[call-overload]
+    with pytest.raises(SourceError, match="numbers"):
+        pictures.read_picture(tmp_path / "a.npy")
+
+
+def test_an_npy_that_claims_more_than_it_holds_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((2, 2), np.float64))
+    data = (tmp_path / "a.npy").read_bytes().replace(b"(2, 2), }      ", b"(8000, 8000), }")
+    assert b"8000" in data
+    (tmp_path / "a.npy").write_bytes(data)
+    with pytest.raises(SourceError, match=r"8000.* bytes"):
+        pictures.read_picture(tmp_path / "a.npy")

@@ -1,0 +1,99 @@
+"""Where a scene lies in the workspace of a device, and on which lattice."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from field_makers import OMNI
+from touchfield.devices import device
+from touchfield.errors import InvalidArgument
+from touchfield.filters import (
+    Placement,
+    device_grid,
+)
+
+boxes = st.tuples(*[st.floats(-50, 50)] * 3, *[st.floats(0, 30) | st.just(0.0)] * 3).filter(
+    lambda b: max(b[3:]) > 1e-3
+)
+
+
+@given(boxes, st.tuples(*[st.floats(0.05, 2)] * 3), st.floats(0, 0.02))
+def test_fit_fills_the_workspace_and_no_more(
+    box: tuple[float, ...], workspace: tuple[float, float, float], margin: float
+) -> None:
+    low, extent = np.array(box[:3]), np.array(box[3:])
+    placement = Placement.fit([low, low + extent], workspace, margin)
+    corners = placement.scale * (np.array([low, low + extent]) - placement.offset_m)
+    room = np.array(workspace) / 2 - margin
+    assert (np.abs(corners) <= room * (1 + 1e-6) + 1e-9).all()
+    assert np.isclose(np.abs(corners), room, rtol=1e-5).any()
+
+
+def test_crop_and_scale_keep_the_centre_of_the_box() -> None:
+    box = [[1.0, 2.0, 3.0], [2.0, 6.0, 3.0]]
+    assert Placement.crop(box) == Placement(1.0, (1.5, 4.0, 3.0))
+    assert Placement.scaled(box, 0.05) == Placement(0.05, (1.5, 4.0, 3.0))
+    assert Placement.fit(box, (0.1, 0.1, math.inf)) == Placement(0.1 / 4, (1.5, 4.0, 3.0))
+    grid = device_grid(OMNI, 5)
+    placement = Placement.scaled(box, 0.05)
+    there = placement.to_scene(grid)
+    assert there.spacing_m == pytest.approx(np.array(grid.spacing_m) * 20)
+    assert np.mean(there.box_m, axis=0) == pytest.approx((1.5, 4.0, 3.0))
+    assert np.allclose(placement.to_hand(there).box_m, grid.box_m, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "box",
+    [
+        [[0, 0, 0], [0, 0, 0]],
+        [[0, 0, 0], [1, -1, 1]],
+        [[0, 0, 0], [1, math.nan, 1]],
+        [[0, 0, 0], [1, math.inf, 1]],
+        [0, 1],
+        [[-1e308] * 3, [1e308] * 3],
+    ],
+)
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_a_box_that_is_none(box: list[list[float]]) -> None:
+    with pytest.raises(InvalidArgument, match="scene_box_m"):
+        Placement.fit(box, (1, 1, 1))
+
+
+def test_placements_that_are_impossible() -> None:
+    box = [[0, 0, 0], [1, 1, 1]]
+    for margin in (0.5, -0.1, math.nan):
+        with pytest.raises(InvalidArgument, match="margin_m"):
+            Placement.fit(box, (1, 1, 1), margin)
+    for workspace in ((1, 1), (1, 0, 1), (1, math.nan, 1), (math.inf,) * 3):
+        with pytest.raises(InvalidArgument, match="workspace_m"):
+            Placement.fit(box, workspace)
+    for scale in (0.0, -1.0, math.inf, math.nan, 1e-320):
+        with pytest.raises(InvalidArgument, match="scale"):
+            Placement.scaled(box, scale)
+    with pytest.raises(InvalidArgument, match="offset_m"):
+        Placement(1.0, (0.0, math.nan, 0.0))
+
+
+def test_the_lattice_fills_the_workspace() -> None:
+    grid = device_grid(OMNI, 5)
+    assert grid.shape == (32, 32, 32)
+    assert np.allclose(grid.box_m, [(-0.08, -0.06, -0.035), (0.08, 0.06, 0.035)])
+    nominal = device_grid(OMNI)
+    assert nominal.shape == (2909, 2182, 1273)
+    assert np.allclose(nominal.spacing_m, 55e-6, rtol=1e-3)
+    for nw in (2, 11, -1, 5.5):
+        with pytest.raises(InvalidArgument, match="nw"):
+            device_grid(OMNI, nw)  # type: ignore[arg-type]
+
+
+def test_an_array_has_its_own_lattice() -> None:
+    pad = device("dotpad")
+    grid = device_grid(pad, 7)
+    assert grid.shape == (60, 40, 1)
+    assert grid.spacing_m == pytest.approx((0.0025, 0.0025, 0.15))
+    assert device_grid(pad, depth_m=0.5).spacing_m[2] == 0.5
