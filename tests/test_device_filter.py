@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from field_makers import OMNI, random_field
+from random_fields import OMNI, random_field
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters import (

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from field_makers import OMNI
+from random_fields import OMNI
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.filters import (

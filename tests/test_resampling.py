@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage, signal
 
-from field_makers import random_field
+from random_fields import random_field
 from touchfield.errors import InvalidArgument
 from touchfield.filters import (
     LOW_PASSES,
