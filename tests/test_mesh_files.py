@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,12 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from gltf_makers import glb
 from mesh_makers import cube, distance_to, measured, winding
 from touchfield.errors import SourceError
 from touchfield.medium import Grid
+from touchfield.sources import animated_mesh
+from touchfield.sources.gltf_document import contents
 from touchfield.sources.mesh import KIND, read_triangles
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import joined
@@ -150,3 +154,50 @@ def test_real_meshes(shared_data: Path, name: str, is_closed: bool) -> None:
         assert len(some) > 10 and (np.sign(phi[some]) == np.where(turns != 0, -1, 1)).all()
     animated = path.suffix in (".glb", ".gltf")
     assert any("rest pose" in note for note in scene.notes) == animated
+
+
+def test_what_is_cut_off_is_told_and_never_left_out(tmp_path: Path) -> None:
+    box = trimesh.creation.box((1, 1, 1))
+    text = trimesh.exchange.stl.export_stl_ascii(box)
+    two = f"{text}\n{text}".encode()  # solids: of one that is cut, nothing could be read
+    binary = trimesh.exchange.stl.export_stl(box)
+    ply = trimesh.exchange.ply.export_ply(box, encoding="ascii")
+    for name, data, words in (
+        ("two.stl", two[: two.rfind(b"vertex")], "12 triangles where the file tells of 23 faces"),
+        ("cut.stl", binary[:-60], "0 triangles where the file tells of 12 faces"),
+        ("cut.ply", ply[:-25], "triangles where the file tells of 12 faces"),
+    ):
+        path = tmp_path / name
+        path.write_bytes(data)
+        with pytest.raises(SourceError, match=words):
+            read_triangles(path)
+
+
+def test_of_a_glb_only_the_json_is_read_to_recognise_it(tmp_path: Path) -> None:
+    text = json.dumps({"asset": {"version": "2.0"}, "animations": [{}]}).encode()
+    text += b" " * (-len(text) % 4)
+    chunk_bytes = 1 << 28
+    path, size = tmp_path / "large.glb", 12 + 8 + len(text) + 8 + chunk_bytes
+    head = struct.pack("<4sIIII", b"glTF", 2, size, len(text), 0x4E4F534A)
+    path.write_bytes(head + text + struct.pack("<II", chunk_bytes, 0x004E4942))
+    with path.open("r+b") as file:
+        file.truncate(size)  # zeros that take no room on the disk
+    tracemalloc.start()
+    try:
+        assert animated_mesh.KIND.recognise(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 1 << 24
+
+
+def test_what_of_a_gltf_is_left_out_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "two.glb"
+    trimesh.Scene(trimesh.creation.box((1, 1, 1))).export(path)
+    members, chunk = contents(path)
+    members["extensionsUsed"] = ["KHR_materials_unlit", "EXT_mesh_gpu_instancing"]
+    members["scenes"].append({"nodes": [0]})
+    path.write_bytes(glb(json.dumps(members).encode(), chunk))
+    notes = read_triangles(path)[2]
+    assert "Extensions that are not read: EXT_mesh_gpu_instancing." in notes
+    assert "Of the 2 scenes in the file number 0 is read." in notes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shutil
 import struct
 import subprocess
 import sys
@@ -85,6 +86,17 @@ def test_a_picture_that_is_never_finished_is_passed_over(tmp_path: Path, monkeyp
     folder = GrowingFolder(tmp_path)
     Thread(target=lambda: (time.sleep(0.2), put(tmp_path, 1)), daemon=True).start()  # type: ignore[func-returns-value]
     np.testing.assert_array_equal(folder.next(), depth_mm(1))
+
+
+def test_a_folder_that_vanishes_ends_at_once(tmp_path: Path) -> None:
+    folder = tmp_path / "shots"
+    folder.mkdir()
+    put(folder, 0)
+    growing = GrowingFolder(folder)
+    np.testing.assert_array_equal(growing.next(), depth_mm(0))
+    shutil.rmtree(folder)
+    with pytest.raises(CaptureEnd, match="no folder any more"):
+        growing.next()
 
 
 def test_pictures_of_a_pipe_are_shown_one_by_one() -> None:

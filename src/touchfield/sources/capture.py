@@ -79,7 +79,9 @@ class GrowingFolder(Pictures):
         """See `Pictures.next`. A picture that is being written is looked at again for a second, then passed over."""
         until, since = time.monotonic() + PATIENCE_S, 0.0
         coming: Path | None = None
-        while time.monotonic() < until:
+        while (began := time.monotonic()) < until:
+            if not self._folder.is_dir():
+                raise CaptureEnd(self.name, "no folder any more", "a folder that grows")
             files = list_files(self._folder, with_suffix(*PICTURE_SUFFIXES))
             if coming is None and files and files[-1] != self._last:
                 coming, since = files[-1], time.monotonic()
@@ -90,7 +92,7 @@ class GrowingFolder(Pictures):
                 except SourceError:
                     if time.monotonic() > since + _UNFINISHED_S:
                         coming = None
-            time.sleep(_LOOK_S)
+            time.sleep(max(_LOOK_S, time.monotonic() - began))  # a large folder is not looked at all the time
         raise CaptureEnd(self.name, f"no new picture for {PATIENCE_S:g} s", "a folder that grows")
 
 

@@ -15,7 +15,7 @@ import os
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 from urllib.parse import unquote
 
 import numpy as np
@@ -35,7 +35,9 @@ _LISTS: Final = ("accessors", "animations", "bufferViews", "buffers", "meshes", 
 _COMPONENTS: Final = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
-"""Required extensions that do not change where the triangles are, or that are understood."""
+"""Extensions that do not change where the triangles are, or that are understood."""
+
+_MOST_TOLD: Final = 6
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,8 @@ def _shown(value: Any) -> str:
 class Document:
     """A glTF document, its buffers and its accessors, each read once.
 
-    `root` is the JSON object of the whole; `size_bytes` the length of the file and of those that it names, once read.
+    `root` is the JSON object of the whole; `size_bytes` the length of the file and of those that it names, once read;
+    `notes` tell of extensions that are not read.
 
     Raises `SourceError` if the file cannot be read, is no glTF 2, or requires an extension that is not understood.
     """
@@ -169,10 +172,15 @@ class Document:
         version = asset.text("version") if asset else None
         if version is not None and not version.startswith("2."):
             raise self.root.fault(f"glTF version {version[:20]!r}", "version 2", "Convert it to glTF 2.0.")
-        for name in map(str, self.root.list_of("extensionsRequired")):
-            if not name.startswith(_HARMLESS):
-                found = f"the required extension {name[:60]!r}"
-                raise self.root.fault(found, "a mesh without it", "Export it without extensions.")
+        for name in self._unread("extensionsRequired"):
+            found = f"the required extension {name!r}"
+            raise self.root.fault(found, "a mesh without it", "Export it without extensions.")
+        unread = self._unread("extensionsUsed")
+        self.notes = (f"Extensions that are not read: {', '.join(unread[:_MOST_TOLD])}.",) if unread else ()
+
+    def _unread(self, key: str) -> list[str]:
+        """Names of the extensions in a list that may change where the triangles are."""
+        return [name[:60] for name in map(str, self.root.list_of(key)) if not name.startswith(_HARMLESS)]
 
     def all(self, key: str) -> list[Element]:
         """The objects of a top-level list: accessors, nodes, ..."""
@@ -294,33 +302,52 @@ def _component(element: Element) -> np.dtype[Any]:
     return np.dtype(_COMPONENTS[code])
 
 
-def contents(path: Path) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none."""
+def contents(path: Path, *, has_chunk: bool = True) -> tuple[dict[str, Any], bytes]:
+    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none.
+
+    With ``has_chunk=False`` the chunk is left where it is: of a GLB nothing is read but its JSON.
+    """
     require_plain(path, "one glTF file")
-    with readable(path):
-        text = data = path.read_bytes()
-    size, chunks = len(data), dict[int, bytes]()
-    if data.startswith(b"glTF"):
-        version, length = struct.unpack_from("<II", data, 4) if size >= 12 else (2, size + 1)
-        if version != 2:
-            raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
-        if length > size:
-            raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
-        begin = 12 + 8
-        while begin <= size and not {_JSON, _BIN} <= chunks.keys():
-            length, kind = struct.unpack_from("<II", data, begin - 8)
-            if length > size - begin:
-                found = f"a chunk of {length} bytes that is cut short"
-                raise SourceError(str(path), found, "whole chunks", "Copy it again.")
-            chunks.setdefault(kind, data[begin : begin + length])
-            begin += length + 8
-        if _JSON not in chunks:
-            raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
-        text = chunks[_JSON]
+    with readable(path), path.open("rb") as file:
+        head, size, chunk = file.read(12), os.fstat(file.fileno()).st_size, b""
+        if head.startswith(b"glTF"):
+            version, length = struct.unpack_from("<II", head, 4) if len(head) == 12 else (2, size + 1)
+            if version != 2:
+                raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
+            if length > size:
+                raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
+            places = _chunks(path, file, size)
+            if _JSON not in places:
+                raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
+            text = _read_at(file, *places[_JSON])
+            chunk = _read_at(file, *places[_BIN]) if has_chunk and _BIN in places else b""
+        else:
+            text = head + file.read()
+    if not text.strip():
+        raise SourceError(str(path), "an empty file", "a glTF document", "Export it again.")
     try:
         members = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), "text that is not JSON", "a glTF document", "Export it again.") from error
     if not isinstance(members, dict):
         raise SourceError(str(path), "JSON that is not an object", "a glTF document")
-    return members, chunks.get(_BIN, b"")
+    return members, chunk
+
+
+def _chunks(path: Path, file: IO[bytes], size: int) -> dict[int, tuple[int, int]]:
+    """Where the first chunk of each kind begins, and its bytes, up to the two that are read."""
+    chunks: dict[int, tuple[int, int]] = {}
+    begin = 12 + 8
+    while begin <= size and not {_JSON, _BIN} <= chunks.keys():
+        length, kind = struct.unpack("<II", _read_at(file, begin - 8, 8))
+        if length > size - begin:
+            found = f"a chunk of {length} bytes that is cut short"
+            raise SourceError(str(path), found, "whole chunks", "Copy it again.")
+        chunks.setdefault(kind, (begin, length))
+        begin += length + 8
+    return chunks
+
+
+def _read_at(file: IO[bytes], begin: int, length: int) -> bytes:
+    file.seek(begin)
+    return file.read(length)

@@ -299,6 +299,8 @@ class _Piece:
 class Model:
     """The triangles of the scene of a glTF document: `triangles` int64 [m, 3], vertex numbers over all pieces.
 
+    `notes` tell what in the document is left out.
+
     Raises `SourceError` if the document is at fault, or holds no triangle.
     """
 
@@ -306,6 +308,9 @@ class Model:
         self._document = document = Document(path)
         self._nodes = Nodes(document)
         self.node_count = self._nodes.count
+        number, count = document.root.index("scene", "scenes") or 0, len(document.all("scenes"))
+        others = (f"Of the {count} scenes in the file number {number} is read.",) if count > 1 else ()
+        self.notes = (*document.notes, *others)
         meshes, self._skin = document.all("meshes"), cache(lambda number: _Skin(document.all("skins")[number]))
         self._targets = [0] * self.node_count
         self._rest_weights: dict[int, Float64s] = {}

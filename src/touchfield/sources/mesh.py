@@ -7,6 +7,7 @@ Animation (skins, morph targets, node tracks) is not evaluated: a glTF that has 
 
 from __future__ import annotations
 
+import re
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +16,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s, Int32s
 from touchfield.errors import SourceError
+from touchfield.files import readable
 from touchfield.sources.gltf_model import Model
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import welded
@@ -37,8 +39,8 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
         with np.errstate(all="ignore"):
             model = Model(path)
             vertices = model.at_rest()
-        notes = ("The file is animated (skin, morph targets or tracks); it is read in its rest pose.",)
-        return *welded(vertices, model.triangles), notes if model.is_animated else ()
+        rest = ("The file is animated (skin, morph targets or tracks); it is read in its rest pose.",)
+        return *welded(vertices, model.triangles), model.notes + (rest if model.is_animated else ())
     trimesh: Any = import_module("trimesh")
     try:
         with np.errstate(all="ignore"):  # an empty resolver: what else a mesh names is not read
@@ -49,9 +51,27 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
     except Exception as error:  # trimesh raises what its loaders and numpy happen to raise on damaged files
         found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
         raise SourceError(str(path), found, "a whole mesh file", "Export it again, or as PLY.") from error
+    declared, count = _declared(path), len(faces)
+    if count < declared:
+        found = f"{count} triangles where the file tells of {declared} faces"
+        raise SourceError(str(path), found, "a whole mesh file", "Copy it again, or export it again.")
     if not meshes:
         raise SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")
     return *welded(np.asarray(corners, np.float64), np.asarray(faces, np.int64)), ()
+
+
+def _declared(path: Path) -> int:
+    """Faces that an STL or PLY file says it has, 0 where it does not: trimesh leaves out what is cut off."""
+    suffix = path.suffix.lower()
+    if suffix not in (".stl", ".ply"):
+        return 0
+    with readable(path):
+        data = path.read_bytes()
+    if suffix == ".ply":
+        match = re.search(rb"^element\s+face\s+(\d{1,18})\s", data.partition(b"end_header")[0], re.MULTILINE)
+        return int(match[1]) if match else 0
+    is_binary = b"\0" in data[:84]
+    return int.from_bytes(data[80:84], "little") if is_binary else data.lower().count(b"endloop")
 
 
 def _open(path: Path, options: SourceOptions) -> MeshScene:
