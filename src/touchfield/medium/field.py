@@ -16,16 +16,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Bools, EqualByValue, Float32s, Int32s, Int64s
+from touchfield.arrays import Bools, EqualByValue, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import BRICK, Grid
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
 
 _MAX_PAIRS = 1 << 27
+_MOST_WITHIN = 1 << 26
+_NEAR = 1e-6  # of the spacing: a sample that lies on another but for rounding is met
 _BLOCK_VALUES = 1 << 21
 
 
@@ -147,6 +149,38 @@ def spread_keys(keys: Int64s, lattice: tuple[int, int, int], axis: int, margins:
     moved = [keys[(place + d >= 0) & (place + d < size)] + d * step for d in range(-back, ahead + 1)]
     every = np.sort(np.concatenate(moved), kind="stable")  # several ascending rows: quickly merged
     return np.asarray(every[np.diff(every, prepend=-1) > 0])
+
+
+def keys_within(spans: Int64s, grid: Grid) -> Int64s:
+    """Keys of the bricks within some boxes, ascending, each once; `spans` [n, 3, 2] are their begins and ends.
+
+    Raises `InvalidArgument` if the boxes hold more than 2^26 bricks, those of two counted twice.
+    """
+    from touchfield.medium import kernels
+
+    count = float(np.maximum(0, spans[..., 1] - spans[..., 0]).prod(axis=1, dtype=np.float64).sum())
+    if count > _MOST_WITHIN:
+        found = f"{count:.3g} bricks reached"
+        raise InvalidArgument("grid", found, f"up to {_MOST_WITHIN}", "Take a coarser lattice.")
+    keys = np.empty(int(count), np.int64)
+    kernels.reached(spans, grid.brick_shape, keys)
+    return np.unique(keys)
+
+
+def bricks_met(field: ForceField, grid: Grid, moved_m: Callable[[Float64s], Float64s] | None = None) -> Int32s:
+    """The bricks of another grid that the field may reach, int32 [n, 3] ascending: samples act within one spacing.
+
+    ``moved_m(points)``, where given, moves the field before, points in metres [n, 8, 3].
+    """
+    corners = np.indices((2, 2, 2)).reshape(3, -1).T
+    points = field.grid.to_m(field.bricks[:, None] * BRICK + np.where(corners, BRICK, -1))
+    index = grid.to_index(points if moved_m is None else moved_m(points))
+    low, high = index.min(axis=1) - _NEAR, index.max(axis=1) + _NEAR
+    last = np.array(grid.shape) - 1
+    is_met = ((high >= 0) & (low <= last)).all(axis=1)
+    first = (np.clip(np.floor(low[is_met]), 0, last) // BRICK).astype(np.int64)
+    end = (np.clip(np.ceil(high[is_met]), 0, last) // BRICK).astype(np.int64) + 1
+    return bricks_of(grid, keys_within(np.stack([first, end], axis=2), grid))
 
 
 def neighbour_slots(grid: Grid, bricks: Int32s) -> Int32s:

@@ -6,6 +6,7 @@ filter asks it for the fields of the lattice that it needs (design: "keep the ge
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,25 +31,43 @@ DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
 """The option that says the unit of depth, and usual sizes of its scenes, metres (`Scene.unit`)."""
 
 _BRICKS_AT_ONCE: Final = 64
+_CUBES_AT_ONCE: Final = 6000  # cubes of bricks tested in the first round
 
 
-def bricks_that(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int32s:
-    """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may.
+def bricks_that(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -> Int32s:
+    """Bricks that may hold a force, int32 [n, 3] ascending: cubes of bricks, halved where one may.
 
-    ``may_hold(centres, radius_m)``, bool [n]: whether there may be a force so near to points, float64 [n, 3].
+    So the work and the memory follow what pushes and not the grid. ``may_hold(cubes, size)``, bool [n]: whether there
+    may be a force in cubes of size x size x size bricks, int32 [n, 3] in units of their side.
     """
-    size = 1 << max(grid.brick_shape).bit_length()
-    blocks = np.zeros((1, 3), np.int64)
-    octants = np.stack([*np.indices((2, 2, 2))], axis=-1).reshape(8, 3)
-    while True:
+    size = 1
+    while math.prod(-(-n // size) for n in grid.brick_shape) > _CUBES_AT_ONCE:
+        size *= 2
+    octants = _places((2, 2, 2))
+    cubes = _places(tuple(-(-n // size) for n in grid.brick_shape))
+    cubes = cubes[may_hold(cubes, size)]
+    while size > 1:
+        size //= 2
+        cubes = (cubes[:, None] * 2 + octants).reshape(-1, 3)
+        cubes = cubes[(cubes * size < grid.brick_shape).all(axis=1)]
+        cubes = cubes[may_hold(cubes, size)]
+    return cubes[np.argsort(brick_keys(grid, cubes))]
+
+
+def _places(shape: tuple[int, ...]) -> Int32s:
+    """All index triples below `shape`, the last fastest, int32 [n, 3]."""
+    return np.indices(shape, np.int32).reshape(3, -1).T.copy()
+
+
+def bricks_near(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int32s:
+    """The same by spheres: ``may_hold(centres, radius_m)``, whether there may be a force so near to points [n, 3]."""
+
+    def may_hold_cubes(cubes: Int32s, size: int) -> Bools:
         half = (size * BRICK - 1) / 2
         radius_m = float(np.linalg.norm(np.asarray(grid.spacing_m) * half))
-        blocks = blocks[may_hold(grid.to_m(blocks * (size * BRICK) + half), radius_m)]
-        if size == 1:
-            return blocks[np.argsort(brick_keys(grid, blocks))].astype(np.int32)
-        size //= 2
-        blocks = (blocks[:, None] * 2 + octants).reshape(-1, 3)
-        blocks = blocks[(blocks * size < grid.brick_shape).all(axis=1)]
+        return may_hold(grid.to_m(cubes * float(size * BRICK) + half), radius_m)
+
+    return bricks_that(may_hold_cubes, grid)
 
 
 def field_of_points(

@@ -38,11 +38,6 @@ class Query(NamedTuple):
     first_m: float  # nothing pushes at less depth
 
 
-def all_nodes(shape: tuple[int, int, int]) -> Int32s:
-    """All index triples below `shape`, the last fastest, int32 [n, 3]."""
-    return np.indices(shape, np.int32).reshape(3, -1).T.copy()
-
-
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _box_in_view(x0, y0, z0, corners, query):
     """Nearest and farthest z of a box, and the pixels u0, u1, v0, v1 that it may fall on.
@@ -263,7 +258,7 @@ def _fill(begin, end, nodes, query, out):
 
 def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
     """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of `span`."""
-    corners = (8 * span - 1) * (all_nodes((2, 2, 2)) @ query.lattice_m[1:])
+    corners = (8 * span - 1) * (np.indices((2, 2, 2)).reshape(3, -1).T @ query.lattice_m[1:])
     ends = [np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())]
     view = nodes, span, np.vstack([corners, *ends]), query
     if uses_gpu():
