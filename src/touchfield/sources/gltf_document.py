@@ -15,7 +15,7 @@ import os
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 from urllib.parse import unquote
 
 import numpy as np
@@ -303,51 +303,34 @@ def _component(element: Element) -> np.dtype[Any]:
 
 
 def contents(path: Path, *, has_chunk: bool = True) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none.
-
-    With ``has_chunk=False`` the chunk is left where it is: of a GLB nothing is read but its JSON.
-    """
+    """The JSON object of a file, unchecked, and the binary chunk of a GLB: empty where there is none, or not asked for."""
     require_plain(path, "one glTF file")
+    wanted, chunks = {_JSON, _BIN} if has_chunk else {_JSON}, dict[int, bytes]()
     with readable(path), path.open("rb") as file:
-        head, size, chunk = file.read(12), os.fstat(file.fileno()).st_size, b""
+        head, size = file.read(12), os.fstat(file.fileno()).st_size
         if head.startswith(b"glTF"):
             version, length = struct.unpack_from("<II", head, 4) if len(head) == 12 else (2, size + 1)
             if version != 2:
                 raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
             if length > size:
                 raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
-            places = _chunks(path, file, size)
-            if _JSON not in places:
+            while file.tell() + 8 <= size and not wanted <= chunks.keys():
+                length, kind = struct.unpack("<II", file.read(8))
+                if length > size - file.tell():
+                    found = f"a chunk of {length} bytes that is cut short"
+                    raise SourceError(str(path), found, "whole chunks", "Copy it again.")
+                if kind in wanted - chunks.keys():
+                    chunks[kind] = file.read(length)
+                else:
+                    file.seek(length, os.SEEK_CUR)
+            if _JSON not in chunks:
                 raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
-            text = _read_at(file, *places[_JSON])
-            chunk = _read_at(file, *places[_BIN]) if has_chunk and _BIN in places else b""
         else:
-            text = head + file.read()
-    if not text.strip():
-        raise SourceError(str(path), "an empty file", "a glTF document", "Export it again.")
+            chunks[_JSON] = head + file.read()
     try:
-        members = json.loads(text)
+        members = json.loads(chunks[_JSON])
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), "text that is not JSON", "a glTF document", "Export it again.") from error
     if not isinstance(members, dict):
         raise SourceError(str(path), "JSON that is not an object", "a glTF document")
-    return members, chunk
-
-
-def _chunks(path: Path, file: IO[bytes], size: int) -> dict[int, tuple[int, int]]:
-    """Where the first chunk of each kind begins, and its bytes, up to the two that are read."""
-    chunks: dict[int, tuple[int, int]] = {}
-    begin = 12 + 8
-    while begin <= size and not {_JSON, _BIN} <= chunks.keys():
-        length, kind = struct.unpack("<II", _read_at(file, begin - 8, 8))
-        if length > size - begin:
-            found = f"a chunk of {length} bytes that is cut short"
-            raise SourceError(str(path), found, "whole chunks", "Copy it again.")
-        chunks.setdefault(kind, (begin, length))
-        begin += length + 8
-    return chunks
-
-
-def _read_at(file: IO[bytes], begin: int, length: int) -> bytes:
-    file.seek(begin)
-    return file.read(length)
+    return members, chunks.get(_BIN, b"")
