@@ -303,7 +303,7 @@ def _component(element: Element) -> np.dtype[Any]:
 
 
 def contents(path: Path, *, has_chunk: bool = True) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, unchecked, and the binary chunk of a GLB: empty where there is none, or not asked for."""
+    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where none is there or asked for."""
     require_plain(path, "one glTF file")
     wanted, chunks = {_JSON, _BIN} if has_chunk else {_JSON}, dict[int, bytes]()
     with readable(path), path.open("rb") as file:
