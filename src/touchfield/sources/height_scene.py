@@ -444,10 +444,8 @@ def _recognise(path: Path) -> bool:
             return False
         with opened(path) as picture:  # reads the head only
             return picture.mode in _GREY_MODES
-    except SourceError:
+    except (SourceError, OSError):
         return suffix in PICTURES[1:]  # this reader tells of the form of a TIFF that is not read
-    except OSError:
-        return False
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:
