@@ -37,8 +37,6 @@ _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
 """Extensions that do not change where the triangles are, or that are understood."""
 
-_MOST_TOLD: Final = 6
-
 
 @dataclass(frozen=True)
 class Element:
@@ -176,7 +174,7 @@ class Document:
             found = f"the required extension {name!r}"
             raise self.root.fault(found, "a mesh without it", "Export it without extensions.")
         unread = self._unread("extensionsUsed")
-        self.notes = (f"Extensions that are not read: {', '.join(unread[:_MOST_TOLD])}.",) if unread else ()
+        self.notes = (f"Extensions that are not read: {', '.join(unread[:6])}.",) if unread else ()
 
     def _unread(self, key: str) -> list[str]:
         """Names of the extensions in a list that may change where the triangles are."""

@@ -51,9 +51,8 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
     except Exception as error:  # trimesh raises what its loaders and numpy happen to raise on damaged files
         found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
         raise SourceError(str(path), found, "a whole mesh file", "Export it again, or as PLY.") from error
-    declared, count = _declared(path), len(faces)
-    if count < declared:
-        found = f"{count} triangles where the file tells of {declared} faces"
+    if len(faces) < (declared := _declared(path)):
+        found = f"{len(faces)} triangles where the file tells of {declared} faces"
         raise SourceError(str(path), found, "a whole mesh file", "Copy it again, or export it again.")
     if not meshes:
         raise SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")

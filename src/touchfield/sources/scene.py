@@ -40,23 +40,18 @@ def bricks_that(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -> Int32s:
     So the work and the memory follow what pushes and not the grid. ``may_hold(cubes, size)``, bool [n]: whether there
     may be a force in cubes of size x size x size bricks, int32 [n, 3] in units of their side.
     """
-    size = 1
-    while math.prod(-(-n // size) for n in grid.brick_shape) > _CUBES_AT_ONCE:
+    size, counts = 1, grid.brick_shape
+    while math.prod(counts) > _CUBES_AT_ONCE:
         size *= 2
-    octants = _places((2, 2, 2))
-    cubes = _places(tuple(-(-n // size) for n in grid.brick_shape))
-    cubes = cubes[may_hold(cubes, size)]
-    while size > 1:
+        counts = tuple(-(-n // size) for n in grid.brick_shape)  # type: ignore[assignment]
+    octants, cubes = (np.indices(shape, np.int32).reshape(3, -1).T.copy() for shape in ((2, 2, 2), counts))
+    while True:
+        cubes = cubes[may_hold(cubes, size)]
+        if size == 1:
+            return cubes[np.argsort(brick_keys(grid, cubes))]
         size //= 2
         cubes = (cubes[:, None] * 2 + octants).reshape(-1, 3)
         cubes = cubes[(cubes * size < grid.brick_shape).all(axis=1)]
-        cubes = cubes[may_hold(cubes, size)]
-    return cubes[np.argsort(brick_keys(grid, cubes))]
-
-
-def _places(shape: tuple[int, ...]) -> Int32s:
-    """All index triples below `shape`, the last fastest, int32 [n, 3]."""
-    return np.indices(shape, np.int32).reshape(3, -1).T.copy()
 
 
 def bricks_near(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int32s:
