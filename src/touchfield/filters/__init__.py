@@ -9,11 +9,9 @@ editing             `edited`, `edited_medium`; regions `Box`, `Ball`, `HalfSpace
                     `Gain`, `Erased`, `Composed`, `Moved`, `Limited` or any filter; `RigidMotion`
 in time             `concatenated`, `cross_faded`, `without`
 level of detail     `pyramid`, `rebuilt`, `interpolated`
-at the receiver     `Contact`, `friction_n`, `damping_n`, `rendered_n`
 ==================  ===========================================================================================
 """
 
-from touchfield.filters.contact import Contact, damping_n, friction_n, rendered_n
 from touchfield.filters.device_filter import (
     NW_RANGE,
     DeviceFilter,
@@ -63,12 +61,12 @@ from touchfield.filters.smoothing import actuator_taps, cutoff_per_m, gaussian
 from touchfield.medium.grid import Placement
 
 __all__ = [
-    "COMPOSITIONS", "LOW_PASSES", "NW_RANGE", "Ball", "Box", "Claims", "Composed", "Contact", "DeviceFilter",
-    "DeviceFilterSpec", "EditOperator", "Erased", "Everywhere", "FieldFilter", "ForceRange", "FrequencyResponse",
-    "Gain", "HalfSpace", "Limited", "LowPass", "Moved", "Placement", "Region", "RigidMotion", "Voxels",
-    "actuator_taps", "concatenated", "cross_faded", "cutoff_per_m", "damping_n", "device_grid", "device_medium",
-    "edited", "edited_medium", "fcc_coarse", "fcc_forward", "fcc_inverse", "field_filters", "filter_of", "filtered",
-    "filtered_medium", "fir_filter", "frequency_response", "friction_n", "gaussian", "halved", "interpolated",
-    "limited", "most_levels", "nyquist_per_m", "perona_malik", "pyramid", "quincunx_coarse", "quincunx_forward",
-    "quincunx_inverse", "rebuilt", "rendered_n", "resample", "without",
+    "COMPOSITIONS", "LOW_PASSES", "NW_RANGE", "Ball", "Box", "Claims", "Composed", "DeviceFilter", "DeviceFilterSpec",
+    "EditOperator", "Erased", "Everywhere", "FieldFilter", "ForceRange", "FrequencyResponse", "Gain", "HalfSpace",
+    "Limited", "LowPass", "Moved", "Placement", "Region", "RigidMotion", "Voxels", "actuator_taps", "concatenated",
+    "cross_faded", "cutoff_per_m", "device_grid", "device_medium", "edited", "edited_medium", "fcc_coarse",
+    "fcc_forward", "fcc_inverse", "field_filters", "filter_of", "filtered", "filtered_medium", "fir_filter",
+    "frequency_response", "gaussian", "halved", "interpolated", "limited", "most_levels", "nyquist_per_m",
+    "perona_malik", "pyramid", "quincunx_coarse", "quincunx_forward", "quincunx_inverse", "rebuilt", "resample",
+    "without",
 ]  # fmt: skip

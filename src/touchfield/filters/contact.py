@@ -1,7 +1,7 @@
 """Effects that a surface adds to a force (paper section 3.2): friction, damping, texture; and vibration (6.4).
 
 The coefficients mu and b travel beside the frames of a medium, and no frame changes. With the force F of the field
-where the point is, and its velocity v::
+where the point is, and its velocity v, the receiver adds (`filters/kernels/forces.py`, `render/kernels/tick.py`) ::
 
     n = F / |F|,  v_t = v - (v . n) n,  F_t = -mu |F| v_t / max(|v_t|, v_s),      F_d = -b v
 
@@ -34,7 +34,6 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int32s
 from touchfield.errors import InvalidArgument, require_one_of
@@ -47,99 +46,6 @@ from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationBand, VibrationF
 if TYPE_CHECKING:
     from touchfield.medium import Grid, HapticMedium
 Triple = tuple[int, int, int]
-
-SLIP_SPEED_M_S = 0.001
-
-
-@dataclass(frozen=True)
-class Contact:
-    """The coefficients that the receiver renders beside the field.
-
-    Raises `InvalidArgument` if a number is out of range or not finite.
-    """
-
-    friction: float = 0.0  # mu, 0 or more
-    damping_n_s_per_m: float = 0.0  # b, 0 or more
-    slip_speed_m_s: float = SLIP_SPEED_M_S  # v_s, positive: from there on friction is whole
-
-    def __post_init__(self) -> None:
-        _not_negative("friction", self.friction)
-        _not_negative("damping_n_s_per_m", self.damping_n_s_per_m)
-        if not 0 < self.slip_speed_m_s < math.inf:
-            raise InvalidArgument("slip_speed_m_s", repr(self.slip_speed_m_s), "a positive number of metres a second")
-
-    @classmethod
-    def of(cls, medium: HapticMedium, slip_speed_m_s: float = SLIP_SPEED_M_S) -> Contact:
-        """The coefficients that travel with a medium."""
-        return cls(medium.friction, medium.damping_n_s_per_m, slip_speed_m_s)
-
-
-def friction_n(
-    force_n: ArrayLike, velocity_m_s: ArrayLike, mu: float, slip_speed_m_s: float = SLIP_SPEED_M_S
-) -> Float64s:
-    """F_t = -mu |F| v_t / max(|v_t|, v_s): friction at a point of the field, against its motion along the surface.
-
-    force_n, velocity_m_s : float [..., 3]; F, newtons, and v of the interaction point.
-    mu, slip_speed_m_s : float; friction coefficient, 0 or more, and v_s, positive.
-    Returns float64 [..., 3]: Newtons; frictions below 1e-290 N are zero.
-    Raises `InvalidArgument` if a number is not finite or out of range, the arrays do not fit each other, or mu |F| is
-    beyond float64.
-    """
-    from touchfield.filters.kernels import forces as kernels
-
-    Contact(mu, 0.0, slip_speed_m_s)
-    force, velocity = _vectors("force_n", force_n), _vectors("velocity_m_s", velocity_m_s)
-    try:
-        force, velocity = np.broadcast_arrays(force, velocity)
-    except ValueError:
-        raise InvalidArgument("velocity_m_s", f"shape {velocity.shape}", f"one that fits {force.shape}") from None
-    greatest = float(np.abs(force).max(initial=0.0))
-    if not math.isfinite(greatest * 2 * max(1.0, float(mu))):
-        raise InvalidArgument("mu |F|", f"{mu!r} times {greatest:g} N", "a force that float64 can hold")
-    flat = [np.ascontiguousarray(a.reshape(-1, 3)) for a in (force, velocity)]
-    out = np.empty_like(flat[0])
-    kernels.frictions(flat[0], flat[1], float(mu), float(slip_speed_m_s), out)
-    return out.reshape(force.shape)
-
-
-def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
-    """F_d = -b v, newtons, float64 [..., 3], of velocities [..., 3] in metres a second.
-
-    Raises `InvalidArgument` if b is negative, a number is not finite, or b |v| is beyond float64.
-    """
-    _not_negative("damping_n_s_per_m", damping_n_s_per_m)
-    velocity = _vectors("velocity_m_s", velocity_m_s)
-    fastest = float(np.abs(velocity).max(initial=0.0))
-    if not math.isfinite(fastest * float(damping_n_s_per_m)):
-        found = f"{damping_n_s_per_m!r} times {fastest:g} m/s"
-        raise InvalidArgument("b |v|", found, "a force that float64 can hold")
-    return np.asarray(-float(damping_n_s_per_m) * velocity)
-
-
-def rendered_n(field: ForceField, position_m: ArrayLike, velocity_m_s: ArrayLike, contact: Contact) -> Float64s:
-    """The force of the device: the field at the point, friction and damping, newtons, float64 [..., 3].
-
-    position_m, velocity_m_s : float [..., 3]; of the interaction point, in the metres of the field's grid.
-    Raises `InvalidArgument` if a number is not finite or the arrays do not fit each other.
-    """
-    force = field.sample_n(_vectors("position_m", position_m)).astype(np.float64)
-    friction = friction_n(force, velocity_m_s, contact.friction, contact.slip_speed_m_s)
-    return np.asarray(force + friction + damping_n(velocity_m_s, contact.damping_n_s_per_m))
-
-
-def _vectors(where: str, values: ArrayLike) -> Float64s:
-    vectors = np.asarray(values, np.float64)
-    if vectors.ndim < 1 or vectors.shape[-1] != 3:
-        raise InvalidArgument(where, f"shape {vectors.shape}", "[..., 3]")
-    if not np.isfinite(vectors).all():
-        raise InvalidArgument(where, "a number that is not finite", "finite numbers")
-    return vectors
-
-
-def _not_negative(where: str, value: float) -> None:
-    if not 0 <= value < math.inf:
-        raise InvalidArgument(where, repr(value), "a finite number, 0 or more")
-
 
 _OPTION = "--vibration"
 _EXPECTED = "such as gain=0.1,frequency=150 or gain=0.1,frequency=80..250"
