@@ -13,10 +13,9 @@ friction needs a force. F / |F| is the normal of a sphere to 0.8 degrees between
 Vibration: a sine whose amplitude is a share of |F|, its frequency the same everywhere, or rising with |F| up to
 F_max. It stands behind the haptic filters, and is no filter itself: a filter makes a field of a field.
 
-Texture: section 3.2, "convolving the force field with a high-pass kernel". ``literal`` is that sentence: y = h * x on
-each component, h the impulse minus the mean of the box around it. Its gain at DC is 0: it amplifies edges.
-``salt-pepper``, the default, is our reading of what was meant. Departure: the kernel takes impulses, not the field,
-and what comes out is added to the amplitude along the force's own direction, where there is a force::
+Texture: section 3.2, "convolving the force field with a high-pass kernel". Departure: of a field the kernel would
+leave its edges alone. It takes impulses, and what comes out is added to the amplitude along the force's own
+direction, where there is a force::
 
     y = x (1 + t),    t = clip(g (h * s), -limit, limit),    g = rms / sqrt(density (1 - 1/taps))
 
@@ -40,7 +39,6 @@ from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import blocks_around, dilated
 from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
 
 if TYPE_CHECKING:
@@ -103,8 +101,7 @@ def vibrating(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> 
     return replace(medium, make_frame=latest, vibration=band)
 
 
-KINDS: Final = ("salt-pepper", "literal")
-_MOST_SAMPLES: Final = 8  # of the literal kind: half a box is at most a brick
+KINDS: Final = ("salt-pepper",)
 _BRICKS_AT_ONCE: Final = 256
 _GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)
 _INSIDE: Final = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
@@ -116,12 +113,12 @@ class TextureFilter(FieldFilter):
     """A rough surface.
 
     grain_m : float, optional; width of a grain, metres, rounded to whole samples along each axis; by default one
-        sample. Of the literal kind: half the width of the box, at most 8 samples.
+        sample.
     Raises `InvalidArgument` if a number is out of range; on a call, if the grain fits neither the samples nor the
     field.
     """
 
-    kind: str = "salt-pepper"  # or "literal", which takes nothing of what follows but `grain_m` and `force_max_n`
+    kind: str = "salt-pepper"
     seed: int = 1  # 0 to 2^64 - 1
     density: float = 0.05  # share of the grains that hold an impulse, above 0, at most 1
     rms: float = 0.1  # root mean square of what is added, as a share of the local |F|; 0 to `limit`
@@ -130,7 +127,7 @@ class TextureFilter(FieldFilter):
     force_max_n: float | None = None  # forces of the result are shortened to this
 
     name: ClassVar[str] = "texture"
-    summary: ClassVar[str] = "rough surface, salt-pepper:seed=1,density=0.05,rms=0.1,grain=1mm, or literal:grain=1mm"
+    summary: ClassVar[str] = "rough surface, salt-pepper:seed=1,density=0.05,rms=0.1,grain=1mm"
     example: ClassVar[str] = "salt-pepper:seed=1"
 
     def __post_init__(self) -> None:
@@ -156,19 +153,15 @@ class TextureFilter(FieldFilter):
         return super().parse(text)
 
     def claims(self, grid: Grid) -> Claims:
-        """Linear unless `force_max_n` is given; "salt-pepper" is a factor for each sample, "literal" a box."""
-        grain, _ = self._grain_and_half(grid)
+        """A factor for each sample; linear unless `force_max_n` is given."""
+        self._grain_and_half(grid)
         linear = self.force_max_n is None
-        if self.kind == "literal":
-            return Claims(reach=grain, linear=linear, dc_gain=0.0)
         return Claims(reach=(0, 0, 0), linear=linear, keeps_support=True, keeps_direction=True)
 
     def __call__(self, field: ForceField) -> ForceField:
         """The field with its texture, newtons, on the same grid."""
         grain, half = self._grain_and_half(field.grid)
         ceiling_n = _FLOAT32_MAX if self.force_max_n is None else self.force_max_n
-        if self.kind == "literal":
-            return _high_passed(field, grain, ceiling_n)
         forces = zero_forces(len(field.bricks))
         for begin in range(0, len(forces), _BRICKS_AT_ONCE):
             some = slice(begin, begin + _BRICKS_AT_ONCE)
@@ -197,10 +190,7 @@ class TextureFilter(FieldFilter):
         return np.asarray(gain * values[n, x[:, :, None, None], y[:, None, :, None], z[:, None, None]])
 
     def _grain_and_half(self, grid: Grid) -> tuple[Triple, Triple]:
-        """Samples to a grain, and 1 for each axis that the kernel runs along.
-
-        Along an axis of one sample there is nothing to be rough; the literal kernel then has half a width of 0.
-        """
+        """Samples to a grain, and 1 for each axis that the kernel runs along: none with one sample."""
         half = tuple(int(n > 1) for n in grid.shape)
         if not any(half):
             raise InvalidArgument("texture", "a field of one sample", "more samples than one")
@@ -209,14 +199,10 @@ class TextureFilter(FieldFilter):
             grain = [max(round(min(self.grain_m / h, 1 << 21)), 0) for h in grid.spacing_m]
         for axis, (g, n) in enumerate(zip(grain, grid.shape, strict=True)):
             if not half[axis]:
-                grain[axis] = 0 if self.kind == "literal" else 1
-                continue
-            widest = min((n - 1) // 2, _MOST_SAMPLES) if self.kind == "literal" else n
-            if not 1 <= g <= widest:
+                grain[axis] = 1
+            elif not 1 <= g <= n:
                 found = f"{self.grain_m!r}, {g} samples along axis {axis}, which has {n}"
-                expected = (
-                    f"1 to {widest} samples of {grid.spacing_m[axis]:g} m" if widest else "an axis of 3 samples"
-                )
+                expected = f"1 to {n} samples of {grid.spacing_m[axis]:g} m"
                 raise InvalidArgument("texture grain_m", found, expected)
         return (grain[0], grain[1], grain[2]), (half[0], half[1], half[2])
 
@@ -234,21 +220,3 @@ def _shortened(forces_n: Float64s, ceiling_n: float) -> Float64s:
     squares = (forces_n * forces_n).sum(axis=-1, keepdims=True)
     is_longer = squares > ceiling_n * ceiling_n
     return np.where(is_longer, forces_n * (ceiling_n * _INSIDE / np.sqrt(np.where(is_longer, squares, 1))), forces_n)
-
-
-def _high_passed(field: ForceField, half: Triple, ceiling_n: float) -> ForceField:
-    """The impulse less the mean of the box of 2 half + 1 samples, over each component."""
-    from scipy import ndimage
-
-    taps = math.prod(2 * r + 1 for r in half)
-    bricks = dilated(field.grid, field.bricks, half)
-    forces = zero_forces(len(bricks))
-    middle = (slice(None), *(slice(r, r + BRICK) for r in half))
-    for span, blocks in blocks_around(field, field.forces_n, bricks, half, half):
-        values = blocks.astype(np.float64)
-        box = values
-        for axis, r in enumerate(half):
-            box = ndimage.correlate1d(box, np.ones(2 * r + 1), axis=axis + 1, mode="constant")
-        # a constant is exact here: whole multiples of float32 below 2^13 in float64
-        forces[span] = _shortened(((taps * values - box) / taps)[middle], ceiling_n)
-    return ForceField.from_bricks(field.grid, bricks, forces)
