@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal, stats
 
+from limits_makers import block_rates, context_entropy
 from touchfield import job
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.encoder import fitted_code
@@ -29,11 +30,9 @@ from touchfield.filters.fir import fir_filter
 from touchfield.job import EncodeSpec
 from touchfield.measure import information as info
 from touchfield.measure.capacity import capacity, codomain_bits
-from touchfield.measure.context import context_entropy
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import binary_entropy_bits, estimate_bits
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.limits import block_rates
 from touchfield.measure.quantity import Quantity
 from touchfield.medium import ForceField, Grid
 from touchfield.perception.weber import WeberLadder, mask_kept_from_n, quantise_fixed_step
@@ -109,7 +108,7 @@ def test_a_drawn_chain_has_the_rate_of_its_law() -> None:
         float(info.entropy(exact(table.sum(axis=0)))), **near
     )
     from_zero = drawn - drawn.min()
-    assert float(context_entropy(on_a_line(from_zero), "previous").per_voxel) == pytest.approx(rate, **near)
+    assert float(context_entropy([on_a_line(from_zero)], "previous").per_voxel) == pytest.approx(rate, **near)
     assert float(block_rates(from_zero, 2).rates[1]) == pytest.approx(rate, **near)
 
 

@@ -222,9 +222,9 @@ def _fill(slots, low, shape, forces, halo, held, within):
 
 
 @njit(cache=True, nogil=True)
-def _curl_and_loops(begin, end, slots, lows, shape, spacing, forces, edges, sums, curls):
+def _curl_and_loops(begin, end, slots, lows, shape, spacing, forces, edges, sums):
     halo, held, within = np.empty((1000, 3)), np.empty(1000, np.bool_), np.empty(1000, np.bool_)
-    jacobian, curl = np.empty((3, 3)), np.empty(3)
+    jacobian = np.empty((3, 3))
     step = (100, 10, 1)
     half = (0.5 / spacing[0], 0.5 / spacing[1], 0.5 / spacing[2])
     for n in range(begin, end):
@@ -244,16 +244,12 @@ def _curl_and_loops(begin, end, slots, lows, shape, spacing, forces, edges, sums
                 curl2 = 0.0
                 for d in range(3):
                     e, f = (d + 1) % 3, (d + 2) % 3
-                    curl[d] = jacobian[f, e] - jacobian[e, f]
-                    curl2 += curl[d] ** 2
+                    curl2 += (jacobian[f, e] - jacobian[e, f]) ** 2
                 sums[n, 0] += 1
                 sums[n, 1] += held[p]
                 sums[n, 2] += curl2
                 sums[n, 3] += square
                 sums[n, 6] = max(sums[n, 6], curl2)
-                if n < curls.shape[0]:
-                    for d in range(3):
-                        curls[n, s, d] = curl[d]
             for d in range(3):  # the square from p along axes d and e
                 e = (d + 1) % 3
                 u, v, w = p + step[d], p + step[d] + step[e], p + step[e]
@@ -267,23 +263,13 @@ def _curl_and_loops(begin, end, slots, lows, shape, spacing, forces, edges, sums
                     sums[n, 7] = max(sums[n, 7], abs(work))
 
 
-def curl_and_loops(
-    grid: Grid,
-    bricks: Int32s,
-    slots: Int32s,
-    forces_n: Float32s,
-    edges: bool,
-    curls_n_per_m: Float32s,
-) -> Float64s:
+def curl_and_loops(grid: Grid, bricks: Int32s, slots: Int32s, forces_n: Float32s, edges: bool) -> Float64s:
     """The `COLUMNS` for each brick, float64 [m, 8]; SI units.
 
-    `bricks` int32 [m, 3]; `slots` int32 [m, 27], where in `forces_n` each neighbour lies, -1 for none. The curls are
-    written to `curls_n_per_m`, float32 [m, 512, 3], unless it is empty; samples without one are left as they are.
+    `bricks` int32 [m, 3]; `slots` int32 [m, 27], where in `forces_n` each neighbour lies, -1 for none.
     """
     sums = np.zeros((len(bricks), len(COLUMNS)))
     lows, shape = bricks.astype(np.int64) * 8, np.array(grid.shape, np.int64)
     spacing = np.array(grid.spacing_m)
-    for_chunks(
-        _curl_and_loops, len(bricks), slots, lows, shape, spacing, forces_n, edges, sums, curls_n_per_m, chunk=32
-    )
+    for_chunks(_curl_and_loops, len(bricks), slots, lows, shape, spacing, forces_n, edges, sums, chunk=32)
     return sums

@@ -27,9 +27,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import ForceField, dilated, frozen, slots_around, values_at
 from touchfield.medium.grid import BRICK, Grid
 
@@ -217,13 +216,18 @@ def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, se
     halved until it fits, or given up. `seed`: of the loops. InvalidArgument if the field is empty, or `loops` or
     `seed` is out of range.
     """
+    from touchfield.measure.kernels import curl_and_loops
+
     if isinstance(loops, bool) or not isinstance(loops, int) or not 0 <= loops <= _MOST_LOOPS:
         raise InvalidArgument("loops", repr(loops), f"0 to {_MOST_LOOPS}")
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise InvalidArgument("seed", repr(seed), "a whole number, 0 or more")
     if not force_field.support_count:
         raise InvalidArgument("force_field", "a field without any force", "a support of at least one sample")
-    rows, _, _ = _looked_at(force_field, edges, keep=False)
+    grid = force_field.grid
+    bricks = dilated(grid, force_field.bricks, (1, 1, 1)) if edges else force_field.bricks
+    slots = slots_around(bricks, force_field.bricks, grid.brick_shape).astype(np.int32)
+    rows = curl_and_loops(grid, bricks, slots, force_field.forces_n, edges)
     points, held, curl2, gradient2, squares, work2 = rows[:, :6].sum(axis=0).tolist()
     curl2_max, work_max = rows[:, 6:].max(axis=0).tolist()
     paths = _random_loops(force_field, edges, loops, np.random.default_rng(seed))
@@ -248,34 +252,6 @@ def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, se
         edges=edges,
         notes=_notes(force_field.grid, int(points), int(squares), len(paths), loops),
     )
-
-
-def curl_n_per_m(force_field: ForceField, edges: bool = False) -> tuple[Int32s, Float32s]:
-    """The curl at lattice points by central differences: positions int32 [m, 3] and curls float32 [m, 3], N/m.
-
-    Positions are indices into the grid, in raster order: the supported samples whose six neighbours are supported;
-    with `edges`, all samples that are supported or beside one that is, and whose six neighbours are in the grid.
-    """
-    from touchfield.medium import kernels
-
-    _, bricks, curls = _looked_at(force_field, edges, keep=True)
-    seen = ~np.isnan(curls[..., 0])
-    slots = kernels.raster_slots(bricks, seen.reshape(-1, BRICK, BRICK, BRICK))
-    brick, local = np.divmod(slots, BRICK**3)
-    offset = np.stack(np.unravel_index(local, (BRICK,) * 3), axis=-1)
-    return (bricks[brick] * BRICK + offset).astype(np.int32), curls.reshape(-1, 3)[slots]
-
-
-def _looked_at(force_field: ForceField, edges: bool, keep: bool) -> tuple[Float64s, Int32s, Float32s]:
-    """Rows of `kernels.COLUMNS`, the bricks they are of, and their curls [m, 512, 3], NaN where unseen."""
-    from touchfield.measure.kernels import curl_and_loops
-
-    grid = force_field.grid
-    bricks = dilated(grid, force_field.bricks, (1, 1, 1)) if edges else force_field.bricks
-    slots = slots_around(bricks, force_field.bricks, grid.brick_shape).astype(np.int32)
-    curls = zero_forces(len(bricks) if keep else 0).reshape(-1, BRICK**3, 3)
-    curls.fill(np.nan)
-    return curl_and_loops(grid, bricks, slots, force_field.forces_n, edges, curls), bricks, curls
 
 
 def _rms(square_sum: float, count: float) -> float:
