@@ -13,8 +13,9 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters import contact
 from touchfield.filters.contact import TextureFilter
 from touchfield.filters.fir import frequency_response
+from touchfield.filters.registry import felt_medium
 from touchfield.measure.estimators import entropy_bits
-from touchfield.medium import ForceField, Grid
+from touchfield.medium import ForceField, Grid, HapticMedium
 
 WORD = (1 << 64) - 1
 GOLDEN = 0x9E3779B97F4A7C15
@@ -154,12 +155,12 @@ def test_no_force_turns_round_grows_past_the_limit_or_appears() -> None:
 
 def test_no_force_exceeds_the_device() -> None:
     field = noise(cube(20), 6)
-    made = TextureFilter(rms=0.5, density=0.5, force_max_n=0.75)(field).vectors_n().astype(float)
-    length = np.linalg.norm(made, axis=1)
+    made = felt_medium(HapticMedium.from_frames([field], 30.0), (TextureFilter(rms=0.5, density=0.5),), 0.75)[0]
+    length = np.linalg.norm(made.vectors_n().astype(float), axis=1)
     assert length.max() <= 0.75 and np.count_nonzero(length > 0.7499) > 100
     huge = constant(cube(9), (3e38, 0.0, 0.0))
-    made = TextureFilter(rms=0.5, density=0.5)(huge).vectors_n()
-    assert np.isfinite(made).all()
+    with pytest.raises(InvalidArgument, match="--texture forces"):
+        TextureFilter(rms=0.5, density=0.5)(huge)
 
 
 def test_the_texture_belongs_to_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -222,13 +223,12 @@ def test_nothing_comes_of_nothing() -> None:
 def test_claims() -> None:
     salt = TextureFilter().claims(cube(9))
     assert salt.reach == (0, 0, 0) and salt.linear and salt.keeps_support and salt.keeps_direction
-    assert not TextureFilter(force_max_n=1.0).claims(cube(9)).linear
     assert TextureFilter.name == "texture"
 
 
 def test_words() -> None:
-    asked = TextureFilter.parse("salt-pepper:seed=3,density=0.1,rms=0.2,grain=2mm,limit=0.5,force_max_n=3")
-    assert asked == TextureFilter("salt-pepper", 3, 0.1, 0.2, 2e-3, 0.5, 3.0)
+    asked = TextureFilter.parse("salt-pepper:seed=3,density=0.1,rms=0.2,grain=2mm,limit=0.5")
+    assert asked == TextureFilter("salt-pepper", 3, 0.1, 0.2, 2e-3, 0.5)
     assert TextureFilter.parse("") == TextureFilter.parse("salt-pepper") == TextureFilter.parse("salt-pepper:")
     for texture in (asked, TextureFilter(), TextureFilter(grain_m=1e-3)):
         assert TextureFilter.parse(texture.words) == texture
@@ -240,7 +240,7 @@ def test_words() -> None:
         "pepper", "salt:seed=1", "salt-pepper:0.5", "salt-pepper:kind=literal", "seed=1:rms=0.1", "seed=-1",
         "seed=1.5", "seed=18446744073709551616", "density=0", "density=1.1", "density=nan", "rms=-0.1", "rms=nan",
         "rms=1.1", "rms=0.5,limit=0.4", "limit=0", "limit=1.5", "limit=nan", "grain=0mm", "grain=-1mm", "grain=2",
-        "force_max_n=0", "force_max_n=inf", "colour=red", "literal:grain=1mm",
+        "force_max_n=1", "colour=red", "literal:grain=1mm",
     ],
 )  # fmt: skip
 def test_words_that_make_no_sense(text: str) -> None:

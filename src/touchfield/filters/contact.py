@@ -36,6 +36,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s, Int32s
 from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.filters.fir import without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
@@ -104,8 +105,6 @@ def vibrating(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> 
 KINDS: Final = ("salt-pepper",)
 _BRICKS_AT_ONCE: Final = 256
 _GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)
-_INSIDE: Final = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
-_FLOAT32_MAX: Final = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,6 @@ class TextureFilter(FieldFilter):
     rms: float = 0.1  # root mean square of what is added, as a share of the local |F|; 0 to `limit`
     grain_m: float | None = None
     limit: float = 1.0  # the most that is added or taken away, as a share of the local |F|; above 0, at most 1
-    force_max_n: float | None = None  # forces of the result are shortened to this
 
     name: ClassVar[str] = "texture"
     summary: ClassVar[str] = "rough surface, salt-pepper:seed=1,density=0.05,rms=0.1,grain=1mm"
@@ -140,9 +138,8 @@ class TextureFilter(FieldFilter):
             raise InvalidArgument("texture limit", repr(self.limit), "a share above 0, at most 1")
         if not 0 <= self.rms <= self.limit:
             raise InvalidArgument("texture rms", repr(self.rms), f"a share from 0 to the limit, {self.limit:g}")
-        for what, value in (("grain_m", self.grain_m), ("force_max_n", self.force_max_n)):
-            if value is not None and not 0 < value < math.inf:
-                raise InvalidArgument(f"texture {what}", repr(value), "a positive number, or none")
+        if self.grain_m is not None and not 0 < self.grain_m < math.inf:
+            raise InvalidArgument("texture grain_m", repr(self.grain_m), "a positive number, or none")
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -153,20 +150,20 @@ class TextureFilter(FieldFilter):
         return super().parse(text)
 
     def claims(self, grid: Grid) -> Claims:
-        """A factor for each sample; linear unless `force_max_n` is given."""
+        """A factor for each sample."""
         self._grain_and_half(grid)
-        linear = self.force_max_n is None
-        return Claims(reach=(0, 0, 0), linear=linear, keeps_support=True, keeps_direction=True)
+        return Claims(reach=(0, 0, 0), linear=True, keeps_support=True, keeps_direction=True)
 
     def __call__(self, field: ForceField) -> ForceField:
         """The field with its texture, newtons, on the same grid."""
         grain, half = self._grain_and_half(field.grid)
-        ceiling_n = _FLOAT32_MAX if self.force_max_n is None else self.force_max_n
         forces = zero_forces(len(field.bricks))
         for begin in range(0, len(forces), _BRICKS_AT_ONCE):
             some = slice(begin, begin + _BRICKS_AT_ONCE)
             factor = 1 + np.clip(self._shares(field.bricks[some], grain, half), -self.limit, self.limit)
-            forces[some] = _shortened(field.forces_n[some] * factor[..., None], ceiling_n)
+            with np.errstate(over="ignore"):
+                forces[some] = field.forces_n[some] * factor[..., None]
+        without_overflow(forces, "--texture forces")
         return ForceField.from_bricks(field.grid, field.bricks, forces)
 
     def _shares(self, bricks: Int32s, grain: Triple, half: Triple) -> Float64s:
@@ -213,10 +210,3 @@ def mixed(z: Any) -> Any:
         z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
-
-
-def _shortened(forces_n: Float64s, ceiling_n: float) -> Float64s:
-    """Forces float64 [..., 3] no longer than a length."""
-    squares = (forces_n * forces_n).sum(axis=-1, keepdims=True)
-    is_longer = squares > ceiling_n * ceiling_n
-    return np.where(is_longer, forces_n * (ceiling_n * _INSIDE / np.sqrt(np.where(is_longer, squares, 1))), forces_n)

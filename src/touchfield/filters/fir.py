@@ -30,12 +30,10 @@ from touchfield.filters.separable import (
     SCIPY_MODES,
     AxisTaps,
     brick_field,
-    cropped,
     factors,
     filter_field,
     keys_of_passes,
     reach_of,
-    widened,
 )
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
@@ -164,7 +162,6 @@ class FirFilter(FieldFilter):
         in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``; or a file NAME.npy with an array of one or
         three axes.
     anchor : {"centred", "causal"}
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     normalise : bool; scale the taps to unit sum, so that a constant field stays itself.
     Raises `InvalidArgument` if the taps cannot be read, are not finite, even and to be centred, or of sum zero and to
     be normalised; on use, if the kernel is larger than the field, or a sum is beyond float32.
@@ -176,11 +173,9 @@ class FirFilter(FieldFilter):
 
     taps: str
     anchor: str = "centred"
-    boundary: str = "zero"
     normalise: bool = True
 
     def __post_init__(self) -> None:
-        require_one_of("--fir boundary", self.boundary, BOUNDARIES)
         total = float(self.kernel.sum())
         nothing = abs(total) <= 1e-12 * float(np.abs(self.kernel).sum())
         if (self.normalise and nothing) or not self.kernel.any():
@@ -236,12 +231,9 @@ class FirFilter(FieldFilter):
         axes = self._axes(field.grid)
         with np.errstate(over="ignore", invalid="ignore"):  # of taps that float32 cannot hold
             if self._rows or not len(field.bricks):
-                result = filter_field(field, axes, self.boundary)[0]
-            elif self.boundary == "zero":
-                result = self._summed(field, axes)
+                result = filter_field(field, axes)[0]
             else:
-                wide = widened(field, tuple(a.before for a in axes), tuple(a.origin for a in axes), self.boundary)
-                result = cropped(self._summed(wide, axes), field.grid)
+                result = self._summed(field, axes)
         without_overflow(result.forces_n, "--fir forces")
         return result
 

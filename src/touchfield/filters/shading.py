@@ -22,15 +22,15 @@ with one conductance g for the three components: a change of direction is an edg
 of the forces stays, and no |F| exceeds what was there as long as lambda <= 1/(2 axes); at that limit a checkerboard
 never fades, and the default is 1/(2 axes + 1). With g = 1 (kappa = inf) n steps blur as a Gaussian of sigma = spacing
 sqrt(2 lambda n). Where spacings differ lambda along an axis is (finest spacing / spacing)^2 of the lambda asked for,
-a diffusion in metres; kappa is not divided by the spacing. Nothing crosses the border of the grid, nor, with the
-region "support", the edge of the support; with "all" empty space is force 0 like another.
+a diffusion in metres; kappa is not divided by the spacing. Nothing crosses the border of the grid, nor the edge of
+the support.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,10 +38,10 @@ from numpy.typing import ArrayLike
 from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.registry import Claims, FieldFilter
-from touchfield.filters.separable import AxisTaps, keys_of_passes, sums_of_bricks, within_grid
+from touchfield.filters.separable import AxisTaps, keys_of_passes, sums_of_bricks
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
-from touchfield.medium.field import brick_keys, bricks_of, dilated, neighbour_slots, tiled
+from touchfield.medium.field import bricks_of, neighbour_slots, tiled
 from touchfield.parallel import for_chunks, worker_count
 
 if TYPE_CHECKING:
@@ -78,11 +78,6 @@ class ShadingFilter(FieldFilter):
         require_one_of("shading smooth", self.smooth, SMOOTHED)
         if not 0 < self.truncate <= MAX_TRUNCATE:
             raise InvalidArgument("shading truncate", repr(self.truncate), f"above 0, at most {MAX_TRUNCATE:g} sigma")
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """As `FieldFilter.parse`; older streams name ``spread=false``, which is all that there is."""
-        return super().parse(text.replace(",spread=false", ""))
 
     def claims(self, grid: Grid) -> Claims:
         """The reach is truncate * sigma, rounded to samples; means of amplitudes never exceed the greatest."""
@@ -161,7 +156,6 @@ def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[Int64s]) -> 
 
 
 CONDUCTANCES: Final = ("exponential", "rational")
-REGIONS: Final = ("support", "all")
 MAX_STEPS: Final = 10_000
 _LEAST_KAPPA: Final = 1e-30
 _MOST: Final = 1e37  # beyond, the difference of two float32 values may not be one
@@ -176,7 +170,6 @@ class DiffusionFilter(FieldFilter):
     steps : int; 1 to 10000.
     lam : float, optional; lambda along the axis with the finest spacing, above 0, at most 1/6; by default 1/7.
     conductance : str; "exponential" or "rational".
-    region : str; "support": forces are exchanged within the support only. "all": empty space takes part.
     Raises `InvalidArgument` if a value is out of range; on a call, if the forces are too great for float32.
     """
 
@@ -184,7 +177,6 @@ class DiffusionFilter(FieldFilter):
     steps: int = 10
     lam: float | None = None
     conductance: str = "exponential"
-    region: str = "support"
 
     name: ClassVar[str] = "perona-malik"
     summary: ClassVar[str] = "smooth within surfaces and keep edges, steps=10,kappa=0.3 (newtons)"
@@ -199,33 +191,26 @@ class DiffusionFilter(FieldFilter):
             raise InvalidArgument("perona-malik kappa_n", repr(self.kappa_n), expected)
         require_one_of("perona-malik conductance", self.conductance, CONDUCTANCES)
         _lambda(self.lam, 3)
-        require_one_of("perona-malik region", self.region, REGIONS)
 
     def claims(self, grid: Grid) -> Claims:
-        """One sample further in each step; linear only where neither the conductance nor the region depends on F."""
+        """One sample further in each step, within the support."""
         x, y, z = (min(self.steps, n - 1) for n in grid.shape)
         return Claims(
             reach=(x, y, z),
-            linear=self.kappa_n == np.inf and self.region == "all",
             dc_gain=1.0,
             keeps_mean=True,
             max_principle=True,
-            keeps_support=self.region == "support",
+            keeps_support=True,
         )
 
     def __call__(self, field: ForceField) -> ForceField:
         """The diffused field, newtons, on the same grid."""
         _check_size("forces_n", field.forces_n)
-        bricks, support = field.bricks, field.mask.copy()
-        if self.region == "all":
-            bricks = dilated(field.grid, field.bricks, self.claims(field.grid).reach)
-            support = within_grid(field.grid, bricks)
-        forces = field.forces_at(brick_keys(field.grid, bricks))
         # an axis of one sample has no edges, and its spacing does not count
         finest = min((h for h, n in zip(field.grid.spacing_m, field.grid.shape) if n > 1), default=1.0)
         lam = [_lambda(self.lam, 3) * min(1.0, finest / h) ** 2 for h in field.grid.spacing_m]
-        forces = _diffused(field.grid, bricks, support, forces, lam, self)
-        return ForceField.from_bricks(field.grid, bricks, forces)
+        forces = _diffused(field.grid, field.bricks, field.mask.copy(), field.forces_n.copy(), lam, self)
+        return ForceField.from_bricks(field.grid, field.bricks, forces)
 
 
 def perona_malik(
