@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from scipy import ndimage, signal
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters import fir
 from touchfield.filters.fir import ANCHORS, FirFilter, fir_filter
 from touchfield.filters.separable import BOUNDARIES, SCIPY_MODES
 from touchfield.medium import ForceField, Grid
@@ -43,8 +42,7 @@ def test_the_literal_sum_of_equation_4() -> None:
     rng = np.random.default_rng(0)
     x, h = rng.normal(size=20), rng.normal(size=4)
     expected = [sum(h[k] * x[n - k] for k in range(4) if n >= k) for n in range(20)]
-    for method in ("direct", "fft", "auto"):
-        assert fir_filter(x, h, anchor="causal", method=method) == pytest.approx(expected, abs=1e-13)
+    assert fir_filter(x, h, anchor="causal") == pytest.approx(expected, abs=1e-13)
     assert fir_filter(x, h, anchor="causal") == pytest.approx(signal.lfilter(h, [1.0], x), abs=1e-13)
 
 
@@ -52,7 +50,7 @@ def test_the_literal_sum_of_equation_4() -> None:
     st.lists(st.integers(1, 9), min_size=1, max_size=3), st.integers(0, 2), st.sampled_from(ANCHORS),
     st.sampled_from(BOUNDARIES), st.booleans(), st.data(),
 )  # fmt: skip
-def test_both_methods_equal_the_padded_sum(
+def test_any_kernel_is_the_padded_sum(
     shape: list[int], components: int, anchor: str, boundary: str, product: bool, data: st.DataObject
 ) -> None:
     rng = np.random.default_rng(len(shape))
@@ -72,9 +70,7 @@ def test_both_methods_equal_the_padded_sum(
     for k in itertools.product(*(range(n) for n in counts)):
         window = tuple(slice(n - 1 - i, n - 1 - i + m) for n, i, m in zip(counts, k, shape, strict=True))
         expected += h[k] * wide[window]
-    for method in ("direct", "fft"):
-        made = fir_filter(x, h, anchor=anchor, boundary=boundary, method=method)
-        assert np.abs(made - expected).max() < 1e-12
+    assert np.abs(fir_filter(x, h, anchor=anchor, boundary=boundary) - expected).max() < 1e-12
 
 
 @pytest.mark.parametrize("boundary", BOUNDARIES)
@@ -87,18 +83,8 @@ def test_the_causal_form_is_the_centred_one_moved(boundary: str) -> None:
 
 def test_the_type_of_the_signal_is_kept() -> None:
     h = np.array([1.0, 2.0, 1.0]) / 4
-    for method in ("direct", "fft"):
-        assert fir_filter(np.ones((9, 3), np.float32), h, method=method).dtype == np.float32
-        assert fir_filter(np.ones(9, np.int64), h, method=method).dtype == np.float64
-
-
-def test_the_cheaper_method_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-    for name in ("direct_sums", "_by_fft"):
-        monkeypatch.setattr(fir, name, lambda x, *_, name=name: asked.append(name) or x)
-    for taps in (np.ones((3, 3)) + np.eye(3), np.ones((101, 101)) + np.eye(101), np.ones((41, 41))):
-        fir_filter(np.ones((500, 500)), taps)
-    assert asked == ["direct_sums", "_by_fft", "direct_sums"]  # the last is a product of rows
+    assert fir_filter(np.ones((9, 3), np.float32), h).dtype == np.float32
+    assert fir_filter(np.ones(9, np.int64), h).dtype == np.float64
 
 
 @pytest.mark.parametrize(
@@ -113,7 +99,6 @@ def test_the_cheaper_method_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
         (np.array([]), {}, "at least one tap"),
         (np.ones(3), {"anchor": "left"}, "centred or causal"),
         (np.ones(3), {"boundary": "mirror"}, "zero, nearest, reflect, wrap"),
-        (np.ones(3), {"method": "magic"}, "auto, direct, fft"),
     ],
 )
 def test_kernels_that_are_refused(taps: np.ndarray, options: dict[str, str], said: str) -> None:
@@ -139,20 +124,20 @@ def test_filtering_raises_the_entropy_of_a_sample_and_lowers_that_of_the_field()
     fields = np.array(list(itertools.product((0, 1), repeat=9)), float).reshape(-1, 3, 3)
     one = Counter(fields[:, 1, 1].tolist())
     assert entropy_bits(one) == 1.0
-    boxed = [fir_filter(f, np.ones((3, 3)), boundary="wrap", method="direct") for f in fields]
+    boxed = [fir_filter(f, np.ones((3, 3)), boundary="wrap") for f in fields]
     assert entropy_bits(Counter(round(f[1, 1]) for f in boxed)) == pytest.approx(2.629928, abs=1e-6)
     joint = entropy_bits(Counter(tuple(np.rint(f).ravel().tolist()) for f in boxed))
     assert joint == pytest.approx(2.629928, abs=1e-6)  # of 9 bits: all nine sums are the same one
     assert joint / 9 == pytest.approx(0.292214, abs=1e-6)
     cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
-    crossed = [fir_filter(f, cross, boundary="wrap", method="direct") for f in fields]
+    crossed = [fir_filter(f, cross, boundary="wrap") for f in fields]
     assert entropy_bits(Counter(round(f[1, 1]) for f in crossed)) > 1.0
     assert entropy_bits(Counter(tuple(np.rint(f).ravel().tolist()) for f in crossed)) <= 9.0 + 1e-12
 
 
 def test_the_joint_entropy_of_a_valid_box_of_4_by_4() -> None:
     fields = ((np.arange(1 << 16)[:, None] >> np.arange(16)) & 1).reshape(-1, 4, 4).astype(float)
-    sums = fir_filter(np.moveaxis(fields, 0, -1), np.ones((3, 3)), anchor="causal", method="direct")[2:, 2:]
+    sums = fir_filter(np.moveaxis(fields, 0, -1), np.ones((3, 3)), anchor="causal")[2:, 2:]
     codes = np.rint(sums).astype(np.int64).reshape(4, -1)
     _, counts = np.unique(codes, axis=1, return_counts=True)
     share = counts / counts.sum()
@@ -300,14 +285,13 @@ def test_a_kernel_larger_than_the_field_is_refused() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("method", ["direct", "fft"])
-def test_sums_beyond_the_type_are_refused(dtype: type, method: str) -> None:
+def test_sums_beyond_the_type_are_refused(dtype: type) -> None:
     huge = 0.5 * float(np.finfo(dtype).max)
     said = f"signal: found numbers whose sums are beyond {np.dtype(dtype)}"
     for shape, taps in (((40,), np.ones(3)), ((9, 9), np.eye(3)), ((7, 7, 7, 3), np.ones((3, 3, 3)))):
         with pytest.raises(InvalidArgument, match=said):
-            fir_filter(np.full(shape, huge, dtype), taps, method=method)
-    assert np.isfinite(fir_filter(np.full(40, huge / 8, dtype), np.ones(3), method=method)).all()
+            fir_filter(np.full(shape, huge, dtype), taps)
+    assert np.isfinite(fir_filter(np.full(40, huge / 8, dtype), np.ones(3))).all()
 
 
 @pytest.mark.parametrize("taps", ["1/2/1", "3x3x3:" + "/".join(str(v) for v in range(27)), "1e39/1e39/1e39"])

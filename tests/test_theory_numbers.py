@@ -193,7 +193,7 @@ def binary_frames(*shape: int) -> NDArray[np.float64]:
 def test_a_box_raises_the_bits_of_a_sample_and_lowers_those_of_a_field() -> None:
     """Item 11 and the data-processing number of a periodic 3 x 3 image: 1 -> 2.630 bits a sample, 9 -> 2.630 all."""
     images = binary_frames(3, 3)
-    made = np.stack([fir_filter(i, np.ones((3, 3)), boundary="wrap", method="direct") for i in images])
+    made = np.stack([fir_filter(i, np.ones((3, 3)), boundary="wrap") for i in images])
     sums = np.round(made).astype(np.int64)
     assert made == pytest.approx(sums, abs=1e-12)
     whole = info.joint_entropy(*sums.reshape(512, 9).T, interval=False)
@@ -211,7 +211,7 @@ def test_a_box_raises_the_bits_of_a_sample_and_lowers_those_of_a_field() -> None
 def test_a_box_within_an_image_and_its_decimation() -> None:
     images = binary_frames(4, 4)
     # the images lie along the last axis, where the taps do not reach
-    made = np.round(fir_filter(np.moveaxis(images, 0, -1), np.ones((3, 3)), method="direct")).astype(np.int64)
+    made = np.round(fir_filter(np.moveaxis(images, 0, -1), np.ones((3, 3)))).astype(np.int64)
     inner = np.moveaxis(made[1:3, 1:3], -1, 0)
     whole = info.joint_entropy(*inner.reshape(-1, 4).T, interval=False)
     assert float(whole) == pytest.approx(8.786455, abs=6e-7)

@@ -26,7 +26,6 @@ from touchfield.files import require_plain
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import (
     BOUNDARIES,
-    NUMPY_MODES,
     SCIPY_MODES,
     AxisTaps,
     brick_field,
@@ -45,14 +44,11 @@ if TYPE_CHECKING:
     from touchfield.medium import Grid
 
 ANCHORS: Final = ("centred", "causal")
-METHODS: Final = ("auto", "direct", "fft")
 _NO_GAIN: Final = 1e-15  # -300 dB: a gain of zero has no decibels
-_FFT_TAPS: Final = 4  # a sample's share of an FFT, for each doubling of the samples, costs as much as four taps
-_ROW_TAPS: Final = 0.75  # and a tap along one axis as much as this of one of a box
 
 
 def fir_filter(
-    signal: ArrayLike, taps: ArrayLike, *, anchor: str = "centred", boundary: str = "zero", method: str = "auto"
+    signal: ArrayLike, taps: ArrayLike, *, anchor: str = "centred", boundary: str = "zero"
 ) -> NDArray[Any]:
     """Equation 4 on a dense array.
 
@@ -60,23 +56,17 @@ def fir_filter(
     taps : float, N-D, N <= M; h, the kernel.
     anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as printed.
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
-    method : {"auto", "direct", "fft"}; "auto" takes the one that is likely to be quicker.
     Returns float32 or float64 of the signal's shape and type. Raises `InvalidArgument` if the kernel is empty, not
     finite, larger than the signal, or even and to be centred; if the signal or a sum is not finite; for other words.
     """
     x, h = checked_signal(signal, boundary), _checked_taps(taps, anchor)
-    require_one_of("method", method, METHODS)
     if h.ndim > x.ndim:
         raise InvalidArgument("taps", f"{h.ndim} axes for a signal {x.shape}", f"at most {x.ndim}")
     origins = [n // 2 if anchor == "centred" else 0 for n in h.shape]
     for axis, (n, count) in enumerate(zip(h.shape, x.shape, strict=False)):
         AxisTaps(np.ones(n), 0).check_fits(count, f"taps of axis {axis}")
-    rows = factors(h)
-    if method == "auto":
-        taps_of_sample = _ROW_TAPS * sum(h.shape) if rows else np.count_nonzero(h)
-        method = "direct" if taps_of_sample <= _FFT_TAPS * math.log2(max(2, x.size)) else "fft"
     with np.errstate(over="ignore", invalid="ignore"):
-        sums = _by_fft(x, h, origins, boundary) if method == "fft" else direct_sums(x, rows or h, origins, boundary)
+        sums = direct_sums(x, factors(h) or h, origins, boundary)
     return without_overflow(sums, "signal")
 
 
@@ -139,19 +129,6 @@ def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[
     beside = x.ndim - taps.ndim
     mirrored = np.flip(taps).reshape(*taps.shape, *[1] * beside)
     return np.asarray(ndimage.correlate(x, mirrored, mode=mode, origin=[*places, *[0] * beside]))
-
-
-def _by_fft(x: NDArray[Any], h: Float64s, origins: list[int], boundary: str) -> NDArray[Any]:
-    from scipy import signal
-
-    # powers of two, which lose nothing, keep the transforms within float64 where the sums are
-    x_order, h_order = (int(np.frexp(np.abs(a).max(initial=0.0))[1]) for a in (x, h))
-    beside = x.ndim - h.ndim
-    margins = [*((n - 1 - origin, origin) for n, origin in zip(h.shape, origins, strict=True)), *[(0, 0)] * beside]
-    wide = np.pad(np.ldexp(x.astype(np.float64), -x_order), margins, mode=NUMPY_MODES[boundary])
-    row = np.ldexp(h, -h_order).reshape(*h.shape, *[1] * beside)
-    sums = signal.fftconvolve(wide, row, mode="valid", axes=tuple(range(h.ndim)))
-    return np.asarray(np.ldexp(sums, x_order + h_order), x.dtype)
 
 
 @dataclass(frozen=True)

@@ -171,8 +171,3 @@ def brick_field(grid: Grid, bricks: Int32s, forces_n: Float32s, is_held: Bools) 
     if not is_held.all():
         bricks, forces_n = bricks[is_held], forces_n[is_held]
     return ForceField(grid, bricks, forces_n)
-
-
-def places_of(bricks: Int32s, axis: int) -> Int32s:
-    """Indices of the samples of each brick along one axis, int32 [n, 8]."""
-    return np.asarray(bricks[:, axis, None] * BRICK + np.arange(BRICK), np.int32)
