@@ -49,7 +49,6 @@ from touchfield.filters.resample import (
     halved,
     interpolated,
     most_levels,
-    nyquist_per_m,
     pyramid,
     rebuilt,
     resample,
@@ -64,6 +63,6 @@ __all__ = [
     "Limited", "LowPass", "Moved", "Placement", "Region", "RigidMotion", "Voxels", "actuator_taps",
     "cross_faded", "cutoff_per_m", "device_grid", "device_medium", "edited", "edited_medium", "fcc_coarse",
     "fcc_forward", "fcc_inverse", "field_filters", "filter_of", "filtered", "filtered_medium", "fir_filter",
-    "frequency_response", "gaussian", "halved", "interpolated", "limited", "most_levels", "nyquist_per_m",
+    "frequency_response", "gaussian", "halved", "interpolated", "limited", "most_levels",
     "perona_malik", "pyramid", "quincunx_coarse", "quincunx_forward", "quincunx_inverse", "rebuilt", "resample",
 ]  # fmt: skip

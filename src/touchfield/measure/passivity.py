@@ -207,10 +207,10 @@ class Passivity:
 def passivity(force_field: ForceField, loops: int = 256, seed: int = 0) -> Passivity:
     """Curl, and work around closed loops, of a field; the same bits for any number of threads.
 
-    `loops`: random loops, 0 to 4096, with `seed`. Each is a star of 16 corners around a supported sample, half of them
-    in the plane across the force (where a conservative wall does no work at all), up to half the size of the support;
-    one that leaves it is halved until it fits, or given up. InvalidArgument if the field is empty, or a number is out
-    of range.
+    `loops`: random loops, 0 to 4096, with `seed`. Each is a star of 16 corners around a supported sample, half of
+    them in the plane across the force (where a conservative wall does no work at all), up to half the size of the
+    support; one that leaves it is halved until it fits, or given up. InvalidArgument if the field is empty, or a
+    number is out of range.
     """
     from touchfield.measure.kernels import curl_and_loops
 
