@@ -85,7 +85,6 @@ def test_a_nominal_lattice_is_never_laid_out() -> None:
     ("call", "words"),
     [
         (lambda: BlockCounter(2, 0, "test"), "longest"),
-        (lambda: BlockCounter(2, 3, "test").add_field(fields_of(np.ones((1, 9, 9, 2), int), 2)[0], 2), "axis of 2"),
         (lambda: coding_limits(7), "int"),
         (lambda: coding_limits([1, 2]), "FieldSymbols"),
         (lambda: coding_limits([]), "no frame"),

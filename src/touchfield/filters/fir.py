@@ -288,19 +288,3 @@ class FrequencyResponse:
             raise InvalidArgument("direction", repr(direction), f"one of {expected}, or {axes} numbers")
         gain = np.abs(frequency_response(self.taps, *(part * np.asarray(omega, np.float64) for part in parts)))
         return np.asarray(20 * np.log10(np.maximum(gain, _NO_GAIN)))
-
-    def crossing_rad(self, drop_db: float, direction: Sequence[float] | str = "x") -> float:
-        """The lowest frequency, radians per sample up to pi, where |H| is `drop_db` below |H(0)|; NaN if none."""
-        if not drop_db > 0:
-            raise InvalidArgument("drop_db", repr(drop_db), "a positive number of decibels")
-        if not abs(self.taps.sum()) > _NO_GAIN:
-            return math.nan  # a high-pass has nothing to fall from
-        level = 20 * math.log10(abs(self.taps.sum())) - drop_db
-        omega = np.linspace(0, np.pi, 4097)
-        below = np.flatnonzero(self.gain_db(omega, direction) <= level)
-        if not len(below):
-            return math.nan
-        from scipy import optimize
-
-        a, b = omega[below[0] - 1], omega[below[0]]
-        return float(optimize.brentq(lambda w: float(self.gain_db(w, direction)) - level, a, b, xtol=1e-12))

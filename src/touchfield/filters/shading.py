@@ -30,12 +30,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Bools, Float32s, Int32s, Int64s
+from touchfield.arrays import Bools, Float32s, Int32s
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import AxisTaps, keys_of_passes, sums_of_bricks
@@ -106,7 +106,12 @@ class ShadingFilter(FieldFilter):
         masses[field.mask, 0], masses[field.mask, 1] = 1, lengths_n / scale_n
         keys = keys_of_passes(field, axes)
         keys[3] = keys[0]  # the bricks around the support need not be made
-        mean_masses, mean_directions = (_smoothed(field.grid, v, axes, keys) for v in (masses, directions))
+        means = []
+        for values in (masses, directions):
+            sums, tops = sums_of_bricks(field.grid, values, axes, keys)
+            sums[tops == 0] = 0
+            means.append(sums)
+        mean_masses, mean_directions = means
         reached = field.mask
         weights = mean_masses[reached][:, 0]
         if self.smooth != "direction":
@@ -146,13 +151,6 @@ class ShadingFilter(FieldFilter):
             mend = "Take a smaller sigma or truncate, or a coarser grid."
             raise InvalidArgument("shading sigma_m", found, f"at most {allowed / 2**30:.1f} GiB", mend)
         return rows[0], rows[1], rows[2]
-
-
-def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[Int64s]) -> Any:
-    """Weighted sums of vectors that lie in the bricks of the field, in the last bricks, float32 [n, 8, 8, 8, 3]."""
-    sums, tops = sums_of_bricks(grid, vectors, axes, keys)
-    sums[tops == 0] = 0
-    return sums
 
 
 CONDUCTANCES: Final = ("exponential", "rational")

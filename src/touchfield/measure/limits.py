@@ -53,7 +53,7 @@ class BlockRates:
 class BlockCounter:
     """Counts the blocks of `longest` symbols of scan lines, which are rings.
 
-    `alphabet`: symbols are below it. `longest`: 1 to 64, at most the length of the shortest ring. `quantiser`: as in
+    `alphabet`: symbols are below it. `longest`: 1 to 64, at most the samples along them. `quantiser`: as in
     `Quantity`.
     """
 
@@ -66,10 +66,6 @@ class BlockCounter:
 
     def add_field(self, frame: FieldSymbols, axis: int) -> None:
         """Count the blocks of the scan lines of a sparse frame along an axis; empty space in closed form."""
-        length = frame.grid.shape[axis]
-        if self.longest > length:
-            found = f"blocks of {self.longest} along an axis of {length} samples"
-            raise InvalidArgument("longest", found, f"1 to {length}")
         self._cells.zeros += frame.voxel_count
         per_word = 64 // self._bits
         for lines in _scan_lines(frame, axis, self.longest):

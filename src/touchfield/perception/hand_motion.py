@@ -373,13 +373,11 @@ class Hold(NamedTuple):
 class HoldMeter:
     """The holds over the frames of a medium; steps are measured by the mask max(F_0, k |F|), F_0 positive."""
 
-    def __init__(
-        self, frame_count: int, rate_hz: float, k: float, f0_n: float, points: int = 64, seed: int = 0
-    ) -> None:
+    def __init__(self, frame_count: int, rate_hz: float, k: float, f0_n: float, points: int = 64) -> None:
         self._rate_hz, self._k, self._f0_n, self._count = rate_hz, k, f0_n, points
         part = max(math.ceil(frame_count / _PARTS), math.ceil(_PART_S * rate_hz))
         self._part, self._left = min(part, _MOST_FRAMES), frame_count
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(0)
         self._points_m = np.zeros((0, 3))
         self._forces: list[Float64s] = []
         self._starts: list[bool] = []
