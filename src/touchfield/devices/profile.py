@@ -104,11 +104,6 @@ class Device:
         x, y, z = self.workspace_mm
         return (x / 1000, y / 1000, z / 1000)
 
-    @property
-    def actuator_count(self) -> int | None:
-        """Actuators on all panels; None for a point."""
-        return self.lattice[0] * self.lattice[1] * self.panels if self.is_array else None
-
 
 @dataclass(frozen=True)
 class _Field:

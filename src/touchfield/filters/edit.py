@@ -8,10 +8,7 @@ every haptic filter is one, too. Frames stay lazy: nothing is made before it is 
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from typing import ClassVar, Final, Protocol
 
 import numpy as np
@@ -223,41 +220,13 @@ def edited_medium(
     return replace(medium, make_frame=make, provenance=noted(medium.provenance, "edits", words))
 
 
-def concatenated(*media: HapticMedium) -> HapticMedium:
-    """One medium after the other.
-
-    Raises `InvalidArgument` if there is none, or they differ in grid, rate, axes, friction, damping or tags.
-    """
-    if not media:
-        raise InvalidArgument("media to concatenate", "none", "at least one")
-    ends = list(accumulate(len(m) for m in media))
-
-    def make(i: int) -> ForceField:
-        which = bisect_right(ends, i)
-        return media[which][i - ends[which] + len(media[which])]
-
-    counts = " + ".join(str(len(m)) for m in media)
-    return _spliced(media, ends[-1], make, f"{counts} frames") if len(media) > 1 else media[0]
-
-
-def without(medium: HapticMedium, start: int, stop: int) -> HapticMedium:
-    """The medium with frames start to stop - 1 cut out.
-
-    Raises `InvalidArgument` if there is no such range, or nothing would be left.
-    """
-    count, gap = len(medium), stop - start
-    if not 0 <= start < stop <= count or gap == count:
-        raise InvalidArgument("frames to cut", f"{start}:{stop}", f"a range within 0:{count}, and not all of it")
-    words = f"frames {start}:{stop} cut"
-    return _spliced((medium,), count - gap, lambda i: medium[i if i < start else i + gap], words)
-
-
 def cross_faded(first: HapticMedium, second: HapticMedium, frames: int) -> HapticMedium:
     """The first medium into the second, the last `frames` of the one mixed with as many of the other.
 
-    frames : int; of the transition, 0 or more. Frame i of it is (1 - w) F + w G with w = (i + 1) / (frames + 1): the
-        frames before and after it are those of one medium, and go on in equal steps.
-    Raises `InvalidArgument` if a medium is shorter than the transition, or they differ as for `concatenated`.
+    frames : int; of the transition, 0 or more; 0 puts one after the other. Frame i of it is (1 - w) F + w G with
+        w = (i + 1) / (frames + 1): the frames before and after it are those of one medium, and go on in equal steps.
+    Raises `InvalidArgument` if a medium is shorter than the transition, or they differ in grid, rate, axes, friction,
+        damping or tags.
     """
     shortest = min(len(first), len(second))
     if isinstance(frames, bool) or not isinstance(frames, int) or not 0 <= frames <= shortest:
@@ -272,18 +241,12 @@ def cross_faded(first: HapticMedium, second: HapticMedium, frames: int) -> Hapti
         share = (i - begin + 1) / (frames + 1)
         return first[i].scaled(1 - share) + second[i - begin].scaled(share)
 
+    for name in ("grid", *first.beside):
+        mine, theirs = getattr(second, name), getattr(first, name)
+        if mine != theirs:
+            raise InvalidArgument(f"medium 1 to splice, {name}", str(mine), f"{theirs}, as of medium 0")
+    before = "; ".join(m.provenance["splices"] for m in (first, second) if "splices" in m.provenance)
     words = f"{len(first)} frames into {len(second)} over {frames}"
-    return _spliced((first, second), begin + len(second), make, words)
-
-
-def _spliced(
-    media: tuple[HapticMedium, ...], count: int, make: Callable[[int], ForceField], words: str
-) -> HapticMedium:
-    for n, one in enumerate(media[1:], start=1):
-        for name in ("grid", *media[0].beside):
-            mine, theirs = getattr(one, name), getattr(media[0], name)
-            if mine != theirs:
-                raise InvalidArgument(f"medium {n} to splice, {name}", str(mine), f"{theirs}, as of medium 0")
-    before = "; ".join(m.provenance["splices"] for m in media if "splices" in m.provenance)
-    provenance = noted({**media[0].provenance, "splices": before}, "splices", words)
-    return replace(media[0], frame_count=count, make_frame=make, provenance=provenance, vibration=None, segments=None)
+    provenance = noted({**first.provenance, "splices": before}, "splices", words)
+    count = begin + len(second)
+    return replace(first, frame_count=count, make_frame=make, provenance=provenance, vibration=None, segments=None)

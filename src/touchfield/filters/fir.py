@@ -26,16 +26,13 @@ from touchfield.files import require_plain
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import (
     BOUNDARIES,
-    NUMPY_MODES,
     SCIPY_MODES,
     AxisTaps,
     brick_field,
-    cropped,
     factors,
     filter_field,
     keys_of_passes,
     reach_of,
-    widened,
 )
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
@@ -47,14 +44,11 @@ if TYPE_CHECKING:
     from touchfield.medium import Grid
 
 ANCHORS: Final = ("centred", "causal")
-METHODS: Final = ("auto", "direct", "fft")
 _NO_GAIN: Final = 1e-15  # -300 dB: a gain of zero has no decibels
-_FFT_TAPS: Final = 4  # a sample's share of an FFT, for each doubling of the samples, costs as much as four taps
-_ROW_TAPS: Final = 0.75  # and a tap along one axis as much as this of one of a box
 
 
 def fir_filter(
-    signal: ArrayLike, taps: ArrayLike, *, anchor: str = "centred", boundary: str = "zero", method: str = "auto"
+    signal: ArrayLike, taps: ArrayLike, *, anchor: str = "centred", boundary: str = "zero"
 ) -> NDArray[Any]:
     """Equation 4 on a dense array.
 
@@ -62,23 +56,17 @@ def fir_filter(
     taps : float, N-D, N <= M; h, the kernel.
     anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as printed.
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
-    method : {"auto", "direct", "fft"}; "auto" takes the one that is likely to be quicker.
     Returns float32 or float64 of the signal's shape and type. Raises `InvalidArgument` if the kernel is empty, not
     finite, larger than the signal, or even and to be centred; if the signal or a sum is not finite; for other words.
     """
     x, h = checked_signal(signal, boundary), _checked_taps(taps, anchor)
-    require_one_of("method", method, METHODS)
     if h.ndim > x.ndim:
         raise InvalidArgument("taps", f"{h.ndim} axes for a signal {x.shape}", f"at most {x.ndim}")
     origins = [n // 2 if anchor == "centred" else 0 for n in h.shape]
     for axis, (n, count) in enumerate(zip(h.shape, x.shape, strict=False)):
         AxisTaps(np.ones(n), 0).check_fits(count, f"taps of axis {axis}")
-    rows = factors(h)
-    if method == "auto":
-        taps_of_sample = _ROW_TAPS * sum(h.shape) if rows else np.count_nonzero(h)
-        method = "direct" if taps_of_sample <= _FFT_TAPS * math.log2(max(2, x.size)) else "fft"
     with np.errstate(over="ignore", invalid="ignore"):
-        sums = _by_fft(x, h, origins, boundary) if method == "fft" else direct_sums(x, rows or h, origins, boundary)
+        sums = direct_sums(x, factors(h) or h, origins, boundary)
     return without_overflow(sums, "signal")
 
 
@@ -143,19 +131,6 @@ def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[
     return np.asarray(ndimage.correlate(x, mirrored, mode=mode, origin=[*places, *[0] * beside]))
 
 
-def _by_fft(x: NDArray[Any], h: Float64s, origins: list[int], boundary: str) -> NDArray[Any]:
-    from scipy import signal
-
-    # powers of two, which lose nothing, keep the transforms within float64 where the sums are
-    x_order, h_order = (int(np.frexp(np.abs(a).max(initial=0.0))[1]) for a in (x, h))
-    beside = x.ndim - h.ndim
-    margins = [*((n - 1 - origin, origin) for n, origin in zip(h.shape, origins, strict=True)), *[(0, 0)] * beside]
-    wide = np.pad(np.ldexp(x.astype(np.float64), -x_order), margins, mode=NUMPY_MODES[boundary])
-    row = np.ldexp(h, -h_order).reshape(*h.shape, *[1] * beside)
-    sums = signal.fftconvolve(wide, row, mode="valid", axes=tuple(range(h.ndim)))
-    return np.asarray(np.ldexp(sums, x_order + h_order), x.dtype)
-
-
 @dataclass(frozen=True)
 class FirFilter(FieldFilter):
     """Equation 4 on the sparse bricks of a field; nothing is made dense.
@@ -164,7 +139,6 @@ class FirFilter(FieldFilter):
         in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``; or a file NAME.npy with an array of one or
         three axes.
     anchor : {"centred", "causal"}
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     normalise : bool; scale the taps to unit sum, so that a constant field stays itself.
     Raises `InvalidArgument` if the taps cannot be read, are not finite, even and to be centred, or of sum zero and to
     be normalised; on use, if the kernel is larger than the field, or a sum is beyond float32.
@@ -176,11 +150,9 @@ class FirFilter(FieldFilter):
 
     taps: str
     anchor: str = "centred"
-    boundary: str = "zero"
     normalise: bool = True
 
     def __post_init__(self) -> None:
-        require_one_of("--fir boundary", self.boundary, BOUNDARIES)
         total = float(self.kernel.sum())
         nothing = abs(total) <= 1e-12 * float(np.abs(self.kernel).sum())
         if (self.normalise and nothing) or not self.kernel.any():
@@ -236,12 +208,9 @@ class FirFilter(FieldFilter):
         axes = self._axes(field.grid)
         with np.errstate(over="ignore", invalid="ignore"):  # of taps that float32 cannot hold
             if self._rows or not len(field.bricks):
-                result = filter_field(field, axes, self.boundary)[0]
-            elif self.boundary == "zero":
-                result = self._summed(field, axes)
+                result = filter_field(field, axes)[0]
             else:
-                wide = widened(field, tuple(a.before for a in axes), tuple(a.origin for a in axes), self.boundary)
-                result = cropped(self._summed(wide, axes), field.grid)
+                result = self._summed(field, axes)
         without_overflow(result.forces_n, "--fir forces")
         return result
 
@@ -319,19 +288,3 @@ class FrequencyResponse:
             raise InvalidArgument("direction", repr(direction), f"one of {expected}, or {axes} numbers")
         gain = np.abs(frequency_response(self.taps, *(part * np.asarray(omega, np.float64) for part in parts)))
         return np.asarray(20 * np.log10(np.maximum(gain, _NO_GAIN)))
-
-    def crossing_rad(self, drop_db: float, direction: Sequence[float] | str = "x") -> float:
-        """The lowest frequency, radians per sample up to pi, where |H| is `drop_db` below |H(0)|; NaN if none."""
-        if not drop_db > 0:
-            raise InvalidArgument("drop_db", repr(drop_db), "a positive number of decibels")
-        if not abs(self.taps.sum()) > _NO_GAIN:
-            return math.nan  # a high-pass has nothing to fall from
-        level = 20 * math.log10(abs(self.taps.sum())) - drop_db
-        omega = np.linspace(0, np.pi, 4097)
-        below = np.flatnonzero(self.gain_db(omega, direction) <= level)
-        if not len(below):
-            return math.nan
-        from scipy import optimize
-
-        a, b = omega[below[0] - 1], omega[below[0]]
-        return float(optimize.brentq(lambda w: float(self.gain_db(w, direction)) - level, a, b, xtol=1e-12))

@@ -155,40 +155,24 @@ def axis_weights(
     return AxisWeights(first, weights.astype(np.float32))
 
 
-def nyquist_per_m(grid: Grid) -> tuple[float, float, float]:
-    """The highest frequency that each axis of a lattice carries, 1/(2 spacing), cycles per metre."""
-    x, y, z = grid.spacing_m
-    return (0.5 / x, 0.5 / y, 0.5 / z)
-
-
-def grid_weights(
-    source: Grid, target: Grid, kernel: LowPass, cutoffs_per_m: tuple[float, float, float]
-) -> list[AxisWeights]:
+def grid_weights(source: Grid, target: Grid, kernel: LowPass) -> list[AxisWeights]:
     """The weights of the three axes from one lattice to another."""
     ends = [[(g.shape[a], g.spacing_m[a], g.origin_m[a]) for a in range(3)] for g in (source, target)]
-    return [axis_weights(ends[0][a], ends[1][a], kernel, cutoffs_per_m[a]) for a in range(3)]
+    return [axis_weights(ends[0][a], ends[1][a], kernel, 0.5 / target.spacing_m[a]) for a in range(3)]
 
 
-def resample(
-    field: ForceField,
-    grid: Grid,
-    kernel: str | LowPass = "spline",
-    cutoffs_per_m: tuple[float, float, float] | None = None,
-) -> ForceField:
-    """The field on another lattice, through a low-pass.
+def resample(field: ForceField, grid: Grid, kernel: str | LowPass = "spline") -> ForceField:
+    """The field on another lattice, through a low-pass that cuts off at the lower of the two Nyquist rates.
 
     grid : Grid; the target, with the same axes and in the same metres.
     kernel : str or LowPass; a name of `touchfield.filters.LOW_PASSES`, or a kernel.
-    cutoffs_per_m : (float, float, float), optional; cut-off along each axis, cycles per metre; the lower of the two
-        Nyquist rates where none is given.
     Returns ForceField: On `grid`, linear in the field, the same bits for any number of threads.
-    Raises `InvalidArgument` if the kernel or a cut-off is not possible, or the target is too fine for a field of that
-    size.
+    Raises `InvalidArgument` if there is no such kernel, or the target is too fine for a field of that size.
     """
     from touchfield.filters.kernels import forces as kernels
 
     chosen = low_pass(kernel) if isinstance(kernel, str) else kernel
-    weights = grid_weights(field.grid, grid, chosen, cutoffs_per_m or nyquist_per_m(grid))
+    weights = grid_weights(field.grid, grid, chosen)
     reach = [_reach(one, bricks) for one, bricks in zip(weights, field.grid.brick_shape)]
     keys = _reached(np.stack([row[field.bricks[:, a]] for a, row in enumerate(reach)], axis=1), grid)
     bricks, own = bricks_of(grid, keys), brick_keys(field.grid, field.bricks)

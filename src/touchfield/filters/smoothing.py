@@ -25,7 +25,7 @@ from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.fir import checked_signal, direct_sums, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LOW_PASSES
-from touchfield.filters.separable import BOUNDARIES, NUMPY_MODES, AxisTaps, filter_field, reach_of
+from touchfield.filters.separable import NUMPY_MODES, AxisTaps, filter_field, reach_of
 from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
@@ -99,8 +99,6 @@ def gaussian(
 class _LowPass(FieldFilter):
     """A filter of one centred row of taps an axis, each of unit sum."""
 
-    boundary: str
-
     @abstractmethod
     def taps(self, grid: Grid) -> Axes:
         """The taps along each axis of a grid; `InvalidArgument` if an axis has fewer samples."""
@@ -113,7 +111,7 @@ class _LowPass(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
-        smooth, is_finite = filter_field(field, self.taps(field.grid), self.boundary)
+        smooth, is_finite = filter_field(field, self.taps(field.grid))
         if not is_finite:
             without_overflow(smooth.forces_n, f"--{self.name} forces")
         return smooth
@@ -125,7 +123,6 @@ class GaussianFilter(_LowPass):
 
     sigma_m : float; standard deviation, metres, positive; an axis of a single sample is left as it is.
     truncate : float; where the kernel is cut off, in standard deviations.
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     Raises `InvalidArgument` if a number is out of range; on use, if the kernel or a sum does not fit the field.
     """
 
@@ -135,14 +132,12 @@ class GaussianFilter(_LowPass):
 
     sigma_m: float
     truncate: float = 4.0
-    boundary: str = "zero"
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.sigma_m) and self.sigma_m > 0):
             raise InvalidArgument("--gaussian sigma", f"{self.sigma_m!r} m", "a positive length")
         if not 0 < self.truncate <= 16:
             raise InvalidArgument("--gaussian truncate", repr(self.truncate), "above 0 and up to 16 deviations")
-        require_one_of("--gaussian boundary", self.boundary, BOUNDARIES)
 
     def taps(self, grid: Grid) -> Axes:
         """The taps along each axis of a grid."""
@@ -212,7 +207,6 @@ class ActuatorLowPass(_LowPass):
         needs 2.6.
     axes : str; the axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of
         a single sample is left as it is.
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     Raises `InvalidArgument` if a value is out of range; on use, for a cut-off or a kernel beyond the field's own.
     """
 
@@ -226,14 +220,12 @@ class ActuatorLowPass(_LowPass):
     cutoff: str = "nyquist"
     kernel: str = "auto"
     axes: str = "xy"
-    boundary: str = "zero"
 
     def __post_init__(self) -> None:
         cutoff_per_m(self.pitch_m, self.cutoff)
         require_one_of("--lowpass kernel", self.kernel, (AUTO, *KERNELS))
         if not self.axes or len(set(self.axes)) != len(self.axes) or not set(self.axes) <= set("xyz"):
             raise InvalidArgument("--lowpass axes", repr(self.axes), "some of x, y and z, each once")
-        require_one_of("--lowpass boundary", self.boundary, BOUNDARIES)
 
     def taps(self, grid: Grid) -> Axes:
         """The taps along each axis of a grid; `InvalidArgument` also for a cut-off above its Nyquist rate."""

@@ -16,11 +16,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.adapters.effect_files import RATE_HZ, write_wav
 from touchfield.adapters.registry import array_device, array_kinds, is_array_device, point_device, point_kinds
 from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
-from touchfield.arrays import Float64s
 from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
 from touchfield.job.array_medium import array_drives
@@ -136,21 +134,6 @@ class Played:
                 numbers = np.column_stack([some[name] for name in _LOGGED]) + 0.0
                 for row, buttons, flags in zip(numbers.tolist(), some["buttons"].tolist(), some["flags"].tolist()):
                     file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{words[flags]}\n")
-
-    def write_wav(self, path: Path) -> str:
-        """Write the play as sound; a note on what it holds.
-
-        InvalidArgument if there are fewer than two rows, or too many for a WAV; SourceError if the system refuses.
-        """
-        rows = self._felt(self.rows, "wav")
-        if len(rows) < 2:
-            raise InvalidArgument("--wav", f"a play of {len(rows)} ticks", "at least 2", "Play longer.")
-        samples, (full_n, fast_n) = sound_of(rows["time_s"].astype(np.float64), rows["force_n"].astype(np.float64))
-        write_wav(path, [samples], 2, len(samples))
-        return (
-            f"the sound is {path}: left a tone as loud as |F| (1 is {full_n:.3g} N), right the force from "
-            f"{BAND_HZ[0]:g} Hz on (1 is {fast_n:.3g} N)"
-        )
 
     def draw(self, path: Path) -> None:
         """The picture of the interaction."""
@@ -308,7 +291,7 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
     if spec.offline or spec.trajectory is not None or spec.trace is not None:
         raise _for_points("offline" if spec.offline else "trajectory" if spec.trajectory else "trace")
     if spec.is_logged:
-        raise _for_points("log, --plot or --wav")
+        raise _for_points("log or --plot")
     chosen = array_device(spec.device, device(spec.profile) if spec.profile else None)
     drives = array_drives(stream, chosen.profile, spec.panel)
     with ArrayPlayer(drives, chosen, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
@@ -382,22 +365,3 @@ _LOGGED: Final = (
     "field_torque_nm", "torque_nm", "gripper_m", "media_s",
 )  # fmt: skip
 _ROWS_AT_ONCE: Final = 1 << 14
-TONE_HZ: Final = 220.0
-BAND_HZ: Final = (30.0, 3000.0)
-
-
-def sound_of(times_s: Float64s, forces_n: Float64s) -> tuple[Float64s, tuple[float, float]]:
-    """The sound of forces over time, float64 [m, 2] from -1 to 1 at `RATE_HZ`, and the newtons at 1 in each channel.
-
-    times_s : float64 [n], ascending, n at least 2. forces_n : float64 [n, 3].
-    """
-    from scipy.signal import butter, sosfilt
-
-    at = np.arange(int((times_s[-1] - times_s[0]) * RATE_HZ) + 1) / RATE_HZ
-    forces = np.stack([np.interp(at, times_s - times_s[0], of) for of in forces_n.T], axis=1)
-    magnitude = np.linalg.norm(forces, axis=1)
-    principal = np.linalg.eigh(forces.T @ forces)[1][:, -1]
-    fast = sosfilt(butter(2, BAND_HZ, "bandpass", fs=RATE_HZ, output="sos"), forces @ principal)
-    both = np.stack([magnitude * np.sin(2 * np.pi * TONE_HZ * at), fast], axis=1)
-    scales = float(magnitude.max()), float(np.abs(fast).max())
-    return both / [scale or 1.0 for scale in scales], scales

@@ -56,18 +56,12 @@ def _check(k: float = 1.0, step_n: float = 1.0) -> None:
 
 
 def jnd_gain(k: float) -> float:
-    """k floor(1/k + 1/2), the gain that eq. 6 with Delta = k |x| comes to."""
+    """k floor(1/k + 1/2), the gain that eq. 6 with Delta = k |x| comes to, and by which a force is multiplied.
+
+    Sample by sample |x| / (k |x|) would be rounded, and decide the floor where 1/k + 1/2 is whole (k = 0.4).
+    """
     _check(k)
     return k * math.floor(1 / k + 0.5)
-
-
-def quantise_literal(forces_n: ArrayLike, k: float) -> Float64s:
-    """Eq. 6 with Delta = k |x|, of forces [...] in newtons, float64 [...].
-
-    By the gain, not sample by sample: |x| / (k |x|) is 1 / k in exact arithmetic only, and its rounding would
-    decide the floor where 1/k + 1/2 is whole (k = 0.4).
-    """
-    return jnd_gain(k) * np.asarray(forces_n, np.float64)
 
 
 def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> Float64s:

@@ -207,9 +207,9 @@ class Player:
         ``ticks``, ``seconds``, ``rate_hz``, ``mean_rate_hz``; ``jitter_`` (|dT - 1/rate|) and ``lateness_`` each with
         ``p50_us``, ``p99_us``, ``p99_9_us`` and ``worst_us``; ``late_ticks`` (by more than half a period),
         ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks), ``waiting_ticks``;
-        ``frames_used``; ``latency_min_s``, ``latency_median_s`` from the publication of a frame to its first use,
-        ``decode_median_s`` of one frame; ``frames_left_out``, which could not be decoded in time; ``stalled_share``
-        of the ticks of play that had nothing; ``log_rows_lost``; ``priority``, ``memory``, ``processors``.
+        ``frames_used``; ``decode_median_s`` of one frame; ``frames_left_out``, which could not be decoded in time;
+        ``stalled_share`` of the ticks of play that had nothing; ``log_rows_lost``; ``priority``, ``memory``,
+        ``processors``.
         """
         with self._lock:
             if self._block is not None and self._servo is not None and self._log is not None and self._feeder:
