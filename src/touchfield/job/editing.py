@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.device_filter import NW_RANGE, limited
 from touchfield.filters.edit import (
     COMPOSITIONS,
@@ -102,8 +102,7 @@ def retimed(medium: HapticMedium, rate_hz: float) -> HapticMedium:
 
 def resampled(medium: HapticMedium, grid: Grid, kernel: str = "spline") -> HapticMedium:
     """The medium on another lattice through a low-pass, or "trilinear" between its samples."""
-    if kernel not in KERNELS:
-        raise InvalidArgument("kernel", repr(kernel), f"one of {', '.join(KERNELS)}")
+    require_one_of("kernel", kernel, KERNELS)
     if grid == medium.grid:
         return medium
 
@@ -345,6 +344,8 @@ def levels_of_detail(
     is_kept = out is not None and store is None
     folder = Path(out) if out is not None and store is None else Path(tempfile.mkdtemp())
     if is_kept:
+        if folder.is_file():
+            raise InvalidArgument(str(out), "a file", "a folder, or OUT.zarr")
         folder.mkdir(exist_ok=True)
     rows: list[dict[str, Any]] = []
     try:
