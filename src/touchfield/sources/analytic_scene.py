@@ -34,7 +34,7 @@ from touchfield.files import plain_size, readable
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_that, field_of_points
+from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_near, field_of_points
 from touchfield.sources.shapes import SHAPES, Plane, Shape, moved
 
 _MAX_BYTES: Final = 1 << 24
@@ -99,7 +99,7 @@ class AnalyticScene(Scene):
                     may_hold |= (low <= piece_high) & (high > piece_low)
             return may_hold
 
-        return field_of_points(grid, bricks_that(may_act, grid), lambda points: self.forces_n(points, profile))
+        return field_of_points(grid, bricks_near(may_act, grid), lambda points: self.forces_n(points, profile))
 
 
 # -- from a file ---------------------------------------------------------------------------------------------
