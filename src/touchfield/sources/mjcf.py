@@ -86,11 +86,8 @@ def _recognise(path: Path) -> bool:
     """True if the root element is ``mujoco``: the first tag that is no declaration and no comment."""
     if path.suffix.lower() != ".xml" or not path.is_file():
         return False
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
-    except OSError:
-        return False
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
     while head.startswith((b"<?", b"<!")):
         end = b"-->" if head.startswith(b"<!--") else b">"
         head = head.partition(end)[2].lstrip()

@@ -319,10 +319,7 @@ def _frame_count(
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() != ".toml" or not path.is_file():
         return False
-    try:
-        table = read_toml(path, "")
-    except SourceError:
-        return False  # the next kind that takes .toml will say why
+    table = read_toml(path, "")  # where it cannot be read, the next kind that takes .toml will say why
     return "body" in table or "physics" in table
 
 

@@ -41,7 +41,7 @@ from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.sources import moving_pictures as moving
 from touchfield.sources.camera import MAX_FRAMES, Frames, require_frame
-from touchfield.sources.depth_layouts import is_known, source_rate
+from touchfield.sources.depth_layouts import source_rate
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder, list_files, with_suffix
@@ -263,6 +263,6 @@ KIND = SourceKind(
     "saliency",
     "ordinary video (MKV, AVI, MOV, MP4; extra: video), GIF, or with --as pictures or a folder of them: what catches "
     "the eye, for arrays of actuators",
-    is_known(_recognise),
+    _recognise,
     open_saliency,
 )

@@ -50,10 +50,7 @@ class StoredScene(Scene):
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() == ".zarr":
         return path.is_dir()
-    try:
-        return path.suffix.lower() == ".npz" and "forces_n" in NpzArchive(path).names
-    except SourceError:
-        return False
+    return path.suffix.lower() == ".npz" and "forces_n" in NpzArchive(path).names
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:
