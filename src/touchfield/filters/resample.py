@@ -47,16 +47,9 @@ from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.region import RigidMotion
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import (
-    ON_A_SAMPLE,
-    blocks_around,
-    brick_keys,
-    bricks_of,
-    bricks_reached,
-    bricks_within,
-    dilated,
-)
-from touchfield.medium.grid import CORNERS
+from touchfield.medium.field import blocks_around, brick_keys, bricks_of, bricks_reached, bricks_within, dilated
+from touchfield.medium.grid import CORNERS, ON_A_SAMPLE
+from touchfield.sources.scene import field_of_points
 
 MAX_WEIGHTS: Final = 1 << 24
 _BATCH: Final = 1 << 14
@@ -223,8 +216,6 @@ def _reach(weights: AxisWeights, source_bricks: int) -> Int64s:
 
 
 BORDERS: Final = ("zero", "cell")
-BRICKS_AT_ONCE: Final = 512
-LOCAL: Final = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
 
 
 def interpolated(
@@ -243,20 +234,20 @@ def interpolated(
 
     motion = None if motion == RigidMotion() else motion
     bricks = bricks_reached(field, grid, None if motion is None else motion.points_m)
-    out, keys, last = zero_forces(len(bricks)), brick_keys(field.grid, field.bricks), np.array(field.grid.shape) - 1.0
-    for begin in range(0, len(bricks), BRICKS_AT_ONCE):
-        some = slice(begin, begin + BRICKS_AT_ONCE)
-        points = grid.to_m(bricks[some, None, None, None] * BRICK + LOCAL)
-        index = field.grid.to_index(points if motion is None else motion.inverse.points_m(points))
+    keys, last = brick_keys(field.grid, field.bricks), np.array(field.grid.shape) - 1.0
+
+    def forces_n(points_m: Float64s) -> NDArray[Any]:
+        index = field.grid.to_index(points_m if motion is None else motion.inverse.points_m(points_m))
         whole = np.rint(index)
         index = np.where(np.abs(index - whole) < ON_A_SAMPLE, whole, index)
         if border == "cell":
             beyond = ((index < -0.5 - ON_A_SAMPLE) | (index > last + 0.5 + ON_A_SAMPLE)).any(axis=-1)
             index = np.clip(index, 0.0, last)
             index[beyond] = -2.0
-        forces = kernels.sample(np.ascontiguousarray(index.reshape(-1, 3)), field.grid, keys, field.forces_n)
-        out[some] = (forces if motion is None else motion.vectors(forces)).reshape(points.shape)
-    return ForceField.from_bricks(grid, bricks, out)
+        forces = kernels.sample(index, field.grid, keys, field.forces_n)
+        return forces if motion is None else motion.vectors(forces)
+
+    return field_of_points(grid, bricks, forces_n)
 
 
 _OFFSETS: Final = tuple(o for o in product((-1, 0, 1), repeat=3) if any(o))

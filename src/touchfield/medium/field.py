@@ -19,13 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 from touchfield.arrays import Bools, EqualByValue, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.grid import BRICK, CORNERS, Grid
+from touchfield.medium.grid import BRICK, CORNERS, ON_A_SAMPLE, Grid
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
 
-ON_A_SAMPLE = 1e-6  # of the spacing: as near to a sample a point lies on it, so that whole steps are exact
 _MAX_PAIRS, _MAX_REACHED = 1 << 27, 1 << 26
 _BLOCK_VALUES = 1 << 21
 

@@ -30,6 +30,7 @@ UP_Z_AXES: Final = "x east, y north, z up"
 DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
 """The option that says the unit of depth, and usual sizes of its scenes, metres (`Scene.unit`)."""
 
+LOCAL: Final = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
 _BRICKS_AT_ONCE: Final = 64
 
 
@@ -68,13 +69,12 @@ def field_of_points(
 
     Outside the bricks there is no force; those that hold none are left out.
     """
-    local = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
     forces = zero_forces(len(bricks))
 
     def fill(begin: int, end: int) -> None:
         for first in range(begin, end, _BRICKS_AT_ONCE):
             some = slice(first, min(first + _BRICKS_AT_ONCE, end))
-            index = bricks[some, None, None, None] * BRICK + local
+            index = bricks[some, None, None, None] * BRICK + LOCAL
             values = forces_n(grid.to_m(index).reshape(-1, 3)).reshape(index.shape)
             values[(index >= grid.shape).any(axis=-1)] = 0
             forces[some] = values
