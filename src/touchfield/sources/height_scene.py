@@ -423,9 +423,8 @@ def _recognise(path: Path) -> bool:
         return False
     if suffix == ".npz":
         archive = NpzArchive(path)
-        if "forces_n" in archive.names:
-            return False
-        return any(n in HEIGHT_KEYS or len(archive.header(n).shape) == 2 for n in archive.names)
+        is_height = any(n in HEIGHT_KEYS or len(archive.header(n).shape) == 2 for n in archive.names)
+        return is_height and "forces_n" not in archive.names
     if suffix == ".npy":
         with path.open("rb") as stream:
             return len(read_npy_header(stream, str(path)).shape) == 2

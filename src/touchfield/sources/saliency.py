@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError, require_positive
+from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.files import readable
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
@@ -252,10 +252,7 @@ def _recognise(path: Path) -> bool:
     if not path.is_file():
         return False
     if path.suffix.lower() in moving.VIDEO_SUFFIXES:
-        try:
-            return not moving.video_header(path).is_deep_grey
-        except MissingExtra:
-            return True  # so that the user is told which extra reads videos
+        return not moving.video_header(path).is_deep_grey  # without the extra, "depth-video" has said so before
     return path.suffix.lower() in moving.ANIMATED_SUFFIXES
 
 
