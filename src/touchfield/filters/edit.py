@@ -17,11 +17,13 @@ from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.device_filter import limited
 from touchfield.filters.region import Region, RigidMotion, weights
 from touchfield.filters.registry import noted
-from touchfield.filters.resample import BRICKS_AT_ONCE, LOCAL, interpolated
+from touchfield.filters.resample import interpolated
 from touchfield.medium import BRICK, ForceField, HapticMedium
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import bricks_of, keys_of_both
+from touchfield.sources.scene import LOCAL
 
+_BRICKS_AT_ONCE: Final = 512
 COMPOSITIONS: Final = ("replace", "over", "add", "max")
 
 
@@ -168,8 +170,8 @@ def edited(field: ForceField, region: Region, operator: EditOperator, feather_m:
         raise InvalidArgument(f"operator {operator.name}", f"a field on {after.grid}", f"one on {field.grid}")
     grid, place, keys = field.grid, region.on(field), keys_of_both(field, after)
     bricks, forces = bricks_of(grid, keys), zero_forces(len(keys))
-    for begin in range(0, len(keys), BRICKS_AT_ONCE):
-        some = slice(begin, begin + BRICKS_AT_ONCE)
+    for begin in range(0, len(keys), _BRICKS_AT_ONCE):
+        some = slice(begin, begin + _BRICKS_AT_ONCE)
         points = grid.to_m(bricks[some, None, None, None] * BRICK + LOCAL)
         share, before_n = weights(place, points, feather_m), field.forces_at(keys[some])
         after_n = after.forces_at(keys[some])

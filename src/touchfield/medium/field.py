@@ -16,16 +16,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Bools, EqualByValue, Float32s, Int32s, Int64s
+from touchfield.arrays import Bools, EqualByValue, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.grid import BRICK, Grid
+from touchfield.medium.grid import BRICK, CORNERS, ON_A_SAMPLE, Grid
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
 
-_MAX_PAIRS = 1 << 27
+_MAX_PAIRS, _MAX_REACHED = 1 << 27, 1 << 26
 _BLOCK_VALUES = 1 << 21
 
 
@@ -46,6 +46,34 @@ def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> Int64s:
 def bricks_of(grid: Grid, keys: Int64s) -> Int32s:
     """The bricks of these keys, int32 [n, 3]; the inverse of `brick_keys`."""
     return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
+
+
+def bricks_within(grid: Grid, spans: Int64s) -> Int32s:
+    """The bricks within some boxes, ascending, each once; `spans` [n, 3, 2] are their begins and ends."""
+    from touchfield.medium import kernels
+
+    pairs = float(np.maximum(0, spans[..., 1] - spans[..., 0]).prod(axis=1, dtype=np.float64).sum())
+    if pairs > _MAX_REACHED:
+        found = f"{pairs:.3g} bricks reached"
+        raise InvalidArgument("grid", found, f"up to {_MAX_REACHED}", "Take a coarser lattice.")
+    keys = np.empty(int(pairs), np.int64)
+    kernels.reached(spans, grid.brick_shape, keys)
+    return bricks_of(grid, np.unique(keys))
+
+
+def bricks_reached(field: ForceField, grid: Grid, place: Callable[[Float64s], Float64s] | None = None) -> Int32s:
+    """The bricks of `grid` that a field may reach: its samples act within one spacing.
+
+    ``place(points_m)`` moves the field on the way.
+    """
+    points = field.grid.to_m(field.bricks[:, None] * BRICK + np.where(CORNERS, BRICK, -1))
+    index = grid.to_index(points if place is None else place(points))
+    low, high = index.min(axis=1) - ON_A_SAMPLE, index.max(axis=1) + ON_A_SAMPLE
+    last = np.array(grid.shape) - 1
+    is_met = ((high >= 0) & (low <= last)).all(axis=1)
+    first = (np.clip(np.floor(low[is_met]), 0, last) // BRICK).astype(np.int64)
+    end = (np.clip(np.ceil(high[is_met]), 0, last) // BRICK).astype(np.int64) + 1
+    return bricks_within(grid, np.stack([first, end], axis=2))
 
 
 def check_bricks(

@@ -20,6 +20,11 @@ from touchfield.errors import InvalidArgument
 BRICK = 8
 """Samples along each edge of a brick (docs/decisions/0001)."""
 
+ON_A_SAMPLE: Final = 1e-6  # of the spacing: as near to a sample a point lies on it, so that whole steps are exact
+
+CORNERS: Final = np.indices((2, 2, 2), np.int32).reshape(3, 8).T.copy()
+"""The corners of a cube of edge 1, z fastest, int32 [8, 3]."""
+
 MAX_SAMPLES_PER_AXIS = 1 << 20
 
 

@@ -127,18 +127,6 @@ def pooled(stored: ForceField, asked: Grid) -> tuple[Float64s, Float64s]:
 # -- to another lattice: three passes over each output brick, which is made alone, in a fixed order of additions ---
 
 
-@entry
-def reached(spans, brick_shape, out):
-    """Into `out` the keys of the bricks of each box, `spans` int64 [n, 3, 2] being their begins and ends."""
-    count = 0
-    for n in range(spans.shape[0]):
-        for i in range(spans[n, 0, 0], spans[n, 0, 1]):
-            for j in range(spans[n, 1, 0], spans[n, 1, 1]):
-                for k in range(spans[n, 2, 0], spans[n, 2, 1]):
-                    out[count] = (i * brick_shape[1] + j) * brick_shape[2] + k
-                    count += 1
-
-
 @inlined
 def _pass_x(forces, slot, span, low, first, weights, n0, n1, tmp):
     """Add what one input brick gives to the first pass; `span` holds its sample ranges x0, x1, y0, y1, z0, z1."""
