@@ -26,6 +26,7 @@ from touchfield.files import require_plain
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import (
     BOUNDARIES,
+    NUMPY_MODES,
     SCIPY_MODES,
     AxisTaps,
     brick_field,
@@ -115,20 +116,37 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
 
 
 def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
-    """The sums by `scipy.ndimage`, of a box of taps or of one row after the other."""
+    """The sums of a box of taps, by `scipy.ndimage`, or of one row after the other."""
+    if isinstance(taps, list):
+        out = np.empty(x.shape, x.dtype)
+        for axis, (row, origin) in enumerate(zip(taps, origins, strict=True)):
+            _sums_along(out if axis else np.ascontiguousarray(x), row[::-1], origin, axis, boundary, out)
+        return out
     from scipy import ndimage
 
-    mode = SCIPY_MODES[boundary]
-    shape = [len(row) for row in taps] if isinstance(taps, list) else taps.shape
     # scipy counts the origin from the middle of the mirrored kernel
-    places = [n - 1 - o - n // 2 for n, o in zip(shape, origins, strict=True)]
-    if isinstance(taps, list):
-        for axis, (row, place) in enumerate(zip(taps, places, strict=True)):
-            x = ndimage.correlate1d(x, row[::-1], axis=axis, mode=mode, origin=place)
-        return np.asarray(x)
+    places = [n - 1 - o - n // 2 for n, o in zip(taps.shape, origins, strict=True)]
     beside = x.ndim - taps.ndim
     mirrored = np.flip(taps).reshape(*taps.shape, *[1] * beside)
-    return np.asarray(ndimage.correlate(x, mirrored, mode=mode, origin=[*places, *[0] * beside]))
+    return np.asarray(ndimage.correlate(x, mirrored, mode=SCIPY_MODES[boundary], origin=[*places, *[0] * beside]))
+
+
+def _sums_along(x: NDArray[Any], weights: Float64s, origin: int, axis: int, boundary: str, out: NDArray[Any]) -> None:
+    """Weighted sums of samples along one axis, the last weight of those `origin` ahead; `out` may be the array."""
+    from touchfield.filters.kernels.separable import COLUMNS, sums_along
+
+    count, beside = x.shape[axis], math.prod(x.shape[axis + 1 :])
+    # the samples that a line continues with, and which of them lie one behind the other; -1 for zero
+    line = np.pad(np.arange(count) + 1, (len(weights) - 1 - origin, origin), mode=NUMPY_MODES[boundary]) - 1
+    held = np.flatnonzero(line >= 0)
+    begins = held if beside > COLUMNS else held[np.diff(line[held], prepend=-2) != 1]
+    runs = np.stack([begins, line[begins], np.diff(begins, append=held[-1:] + 1)], axis=1)
+    places = np.flatnonzero(weights)
+    fill = 0, -len(places) % 4  # the kernel takes four weights at once
+    some, places = np.pad(weights[places].astype(x.dtype), fill), np.pad(places, fill)
+    rows, width = (math.prod(x.shape[:axis]), count * beside), max(1, min(beside, COLUMNS))
+    sizes, arrays = (len(line), beside, width), (frozen(x).reshape(rows), runs, places, some)
+    for_chunks(sums_along, rows[0] * -(-beside // width), *arrays, sizes, out.reshape(rows))
 
 
 @dataclass(frozen=True)

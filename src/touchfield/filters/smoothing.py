@@ -25,7 +25,7 @@ from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.fir import checked_signal, direct_sums, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LOW_PASSES
-from touchfield.filters.separable import NUMPY_MODES, AxisTaps, filter_field, reach_of
+from touchfield.filters.separable import AxisTaps, filter_field, reach_of
 from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> Float64s:
 def gaussian(
     signal: ArrayLike, sigma_samples: float | Sequence[float], *, truncate: float = 4.0, boundary: str = "zero"
 ) -> NDArray[Any]:
-    """A dense array smoothed by a Gaussian: a field of float32 as `GaussianFilter` does, else by `scipy.ndimage`.
+    """A dense array smoothed by a Gaussian.
 
     signal : float32, or taken as float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes.
     sigma_samples : float or one for each leading axis; standard deviation in samples. One number holds for every axis
@@ -84,15 +84,6 @@ def gaussian(
     axes = [AxisTaps.centred(gaussian_taps(s, truncate)) for s in sigmas]
     for axis, row in enumerate(axes):
         row.check_fits(x.shape[axis], f"sigma_samples of axis {axis}")
-    if x.dtype == np.float32 and len(axes) == 3 and x.shape[3:] == (3,) and x.size:
-        # continued as an array: of a field without empty space that is quicker than brick by brick
-        reach = [0 if boundary == "zero" else a.reach for a in axes]
-        wide = np.pad(x, [*((r, r) for r in reach), (0, 0)], mode=NUMPY_MODES[boundary])
-        nx, ny, nz, _ = wide.shape
-        field = ForceField.from_dense(Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), wide)
-        smooth = filter_field(field, (axes[0], axes[1], axes[2]))[0].to_dense()
-        own = smooth[tuple(slice(r, r + n) for r, n in zip(reach, x.shape))]
-        return without_overflow(np.ascontiguousarray(own), "signal")
     return without_overflow(direct_sums(x, [a.taps for a in axes], [a.origin for a in axes], boundary), "signal")
 
 

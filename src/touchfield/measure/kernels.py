@@ -28,7 +28,8 @@ _ROUND = 1 << 22  # stretches until the 32-bit tables are added up
 
 _FFFF = np.uint64(0xFFFF)
 _0, _1, _S, _16, _32, _48 = (np.uint64(i) for i in (0, 1, _STRETCH, 16, 32, 48))  # no sign to check
-_ONE, _ALL = np.uint32(1), np.uint32(_STRETCH)
+_SAME, _SPARE, _TURNS = np.uint64(0x0001000100010001), np.uint64(_SPAN), np.uint64(8)
+_NONE, _ONE, _ALL = np.uint32(0), np.uint32(1), np.uint32(4 * _STRETCH)
 
 
 @njit(cache=True, nogil=True)
@@ -36,17 +37,25 @@ def _count_words(words, tables):
     """Four 16-bit symbols a word into four tables in turn, uint32 [4, 65552]; `words` are whole stretches."""
     t0, t1, t2, t3 = tables[0], tables[1], tables[2], tables[3]
     for start in range(_0, np.uint64(len(words)), _S):
-        first = words[start]
-        if first == words[start + _S - _1]:
+        usual = words[start] & _FFFF
+        if words[start] == usual * _SAME:  # of a stretch of mostly one symbol its adds take turns over spare entries
             differ = _0
             for i in range(start, start + _S):
-                differ |= words[i] ^ first
+                differ |= words[i] ^ words[start]
             if differ == _0:
-                t0[first & _FFFF] += _ALL
-                t1[(first >> _16) & _FFFF] += _ALL
-                t2[(first >> _32) & _FFFF] += _ALL
-                t3[first >> _48] += _ALL
+                t0[usual] += _ALL
                 continue
+            for i in range(start, start + _S):
+                v, turn = words[i], _SPARE + i % _TURNS
+                a, b, c, d = v & _FFFF, (v >> _16) & _FFFF, (v >> _32) & _FFFF, v >> _48
+                t0[turn if a == usual else a] += _ONE
+                t1[turn if b == usual else b] += _ONE
+                t2[turn if c == usual else c] += _ONE
+                t3[turn if d == usual else d] += _ONE
+            for n in range(_SPARE, _SPARE + _TURNS):
+                t0[usual] += t0[n] + t1[n] + t2[n] + t3[n]
+                t0[n], t1[n], t2[n], t3[n] = _NONE, _NONE, _NONE, _NONE
+            continue
         for i in range(start, start + _S):
             v = words[i]
             t0[v & _FFFF] += _ONE
