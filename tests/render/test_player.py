@@ -51,6 +51,11 @@ def test_a_medium_is_played_to_its_end_and_again() -> None:
         player.play()
         assert player.wait(30) and player.is_ended and player.error is None
         assert player.media_s == pytest.approx(0.2)
+        for wrong in (None, "0", -1.0, float("nan")):
+            with pytest.raises(InvalidArgument, match="time"):
+                player.seek(wrong)  # type: ignore[arg-type]
+            with pytest.raises(InvalidArgument, match="speed"):
+                player.set_speed(wrong)  # type: ignore[arg-type]
         player.seek(0.0)
         player.set_speed(0.5)
         assert player.wait(30)
@@ -75,6 +80,7 @@ def test_a_medium_is_played_to_its_end_and_again() -> None:
     )
     player.close()  # twice is once
     assert player.is_ended
+    assert player.servo_pid is None
     for use in (player.play, player.pause, player.__enter__):
         with pytest.raises(InvalidArgument, match="player"):
             use()
@@ -174,6 +180,8 @@ def test_a_signal_to_the_process_is_a_stop() -> None:
 
 
 def test_what_cannot_be_is_refused_before_anything_is_begun() -> None:
+    with pytest.raises(InvalidArgument, match="from_frames"):
+        Player(telling()[0], OMNI, Still)  # type: ignore[arg-type]
     for options in ({"memory_bytes": 0}, {"speed": -1.0}, {"start_s": float("inf")}):
         with pytest.raises(InvalidArgument):
             Player(telling(), OMNI, Still, **options)  # type: ignore[arg-type]

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 
 from touchfield.arrays import Float32s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, is_finite
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
@@ -200,7 +200,7 @@ class ArrayPlayer:
         _check("rate_hz", rate, 0.1, MAX_RATE_HZ)
         _check("speed", speed, 0.001, 1000.0)
         seconds = frames.frame_count / frames.rate_hz
-        if not (math.isfinite(start_s) and 0 <= start_s < seconds):
+        if not (is_finite(start_s) and 0 <= start_s < seconds):
             raise InvalidArgument("start_s", f"{start_s:g} s", f"0 to below {seconds:g} s, the end of the medium")
         self.rate_hz, self._device, self._loop = rate, device, loop
         self._first, self._count = start_s * frames.rate_hz, frames.frame_count
@@ -316,7 +316,7 @@ class ArrayPlayer:
 
 
 def _check(name: str, value: float, low: float, high: float) -> None:
-    if not (math.isfinite(value) and low <= value <= high):
+    if not (is_finite(value) and low <= value <= high):
         raise InvalidArgument(name, repr(value), f"{low:g} to {high:g}")
 
 

@@ -345,8 +345,8 @@ class ServoProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process."""
-        return self._process.pid
+        """Of the process; None once it has ended."""
+        return None if self._is_joined else self._process.pid
 
     def notice(self, ticks: int, has_released: bool) -> None:
         """End the process of a device that hangs: no tick has come since long ago, and the force is not at zero."""

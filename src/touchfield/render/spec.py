@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.errors import DeviceError, InvalidArgument, is_finite, require_not_negative, require_positive
 from touchfield.render.block import words as W
 from touchfield.render.point_device import UPS, axes_matrix, axes_notes
 from touchfield.render.tool import Tool
@@ -79,9 +79,9 @@ class RenderSpec:
 
     def __post_init__(self) -> None:
         for name in _NUMBERS:
-            value, is_open = getattr(self, name), name not in _FROM_ZERO
-            if value is not None and not (math.isfinite(value) and (value > 0 if is_open else value >= 0)):
-                raise InvalidArgument(name, repr(value), f"a finite number {'above' if is_open else 'of at least'} 0")
+            value, check = getattr(self, name), require_not_negative if name in _FROM_ZERO else require_positive
+            if value is not None:
+                check(**{name: value})
         if self.tool is not None and self.coupling_n_per_m:
             both = f"{self.coupling_n_per_m:g} N/m with {self.tool.name}"
             raise InvalidArgument("coupling_n_per_m", both, "0 with a tool: the coupling is that of a point")
@@ -91,7 +91,7 @@ class RenderSpec:
             raise InvalidArgument("deformation", "it with a tool or a proxy", "a point in the field as it is")
         for name in ("clutch_m", "gravity_n"):
             values = getattr(self, name)
-            if len(values) != 3 or not all(math.isfinite(v) for v in values):
+            if np.shape(values) != (3,) or not all(map(is_finite, values)):
                 raise InvalidArgument(name, repr(values), "three finite numbers")
         if self.render not in ("auto", "proxy", "field"):
             raise InvalidArgument("render", repr(self.render), "auto, proxy or field")
@@ -181,8 +181,7 @@ def _limit(name: str, asked: float | None, stated: float, whose: str) -> float:
 
 def _coefficient(name: str, asked: float | None, stated: float) -> float:
     value = float(stated if asked is None else asked)
-    if not 0 <= value < math.inf:
-        raise InvalidArgument(name, repr(value), "a finite number, 0 or more")
+    require_not_negative(**{name: value})
     return value
 
 
