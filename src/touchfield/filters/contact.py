@@ -37,11 +37,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int32s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, require_not_negative, require_one_of, require_positive
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import blocks_around, dilated
+from touchfield.medium.field import blocks_around, dilated, numbers_of
 from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
 
 if TYPE_CHECKING:
@@ -63,10 +63,8 @@ class Contact:
     slip_speed_m_s: float = SLIP_SPEED_M_S  # v_s, positive: from there on friction is whole
 
     def __post_init__(self) -> None:
-        _not_negative("friction", self.friction)
-        _not_negative("damping_n_s_per_m", self.damping_n_s_per_m)
-        if not 0 < self.slip_speed_m_s < math.inf:
-            raise InvalidArgument("slip_speed_m_s", repr(self.slip_speed_m_s), "a positive number of metres a second")
+        require_not_negative(friction=self.friction, damping_n_s_per_m=self.damping_n_s_per_m)
+        require_positive(slip_speed_m_s=self.slip_speed_m_s)
 
     @classmethod
     def of(cls, medium: HapticMedium, slip_speed_m_s: float = SLIP_SPEED_M_S) -> Contact:
@@ -107,7 +105,7 @@ def damping_n(velocity_m_s: ArrayLike, damping_n_s_per_m: float) -> Float64s:
 
     Raises `InvalidArgument` if b is negative, a number is not finite, or b |v| is beyond float64.
     """
-    _not_negative("damping_n_s_per_m", damping_n_s_per_m)
+    require_not_negative(damping_n_s_per_m=damping_n_s_per_m)
     velocity = _vectors("velocity_m_s", velocity_m_s)
     fastest = float(np.abs(velocity).max(initial=0.0))
     if not math.isfinite(fastest * float(damping_n_s_per_m)):
@@ -128,17 +126,12 @@ def rendered_n(field: ForceField, position_m: ArrayLike, velocity_m_s: ArrayLike
 
 
 def _vectors(where: str, values: ArrayLike) -> Float64s:
-    vectors = np.asarray(values, np.float64)
+    vectors = numbers_of(where, values)
     if vectors.ndim < 1 or vectors.shape[-1] != 3:
         raise InvalidArgument(where, f"shape {vectors.shape}", "[..., 3]")
     if not np.isfinite(vectors).all():
         raise InvalidArgument(where, "a number that is not finite", "finite numbers")
     return vectors
-
-
-def _not_negative(where: str, value: float) -> None:
-    if not 0 <= value < math.inf:
-        raise InvalidArgument(where, repr(value), "a finite number, 0 or more")
 
 
 _OPTION = "--vibration"

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_not_negative
 from touchfield.filters.device_filter import NW_RANGE, limited
 from touchfield.filters.edit import (
     COMPOSITIONS,
@@ -282,8 +282,7 @@ def splice(
         if medium.vibration is not None and len(parts) > 1:
             notes += (f"{path.name}: the vibration is left out",)
         media.append(medium)
-    if not 0 <= fade_s < math.inf:
-        raise InvalidArgument("--fade-s", repr(fade_s), "seconds, 0 or more")
+    require_not_negative(**{"--fade-s": fade_s})
     whole = reduce(lambda a, b: cross_faded(a, b, round(fade_s * a.rate_hz)), media)
     shown = {"parts": [len(m) for m in media], "seconds": len(whole) / whole.rate_hz}
     done = _write(first, [path for path, _ in parts], whole, out, report, **shown)

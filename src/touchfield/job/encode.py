@@ -18,6 +18,7 @@ from touchfield.codec.registry import coder, field_encoder
 from touchfield.codec.segment import compression_ratio
 from touchfield.container import TouchWriter
 from touchfield.container.remote import is_remote, sender
+from touchfield.errors import InvalidArgument
 from touchfield.job.coding import Sent, coded_segments, groups_of, head_of, spread_voxels, stretches, written
 from touchfield.job.prepare import Prepared, Source, as_source, is_stream, prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec
@@ -100,6 +101,8 @@ def encode(
         return done
     began = time.perf_counter()
     spec = spec or EncodeSpec()
+    if not (isinstance(out, str | Path) and isinstance(spec, EncodeSpec)):
+        raise InvalidArgument("out, spec", f"{out!r:.80}, a {type(spec).__name__}", "a path and an EncodeSpec")
     scene = as_source(source, spec.device, grid)
     prepared = prepare(scene, spec)
     story = provenance_of(scene, prepared)

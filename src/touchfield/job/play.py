@@ -22,7 +22,7 @@ from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
 from touchfield.arrays import Float64s
 from touchfield.devices import Device, device, device_names
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, is_finite, require_not_negative
 from touchfield.job.array_medium import array_drives
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.medium.atomic import atomic_path
@@ -89,11 +89,10 @@ class PlaySpec:
     def __post_init__(self) -> None:
         if self.trace is not None and self.trajectory is not None:
             raise InvalidArgument("--trace and --trajectory say the same in two frames: take one of them")
-        if self.seconds is not None and not 0 < self.seconds <= _LONGEST_S:
+        if self.seconds is not None and not (is_finite(self.seconds) and 0 < self.seconds <= _LONGEST_S):
             raise InvalidArgument("--seconds", repr(self.seconds), f"above 0, up to {_LONGEST_S:g}")
-        if not 0 <= self.start_s < math.inf:
-            raise InvalidArgument("--start-s", repr(self.start_s), "0 or more seconds")
-        if not 0 < self.speed <= _FASTEST:
+        require_not_negative(**{"--start-s": self.start_s})
+        if not (is_finite(self.speed) and 0 < self.speed <= _FASTEST):
             raise InvalidArgument("--speed", repr(self.speed), f"above 0, up to {_FASTEST:g}")
 
 

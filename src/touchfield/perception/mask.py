@@ -20,15 +20,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Real
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s
-from touchfield.errors import InvalidArgument
-from touchfield.medium.field import blocks_around
+from touchfield.errors import InvalidArgument, require_not_negative, require_positive
+from touchfield.medium.field import blocks_around, numbers_of
 from touchfield.medium.grid import BRICK
 from touchfield.perception.human import figure, human
 
@@ -53,19 +52,13 @@ class Violations(NamedTuple):
     worst_ratio: float | None
 
 
-def _check(k: float, f0_n: float) -> None:
-    for name, value, expected in (("k", k, "a Weber fraction"), ("f0_n", f0_n, "an absolute threshold in newtons")):
-        if not 0 <= value < math.inf:
-            raise InvalidArgument(name, repr(value), f"{expected}, 0 or more")
-
-
 def mask_n(amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0, *, masking_n: ArrayLike = 0.0) -> Float64s:
     """The mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
 
     masking_n : float [...], optional; what stimuli at other sites hide here, newtons.
     Raises `InvalidArgument` if `k` or `f0_n` (newtons) is negative or not finite.
     """
-    _check(k, f0_n)
+    require_not_negative(k=k, f0_n=f0_n)
     own: Any = k * np.abs(np.asarray(amplitudes_n, np.float64))
     mask: Float64s = np.maximum(f0_n, own + np.asarray(masking_n, np.float64))
     return mask
@@ -80,7 +73,7 @@ def violations(
     k, f0_n, masking_n; as of `mask_n`; a masking for each sample.
     Raises `InvalidArgument` if the shapes differ, a force is not finite, or `k` or `f0_n` is out of range.
     """
-    _check(k, f0_n)
+    require_not_negative(k=k, f0_n=f0_n)
     if original_n.shape != decoded_n.shape or original_n.ndim != 2 or original_n.shape[1] != 3:
         raise InvalidArgument("forces to compare", f"{original_n.shape} and {decoded_n.shape}", "twice [L, 3]")
     hidden = np.broadcast_to(np.asarray(masking_n, np.float64), len(original_n))
@@ -127,14 +120,8 @@ class SpatialMasking:
     radius_m: float = field(default_factory=lambda: figure("two_point_threshold_mm") / 1000)
 
     def __post_init__(self) -> None:
-        for name in ("k", "f0_n", "beta", "radius_m"):
-            if not isinstance(getattr(self, name), Real):
-                raise InvalidArgument(name, repr(getattr(self, name)), "a number")
-        mask_n(0.0, self.k, self.f0_n)  # checks both
-        if not 0 <= self.beta < math.inf:
-            raise InvalidArgument("beta", repr(self.beta), "a finite share, 0 or more")
-        if not 0 < self.radius_m < math.inf:
-            raise InvalidArgument("radius_m", repr(self.radius_m), "a positive length in metres")
+        require_not_negative(k=self.k, f0_n=self.f0_n, beta=self.beta)
+        require_positive(radius_m=self.radius_m)
 
     @classmethod
     def at_site(cls, site: str, beta: float = 0.0, k: float | None = None, f0_n: float = 0.0) -> SpatialMasking:
@@ -190,7 +177,7 @@ def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
     radii_m : float [S]; R_i, metres, positive.
     Raises `InvalidArgument` if a shape does not fit or a number is out of range.
     """
-    places, radii = _numbers("positions_m", positions_m), _numbers("radii_m", radii_m)
+    places, radii = numbers_of("positions_m", positions_m), numbers_of("radii_m", radii_m)
     if places.ndim != 2 or not 1 <= places.shape[1] <= 3 or not 1 <= len(places) <= MAX_SITES:
         raise InvalidArgument("positions_m", f"shape {places.shape}", f"[S, 1 to 3], S from 1 to {MAX_SITES}")
     if not np.isfinite(places).all():
@@ -215,7 +202,7 @@ def body_mask_n(amplitudes_n: ArrayLike, positions_m: ArrayLike, sites: Sequence
     sites : sequence of SpatialMasking; one for each, such as ``SpatialMasking.at_site("palm", k=0.1, beta=0.2)``.
     Raises `InvalidArgument` if a shape does not fit or a number is out of range.
     """
-    levels = _numbers("amplitudes_n", amplitudes_n)
+    levels = numbers_of("amplitudes_n", amplitudes_n)
     if not levels.ndim or levels.shape[-1] != len(sites):
         raise InvalidArgument("amplitudes_n", f"shape {levels.shape}", f"[..., {len(sites)}], one for each site")
     if not (np.isfinite(levels) & (levels >= 0)).all():
@@ -242,13 +229,6 @@ def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
         beside = ndimage.correlate1d(everything, both_sides, axis=axis, mode="constant")
         others, everything = others + beside, everything + beside
     return others
-
-
-def _numbers(where: str, values: ArrayLike) -> Float64s:
-    try:
-        return np.asarray(values, np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidArgument(where, "what is no array of numbers", "numbers in rows of one length") from error
 
 
 def _amplitudes(forces_n: NDArray[Any]) -> Float64s:

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Bools, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument, require_positive
+from touchfield.medium.field import numbers_of
 from touchfield.perception.human import VibrationThreshold, figure, vibration_threshold
 
 if TYPE_CHECKING:
@@ -50,10 +51,7 @@ _PATIENCE: Final = 8
 def _signal(where: str, values: ArrayLike, shapes: tuple[str, ...], rate_hz: float = 1.0) -> Float64s:
     """Numbers over time, checked; `shapes` are words of "[n]" and "[n, 3]"."""
     require_positive(rate_hz=rate_hz)
-    try:
-        x = np.asarray(values, np.float64)
-    except (TypeError, ValueError):
-        raise InvalidArgument(where, "what is no array of numbers", f"numbers {' or '.join(shapes)}") from None
+    x = numbers_of(where, values)
     own = {1: "[n]", 2: f"[n, {x.shape[-1] if x.ndim else 0}]"}.get(x.ndim)
     if own not in shapes or not len(x):
         mend = "dft321 makes one axis of three." if own == "[n, 3]" else ""
