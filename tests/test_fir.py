@@ -109,7 +109,7 @@ def test_the_cheaper_method_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
         (np.ones(11), {}, "11 taps along an axis of 10 samples; expected at most 10"),
         (np.ones((3, 13)), {}, "axis 1: found 13 taps along an axis of 12"),
         (np.ones((1, 1, 1)), {}, "3 axes for a signal"),
-        (np.array([1, np.nan, 1]), {}, "tap that is not finite"),
+        (np.array([1, np.nan, 1]), {}, "not finite"),
         (np.array([]), {}, "at least one tap"),
         (np.ones(3), {"anchor": "left"}, "centred or causal"),
         (np.ones(3), {"boundary": "mirror"}, "zero, nearest, reflect, wrap"),
@@ -319,5 +319,5 @@ def test_sums_beyond_the_type_are_refused(dtype: type, method: str) -> None:
 def test_forces_beyond_float32_are_refused(taps: str, boundary: str) -> None:
     grid = Grid((12, 12, 12), (0.001,) * 3, (0.0,) * 3)
     field = ForceField.from_dense(grid, np.full((12, 12, 12, 3), 3e38))
-    with pytest.raises(InvalidArgument, match=r"sums are beyond float32|a force that is not finite"):
+    with pytest.raises(InvalidArgument, match=r"sums are beyond float32|a number that is not finite"):
         FirFilter(taps, boundary=boundary, normalise=False)(field)

@@ -127,6 +127,20 @@ def require_not_negative(**values: float) -> None:
             raise InvalidArgument(name, repr(value), "a finite number, 0 or more")
 
 
+def require_between(low: float, high: float, **values: float) -> None:
+    """`InvalidArgument` for a value, by its name, that is not a number from `low` to `high`."""
+    for name, value in values.items():
+        if not (is_finite(value) and low <= value <= high):
+            raise InvalidArgument(name, repr(value), f"{low:.9g} to {high:.9g}")
+
+
+def require_up_to(high: float, **values: float) -> None:
+    """`InvalidArgument` for a value, by its name, that is not a number above 0, at most `high`."""
+    for name, value in values.items():
+        if not (is_finite(value) and 0 < value <= high):
+            raise InvalidArgument(name, repr(value), f"above 0, up to {high:.9g}")
+
+
 def require_one_of(where: str, value: object, choices: Collection[str]) -> None:
     """`InvalidArgument` naming `where` for a value that is not among the choices."""
     if value not in choices:

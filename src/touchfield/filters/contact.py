@@ -37,7 +37,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int32s
-from touchfield.errors import InvalidArgument, require_not_negative, require_one_of, require_positive
+from touchfield.errors import (
+    InvalidArgument,
+    require_between,
+    require_not_negative,
+    require_one_of,
+    require_positive,
+    require_up_to,
+)
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
@@ -126,11 +133,9 @@ def rendered_n(field: ForceField, position_m: ArrayLike, velocity_m_s: ArrayLike
 
 
 def _vectors(where: str, values: ArrayLike) -> Float64s:
-    vectors = numbers_of(where, values)
+    vectors = numbers_of(where, values, is_finite=True)
     if vectors.ndim < 1 or vectors.shape[-1] != 3:
         raise InvalidArgument(where, f"shape {vectors.shape}", "[..., 3]")
-    if not np.isfinite(vectors).all():
-        raise InvalidArgument(where, "a number that is not finite", "finite numbers")
     return vectors
 
 
@@ -147,11 +152,9 @@ class VibrationRule:
     high_hz: float = 150.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.gain < math.inf:
-            raise InvalidArgument(f"{_OPTION} gain", repr(self.gain), "a share of |F| above 0")
+        require_positive(**{f"{_OPTION} gain": self.gain})
         for hz in (self.low_hz, self.high_hz):
-            if not 1 <= hz <= MAX_FREQUENCY_HZ:
-                raise InvalidArgument(f"{_OPTION} frequency", f"{hz:g} Hz", f"1 to {MAX_FREQUENCY_HZ:g} Hz")
+            require_between(1, MAX_FREQUENCY_HZ, **{f"{_OPTION} frequency": hz})
 
     @classmethod
     def parse(cls, text: str) -> VibrationRule:
@@ -224,15 +227,11 @@ class TextureFilter(FieldFilter):
         require_one_of("texture kind", self.kind, KINDS)
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 1 << 64:
             raise InvalidArgument("texture seed", repr(self.seed), "a whole number from 0 to 2^64 - 1")
-        if not 0 < self.density <= 1:
-            raise InvalidArgument("texture density", repr(self.density), "a share above 0, at most 1")
-        if not 0 < self.limit <= 1:
-            raise InvalidArgument("texture limit", repr(self.limit), "a share above 0, at most 1")
-        if not 0 <= self.rms <= self.limit:
-            raise InvalidArgument("texture rms", repr(self.rms), f"a share from 0 to the limit, {self.limit:g}")
+        require_up_to(1, **{"texture density": self.density, "texture limit": self.limit})
+        require_between(0, self.limit, **{"texture rms": self.rms})
         for what, value in (("grain_m", self.grain_m), ("force_max_n", self.force_max_n)):
-            if value is not None and not 0 < value < math.inf:
-                raise InvalidArgument(f"texture {what}", repr(value), "a positive number, or none")
+            if value is not None:
+                require_positive(**{f"texture {what}": value})
 
     @classmethod
     def parse(cls, text: str) -> Self:

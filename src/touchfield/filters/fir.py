@@ -114,11 +114,9 @@ def without_overflow(sums: NDArray[Any], where: str) -> NDArray[Any]:
 
 
 def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
-    h = np.asarray(taps, np.float64)
+    h = numbers_of("taps", taps, is_finite=True)
     if not h.size or not h.ndim:
         raise InvalidArgument("taps", f"an array {h.shape}", "at least one tap along each of one or more axes")
-    if not np.isfinite(h).all():
-        raise InvalidArgument("taps", "a tap that is not finite", "finite numbers")
     require_one_of("anchor", anchor, ANCHORS)
     if anchor == "centred" and any(n % 2 == 0 for n in h.shape):
         mend = 'An even kernel has no middle tap: add a zero, or take anchor="causal".'

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, require_one_of, require_positive, require_up_to
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import AxisTaps, keys_of_passes, places_of, sums_of_bricks, within_grid
 from touchfield.medium import BRICK, ForceField, Grid
@@ -76,11 +76,9 @@ class ShadingFilter(FieldFilter):
     example: ClassVar[str] = "2mm"
 
     def __post_init__(self) -> None:
-        if not 0 < self.sigma_m < math.inf:
-            raise InvalidArgument("shading sigma_m", repr(self.sigma_m), "a positive length in metres")
+        require_positive(**{"shading sigma_m": self.sigma_m})
         require_one_of("shading smooth", self.smooth, SMOOTHED)
-        if not 0 < self.truncate <= MAX_TRUNCATE:
-            raise InvalidArgument("shading truncate", repr(self.truncate), f"above 0, at most {MAX_TRUNCATE:g} sigma")
+        require_up_to(MAX_TRUNCATE, **{"shading truncate": self.truncate})
         if self.spread and self.smooth == "direction":
             raise InvalidArgument("shading spread", "true with smooth=direction", "smooth=both or smooth=amplitude")
 

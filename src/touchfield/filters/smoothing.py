@@ -21,7 +21,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, require_not_negative, require_one_of, require_positive
+from touchfield.errors import (
+    InvalidArgument,
+    is_finite,
+    require_not_negative,
+    require_one_of,
+    require_positive,
+    require_up_to,
+)
 from touchfield.filters.fir import checked_signal, direct_sums, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LOW_PASSES
@@ -136,10 +143,9 @@ class GaussianFilter(_LowPass):
     boundary: str = "zero"
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.sigma_m) and self.sigma_m > 0):
+        if not (is_finite(self.sigma_m) and self.sigma_m > 0):
             raise InvalidArgument("--gaussian sigma", f"{self.sigma_m!r} m", "a positive length")
-        if not 0 < self.truncate <= 16:
-            raise InvalidArgument("--gaussian truncate", repr(self.truncate), "above 0 and up to 16 deviations")
+        require_up_to(16, **{"--gaussian truncate": self.truncate})
         require_one_of("--gaussian boundary", self.boundary, BOUNDARIES)
 
     def taps(self, grid: Grid) -> Axes:

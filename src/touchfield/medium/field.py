@@ -182,7 +182,12 @@ def blocks_around(
 
 
 def numbers_of(
-    where: str, values: ArrayLike, kind: type[Any] = np.float64, shape: tuple[int, ...] | None = None
+    where: str,
+    values: ArrayLike,
+    kind: type[Any] = np.float64,
+    shape: tuple[int, ...] | None = None,
+    *,
+    is_finite: bool = False,
 ) -> NDArray[Any]:
     """An argument as an array of a kind and shape; `InvalidArgument` for what would lose something on the way."""
     try:
@@ -193,10 +198,13 @@ def numbers_of(
             numbers = given.astype(kind, copy=False)
         if np.issubdtype(kind, np.integer) and not (numbers == given).all():
             raise ValueError(f"not whole, or beyond {kind.__name__}")
-        return numbers if shape is None else numbers.reshape(shape)
+        numbers = numbers if shape is None else numbers.reshape(shape)
     except (TypeError, ValueError, OverflowError) as error:
         expected = "numbers" if shape is None else f"numbers of shape {shape}".replace("-1", "n")
         raise InvalidArgument(where, f"what is no array of numbers ({error})", expected) from None
+    if is_finite and not np.isfinite(numbers).all():
+        raise InvalidArgument(where, "a number that is not finite", "finite numbers")
+    return numbers
 
 
 @dataclass(frozen=True)
@@ -240,9 +248,7 @@ class ForceField(EqualByValue):
         Raises `InvalidArgument` if a force is not finite, or a brick is given twice or lies outside the grid.
         """
         b = numbers_of("bricks", bricks, np.int32, (-1, 3))
-        f = numbers_of("forces_n", forces_n, np.float32, (len(b), BRICK, BRICK, BRICK, 3))
-        if not np.isfinite(f).all():
-            raise InvalidArgument("forces_n", "a force that is not finite", "finite newtons")
+        f = numbers_of("forces_n", forces_n, np.float32, (len(b), BRICK, BRICK, BRICK, 3), is_finite=True)
         order = np.argsort(brick_keys(grid, b), kind="stable")
         b, f = b[order], f[order]
         for axis in range(3):

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s
-from touchfield.errors import InvalidArgument, require_not_negative, require_positive
+from touchfield.errors import InvalidArgument, require_not_negative, require_one_of, require_positive
 from touchfield.medium.field import blocks_around, numbers_of
 from touchfield.medium.grid import BRICK
 from touchfield.perception.human import figure, human
@@ -101,8 +101,7 @@ def site_radius_m(site: str) -> float:
     """Two-point threshold of a body site, metres; InvalidArgument if there is no such site."""
     thresholds = human()["two_point_threshold_mm"]
     radii_mm = dict(zip(thresholds.of, thresholds.values, strict=True))
-    if site not in radii_mm:
-        raise InvalidArgument("body site", repr(site), f"one of {', '.join(radii_mm)}")
+    require_one_of("body site", site, radii_mm)
     return radii_mm[site] / 1000
 
 
@@ -177,11 +176,9 @@ def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
     radii_m : float [S]; R_i, metres, positive.
     Raises `InvalidArgument` if a shape does not fit or a number is out of range.
     """
-    places, radii = numbers_of("positions_m", positions_m), numbers_of("radii_m", radii_m)
+    places, radii = numbers_of("positions_m", positions_m, is_finite=True), numbers_of("radii_m", radii_m)
     if places.ndim != 2 or not 1 <= places.shape[1] <= 3 or not 1 <= len(places) <= MAX_SITES:
         raise InvalidArgument("positions_m", f"shape {places.shape}", f"[S, 1 to 3], S from 1 to {MAX_SITES}")
-    if not np.isfinite(places).all():
-        raise InvalidArgument("positions_m", "a number that is not finite", "finite metres")
     if radii.shape != places.shape[:1] or not (np.isfinite(radii) & (radii > 0)).all():
         raise InvalidArgument("radii_m", f"shape {radii.shape}", f"{len(places)} positive lengths in metres")
     exponent, within = np.zeros((len(places), len(places))), ~np.eye(len(places), dtype=bool)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument, is_finite, require_positive
+from touchfield.errors import InvalidArgument, is_finite, require_positive, require_up_to
 from touchfield.render.block import (
     DEFAULT_BYTES,
     LOG_ROWS,
@@ -282,7 +282,7 @@ class Player:
                 block.close()
 
 
-_FASTEST: Final = 100.0
+FASTEST: Final = 100.0
 _AHEAD_S: Final = 4.0  # the directory has room for so much of a medium; frames of a high rate are many
 _MOST_SLOTS: Final = 1 << 14
 _RAMP_SPARE_S: Final = 1.0
@@ -300,8 +300,7 @@ class Orders:
     is_stopping: bool = False
 
     def __post_init__(self) -> None:
-        if not (is_finite(self.speed) and 0 < self.speed <= _FASTEST):
-            raise InvalidArgument("speed", repr(self.speed), f"above 0, up to {_FASTEST:g}")
+        require_up_to(FASTEST, speed=self.speed)
 
 
 def ramp_limit_s(peak_n: float, slew_n_per_s: float, ramp_s: float) -> float:

@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import DeviceError, InvalidArgument, is_finite, require_not_negative, require_positive
+from touchfield.errors import (
+    DeviceError,
+    InvalidArgument,
+    is_finite,
+    require_between,
+    require_not_negative,
+    require_one_of,
+    require_positive,
+)
 from touchfield.render.block import words as W
 from touchfield.render.point_device import UPS, axes_matrix, axes_notes
 from touchfield.render.tool import Tool
@@ -93,12 +101,9 @@ class RenderSpec:
             values = getattr(self, name)
             if np.shape(values) != (3,) or not all(map(is_finite, values)):
                 raise InvalidArgument(name, repr(values), "three finite numbers")
-        if self.render not in ("auto", "proxy", "field"):
-            raise InvalidArgument("render", repr(self.render), "auto, proxy or field")
-        if self.up not in UPS:
-            raise InvalidArgument("up", repr(self.up), f"one of {', '.join(UPS)}")
-        if not 10 <= self.rate_hz <= 20000:
-            raise InvalidArgument("rate_hz", repr(self.rate_hz), "10 to 20000 ticks a second")
+        require_one_of("render", self.render, ("auto", "proxy", "field"))
+        require_one_of("up", self.up, UPS)
+        require_between(10, 20000, rate_hz=self.rate_hz)
 
 
 def write_parameters(
