@@ -36,7 +36,7 @@ from touchfield.measure.interaction import interaction_counts, interaction_entro
 from touchfield.measure.limits import CodingLimits, block_rates, coding_limits, scan_line_rates
 from touchfield.measure.passivity import Passivity, curl_n_per_m, loop_work_j, passivity
 from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity, interval
-from touchfield.measure.retrieval import MediumIndex, chance_average_precision, mean_average_precision
+from touchfield.measure.retrieval import MediumIndex, mean_average_precision
 from touchfield.measure.similarity import (
     Contact,
     Correlation,
@@ -52,7 +52,7 @@ from touchfield.medium.trace import Trace, read_trace
 __all__ = [
     "ESTIMATORS", "Capacity", "CodingLimits", "Contact", "Correlation", "Counts", "Descriptor", "FewSamplesWarning",
     "FieldSymbols", "Interval", "MediumIndex", "Passivity", "Quantity", "Similarity", "Trace", "block_rates",
-    "capacity", "chance_average_precision", "coding_limits", "codomain_bits", "compression_distance",
+    "capacity", "coding_limits", "codomain_bits", "compression_distance",
     "conditional_entropy", "contact_along_axis", "contact_along_rays", "context_entropy", "curl_n_per_m",
     "descriptor", "entropy", "estimate_bits", "field_counts", "field_entropy", "interaction_counts",
     "interaction_entropy", "interval", "jensen_shannon_distance", "joint_entropy", "loop_work_j",

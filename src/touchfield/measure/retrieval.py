@@ -59,19 +59,6 @@ def mean_average_precision(ranks: Mapping[str, Sequence[str]], relevant: Mapping
     return float(np.mean([average_precision(names, relevant[query]) for query, names in ranks.items()]))
 
 
-def chance_average_precision(relevant_count: int, count: int) -> float:
-    """The mean average precision of all orders of `count` items of which `relevant_count` are relevant.
-
-    InvalidArgument if the counts do not fit.
-    """
-    if not 1 <= relevant_count <= count:
-        raise InvalidArgument("relevant_count", f"{relevant_count} of {count}", "1 to as many as there are")
-    if count == 1:
-        return 1.0
-    harmonic = float((1 / np.arange(1, count + 1)).sum())
-    return (harmonic + (relevant_count - 1) / (count - 1) * (count - harmonic)) / count
-
-
 ANY_POSE: Final[Mapping[str, float]] = MappingProxyType({"directions": 0.0})
 """Weights that leave out what turns with the body; the octree levels still depend on the pose, but far less."""
 
