@@ -227,6 +227,28 @@ def test_when_the_player_is_gone_the_servo_goes(name: str, tmp_path: Path) -> No
     assert not _runs(servo)
 
 
+UNGUARDED = """
+import sys
+from functools import partial
+import numpy as np
+sys.path.insert(0, {folder!r})
+from player_makers import OMNI, telling
+from touchfield.adapters.sim import SimHand
+from touchfield.medium.trace import Trace
+from touchfield.render.player import Player
+with Player(telling(1), OMNI, partial(SimHand, Trace.regular(np.zeros((100_000, 3))))) as player:
+    player.play()
+"""
+
+
+def test_a_program_without_its_guard_is_told_whatever_goes_to_the_device(tmp_path: Path) -> None:
+    script = tmp_path / "unguarded.py"
+    script.write_text(UNGUARDED.format(folder=str(Path(__file__).parent)))
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 1
+    assert done.stderr.rstrip().endswith('Begin the player under `if __name__ == "__main__":` of your program.')
+
+
 def _runs(pid: int) -> bool:
     try:
         os.kill(pid, 0)
