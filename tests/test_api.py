@@ -225,6 +225,8 @@ def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.fl
         (lambda f: tf.HapticMedium.from_array(np.ma.masked_greater(f, 1.0), GRID), "masked"),
         (lambda f: tf.HapticMedium.from_array([[1.0], [1.0, 2.0]], GRID), "no array of numbers"),
         (lambda f: tf.HapticMedium.from_array(f, GRID, "30"), "rate_hz"),  # type: ignore[arg-type]
+        (lambda f: tf.HapticMedium.from_array(f, GRID.shape), "a Grid"),  # type: ignore[arg-type]
+        (lambda f: tf.HapticMedium.from_frames(list(f), 30.0), "from_array"),
         (lambda f: tf.ForceField.from_support(GRID, [[0.5, 0, 0]], [[1.0, 0, 0]]), "not whole"),
         (lambda f: tf.ForceField.from_bricks(GRID, np.array([[1 << 32, 0, 0]]), f), "beyond int32"),
         (lambda f: tf.Grid((1.5, 8, 8), (1, 1, 1), (0, 0, 0)), "counts"),  # type: ignore[arg-type]

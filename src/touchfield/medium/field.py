@@ -262,6 +262,8 @@ class ForceField(EqualByValue):
     @classmethod
     def from_dense(cls, grid: Grid, forces_n: ArrayLike) -> ForceField:
         """From a dense array of newtons [nx, ny, nz, 3]."""
+        if not isinstance(grid, Grid):
+            raise InvalidArgument("grid", f"a {type(grid).__name__}", "a Grid")
         dense = numbers_of("forces_n", forces_n, np.float32)
         if dense.shape != (*grid.shape, 3):
             raise InvalidArgument("forces_n", f"shape {dense.shape}", f"{(*grid.shape, 3)}, as the grid says")

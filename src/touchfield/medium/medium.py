@@ -187,8 +187,8 @@ class HapticMedium(Travels):
     def from_frames(cls, frames: Sequence[ForceField], rate_hz: float, axes: str = "x, y, z") -> HapticMedium:
         """A medium of fields that are already there."""
         kept = tuple(frames)
-        if not kept:
-            raise InvalidArgument("frames", "none", "at least one ForceField")
+        if not kept or not all(isinstance(one, ForceField) for one in kept):
+            raise InvalidArgument("frames", "none, or what is no field", "ForceFields", "`from_array` takes newtons.")
         if any(f.grid != kept[0].grid for f in kept):
             raise InvalidArgument("frames", "fields on different grids", "one grid for all")
         return cls(kept[0].grid, rate_hz, len(kept), kept.__getitem__, axes)
