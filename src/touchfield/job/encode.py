@@ -154,7 +154,8 @@ def encode_prepared(
 def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, str]:
     """The file's account of where it comes from."""
     name = "scene" if isinstance(source, Scene) else str(source)
-    said = {"touchfield": __version__, "source": Path(name).name[:255], "spec": prepared.spec.to_json()}
+    spec = prepared.spec.to_json(prepared.has_law)
+    said = {"touchfield": __version__, "source": Path(name).name[:255], "spec": spec}
     if prepared.reference != FILTERED:
         said["reference"] = prepared.reference
     was = (prepared.scene or prepared.medium).provenance

@@ -127,10 +127,14 @@ class EncodeSpec:
         """The spec of the device filter."""
         return DeviceFilterSpec(oversample=self.oversample, pool=self.pool, cutoff=self.cutoff)
 
-    def to_json(self) -> str:
-        """The spec as the stream's provenance keeps it, without what is asked of a coder that is not taken."""
+    def to_json(self, has_law: bool = True) -> str:
+        """The spec as the stream's provenance keeps it, without what is asked of a coder that is not taken.
+
+        Without `has_law` it states no law and no stiffness: a receiver would make walls of it.
+        """
         values = {**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None}
-        for name in (*(c for c in CODERS if c != self.coder), *(n for n in _OPTIONAL if values[n] is None)):
+        unused = () if has_law else ("law", "stiffness_n_per_m")
+        for name in (*(c for c in CODERS if c != self.coder), *(n for n in _OPTIONAL if values[n] is None), *unused):
             del values[name]
         del values["source"]["allow_outside"]  # the user's alone, each time
         return json.dumps(values, separators=(",", ":"))

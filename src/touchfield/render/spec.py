@@ -332,9 +332,14 @@ def wall_of(field: ForceField) -> Wall | None:
 
 
 def stated_n_per_m(provenance: Mapping[str, str]) -> float | None:
-    """The stiffness that a medium's provenance states for its walls; None where it states none that could be."""
+    """The stiffness that a medium's provenance states for its walls; None where it states none that could be.
+
+    A stream that was coded anew has that of its source, one that was edited none.
+    """
     try:
-        spec = json.loads(provenance.get("spec", "{}"))
+        spec = json.loads(provenance.get("source.spec", provenance.get("spec", "{}")))
+        if "edits" in provenance:
+            return None
         stated = float(spec["stiffness_n_per_m"]) if spec["law"] == "penalty" else math.nan
     except (ValueError, KeyError, TypeError, RecursionError):
         return None

@@ -12,18 +12,7 @@ from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels.placed import CELLS, INSIDE, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.render.block import words as W
 from touchfield.render.kernels import frames
-from touchfield.render.kernels.vectors import (
-    cross,
-    dot,
-    is_finite,
-    plus,
-    put,
-    rows_of,
-    three,
-    times,
-    turned,
-    turned_back,
-)
+from touchfield.render.kernels.vectors import cross, dot, plus, put, rows_of, three, times, turned, turned_back
 from touchfield.render.tool import AT_ONCE
 
 BINS = 400
@@ -105,7 +94,7 @@ def gradients_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, fra
         force = frames.force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
         rows = frames.gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, force)
         for c in range(9):
-            out[p, c] = rows[c] if is_finite((x, y, z)) else 0.0
+            out[p, c] = rows[c] if math.isfinite(x + y + z) else 0.0
 
 
 @njit(cache=True, nogil=True)
