@@ -29,6 +29,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from touchfield.arrays import Travels
 from touchfield.errors import DeviceError, InvalidArgument, SourceError
 from touchfield.files import require_plain
 
@@ -38,7 +39,7 @@ MAX_PROFILE_BYTES: Final = 1 << 16
 
 
 @dataclass(frozen=True)
-class Device:
+class Device(Travels):
     """A haptic display; a value that is not known is None.
 
     Attributes

@@ -35,7 +35,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 import numpy as np
 
 from touchfield.arrays import Float64s, Int32s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import (
+    InvalidArgument,
+    require_between,
+    require_one_of,
+    require_positive,
+    require_up_to,
+)
 from touchfield.filters.fir import without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import BRICK, ForceField
@@ -59,11 +65,9 @@ class VibrationRule:
     high_hz: float = 150.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.gain < math.inf:
-            raise InvalidArgument(f"{_OPTION} gain", repr(self.gain), "a share of |F| above 0")
+        require_positive(**{f"{_OPTION} gain": self.gain})
         for hz in (self.low_hz, self.high_hz):
-            if not 1 <= hz <= MAX_FREQUENCY_HZ:
-                raise InvalidArgument(f"{_OPTION} frequency", f"{hz:g} Hz", f"1 to {MAX_FREQUENCY_HZ:g} Hz")
+            require_between(1, MAX_FREQUENCY_HZ, **{f"{_OPTION} frequency": hz})
 
     @classmethod
     def parse(cls, text: str) -> VibrationRule:
@@ -132,14 +136,10 @@ class TextureFilter(FieldFilter):
         require_one_of("texture kind", self.kind, KINDS)
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 1 << 64:
             raise InvalidArgument("texture seed", repr(self.seed), "a whole number from 0 to 2^64 - 1")
-        if not 0 < self.density <= 1:
-            raise InvalidArgument("texture density", repr(self.density), "a share above 0, at most 1")
-        if not 0 < self.limit <= 1:
-            raise InvalidArgument("texture limit", repr(self.limit), "a share above 0, at most 1")
-        if not 0 <= self.rms <= self.limit:
-            raise InvalidArgument("texture rms", repr(self.rms), f"a share from 0 to the limit, {self.limit:g}")
-        if self.grain_m is not None and not 0 < self.grain_m < math.inf:
-            raise InvalidArgument("texture grain_m", repr(self.grain_m), "a positive number, or none")
+        require_up_to(1, **{"texture density": self.density, "texture limit": self.limit})
+        require_between(0, self.limit, **{"texture rms": self.rms})
+        if self.grain_m is not None:
+            require_positive(**{"texture grain_m": self.grain_m})
 
     @classmethod
     def parse(cls, text: str) -> Self:

@@ -7,13 +7,12 @@ every haptic filter is one, too. Frames stay lazy: nothing is made before it is 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, Final, Protocol
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, is_finite, require_not_negative, require_one_of
 from touchfield.filters.device_filter import limited
 from touchfield.filters.region import Region, RigidMotion, weights
 from touchfield.filters.registry import noted
@@ -47,7 +46,7 @@ class Gain:
     factor: float
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.factor):
+        if not is_finite(self.factor):
             raise InvalidArgument("gain", repr(self.factor), "a finite factor")
 
     @property
@@ -77,7 +76,7 @@ class Limited:
     force_max_n: float
 
     def __post_init__(self) -> None:
-        if not 0 < self.force_max_n < math.inf:
+        if not (is_finite(self.force_max_n) and self.force_max_n > 0):
             raise InvalidArgument("limit", repr(self.force_max_n), "newtons, more than 0")
 
     @property
@@ -163,8 +162,7 @@ def edited(field: ForceField, region: Region, operator: EditOperator, feather_m:
     feather_m : float; width of the transition outside the region, metres; beyond it the field keeps its bits.
     Raises `InvalidArgument` if the feather is negative, or the operator or the region belongs to another grid.
     """
-    if not 0 <= feather_m < math.inf:
-        raise InvalidArgument("feather_m", repr(feather_m), "a finite length of 0 or more")
+    require_not_negative(feather_m=feather_m)
     after = operator(field)
     if after.grid != field.grid:
         raise InvalidArgument(f"operator {operator.name}", f"a field on {after.grid}", f"one on {field.grid}")

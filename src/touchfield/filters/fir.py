@@ -37,7 +37,7 @@ from touchfield.filters.separable import (
 )
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import blocks_around, bricks_of, frozen
+from touchfield.medium.field import blocks_around, bricks_of, frozen, numbers_of
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -74,8 +74,8 @@ def fir_filter(
 def checked_signal(signal: ArrayLike, boundary: str) -> NDArray[Any]:
     """A dense array in float32 or float64; `InvalidArgument` for other boundaries, or a number that is not finite."""
     require_one_of("boundary", boundary, BOUNDARIES)
-    x = np.asarray(signal)
-    x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
+    kind = np.float32 if getattr(signal, "dtype", None) == np.float32 else np.float64
+    x = numbers_of("signal", signal, kind)
     if not all_finite(x):
         raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     return x
@@ -103,11 +103,9 @@ def without_overflow(sums: NDArray[Any], where: str) -> NDArray[Any]:
 
 
 def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
-    h = np.asarray(taps, np.float64)
+    h = numbers_of("taps", taps, is_finite=True)
     if not h.size or not h.ndim:
         raise InvalidArgument("taps", f"an array {h.shape}", "at least one tap along each of one or more axes")
-    if not np.isfinite(h).all():
-        raise InvalidArgument("taps", "a tap that is not finite", "finite numbers")
     require_one_of("anchor", anchor, ANCHORS)
     if anchor == "centred" and any(n % 2 == 0 for n in h.shape):
         mend = 'An even kernel has no middle tap: add a zero, or take anchor="causal".'
@@ -264,10 +262,10 @@ def _read_taps(text: str) -> Float64s:
 
 def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.complex128]:
     """Equation 5: H(w1, ..) of a kernel [n1, ...] at frequencies in radians per sample, complex128 of their shape."""
-    kernel = np.asarray(taps, np.float64)
+    kernel = numbers_of("taps", taps)
     if kernel.ndim != len(omegas) or not omegas:
         raise InvalidArgument("frequency_response", f"{len(omegas)} frequencies", f"{kernel.ndim}, one for each axis")
-    frequencies = np.broadcast_arrays(*(np.asarray(w, np.float64) for w in omegas))
+    frequencies = np.broadcast_arrays(*(numbers_of("omegas", w) for w in omegas))
     response: Any = np.broadcast_to(kernel, (*frequencies[0].shape, *kernel.shape))
     for omega, count in zip(reversed(frequencies), reversed(kernel.shape), strict=True):
         wave = np.exp(-1j * omega[..., None] * np.arange(count))

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float32s, Int32s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, require_one_of, require_positive, require_up_to
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import AxisTaps, keys_of_passes, sums_of_bricks
 from touchfield.medium import BRICK, ForceField, Grid
@@ -73,11 +73,9 @@ class ShadingFilter(FieldFilter):
     example: ClassVar[str] = "2mm"
 
     def __post_init__(self) -> None:
-        if not 0 < self.sigma_m < math.inf:
-            raise InvalidArgument("shading sigma_m", repr(self.sigma_m), "a positive length in metres")
+        require_positive(**{"shading sigma_m": self.sigma_m})
         require_one_of("shading smooth", self.smooth, SMOOTHED)
-        if not 0 < self.truncate <= MAX_TRUNCATE:
-            raise InvalidArgument("shading truncate", repr(self.truncate), f"above 0, at most {MAX_TRUNCATE:g} sigma")
+        require_up_to(MAX_TRUNCATE, **{"shading truncate": self.truncate})
 
     def claims(self, grid: Grid) -> Claims:
         """The reach is truncate * sigma, rounded to samples; means of amplitudes never exceed the greatest."""

@@ -21,7 +21,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import (
+    InvalidArgument,
+    is_finite,
+    require_not_negative,
+    require_one_of,
+    require_positive,
+    require_up_to,
+)
 from touchfield.filters.fir import checked_signal, direct_sums, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LOW_PASSES
@@ -47,10 +54,8 @@ def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> Float64s:
     truncate : float; where the kernel is cut off, in standard deviations.
     Raises `InvalidArgument` if either is negative, not finite, or the radius exceeds 2^15 samples.
     """
-    if not (math.isfinite(sigma_samples) and sigma_samples >= 0):
-        raise InvalidArgument("sigma_samples", repr(sigma_samples), "0 or a positive number of samples")
-    if not (math.isfinite(truncate) and truncate > 0):
-        raise InvalidArgument("truncate", repr(truncate), "a positive number of standard deviations")
+    require_not_negative(sigma_samples=sigma_samples)
+    require_positive(truncate=truncate)
     radius = math.floor(min(truncate * sigma_samples, 1e9) + 0.5)
     if radius > MAX_RADIUS_SAMPLES:
         expected = f"a radius of up to {MAX_RADIUS_SAMPLES} samples"
@@ -125,10 +130,9 @@ class GaussianFilter(_LowPass):
     truncate: float = 4.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.sigma_m) and self.sigma_m > 0):
+        if not (is_finite(self.sigma_m) and self.sigma_m > 0):
             raise InvalidArgument("--gaussian sigma", f"{self.sigma_m!r} m", "a positive length")
-        if not 0 < self.truncate <= 16:
-            raise InvalidArgument("--gaussian truncate", repr(self.truncate), "above 0 and up to 16 deviations")
+        require_up_to(16, **{"--gaussian truncate": self.truncate})
 
     def taps(self, grid: Grid) -> Axes:
         """The taps along each axis of a grid."""
@@ -145,8 +149,7 @@ def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
 
     Raises `InvalidArgument` if the pitch is not positive, or the word is unknown.
     """
-    if not (math.isfinite(pitch_m) and pitch_m > 0):
-        raise InvalidArgument("pitch_m", f"{pitch_m!r} m", "a positive length")
+    require_positive(pitch_m=pitch_m)
     require_one_of("cutoff", cutoff, CUTOFFS)
     return CUTOFFS[cutoff] / pitch_m
 
@@ -161,8 +164,7 @@ def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", ker
         negative lobes: beside a contact they leave up to some per cent of its force turned round.
     Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a value is out of range.
     """
-    if not (math.isfinite(spacing_m) and spacing_m > 0):
-        raise InvalidArgument("spacing_m", f"{spacing_m!r} m", "a positive length")
+    require_positive(spacing_m=spacing_m)
     require_one_of("kernel", kernel, KERNELS)
     ratio = cutoff_per_m(pitch_m, cutoff) * 2 * spacing_m
     if ratio > 1 + 1e-9:

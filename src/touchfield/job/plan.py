@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import coder, field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, is_finite
 from touchfield.filters.resample import interpolated
 from touchfield.job.executors import in_order
 from touchfield.job.prepare import open_scene, prepare
@@ -58,7 +58,7 @@ class Budget:
 
     def __post_init__(self) -> None:
         amounts = [amount for amount in (self.bits_per_s, self.bytes) if amount is not None]
-        if len(amounts) != 1 or not 0 < amounts[0] < math.inf:
+        if len(amounts) != 1 or not (is_finite(amounts[0]) and amounts[0] > 0):
             raise InvalidArgument("budget", repr(self), "bits a second or bytes, one of both, above 0")
 
     def of(self, frames: int, rate_hz: float) -> tuple[float, str]:
@@ -325,7 +325,7 @@ class Plan:
 
 def plan(
     source: str | Path | Scene,
-    budget: float | Budget,
+    budget: float | str | Budget,
     spec: EncodeSpec | None = None,
     search: PlanGrid | None = None,
     report: Report = silent,
@@ -333,12 +333,14 @@ def plan(
 ) -> Plan:
     """Code a few frames of a source, as voxels, under every setting, and choose the best within a budget.
 
-    A number as `budget` is bits a second; `spec` is of coder `touch`: its k and F_0 are the mask that is reported,
-    its effort that of every trial. `report` gets ``(done, total)`` in settings; with `executor` its workers try them.
-    TouchfieldError if a setting is not possible, the frames hold no force, or nothing is within the budget; the
-    message then names what takes least. The settings that take least are tried first, so that this is told soon.
+    A number as `budget` is bits a second, words are such as "64kbit/s" (`parse_budget`); `spec` is of coder `touch`:
+    its k and F_0 are the mask that is reported, its effort that of every trial. `report` gets ``(done, total)`` in
+    settings; with `executor` its workers try them. TouchfieldError if a setting is not possible, the frames hold no
+    force, or nothing is within the budget; the message then names what takes least. The settings that take least are
+    tried first, so that this is told soon.
     """
     spec, search = spec or EncodeSpec(), search or PlanGrid()
+    budget = parse_budget(budget) if isinstance(budget, str) else budget
     budget = budget if isinstance(budget, Budget) else Budget(bits_per_s=budget)
     if spec.coder != "touch":
         raise InvalidArgument("plan", f"coder {spec.coder}", "coder touch; the paper's is tried, too")

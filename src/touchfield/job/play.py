@@ -20,7 +20,7 @@ from touchfield.adapters.registry import array_device, array_kinds, is_array_dev
 from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
 from touchfield.devices import Device, device, device_names
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_not_negative, require_up_to
 from touchfield.job.array_medium import array_drives
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.medium.atomic import atomic_path
@@ -30,7 +30,7 @@ from touchfield.render.array_player import ArrayPlayer
 from touchfield.render.block import FLAGS
 from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
-from touchfield.render.player import Player
+from touchfield.render.player import FASTEST, Player
 from touchfield.render.spec import RenderSpec
 from touchfield.stream.live_medium import LiveEnd, LiveStream
 from touchfield.stream.opened import OpenStream, open_stream
@@ -41,7 +41,6 @@ Tell = Callable[[str], None]
 
 _LOOK_S: Final = 0.1
 MOST_NOTHING: Final = 0.01  # of the ticks of a play: where more had nothing, as frames came too late, it has failed
-_FASTEST: Final = 100.0
 _LEAST_S: Final = 0.1
 _LONGEST_S: Final = 24 * 3600.0
 _LEAST_PRESS_N: Final = 0.01
@@ -87,12 +86,10 @@ class PlaySpec:
     def __post_init__(self) -> None:
         if self.trace is not None and self.trajectory is not None:
             raise InvalidArgument("--trace and --trajectory say the same in two frames: take one of them")
-        if self.seconds is not None and not 0 < self.seconds <= _LONGEST_S:
-            raise InvalidArgument("--seconds", repr(self.seconds), f"above 0, up to {_LONGEST_S:g}")
-        if not 0 <= self.start_s < math.inf:
-            raise InvalidArgument("--start-s", repr(self.start_s), "0 or more seconds")
-        if not 0 < self.speed <= _FASTEST:
-            raise InvalidArgument("--speed", repr(self.speed), f"above 0, up to {_FASTEST:g}")
+        if self.seconds is not None:
+            require_up_to(_LONGEST_S, **{"--seconds": self.seconds})
+        require_not_negative(**{"--start-s": self.start_s})
+        require_up_to(FASTEST, **{"--speed": self.speed})
 
 
 @dataclass(frozen=True)
@@ -318,8 +315,7 @@ def check_play(path: str | Path, speed: float = 1.0, clock_s: Callable[[], float
     ``greatest_speed`` is the one that can be played in time, and ``can_play`` is of the speed asked for.
     InvalidArgument if that is not positive, TouchfieldError if the file cannot be read.
     """
-    if not 0 < speed <= _FASTEST:
-        raise InvalidArgument("--speed", repr(speed), "above 0, up to 100")
+    require_up_to(FASTEST, **{"--speed": speed})
     with open_stream(path) as stream:
         source = FrameSource(stream.scene or stream.medium)
         count = source.frame_count

@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_one_of
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_not_negative, require_one_of
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, DESCRIPTOR_VERSION, PARTS, Descriptor, part_slots
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.npz import NpzArchive
@@ -172,8 +172,7 @@ def _factors(weights: Mapping[str, float]) -> Float64s:
     factors = np.ones(DESCRIPTOR_LENGTH)
     for name, slot in part_slots():
         weight = float(weights.get(name, 1.0))
-        if not (weight >= 0 and math.isfinite(weight)):
-            raise InvalidArgument(f"weight of {name}", repr(weight), "a finite number, 0 or more")
+        require_not_negative(**{f"weight of {name}": weight})
         factors[slot] = math.sqrt(weight)
     if not factors.any():
         raise InvalidArgument("weights", "0 for every part", "a positive weight for at least one")

@@ -209,14 +209,30 @@ def blocks_around(
         yield span, wide[cut]
 
 
-def _numbers(where: str, values: ArrayLike, kind: type[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
-    """An argument as an array of a kind and shape, or an error of ours."""
+def numbers_of(
+    where: str,
+    values: ArrayLike,
+    kind: type[Any] = np.float64,
+    shape: tuple[int, ...] | None = None,
+    *,
+    is_finite: bool = False,
+) -> NDArray[Any]:
+    """An argument as an array of a kind and shape; `InvalidArgument` for what would lose something on the way."""
     try:
-        numbers = np.asarray(values, kind)
-        return numbers if shape is None else numbers.reshape(shape)
+        given = np.asarray(values)
+        if given.dtype.kind in "cMm" or np.ma.is_masked(values):
+            raise TypeError(f"{'masked values' if np.ma.is_masked(values) else given.dtype}")
+        with np.errstate(over="ignore", invalid="ignore"):  # what is beyond is infinite: callers look for it
+            numbers = given.astype(kind, copy=False)
+        if np.issubdtype(kind, np.integer) and not (numbers == given).all():
+            raise ValueError(f"not whole, or beyond {kind.__name__}")
+        numbers = numbers if shape is None else numbers.reshape(shape)
     except (TypeError, ValueError, OverflowError) as error:
         expected = "numbers" if shape is None else f"numbers of shape {shape}".replace("-1", "n")
-        raise InvalidArgument(where, f"what is no such array ({error})", expected) from None
+        raise InvalidArgument(where, f"what is no array of numbers ({error})", expected) from None
+    if is_finite and not np.isfinite(numbers).all():
+        raise InvalidArgument(where, "a number that is not finite", "finite numbers")
+    return numbers
 
 
 @dataclass(frozen=True)
@@ -259,10 +275,8 @@ class ForceField(EqualByValue):
 
         Raises `InvalidArgument` if a force is not finite, or a brick is given twice or lies outside the grid.
         """
-        b = _numbers("bricks", bricks, np.int32, (-1, 3))
-        f = _numbers("forces_n", forces_n, np.float32, (len(b), BRICK, BRICK, BRICK, 3))
-        if not np.isfinite(f).all():
-            raise InvalidArgument("forces_n", "a force that is not finite", "finite newtons")
+        b = numbers_of("bricks", bricks, np.int32, (-1, 3))
+        f = numbers_of("forces_n", forces_n, np.float32, (len(b), BRICK, BRICK, BRICK, 3), is_finite=True)
         order = np.argsort(brick_keys(grid, b), kind="stable")
         b, f = b[order], f[order]
         for axis in range(3):
@@ -276,7 +290,9 @@ class ForceField(EqualByValue):
     @classmethod
     def from_dense(cls, grid: Grid, forces_n: ArrayLike) -> ForceField:
         """From a dense array of newtons [nx, ny, nz, 3]."""
-        dense = _numbers("forces_n", forces_n, np.float32)
+        if not isinstance(grid, Grid):
+            raise InvalidArgument("grid", f"a {type(grid).__name__}", "a Grid")
+        dense = numbers_of("forces_n", forces_n, np.float32)
         if dense.shape != (*grid.shape, 3):
             raise InvalidArgument("forces_n", f"shape {dense.shape}", f"{(*grid.shape, 3)}, as the grid says")
         return cls.from_slabs(grid, [dense])
@@ -303,8 +319,8 @@ class ForceField(EqualByValue):
     @classmethod
     def from_support(cls, grid: Grid, positions: ArrayLike, forces_n: ArrayLike) -> ForceField:
         """From indices int [L, 3] and newtons [L, 3]; a sample named twice keeps the last force."""
-        p = _numbers("positions", positions, np.int64, (-1, 3))
-        values = _numbers("forces_n", forces_n, np.float32, (len(p), 3))
+        p = numbers_of("positions", positions, np.int64, (-1, 3))
+        values = numbers_of("forces_n", forces_n, np.float32, (len(p), 3))
         if len(p) and (p.min() < 0 or (p.max(0) >= grid.shape).any()):
             raise InvalidArgument("positions", "an index outside the grid", f"below {grid.shape}")
         keys, slot = np.unique(brick_keys(grid, p // BRICK), return_inverse=True)
@@ -389,7 +405,7 @@ class ForceField(EqualByValue):
         """
         from touchfield.medium import kernels
 
-        points = _numbers("positions_m", positions_m, np.float64)
+        points = numbers_of("positions_m", positions_m)
         if not points.ndim or points.shape[-1] != 3:
             raise InvalidArgument("positions_m", f"shape {points.shape}", "[..., 3], metres")
         index = np.ascontiguousarray(self.grid.to_index(points).reshape(-1, 3))
@@ -401,6 +417,8 @@ class ForceField(EqualByValue):
         return ForceField.from_bricks(self.grid, self.bricks, self.forces_n * np.float32(factor))
 
     def __add__(self, other: ForceField) -> ForceField:
+        if not isinstance(other, ForceField):
+            return NotImplemented
         if self.grid != other.grid:
             raise InvalidArgument("sum of two fields", "two different grids", "one grid")
         keys = keys_of_both(self, other)

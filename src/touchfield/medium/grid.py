@@ -50,7 +50,7 @@ class Grid:
         except (TypeError, ValueError, OverflowError):
             found = f"{self.shape!r}, {self.spacing_m!r}, {self.origin_m!r}"
             raise InvalidArgument("grid", found, "three numbers each: samples, spacing_m, origin_m") from None
-        if len(shape) != 3 or any(not 1 <= n <= MAX_SAMPLES_PER_AXIS for n in shape):
+        if len(shape) != 3 or any(not 1 <= n <= MAX_SAMPLES_PER_AXIS for n in shape) or shape != tuple(self.shape):
             raise InvalidArgument("grid shape", repr(self.shape), f"three counts from 1 to {MAX_SAMPLES_PER_AXIS}")
         if len(spacing) != 3 or any(not (h > 0 and math.isfinite(h)) for h in spacing):
             raise InvalidArgument("grid spacing_m", repr(self.spacing_m), "three positive lengths in metres")

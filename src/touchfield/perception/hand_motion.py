@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_between
 from touchfield.perception.human import THIRDS_HZ, VibrationThreshold, vibration_threshold
 
 if TYPE_CHECKING:
@@ -213,12 +213,9 @@ class SlideSpec:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.paths <= 1024:
-            raise InvalidArgument("paths", repr(self.paths), "1 to 1024")
-        if not LEAST_S <= self.duration_s <= 60:
-            raise InvalidArgument("duration_s", repr(self.duration_s), f"{LEAST_S:g} to 60 s")
-        if not 1000 <= self.rate_hz <= 1e5:
-            raise InvalidArgument("rate_hz", repr(self.rate_hz), "1000 to 100000 Hz")
+        require_between(1, 1024, paths=self.paths)
+        require_between(LEAST_S, 60, duration_s=self.duration_s)
+        require_between(1000, 1e5, rate_hz=self.rate_hz)
 
 
 class Slide(NamedTuple):

@@ -19,14 +19,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Real
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_not_negative, require_one_of, require_positive
 from touchfield.medium.field import blocks_around
 from touchfield.medium.grid import BRICK
 from touchfield.perception.human import figure, human
@@ -52,19 +51,13 @@ class Violations(NamedTuple):
     worst_ratio: float | None
 
 
-def _check(k: float, f0_n: float) -> None:
-    for name, value, expected in (("k", k, "a Weber fraction"), ("f0_n", f0_n, "an absolute threshold in newtons")):
-        if not 0 <= value < math.inf:
-            raise InvalidArgument(name, repr(value), f"{expected}, 0 or more")
-
-
 def mask_n(amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0, *, masking_n: ArrayLike = 0.0) -> Float64s:
     """The mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
 
     masking_n : float [...], optional; what stimuli at other sites hide here, newtons.
     Raises `InvalidArgument` if `k` or `f0_n` (newtons) is negative or not finite.
     """
-    _check(k, f0_n)
+    require_not_negative(k=k, f0_n=f0_n)
     own: Any = k * np.abs(np.asarray(amplitudes_n, np.float64))
     mask: Float64s = np.maximum(f0_n, own + np.asarray(masking_n, np.float64))
     return mask
@@ -79,7 +72,7 @@ def violations(
     k, f0_n, masking_n; as of `mask_n`; a masking for each sample.
     Raises `InvalidArgument` if the shapes differ, a force is not finite, or `k` or `f0_n` is out of range.
     """
-    _check(k, f0_n)
+    require_not_negative(k=k, f0_n=f0_n)
     if original_n.shape != decoded_n.shape or original_n.ndim != 2 or original_n.shape[1] != 3:
         raise InvalidArgument("forces to compare", f"{original_n.shape} and {decoded_n.shape}", "twice [L, 3]")
     hidden = np.broadcast_to(np.asarray(masking_n, np.float64), len(original_n))
@@ -106,8 +99,7 @@ def site_radius_m(site: str) -> float:
     """Two-point threshold of a body site, metres; InvalidArgument if there is no such site."""
     thresholds = human()["two_point_threshold_mm"]
     radii_mm = dict(zip(thresholds.of, thresholds.values, strict=True))
-    if site not in radii_mm:
-        raise InvalidArgument("body site", repr(site), f"one of {', '.join(radii_mm)}")
+    require_one_of("body site", site, radii_mm)
     return radii_mm[site] / 1000
 
 
@@ -125,14 +117,8 @@ class SpatialMasking:
     radius_m: float = field(default_factory=lambda: figure("two_point_threshold_mm") / 1000)
 
     def __post_init__(self) -> None:
-        for name in ("k", "f0_n", "beta", "radius_m"):
-            if not isinstance(getattr(self, name), Real):
-                raise InvalidArgument(name, repr(getattr(self, name)), "a number")
-        mask_n(0.0, self.k, self.f0_n)  # checks both
-        if not 0 <= self.beta < math.inf:
-            raise InvalidArgument("beta", repr(self.beta), "a finite share, 0 or more")
-        if not 0 < self.radius_m < math.inf:
-            raise InvalidArgument("radius_m", repr(self.radius_m), "a positive length in metres")
+        require_not_negative(k=self.k, f0_n=self.f0_n, beta=self.beta)
+        require_positive(radius_m=self.radius_m)
 
     def hidden_n(self, field: ForceField) -> Float32s:
         """Beta times the mean of |F| around, at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]."""

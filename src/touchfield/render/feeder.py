@@ -22,7 +22,7 @@ from touchfield.errors import TouchfieldError
 from touchfield.medium import HapticScene
 from touchfield.render.block import Layout, Memory, Ring, check_fits, too_little
 from touchfield.render.block import words as W
-from touchfield.render.block.frames import VIBRATION, FieldName, FrameParts, field_words, write_fields
+from touchfield.render.block.frames import VIBRATION, FieldName, FrameParts, field_words, require_medium, write_fields
 from touchfield.render.segment_blend import with_blends
 from touchfield.render.spec import Wall, stated_n_per_m, stiffest_n_per_m, wall_of
 
@@ -284,6 +284,7 @@ class FrameSource(FrameParts):
     def __init__(
         self, medium: HapticMedium | HapticScene, is_blended: bool = True, deformation: Deformation | None = None
     ) -> None:
+        require_medium(medium)
         self.axes = medium.axes
         self.friction, self.damping_n_s_per_m = medium.friction, medium.damping_n_s_per_m
         self.starts = _starts(medium)

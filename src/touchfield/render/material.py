@@ -27,6 +27,7 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on
 from touchfield.files import plain_size, readable
 from touchfield.medium.atomic import atomic_path
+from touchfield.medium.field import numbers_of
 from touchfield.perception.vibrotactile import BANDS_HZ
 from touchfield.render.block import words as W
 
@@ -88,11 +89,7 @@ class Material:
     @property
     def levels_n(self) -> Float64s:
         """The table, newtons rms, float64 [speeds, forces, 16]; [0] where there is none."""
-        try:
-            return np.array(self.texture_rms_n, np.float64)
-        except (TypeError, ValueError):
-            found = f"material {self.name!r} texture_rms_n", "rows of several lengths, or no numbers"
-            raise InvalidArgument(*found, "[speeds, forces, 16]") from None
+        return numbers_of(f"material {self.name!r} texture_rms_n", self.texture_rms_n)
 
 
 def materials_json(materials: Iterable[Material]) -> str:

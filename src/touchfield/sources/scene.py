@@ -97,6 +97,7 @@ class Scene(ABC):
     rate_hz : float; Frames a second (any positive number for one frame).
     axes : str; One of `CAMERA_AXES`, `UP_Y_AXES`, `UP_Z_AXES`, or any other wording.
     notes : tuple of str; What the user should be told about how the source was read.
+    has_law : bool; Whether a force law makes the forces; False where they are the source's own.
     is_solid : bool; Whether everything behind the surface is solid unless a thickness is asked for.
     finest_m : (float, float, float) or None; Between samples closer than this the scene has nothing to tell; None
         for a continuous one.
@@ -114,6 +115,7 @@ class Scene(ABC):
     rate_hz: float = 30.0
     axes: str = UP_Y_AXES
     notes: tuple[str, ...] = ()
+    has_law: bool = True
     is_solid: bool = False
     finest_m: tuple[float, float, float] | None = None
     box_wording: str = "the surface"

@@ -28,6 +28,8 @@ class StoredScene(Scene):
     ``to_the_bit()`` gives the same medium with bricks of nothing but -0.0, which are no forces; by default `medium`.
     """
 
+    has_law = False
+
     def __init__(self, medium: HapticMedium, to_the_bit: Callable[[], HapticMedium] | None = None) -> None:
         self.medium, self.to_the_bit = medium, to_the_bit or (lambda: medium)
         self.frame_count, self.rate_hz = medium.frame_count, medium.rate_hz
