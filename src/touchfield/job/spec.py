@@ -12,6 +12,7 @@ from touchfield.codec.registry import field_coders
 from touchfield.codec.segment import longest_segment, segment_length
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.files import json_of
 from touchfield.filters.contact import VibrationRule
 from touchfield.filters.device_filter import DeviceFilterSpec
 from touchfield.filters.registry import FieldFilter, filter_of
@@ -150,7 +151,7 @@ class EncodeSpec:
         CorruptFile if the provenance cannot be understood.
         """
         try:
-            values = json.loads(text)
+            values = json_of(text)
             values["source"] = SourceOptions(**{**values["source"], "allow_outside": False})
             values[values["coder"]] = type(_usual(values["coder"]))(**values[values["coder"]])
             if values["thickness_m"] is not None:
@@ -160,5 +161,5 @@ class EncodeSpec:
                     values[name] = tuple(values[name])
             values["filters"] = tuple((str(name), str(words)) for name, words in values.get("filters", ()))
             return cls(**values)
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
             raise CorruptFile("PROV spec", f"a spec that cannot be read ({error})", "what encode wrote") from None

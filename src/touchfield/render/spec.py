@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -14,6 +13,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.files import json_of
 from touchfield.render.block import words as W
 from touchfield.render.point_device import UPS, axes_matrix, axes_notes
 from touchfield.render.tool import Tool
@@ -330,7 +330,7 @@ def wall_of(field: ForceField) -> Wall | None:
 def stated_n_per_m(provenance: Mapping[str, str]) -> float | None:
     """The stiffness that a medium's provenance states for its walls; None where it states none that could be."""
     try:
-        spec = json.loads(provenance.get("spec", "{}"))
+        spec = json_of(provenance.get("spec", "{}"))
         stated = float(spec["stiffness_n_per_m"]) if spec["law"] == "penalty" else math.nan
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
