@@ -17,6 +17,8 @@ from player_makers import OMNI, Absent, Failing, Hung, Noted, Simulated, Still, 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.medium import ForceField
 from touchfield.render.block import FLAGS, PREFIX, shared_folder
+from touchfield.render.block import words as W
+from touchfield.render.feeder import FrameSource
 from touchfield.render.player import Player
 from touchfield.render.servo import zero_afresh
 
@@ -97,7 +99,10 @@ def slow(frame: int) -> ForceField:
 
 
 def test_a_stream_that_is_too_slow_is_told_while_it_plays_and_keeps_time() -> None:
-    with Player(replace(telling(60), make_frame=slow), OMNI, Still) as player:
+    medium = replace(telling(60), make_frame=slow)
+    frame_bytes = W.WORD * FrameSource(medium).prepare(0).words
+    # room for some frames, so that not all are there where the device takes long to be opened
+    with Player(medium, OMNI, Still, memory_bytes=6 * frame_bytes) as player:
         player.play()
         assert player.wait(60)
         assert any("left out" in note for note in player.notes)

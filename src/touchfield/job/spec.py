@@ -11,6 +11,7 @@ from touchfield.codec.registry import field_coders
 from touchfield.codec.segment import longest_segment, segment_length
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument, require_not_negative
+from touchfield.files import json_of
 from touchfield.filters.contact import VibrationRule
 from touchfield.filters.device_filter import DeviceFilterSpec
 from touchfield.filters.registry import FieldFilter, filter_of
@@ -155,7 +156,7 @@ class EncodeSpec:
         CorruptFile if the provenance cannot be understood.
         """
         try:
-            values = json.loads(text)
+            values = json_of(text)
             values["source"] = SourceOptions(**{**values["source"], "allow_outside": False})
             values[values["coder"]] = type(_usual(values["coder"]))(**values[values["coder"]])
             if values["thickness_m"] is not None:
@@ -165,5 +166,5 @@ class EncodeSpec:
                     values[name] = tuple(values[name])
             values["filters"] = tuple((str(name), str(words)) for name, words in values.get("filters", ()))
             return cls(**values)
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
             raise CorruptFile("PROV spec", f"a spec that cannot be read ({error})", "what encode wrote") from None

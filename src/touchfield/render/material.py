@@ -25,7 +25,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on
-from touchfield.files import plain_size, readable
+from touchfield.files import json_of, plain_size, readable
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import numbers_of
 from touchfield.perception.vibrotactile import BANDS_HZ
@@ -107,7 +107,7 @@ def materials_json(materials: Iterable[Material]) -> str:
 def _materials_of(text: str, where: str) -> tuple[Material, ...]:
     """The materials of a table; SourceError that names the place if it is none."""
     try:
-        table = json.loads(text)
+        table = json_of(text)
         bands, rows = table["bands_hz"], table["materials"]
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         said = f"what is no table of materials ({error})"

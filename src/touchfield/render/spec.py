@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -22,6 +21,7 @@ from touchfield.errors import (
     require_one_of,
     require_positive,
 )
+from touchfield.files import json_of
 from touchfield.render.block import words as W
 from touchfield.render.point_device import UPS, axes_matrix, axes_notes
 from touchfield.render.tool import Tool
@@ -336,10 +336,10 @@ def stated_n_per_m(provenance: Mapping[str, str]) -> float | None:
 
     A stream that was coded anew has that of its source, one that was edited none.
     """
+    if "edits" in provenance:
+        return None
     try:
-        spec = json.loads(provenance.get("source.spec", provenance.get("spec", "{}")))
-        if "edits" in provenance:
-            return None
+        spec = json_of(provenance.get("source.spec", provenance.get("spec", "{}")))
         stated = float(spec["stiffness_n_per_m"]) if spec["law"] == "penalty" else math.nan
     except (ValueError, KeyError, TypeError, RecursionError):
         return None

@@ -119,7 +119,7 @@ CODER = Coder(
         CoderOption("direction_jnd_deg", float, "mask-direction: greatest angle, degrees. [default: 18.4]"),
         CoderOption("step_n", float, "mode nmse: step of the lattice, newtons. [default: 0.05]"),
         CoderOption("support", str, "movable (where |F| is at most F_0), or exact. [default: movable]"),
-        CoderOption("effort", str, "fast or default: what is tried and checked against time. [default: default]"),
+        CoderOption("effort", str, "default decodes its bytes to check them; fast, 1.5 times as quick, does not."),
         CoderOption("masking", float, "share of the mean force around that is hidden, 0 to 1. [default: 0]"),
         CoderOption("body_site", str, "masking: where it is felt: finger, palm, belly, forearm. [default: finger]"),
         CoderOption("lossless_quantised", bool, "keep a field that is quantised already exactly."),
