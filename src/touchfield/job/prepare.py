@@ -23,7 +23,7 @@ from touchfield.medium.grid import Placement
 from touchfield.perception.hand_motion import Forces
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
-from touchfield.sources.options import SourceOptions
+from touchfield.sources.options import SourceOptions, WatchedOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
 from touchfield.sources.stored import StoredScene
@@ -158,18 +158,24 @@ class Prepared:
 
 
 def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
-    """A path, ``sample:NAME`` or a scene, as a scene."""
+    """A path, ``sample:NAME`` or a scene, as a scene; options that do nothing for what it is are told in a note."""
     if isinstance(source, Scene):
         return source
     if not isinstance(source, str | Path):
         raise InvalidArgument("source", f"a {type(source).__name__}", "a path, sample:NAME or a scene")
     if is_stream(source):
         return StreamScene(source)
+    watched: Any = WatchedOptions(options)
     if str(source).startswith("sample:"):
         from touchfield.sources.samples import sample
 
-        return sample(str(source).removeprefix("sample:"), options)
-    return open_source(source, options)
+        scene: Scene = sample(str(source).removeprefix("sample:"), watched)
+    else:
+        scene = open_source(source, watched)
+    unread = ", ".join("--" + name.replace("_", "-") for name in watched.unread())
+    if unread:
+        scene.notes = (*scene.notes, f"Options that do nothing for this source: {unread}.")
+    return scene
 
 
 def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
