@@ -443,7 +443,7 @@ def _recognise(path: Path) -> bool:
     try:
         with opened(path) as picture:  # reads the head only
             return picture.mode in _GREY_MODES
-    except SourceError:
+    except (SourceError, OSError):
         return suffix in PICTURES[1:]  # this reader tells of the form of a TIFF that is not read
 
 
