@@ -424,6 +424,12 @@ def test_damaged_files_give_a_scene_or_a_source_error(
     assert outcome == "(2, 3)" or path.name in outcome
 
 
+def test_an_array_of_no_numbers_is_told_as_such(tmp_path: Path) -> None:
+    np.save(tmp_path / "map.npy", np.zeros((4, 5), bool))
+    with pytest.raises(SourceError, match=r"found bool \[4, 5\]; expected numbers"):
+        KIND.open(tmp_path / "map.npy", SourceOptions())
+
+
 def test_what_is_not_taken_for_a_height_map(tmp_path: Path) -> None:
     np.savez(tmp_path / "field.npz", forces_n=np.zeros((1, 2, 2, 2, 3)), z=MAP)
     Image.fromarray(MAP.astype(np.uint16)).save(tmp_path / "depth_0001.png")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import socket
+import struct
 import threading
 import time
+import zlib
 from contextlib import suppress
 
 import numpy as np
@@ -104,6 +106,17 @@ def test_whatever_comes_nothing_is_raised(coming: list[bytes | int]) -> None:
     gathering = Gathering()
     out = [m for one in coming for m in gathering.receive(one if isinstance(one, bytes) else own[one % len(own)])]
     assert all(m in MESSAGES for m in out)
+
+
+def test_a_forged_number_of_a_block_or_size_of_a_symbol_is_refused() -> None:
+    """RaptorQ's decoder would end the thread that receives."""
+    head = struct.Struct("<2sIIIHI")
+    for block, symbol in ((1, 128), (255, 1152), (0, 8)):
+        forged = bytes([block, 0, 0, 0]) + bytes(symbol)
+        told = (b"TF", 7, 0, 4096, symbol)
+        crc = zlib.crc32(forged, zlib.crc32(head.pack(*told, 0)))
+        gathering = Gathering()
+        assert gathering.receive(head.pack(*told, crc) + forged) == [] and gathering.refused == 1
 
 
 @pytest.mark.parametrize("repair", [-0.1, 4.1, float("nan")])

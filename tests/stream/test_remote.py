@@ -200,6 +200,19 @@ def _drip(link: socket.socket) -> None:
         threading.Event().wait(0.05)
 
 
+def _drip_head(link: socket.socket) -> None:
+    link.sendall(b"HTTP/1.1 206 x\r\n")
+    for _ in range(100):
+        link.sendall(b"x")
+        threading.Event().wait(0.05)
+
+
+def _go_on(link: socket.socket) -> None:
+    for _ in range(100):
+        link.sendall(b"HTTP/1.1 100 Continue\r\n\r\n")
+        threading.Event().wait(0.05)
+
+
 def _flood(link: socket.socket) -> None:
     link.sendall(b"HTTP/1.1 206 x\r\nContent-Range: bytes 0-4095/100000\r\n\r\n")
     for _ in range(10_000):
@@ -226,6 +239,8 @@ OPENING = b"\x89TOUCH\r\n\x1a\n\x01\x00\x00\x00"
         ((partial(OPENING + bytes(4082), 0, 20000)[:900],), "timed out|Incomplete|expected"),
         ((lambda link: None,), "closed"),
         ((_drip,), "hardly more"),
+        ((_drip_head,), "hardly more"),
+        ((_go_on,), "hardly more"),
         ((_flood,), "bytes 0 to 4095|HEAD"),
     ],
     ids=lambda value: value[:20] if isinstance(value, str) else "x",

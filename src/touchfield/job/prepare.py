@@ -111,7 +111,8 @@ class Prepared:
     `medium` is made of them. ``exact(points_m [n, 3]) -> newtons [n, 3]`` is the field that the lattice samples,
     where it has a formula and no haptic filter changes it; `source` what the frames are made of: it tells how far it
     is, and what was learnt once they are made; `reference` what a promise of the coder is held against, `OWN_FORCES`
-    of `touchfield.job.spec` where nothing changed these, else `FILTERED`.
+    of `touchfield.job.spec` where nothing changed these, else `FILTERED`; `has_law`
+    tells whether the force law of the spec made the forces, or the source had its own.
     """
 
     medium: HapticMedium
@@ -123,6 +124,7 @@ class Prepared:
     exact: Forces | None = None
     source: Scene | None = None
     reference: str = FILTERED
+    has_law: bool = True
 
     def __repr__(self) -> str:
         return f"<Prepared: {self.medium!r} for {self.device.name}>"
@@ -216,14 +218,15 @@ def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
         stop = len(medium) if stop is None else stop
         medium, objects = medium.between(start, stop), objects and objects.between(start, stop)
     if objects is not None:
-        return Prepared(medium, chosen, placement, spec, notes, objects)
+        return Prepared(medium, chosen, placement, spec, notes, objects, has_law=scene.has_law)
     exact, stored, reference = None, stored_medium(origin), FILTERED
     if mapping and isinstance(origin, AnalyticScene) and not (spec.chain or chosen.is_array):
         exact = exact_forces(origin, mapping.placement, mapping.profile, chosen.force_max_n)
     if stored is not None and not spec.chain:
         is_own = mapping is None or same_lattice(mapping.placement.to_scene(mapping.grid), stored.grid)
         reference = OWN_FORCES if is_own else FILTERED
-    return Prepared(medium, chosen, placement, spec, notes, None, exact, origin if mapping else None, reference)
+    made_of = origin if mapping else None
+    return Prepared(medium, chosen, placement, spec, notes, None, exact, made_of, reference, scene.has_law)
 
 
 def _objects(scene: Scene, chosen: Device, mapping: Mapping | None, spec: EncodeSpec) -> HapticScene | None:

@@ -151,6 +151,7 @@ class ContactScene(Scene):
 
     axes = UP_Z_AXES
     box_wording = "the trace"
+    has_law = False
 
     def __init__(self, trace: ContactTrace, where: str = "trace") -> None:
         require_contacts(trace, where)

@@ -178,7 +178,7 @@ def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: Fo
 
 def force_bricks(query: Query, grid: Grid) -> Int32s:
     """Bricks of `grid` with at least one force, int32 [n, 3], ascending."""
-    candidates = bricks_that(lambda cubes, size: kernels.may_hold_force(cubes, size, query), grid)
+    candidates = bricks_that(lambda blocks, size: kernels.may_hold_force(blocks, size, query), grid)
     return candidates[kernels.holds_force(candidates, query)]
 
 

@@ -34,7 +34,7 @@ _LARGEST: Final = 1 << 53  # beyond this a JSON number need not be a whole one a
 _LISTS: Final = ("accessors", "animations", "bufferViews", "buffers", "meshes", "nodes", "scenes", "skins")
 _COMPONENTS: Final = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
+HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
 """Extensions that do not change where the triangles are, or that are understood."""
 
 
@@ -150,8 +150,7 @@ def _shown(value: Any) -> str:
 class Document:
     """A glTF document, its buffers and its accessors, each read once.
 
-    `root` is the JSON object of the whole; `size_bytes` the length of the file and of those that it names, once read;
-    `notes` tell of extensions that are not read.
+    `root` is the JSON object of the whole; `size_bytes` the length of the file and of those that it names, once read.
 
     Raises `SourceError` if the file cannot be read, is no glTF 2, or requires an extension that is not understood.
     """
@@ -160,7 +159,6 @@ class Document:
         self._path = path
         members, self._chunk = contents(path)
         self.root = Element(str(path), members, self)
-        self._elements = {key: self.root.children(key) for key in _LISTS}
         self._buffers: dict[int, memoryview] = {}
         self._files: dict[Path, bytes] = {}
         self._arrays: dict[tuple[int, bool], Any] = {}
@@ -170,15 +168,11 @@ class Document:
         version = asset.text("version") if asset else None
         if version is not None and not version.startswith("2."):
             raise self.root.fault(f"glTF version {version[:20]!r}", "version 2", "Convert it to glTF 2.0.")
-        for name in self._unread("extensionsRequired"):
-            found = f"the required extension {name!r}"
-            raise self.root.fault(found, "a mesh without it", "Export it without extensions.")
-        unread = self._unread("extensionsUsed")
-        self.notes = (f"Extensions that are not read: {', '.join(unread[:6])}.",) if unread else ()
-
-    def _unread(self, key: str) -> list[str]:
-        """Names of the extensions in a list that may change where the triangles are."""
-        return [name[:60] for name in map(str, self.root.list_of(key)) if not name.startswith(_HARMLESS)]
+        for name in map(str, self.root.list_of("extensionsRequired")):
+            if not name.startswith(HARMLESS):
+                found = f"the required extension {name[:60]!r}"
+                raise self.root.fault(found, "a mesh without it", "Export it without extensions.")
+        self._elements = {key: self.root.children(key) for key in _LISTS}
 
     def all(self, key: str) -> list[Element]:
         """The objects of a top-level list: accessors, nodes, ..."""
@@ -300,14 +294,19 @@ def _component(element: Element) -> np.dtype[Any]:
     return np.dtype(_COMPONENTS[code])
 
 
-def contents(path: Path, *, has_chunk: bool = True) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where none is there or asked for."""
+def contents(path: Path, has_binary: bool = True) -> tuple[dict[str, Any], bytes]:
+    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none.
+
+    Without `has_binary` no more of a GLB is read than its JSON.
+    """
     require_plain(path, "one glTF file")
-    wanted, chunks = {_JSON, _BIN} if has_chunk else {_JSON}, dict[int, bytes]()
+    wanted, chunks = {_JSON, _BIN} if has_binary else {_JSON}, dict[int, bytes]()
     with readable(path), path.open("rb") as file:
-        head, size = file.read(12), os.fstat(file.fileno()).st_size
-        if head.startswith(b"glTF"):
-            version, length = struct.unpack_from("<II", head, 4) if len(head) == 12 else (2, size + 1)
+        size, text = os.fstat(file.fileno()).st_size, file.read(12)
+        if not text.startswith(b"glTF"):
+            text += file.read()
+        else:
+            version, length = struct.unpack_from("<II", text, 4) if size >= 12 else (2, size + 1)
             if version != 2:
                 raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
             if length > size:
@@ -323,10 +322,9 @@ def contents(path: Path, *, has_chunk: bool = True) -> tuple[dict[str, Any], byt
                     file.seek(length, os.SEEK_CUR)
             if _JSON not in chunks:
                 raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
-        else:
-            chunks[_JSON] = head + file.read()
+            text = chunks[_JSON]
     try:
-        members = json.loads(chunks[_JSON])
+        members = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), "text that is not JSON", "a glTF document", "Export it again.") from error
     if not isinstance(members, dict):

@@ -431,17 +431,16 @@ def _recognise(path: Path) -> bool:
     names = f"{path.parent.name}/{path.name}".lower()
     if not path.is_file() or any(word in names for word in ("depth", "disp")):
         return False
+    if suffix == ".npz":
+        archive = NpzArchive(path)
+        is_height = any(n in HEIGHT_KEYS or len(archive.header(n).shape) == 2 for n in archive.names)
+        return is_height and "forces_n" not in archive.names
+    if suffix == ".npy":
+        with path.open("rb") as stream:
+            return len(read_npy_header(stream, str(path)).shape) == 2
+    if suffix not in PICTURES:
+        return False
     try:
-        if suffix == ".npz":
-            archive = NpzArchive(path)
-            if "forces_n" in archive.names:
-                return False
-            return any(n in HEIGHT_KEYS or len(archive.header(n).shape) == 2 for n in archive.names)
-        if suffix == ".npy":
-            with path.open("rb") as stream:
-                return len(read_npy_header(stream, str(path)).shape) == 2
-        if suffix not in PICTURES:
-            return False
         with opened(path) as picture:  # reads the head only
             return picture.mode in _GREY_MODES
     except (SourceError, OSError):

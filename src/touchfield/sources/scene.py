@@ -6,7 +6,6 @@ filter asks it for the fields of the lattice that it needs (design: "keep the ge
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid, PoseTrack
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, frozen
+from touchfield.medium.grid import CORNERS
 from touchfield.parallel import for_chunks
 from touchfield.sources.laws import ForceProfile
 
@@ -30,39 +30,36 @@ UP_Z_AXES: Final = "x east, y north, z up"
 DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
 """The option that says the unit of depth, and usual sizes of its scenes, metres (`Scene.unit`)."""
 
+LOCAL: Final = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
 _BRICKS_AT_ONCE: Final = 64
-_CUBES_AT_ONCE: Final = 6000  # cubes of bricks tested in the first round
 
 
 def bricks_that(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -> Int32s:
-    """Bricks that may hold a force, int32 [n, 3] ascending: cubes of bricks, halved where one may.
+    """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may.
 
-    So the work and the memory follow what pushes and not the grid. ``may_hold(cubes, size)``, bool [n]: whether there
-    may be a force in cubes of size x size x size bricks, int32 [n, 3] in units of their side.
+    ``may_hold(blocks, size)``, bool [n]: whether there may be a force in blocks, int32 [n, 3] in units of their
+    `size`, bricks along each axis.
     """
-    size, counts = 1, grid.brick_shape
-    while math.prod(counts) > _CUBES_AT_ONCE:
-        size *= 2
-        counts = tuple(-(-n // size) for n in grid.brick_shape)  # type: ignore[assignment]
-    octants, cubes = (np.indices(shape, np.int32).reshape(3, -1).T.copy() for shape in ((2, 2, 2), counts))
+    size = 1 << max(grid.brick_shape).bit_length()
+    blocks = np.zeros((1, 3), np.int32)
     while True:
-        cubes = cubes[may_hold(cubes, size)]
+        blocks = blocks[may_hold(blocks, size)]
         if size == 1:
-            return cubes[np.argsort(brick_keys(grid, cubes))]
+            return blocks[np.argsort(brick_keys(grid, blocks))]
         size //= 2
-        cubes = (cubes[:, None] * 2 + octants).reshape(-1, 3)
-        cubes = cubes[(cubes * size < grid.brick_shape).all(axis=1)]
+        blocks = (blocks[:, None] * 2 + CORNERS).reshape(-1, 3)
+        blocks = blocks[(blocks * size < grid.brick_shape).all(axis=1)]
 
 
 def bricks_near(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int32s:
-    """The same by spheres: ``may_hold(centres, radius_m)``, whether there may be a force so near to points [n, 3]."""
+    """The same; ``may_hold(centres, radius_m)`` tells of a force so near to points, float64 [n, 3]."""
 
-    def may_hold_cubes(cubes: Int32s, size: int) -> Bools:
+    def in_blocks(blocks: Int32s, size: int) -> Bools:
         half = (size * BRICK - 1) / 2
         radius_m = float(np.linalg.norm(np.asarray(grid.spacing_m) * half))
-        return may_hold(grid.to_m(cubes * float(size * BRICK) + half), radius_m)
+        return may_hold(grid.to_m(blocks.astype(np.int64) * (size * BRICK) + half), radius_m)
 
-    return bricks_that(may_hold_cubes, grid)
+    return bricks_that(in_blocks, grid)
 
 
 def field_of_points(
@@ -72,13 +69,12 @@ def field_of_points(
 
     Outside the bricks there is no force; those that hold none are left out.
     """
-    local = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
     forces = zero_forces(len(bricks))
 
     def fill(begin: int, end: int) -> None:
         for first in range(begin, end, _BRICKS_AT_ONCE):
             some = slice(first, min(first + _BRICKS_AT_ONCE, end))
-            index = bricks[some, None, None, None] * BRICK + local
+            index = bricks[some, None, None, None] * BRICK + LOCAL
             values = forces_n(grid.to_m(index).reshape(-1, 3)).reshape(index.shape)
             values[(index >= grid.shape).any(axis=-1)] = 0
             forces[some] = values
@@ -101,6 +97,7 @@ class Scene(ABC):
     rate_hz : float; Frames a second (any positive number for one frame).
     axes : str; One of `CAMERA_AXES`, `UP_Y_AXES`, `UP_Z_AXES`, or any other wording.
     notes : tuple of str; What the user should be told about how the source was read.
+    has_law : bool; Whether a force law makes the forces; False where they are the source's own.
     is_solid : bool; Whether everything behind the surface is solid unless a thickness is asked for.
     finest_m : (float, float, float) or None; Between samples closer than this the scene has nothing to tell; None
         for a continuous one.
@@ -118,6 +115,7 @@ class Scene(ABC):
     rate_hz: float = 30.0
     axes: str = UP_Y_AXES
     notes: tuple[str, ...] = ()
+    has_law: bool = True
     is_solid: bool = False
     finest_m: tuple[float, float, float] | None = None
     box_wording: str = "the surface"

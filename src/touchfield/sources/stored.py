@@ -13,7 +13,7 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.errors import SourceError
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.field import bricks_met
+from touchfield.medium.field import bricks_reached
 from touchfield.medium.npz import NpzArchive, read_npz
 from touchfield.medium.zarr_store import read_zarr
 from touchfield.sources.laws import ForceProfile
@@ -27,6 +27,8 @@ class StoredScene(Scene):
 
     ``to_the_bit()`` gives the same medium with bricks of nothing but -0.0, which are no forces; by default `medium`.
     """
+
+    has_law = False
 
     def __init__(self, medium: HapticMedium, to_the_bit: Callable[[], HapticMedium] | None = None) -> None:
         self.medium, self.to_the_bit = medium, to_the_bit or (lambda: medium)
@@ -44,16 +46,13 @@ class StoredScene(Scene):
         stored = self.medium[frame]
         if grid == stored.grid:
             return stored
-        return field_of_points(grid, bricks_met(stored, grid), stored.sample_n)
+        return field_of_points(grid, bricks_reached(stored, grid), stored.sample_n)
 
 
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() == ".zarr":
         return path.is_dir()
-    try:
-        return path.suffix.lower() == ".npz" and "forces_n" in NpzArchive(path).names
-    except SourceError:
-        return False
+    return path.suffix.lower() == ".npz" and "forces_n" in NpzArchive(path).names
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:

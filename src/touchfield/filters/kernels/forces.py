@@ -294,13 +294,3 @@ def friction(fx, fy, fz, vx, vy, vz, mu, slip_speed):
     if size < _LEAST_N:
         return 0.0, 0.0, 0.0
     return -tx / slip * size, -ty / slip * size, -tz / slip * size
-
-
-@njit(cache=True, nogil=True)
-def frictions(forces, velocities, mu, slip_speed, out):
-    """`friction` of many contacts, float64 [m, 3] of float64 [m, 3] twice."""
-    for i in range(forces.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2] = friction(
-            forces[i, 0], forces[i, 1], forces[i, 2],
-            velocities[i, 0], velocities[i, 1], velocities[i, 2], mu, slip_speed,
-        )  # fmt: skip

@@ -26,6 +26,18 @@ def first_at_least(keys, key):
     return low
 
 
+@entry
+def reached(spans, brick_shape, out):
+    """Into `out` the keys of the bricks of each box, `spans` int64 [n, 3, 2] being their begins and ends."""
+    count = 0
+    for n in range(spans.shape[0]):
+        for i in range(spans[n, 0, 0], spans[n, 0, 1]):
+            for j in range(spans[n, 1, 0], spans[n, 1, 1]):
+                for k in range(spans[n, 2, 0], spans[n, 2, 1]):
+                    out[count] = (i * brick_shape[1] + j) * brick_shape[2] + k
+                    count += 1
+
+
 @njit(cache=True, nogil=True)
 def _raster_slots(bricks, mask, out):
     n = bricks.shape[0]
@@ -60,18 +72,6 @@ def raster_slots(bricks: Int32s, mask: Bools) -> Int64s:
     out = np.empty(int(np.count_nonzero(mask)), np.int64)
     _raster_slots(bricks, mask, out)
     return out
-
-
-@entry
-def reached(spans, brick_shape, out):
-    """Into `out` the keys of the bricks of each box, `spans` int64 [n, 3, 2] being their begins and ends."""
-    count = 0
-    for n in range(spans.shape[0]):
-        for i in range(spans[n, 0, 0], spans[n, 0, 1]):
-            for j in range(spans[n, 1, 0], spans[n, 1, 1]):
-                for k in range(spans[n, 2, 0], spans[n, 2, 1]):
-                    out[count] = (i * brick_shape[1] + j) * brick_shape[2] + k
-                    count += 1
 
 
 @njit(cache=True, nogil=True)

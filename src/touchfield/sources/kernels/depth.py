@@ -13,6 +13,7 @@ from numba import njit
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s
 from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
+from touchfield.medium.grid import CORNERS
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -258,7 +259,7 @@ def _fill(begin, end, nodes, query, out):
 
 def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
     """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of `span`."""
-    corners = (8 * span - 1) * (np.indices((2, 2, 2)).reshape(3, -1).T @ query.lattice_m[1:])
+    corners = (8 * span - 1) * (CORNERS @ query.lattice_m[1:])
     ends = [np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())]
     view = nodes, span, np.vstack([corners, *ends]), query
     if uses_gpu():
