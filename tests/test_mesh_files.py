@@ -11,9 +11,11 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from gltf_makers import glb
 from mesh_makers import cube, distance_to, measured, winding
 from touchfield.errors import SourceError
 from touchfield.medium import Grid
+from touchfield.sources.gltf_document import contents
 from touchfield.sources.mesh import KIND, read_triangles
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import joined
@@ -175,6 +177,32 @@ def test_vertices_at_one_place_become_one() -> None:
     points, triangles = joined(loose, loose_faces)
     assert len(points) == 8 and MeshScene(points, triangles).is_closed
     np.testing.assert_array_equal(points[triangles], loose[loose_faces])
+
+
+def test_what_of_a_text_is_cut_off_is_told_and_never_left_out(tmp_path: Path) -> None:
+    box = trimesh.creation.box((1, 1, 1))
+    text = trimesh.exchange.stl.export_stl_ascii(box)
+    two = f"{text}\n{text}".encode()  # solids: of the one that is cut nothing is read
+    ply = trimesh.exchange.ply.export_ply(box, encoding="ascii")
+    for name, data, words in (
+        ("two.stl", two[: two.rfind(b"vertex")], "12 triangles where the file tells of 23 faces"),
+        ("cut.ply", ply[:-25], "triangles where the file tells of 12 faces"),
+    ):
+        path = tmp_path / name
+        path.write_bytes(data)
+        with pytest.raises(SourceError, match=words):
+            read_triangles(path)
+
+
+def test_of_several_scenes_of_a_gltf_one_is_read_and_told(tmp_path: Path) -> None:
+    path = tmp_path / "two.glb"
+    trimesh.Scene(trimesh.creation.box((1, 1, 1))).export(path)
+    members, chunk = contents(path)
+    path.write_bytes(glb(json.dumps(members).encode(), chunk))
+    assert "scenes" not in " ".join(read_triangles(path)[2])
+    members["scenes"].append({"nodes": [0]})
+    path.write_bytes(glb(json.dumps(members).encode(), chunk))
+    assert "Of 2 scenes in the file number 0 is read." in read_triangles(path)[2]
 
 
 @pytest.mark.shared

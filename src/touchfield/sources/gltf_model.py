@@ -300,7 +300,7 @@ class _Piece:
 class Model:
     """The triangles of the scene of a glTF document: `triangles` int64 [m, 3], vertex numbers over all pieces.
 
-    `notes` name the extensions that are not read.
+    `notes` name the extensions that are not read, and tell of other scenes.
 
     Raises `SourceError` if the document is at fault, or holds no triangle.
     """
@@ -351,6 +351,9 @@ class Model:
         used = [str(name)[:60] for name in document.root.list_of("extensionsUsed")]
         unread = [name for name in used if not name.startswith((*HARMLESS, *_COMPRESSIONS))]
         self.notes = (f"Not read, and left out: {', '.join(map(repr, unread[:_MOST_TOLD]))}",) if unread else ()
+        if len(document.all("scenes")) > 1:
+            number = document.root.index("scene", "scenes") or 0
+            self.notes += (f"Of {len(document.all('scenes'))} scenes in the file number {number} is read.",)
 
     @property
     def is_animated(self) -> bool:

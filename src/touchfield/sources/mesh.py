@@ -51,12 +51,26 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
             meshes = [one for one in loaded.geometry.values() if isinstance(one, trimesh.Trimesh) and len(one.faces)]
             arrays = [one.vertices for one in meshes], [one.faces for one in meshes]
             corners, faces = trimesh.util.append_faces(*arrays) if meshes else arrays
+            declared = _declared(path)
     except Exception as error:  # trimesh raises what its loaders and numpy happen to raise on damaged files
         found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
         raise SourceError(str(path), found, "a whole mesh file", "Export it again, as triangles.") from error
+    if len(faces) < declared:
+        found = f"{len(faces)} triangles where the file tells of {declared} faces"
+        raise SourceError(str(path), found, "a whole mesh file", "Copy it again, or export it again.")
     if not meshes:
         raise SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")
     return *welded(np.asarray(corners, np.float64), np.asarray(faces, np.int64)), ()
+
+
+def _declared(path: Path) -> int:
+    """Faces that an STL in text or a PLY says it has, 0 of others: trimesh leaves out what is cut off."""
+    suffix = path.suffix.lower()
+    data = path.read_bytes() if suffix in (".stl", ".ply") else b""
+    if suffix == ".stl":
+        return 0 if b"\0" in data[80:84] else data.lower().count(b"endloop")
+    match = re.search(rb"^element\s+face\s+(\d{1,18})\s", data.partition(b"end_header")[0], re.MULTILINE)
+    return int(match[1]) if match else 0
 
 
 def _whole(data: bytes) -> bytes:
