@@ -350,10 +350,11 @@ class Model:
         self.triangles = np.concatenate(faces)
         used = [str(name)[:60] for name in document.root.list_of("extensionsUsed")]
         unread = [name for name in used if not name.startswith((*HARMLESS, *_COMPRESSIONS))]
-        self.notes = (f"Not read, and left out: {', '.join(map(repr, unread[:_MOST_TOLD]))}",) if unread else ()
-        if len(document.all("scenes")) > 1:
-            number = document.root.index("scene", "scenes") or 0
-            self.notes += (f"Of {len(document.all('scenes'))} scenes in the file number {number} is read.",)
+        notes = [f"Not read, and left out: {', '.join(map(repr, unread[:_MOST_TOLD]))}"] if unread else []
+        number, count = document.root.index("scene", "scenes") or 0, len(document.all("scenes"))
+        if count > 1:
+            notes.append(f"Of {count} scenes in the file number {number} is read.")
+        self.notes = tuple(notes)
 
     @property
     def is_animated(self) -> bool:
