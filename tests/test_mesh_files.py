@@ -71,6 +71,21 @@ def test_damaged_files_are_one_clear_error(tmp_path: Path, suffix: str) -> None:
         assert "\n" not in str(caught.value) and path.name in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("kind", "what"), [("ply", r"triangles where it tells of 80 faces"), ("off", r"of 80 faces"), ("stl", "endsolid")]
+)
+def test_a_text_that_is_cut_between_lines_is_told(tmp_path: Path, kind: str, what: str) -> None:
+    ball = trimesh.creation.icosphere(1)
+    text = {"encoding": "ascii"} if kind == "ply" else {}
+    whole = ball.export(file_type="stl_ascii" if kind == "stl" else kind, **text)
+    lines = (whole if isinstance(whole, str) else whole.decode()).splitlines(keepends=True)
+    (tmp_path / f"whole.{kind}").write_text("".join(lines))
+    (tmp_path / f"cut.{kind}").write_text("".join(lines[:-20]))
+    assert len(read_triangles(tmp_path / f"whole.{kind}")[1]) == 80
+    with pytest.raises(SourceError, match=what):
+        read_triangles(tmp_path / f"cut.{kind}")
+
+
 L_OUTLINE = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
 
 

@@ -27,6 +27,10 @@ from touchfield.sources.scene import size_note
 _GLTF: Final = (".glb", ".gltf")
 _SUFFIXES: Final = (".obj", ".stl", ".ply", ".off", *_GLTF)
 _RELATIVE: Final = re.compile(rb"^[ \t]*f[ \t].*-", re.MULTILINE)
+_FACES: Final = {  # where a head says how many there are
+    "ply": re.compile(rb"^element\s+face\s+(\d{1,18})\s", re.MULTILINE),
+    "off": re.compile(rb"OFF(?:\s|#[^\n]*\n)*\d+\s+(\d{1,18})\s"),
+}
 
 
 def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
@@ -45,12 +49,15 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
     trimesh: Any = import_module("trimesh")
     try:
         with np.errstate(all="ignore"), path.open("rb") as stream:  # an empty resolver: no other file is read
-            kind, plain = path.suffix[1:].lower(), {"obj": _absolute, "stl": _whole}
-            file = BytesIO(plain[kind](stream.read())) if kind in plain else stream
-            loaded = trimesh.load_scene(file, kind, resolver={}, process=False, skip_materials=True)
+            kind, data = path.suffix[1:].lower(), stream.read()
+            plain = {"obj": _absolute, "stl": _whole}.get(kind, bytes)(data)
+            loaded = trimesh.load_scene(BytesIO(plain), kind, resolver={}, process=False, skip_materials=True)
             meshes = [one for one in loaded.geometry.values() if isinstance(one, trimesh.Trimesh) and len(one.faces)]
             arrays = [one.vertices for one in meshes], [one.faces for one in meshes]
             corners, faces = trimesh.util.append_faces(*arrays) if meshes else arrays
+            told = _FACES[kind].search(data[:4096]) if kind in _FACES else None
+            if told and len(faces) < int(told[1]):  # trimesh leaves out what of a text is cut off
+                raise ValueError(f"{len(faces)} triangles where it tells of {int(told[1])} faces")
     except Exception as error:  # trimesh raises what its loaders and numpy happen to raise on damaged files
         found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
         raise SourceError(str(path), found, "a whole mesh file", "Export it again, as triangles.") from error
@@ -60,9 +67,11 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
 
 
 def _whole(data: bytes) -> bytes:
-    """A binary STL without what stands behind its triangles; ValueError where some of them are not there."""
+    """An STL, a binary one without what stands behind its triangles; ValueError where some of them are not there."""
     count = data[80:84]
     if b"\0" not in count:  # in a text there is no such byte
+        if b"facet" in data and b"endsolid" not in data.lower():
+            raise ValueError("a text without its last line, endsolid")
         return data
     size = 84 + 50 * int.from_bytes(count, "little")
     if len(data) < size:
