@@ -141,6 +141,9 @@ def _bad_inputs(folder: Path) -> dict[str, tuple[list[str], int]]:
         "unknown ending": (["field", str(sphere), str(folder / "field.xyz"), "--nw", "3"], 2),
         "ending of a field": (["encode", str(sphere), str(folder / "field.npz"), "--nw", "3"], 2),
         "unknown sample": (["encode", "sample:moon", out], 2),
+        "a scene is no medium": (["edit", "sample:shapes", out, "--operator", "erase"], 2),
+        "an effect of another ending": (["import", str(sphere), str(folder / "out.npz")], 2),
+        "no recording": (["texture", str(folder / "none.wav"), "-o", str(folder / "none.json")], 1),
     }  # fmt: skip
 
 

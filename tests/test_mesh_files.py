@@ -73,6 +73,41 @@ def test_damaged_files_are_one_clear_error(tmp_path: Path, suffix: str) -> None:
         assert "\n" not in str(caught.value) and path.name in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("kind", "what"), [("ply", r"triangles where it tells of 80 faces"), ("off", r"of 80 faces"), ("stl", "endsolid")]
+)
+def test_a_text_that_is_cut_between_lines_is_told(tmp_path: Path, kind: str, what: str) -> None:
+    ball = trimesh.creation.icosphere(1)
+    text = {"encoding": "ascii"} if kind == "ply" else {}
+    whole = ball.export(file_type="stl_ascii" if kind == "stl" else kind, **text)
+    lines = (whole if isinstance(whole, str) else whole.decode()).splitlines(keepends=True)
+    (tmp_path / f"whole.{kind}").write_text("".join(lines))
+    (tmp_path / f"cut.{kind}").write_text("".join(lines[:-20]))
+    assert len(read_triangles(tmp_path / f"whole.{kind}")[1]) == 80
+    with pytest.raises(SourceError, match=what):
+        read_triangles(tmp_path / f"cut.{kind}")
+
+
+def test_of_several_solids_the_one_that_is_cut_is_told(tmp_path: Path) -> None:
+    text, path = trimesh.exchange.stl.export_stl_ascii(trimesh.creation.box((1, 1, 1))), tmp_path / "two.stl"
+    path.write_text(f"{text}\n{text}\n")
+    assert len(read_triangles(path)[1]) == 24
+    path.write_text(f"{text}\n{text[:-200]}")
+    with pytest.raises(SourceError, match="2 solids, of which 1 end with endsolid"):
+        read_triangles(path)
+
+
+def test_of_several_scenes_of_a_gltf_one_is_read_and_told(tmp_path: Path) -> None:
+    path = tmp_path / "two.glb"
+    trimesh.Scene(trimesh.creation.box((1, 1, 1))).export(path)
+    members, chunk = contents(path)
+    path.write_bytes(glb(json.dumps(members).encode(), chunk))
+    assert "scenes" not in " ".join(read_triangles(path)[2])
+    members["scenes"].append({"nodes": [0]})
+    path.write_bytes(glb(json.dumps(members).encode(), chunk))
+    assert "Of 2 scenes in the file number 0 is read." in read_triangles(path)[2]
+
+
 L_OUTLINE = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
 
 
@@ -177,32 +212,6 @@ def test_vertices_at_one_place_become_one() -> None:
     points, triangles = joined(loose, loose_faces)
     assert len(points) == 8 and MeshScene(points, triangles).is_closed
     np.testing.assert_array_equal(points[triangles], loose[loose_faces])
-
-
-def test_what_of_a_text_is_cut_off_is_told_and_never_left_out(tmp_path: Path) -> None:
-    box = trimesh.creation.box((1, 1, 1))
-    text = trimesh.exchange.stl.export_stl_ascii(box)
-    two = f"{text}\n{text}".encode()  # solids: of the one that is cut nothing is read
-    ply = trimesh.exchange.ply.export_ply(box, encoding="ascii")
-    for name, data, words in (
-        ("two.stl", two[: two.rfind(b"vertex")], "12 triangles where the file tells of 23 faces"),
-        ("cut.ply", ply[:-25], "triangles where the file tells of 12 faces"),
-    ):
-        path = tmp_path / name
-        path.write_bytes(data)
-        with pytest.raises(SourceError, match=words):
-            read_triangles(path)
-
-
-def test_of_several_scenes_of_a_gltf_one_is_read_and_told(tmp_path: Path) -> None:
-    path = tmp_path / "two.glb"
-    trimesh.Scene(trimesh.creation.box((1, 1, 1))).export(path)
-    members, chunk = contents(path)
-    path.write_bytes(glb(json.dumps(members).encode(), chunk))
-    assert "scenes" not in " ".join(read_triangles(path)[2])
-    members["scenes"].append({"nodes": [0]})
-    path.write_bytes(glb(json.dumps(members).encode(), chunk))
-    assert "Of 2 scenes in the file number 0 is read." in read_triangles(path)[2]
 
 
 @pytest.mark.shared

@@ -179,12 +179,12 @@ def texture(
     tables = [read_materials(path) for path in sources if path.suffix.lower() == ".json"]
     recorded = [path for path in sources if path.suffix.lower() != ".json"]
     if recorded:
+        recordings = [read_recording(path, full_scale_m_s2) for path in recorded]
         count = len(recorded)
         expected = f"one number, or one for each of {count} recordings: 0.05,0.1"
         named = ("--speed-m-s", speed_m_s), ("--force-n", force_n)
         values = [numbers_of(option, text, (1, count), expected) for option, text in named]
         speeds, forces = ((own * count)[:count] for own in values)  # one number is that of all
-        recordings = [read_recording(path, full_scale_m_s2) for path in recorded]
         tables.append((texture_of(recordings, speeds, forces, name or out.stem, friction),))
     elif speed_m_s or force_n or name or friction is not None:
         raise InvalidArgument(

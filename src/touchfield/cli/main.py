@@ -102,7 +102,7 @@ def open_rooms(arguments: Sequence[str] = ()) -> typer.Typer:
 @app.callback(invoke_without_command=True)
 def root(
     context: typer.Context,
-    version: Annotated[bool, "Show the version and exit."] = False,
+    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
 ) -> None:
     """Touch as a medium: a scene becomes a force field, a stream, and a field again."""
     if version:

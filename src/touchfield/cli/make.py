@@ -69,8 +69,8 @@ def encode(
     """Turn SOURCE into a .touch file."""
     out = Path(to)
     keep_source(source, out)
-    if out.suffix in (".npz", ".vti"):
-        mend = "Take touchfield field for a field."
+    if out.suffix not in (".touch", ".zarr"):
+        mend = "For a field take: touchfield field."
         raise InvalidArgument(to, f"the ending {out.suffix!r}", "OUT.touch or OUT.zarr", mend)
     spec, target = encode_spec(asked), target_of(asked)
     if is_remote(to) and (target is not None or with_report or out.suffix == ".zarr"):
@@ -294,6 +294,8 @@ def import_(
     from touchfield.job.exchange import import_effect
 
     keep_source(effect, out)
+    if out.suffix != ".touch":
+        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch")
     with progress("import") as report:
         done = import_effect(effect, out, None, rate_hz, force_max_n, report)
     show(done.summary(), str(out), as_json, done.notes)

@@ -39,14 +39,14 @@ from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpa
 from touchfield.filters.registry import field_filters, filter_of, length_m
 from touchfield.filters.resample import LOW_PASSES, halved, interpolated, most_levels, pyramid, rebuilt, resample
 from touchfield.job.encode import encode_prepared, provenance_of
-from touchfield.job.prepare import Prepared, is_stream, prepare
+from touchfield.job.prepare import Prepared, is_stream, open_scene, prepare
 from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.parallel import Report, silent
 from touchfield.render.point_device import axes_matrix
-from touchfield.sources.registry import open_source
+from touchfield.sources.options import SourceOptions
 from touchfield.stream.opened import FILTERED, write_field
 
 KERNELS: Final = (*LOW_PASSES, "trilinear")
@@ -56,7 +56,7 @@ def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
     """A .touch file, or a stored field on its own lattice; InvalidArgument if the source is no medium yet."""
     if is_stream(path):
         return prepare(path, spec)
-    stored = getattr(open_source(path), "medium", None)
+    stored = getattr(open_scene(path, SourceOptions()), "medium", None)
     if not isinstance(stored, HapticMedium):
         mend = "Make it a medium: touchfield encode."
         raise InvalidArgument(str(path), "a scene", "a .touch file or a stored field", mend)
@@ -232,7 +232,8 @@ def edit(
         greatest_n_before=float(before.support().amplitudes_n.max(initial=0.0)),
         greatest_n_after=float(after.support().amplitudes_n.max(initial=0.0)),
     )  # fmt: skip
-    if done.path.suffix == ".touch" and prepared.spec.coder == "touch" and prepared.spec.touch.mode != "lossless":
+    is_lossy = prepared.spec.coder == "touch" and prepared.spec.touch.mode != "lossless"
+    if is_lossy and where != Everywhere() and done.path.suffix == ".touch":
         note = "outside the region the field is as it was, but coded again: --mode lossless keeps its bits"
         return replace(done, notes=(*done.notes, note))
     return done

@@ -6,9 +6,8 @@ distance::
 
     d(x, y)^2 = sum over the parts p of weight_p |x_p - y_p|^2
 
-which is a metric between descriptors. The search is exact, by a k-d tree (`scipy.spatial.cKDTree`); in 83 dimensions
-it looks at nearly every entry, which takes about as long as one pass over them. An approximate search is not needed
-below 10^5 media: of so many, the tree is made in about a second, and a query takes some tens of milliseconds.
+which is a metric between descriptors. The search is exact, one pass over all entries: in 83 dimensions a k-d tree
+looks at nearly every one, too, and takes longer to be made than a command has queries.
 """
 
 from __future__ import annotations
@@ -34,6 +33,7 @@ ANY_POSE: Final[Mapping[str, float]] = MappingProxyType({"directions": 0.0})
 
 MOST_MEDIA: Final = 1 << 20
 _MOST_NAME: Final = 1000  # characters
+_BLOCK: Final = 1 << 14  # media whose distances are taken at once
 _MOST_HEAD_BYTES: Final = 1 << 28
 _FORMAT: Final = "touchfield medium index"
 
@@ -50,7 +50,7 @@ class MediumIndex:
 
     def __init__(self) -> None:
         self._rows: dict[str, Float64s] = {}
-        self._tree: tuple[tuple[float, ...], Any] | None = None
+        self._values: Float64s | None = None  # [media, DESCRIPTOR_LENGTH]; None: to be stacked of the rows
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -81,7 +81,7 @@ class MediumIndex:
         if len(self._rows) >= MOST_MEDIA:
             raise InvalidArgument("index", f"{len(self._rows)} media", f"fewer than {MOST_MEDIA}")
         self._rows[name] = entry.values
-        self._tree = None
+        self._values = None
 
     def query(
         self, entry: Descriptor, count: int | None = None, weights: Mapping[str, float] | None = None
@@ -92,21 +92,19 @@ class MediumIndex:
         name, 0 or more; 1 for those that are not named. `ANY_POSE` is such a mapping. InvalidArgument if the index
         is empty, `count` is below 1, or a weight is out of range or of no part.
         """
-        from scipy.spatial import cKDTree
-
         if not self._rows:
             raise InvalidArgument("index", "no medium", "at least one", "Add some first.")
         if count is not None and count < 1:
             raise InvalidArgument("count", f"{count}", "1 or more")
         factors = _factors(weights or {})
-        key = tuple(factors.tolist())
-        if self._tree is None or self._tree[0] != key:
-            self._tree = key, cKDTree(np.stack(list(self._rows.values())) * factors)
-        wanted = len(self) if count is None else min(count, len(self))
-        distances, places = self._tree[1].query(entry.values * factors, k=np.arange(1, wanted + 1))
+        if self._values is None:
+            self._values = np.stack(list(self._rows.values()))
+        distances = np.empty(len(self))
+        for start in range(0, len(self), _BLOCK):
+            apart = (self._values[start : start + _BLOCK] - entry.values) * factors
+            distances[start : start + _BLOCK] = np.sqrt(np.einsum("ij,ij->i", apart, apart))
         names = self.names
-        order = np.lexsort((places, distances))
-        return tuple(Match(names[places[i]], float(distances[i])) for i in order)
+        return tuple(Match(names[i], float(distances[i])) for i in np.argsort(distances, kind="stable")[:count])
 
     def save(self, path: str | Path) -> None:
         """Write the index as ``.npz``, whole or not at all; equal indices give equal bytes.

@@ -27,6 +27,11 @@ from touchfield.sources.scene import size_note
 _GLTF: Final = (".glb", ".gltf")
 _SUFFIXES: Final = (".obj", ".stl", ".ply", ".off", *_GLTF)
 _RELATIVE: Final = re.compile(rb"^[ \t]*f[ \t].*-", re.MULTILINE)
+_SOLID: Final = re.compile(rb"^\s*(end)?solid", re.MULTILINE)
+_FACES: Final = {  # where a head says how many there are
+    "ply": re.compile(rb"^element\s+face\s+(\d{1,18})\s", re.MULTILINE),
+    "off": re.compile(rb"OFF(?:\s|#[^\n]*\n)*\d+\s+(\d{1,18})\s"),
+}
 
 
 def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
@@ -45,38 +50,31 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
     trimesh: Any = import_module("trimesh")
     try:
         with np.errstate(all="ignore"), path.open("rb") as stream:  # an empty resolver: no other file is read
-            kind, plain = path.suffix[1:].lower(), {"obj": _absolute, "stl": _whole}
-            file = BytesIO(plain[kind](stream.read())) if kind in plain else stream
-            loaded = trimesh.load_scene(file, kind, resolver={}, process=False, skip_materials=True)
+            kind, data = path.suffix[1:].lower(), stream.read()
+            plain = {"obj": _absolute, "stl": _whole}.get(kind, bytes)(data)
+            loaded = trimesh.load_scene(BytesIO(plain), kind, resolver={}, process=False, skip_materials=True)
             meshes = [one for one in loaded.geometry.values() if isinstance(one, trimesh.Trimesh) and len(one.faces)]
             arrays = [one.vertices for one in meshes], [one.faces for one in meshes]
             corners, faces = trimesh.util.append_faces(*arrays) if meshes else arrays
-            declared = _declared(path)
+            told = _FACES[kind].search(data[:4096]) if kind in _FACES else None
+            if told and len(faces) < int(told[1]):  # trimesh leaves out what of a text is cut off
+                raise ValueError(f"{len(faces)} triangles where it tells of {int(told[1])} faces")
     except Exception as error:  # trimesh raises what its loaders and numpy happen to raise on damaged files
         found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
         raise SourceError(str(path), found, "a whole mesh file", "Export it again, as triangles.") from error
-    if len(faces) < declared:
-        found = f"{len(faces)} triangles where the file tells of {declared} faces"
-        raise SourceError(str(path), found, "a whole mesh file", "Copy it again, or export it again.")
     if not meshes:
         raise SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")
     return *welded(np.asarray(corners, np.float64), np.asarray(faces, np.int64)), ()
 
 
-def _declared(path: Path) -> int:
-    """Faces that an STL in text or a PLY says it has, 0 of others: trimesh leaves out what is cut off."""
-    suffix = path.suffix.lower()
-    data = path.read_bytes() if suffix in (".stl", ".ply") else b""
-    if suffix == ".stl":
-        return 0 if b"\0" in data[80:84] else data.lower().count(b"endloop")
-    match = re.search(rb"^element\s+face\s+(\d{1,18})\s", data.partition(b"end_header")[0], re.MULTILINE)
-    return int(match[1]) if match else 0
-
-
 def _whole(data: bytes) -> bytes:
-    """A binary STL without what stands behind its triangles; ValueError where some of them are not there."""
+    """An STL, a binary one without what stands behind its triangles; ValueError where some of them are not there."""
     count = data[80:84]
     if b"\0" not in count:  # in a text there is no such byte
+        words = _SOLID.findall(data.lower())
+        solids, ends = words.count(b""), words.count(b"end")
+        if ends < solids:  # trimesh leaves out the one that is cut off
+            raise ValueError(f"{solids} solids, of which {ends} end with endsolid")
         return data
     size = 84 + 50 * int.from_bytes(count, "little")
     if len(data) < size:

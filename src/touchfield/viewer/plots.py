@@ -72,6 +72,7 @@ def draw_reduction(path: Path, values: Float64s, field: ForceField, felt: Bools,
     tail = np.append(np.cumsum(squares[::-1])[::-1], 0.0) / max(float(squares.sum()), 1e-300)
     left.plot(10 * np.log10(np.maximum(tail, 1e-10)), color="#0072b2")
     left.set(xlabel="modes kept", ylabel="error / dB of the energy", ylim=(-60, 3))
+    left.xaxis.get_major_locator().set_params(integer=True)
     size = np.linalg.norm(field.to_dense(), axis=-1)
     at = int(np.argmax((size > 0).sum(axis=(0, 1)) + 1000 * ((size > 0) & ~felt).sum(axis=(0, 1))))
     extent = 1e3 * np.stack(field.grid.box_m)[:, :2].T.ravel()
