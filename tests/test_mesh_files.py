@@ -11,9 +11,11 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from gltf_makers import glb
 from mesh_makers import cube, distance_to, measured, winding
 from touchfield.errors import SourceError
 from touchfield.medium import Grid
+from touchfield.sources.gltf_document import contents
 from touchfield.sources.mesh import KIND, read_triangles
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import joined
@@ -84,6 +86,26 @@ def test_a_text_that_is_cut_between_lines_is_told(tmp_path: Path, kind: str, wha
     assert len(read_triangles(tmp_path / f"whole.{kind}")[1]) == 80
     with pytest.raises(SourceError, match=what):
         read_triangles(tmp_path / f"cut.{kind}")
+
+
+def test_of_several_solids_the_one_that_is_cut_is_told(tmp_path: Path) -> None:
+    text, path = trimesh.exchange.stl.export_stl_ascii(trimesh.creation.box((1, 1, 1))), tmp_path / "two.stl"
+    path.write_text(f"{text}\n{text}\n")
+    assert len(read_triangles(path)[1]) == 24
+    path.write_text(f"{text}\n{text[:-200]}")
+    with pytest.raises(SourceError, match="2 solids, of which 1 end with endsolid"):
+        read_triangles(path)
+
+
+def test_of_several_scenes_of_a_gltf_one_is_read_and_told(tmp_path: Path) -> None:
+    path = tmp_path / "two.glb"
+    trimesh.Scene(trimesh.creation.box((1, 1, 1))).export(path)
+    members, chunk = contents(path)
+    path.write_bytes(glb(json.dumps(members).encode(), chunk))
+    assert "scenes" not in " ".join(read_triangles(path)[2])
+    members["scenes"].append({"nodes": [0]})
+    path.write_bytes(glb(json.dumps(members).encode(), chunk))
+    assert "Of 2 scenes in the file number 0 is read." in read_triangles(path)[2]
 
 
 L_OUTLINE = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))

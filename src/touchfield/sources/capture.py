@@ -82,7 +82,7 @@ class GrowingFolder(Pictures):
         """
         until, since = time.monotonic() + PATIENCE_S, 0.0
         coming: Path | None = None
-        while time.monotonic() < until:
+        while (began := time.monotonic()) < until:
             files = list_files(self._folder, with_suffix(*PICTURE_SUFFIXES))
             if not files and not self._folder.is_dir():
                 raise CaptureEnd(self.name, "no folder any more", "a folder that grows")
@@ -95,7 +95,7 @@ class GrowingFolder(Pictures):
                 except SourceError:
                     if time.monotonic() > since + _UNFINISHED_S:
                         coming = None
-            time.sleep(_LOOK_S)
+            time.sleep(max(_LOOK_S, time.monotonic() - began))  # a large folder is not looked at all the time
         raise CaptureEnd(self.name, f"no new picture for {PATIENCE_S:g} s", "a folder that grows")
 
 

@@ -300,7 +300,7 @@ class _Piece:
 class Model:
     """The triangles of the scene of a glTF document: `triangles` int64 [m, 3], vertex numbers over all pieces.
 
-    `notes` name the extensions that are not read.
+    `notes` name the extensions that are not read, and tell of other scenes.
 
     Raises `SourceError` if the document is at fault, or holds no triangle.
     """
@@ -350,7 +350,11 @@ class Model:
         self.triangles = np.concatenate(faces)
         used = [str(name)[:60] for name in document.root.list_of("extensionsUsed")]
         unread = [name for name in used if not name.startswith((*HARMLESS, *_COMPRESSIONS))]
-        self.notes = (f"Not read, and left out: {', '.join(map(repr, unread[:_MOST_TOLD]))}",) if unread else ()
+        notes = [f"Not read, and left out: {', '.join(map(repr, unread[:_MOST_TOLD]))}"] if unread else []
+        number, count = document.root.index("scene", "scenes") or 0, len(document.all("scenes"))
+        if count > 1:
+            notes.append(f"Of {count} scenes in the file number {number} is read.")
+        self.notes = tuple(notes)
 
     @property
     def is_animated(self) -> bool:

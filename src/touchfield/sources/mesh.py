@@ -27,6 +27,7 @@ from touchfield.sources.scene import size_note
 _GLTF: Final = (".glb", ".gltf")
 _SUFFIXES: Final = (".obj", ".stl", ".ply", ".off", *_GLTF)
 _RELATIVE: Final = re.compile(rb"^[ \t]*f[ \t].*-", re.MULTILINE)
+_SOLID: Final = re.compile(rb"^\s*(end)?solid", re.MULTILINE)
 _FACES: Final = {  # where a head says how many there are
     "ply": re.compile(rb"^element\s+face\s+(\d{1,18})\s", re.MULTILINE),
     "off": re.compile(rb"OFF(?:\s|#[^\n]*\n)*\d+\s+(\d{1,18})\s"),
@@ -70,8 +71,10 @@ def _whole(data: bytes) -> bytes:
     """An STL, a binary one without what stands behind its triangles; ValueError where some of them are not there."""
     count = data[80:84]
     if b"\0" not in count:  # in a text there is no such byte
-        if b"facet" in data and b"endsolid" not in data.lower():
-            raise ValueError("a text without its last line, endsolid")
+        words = _SOLID.findall(data.lower())
+        solids, ends = words.count(b""), words.count(b"end")
+        if ends < solids:  # trimesh leaves out the one that is cut off
+            raise ValueError(f"{solids} solids, of which {ends} end with endsolid")
         return data
     size = 84 + 50 * int.from_bytes(count, "little")
     if len(data) < size:
