@@ -130,7 +130,7 @@ class RemoteFile:
 
 
 class _Timely(io.RawIOBase):
-    """What a connection gives, until a deadline."""
+    """Bytes that a connection gives until a deadline."""
 
     def __init__(self, raw: io.RawIOBase, deadline: float) -> None:
         self._raw, self._deadline = raw, deadline
