@@ -157,6 +157,13 @@ def test_an_end_that_is_damaged_is_told_from_one_that_is_missing() -> None:
     refused(EXAMPLE[:300], TruncatedFile, "SEGM record at byte 284: found 300 bytes; expected 313 bytes")
 
 
+def test_what_takes_more_than_the_memory_is_not_read_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file may have holes: its size says nothing about what was paid for it."""
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", f"{100 / 2**30:.12f}")
+    with pytest.raises(InvalidArgument, match=r"to be read at once; expected at most .* TOUCHFIELD_MEMORY_GIB"):
+        content(EXAMPLE)
+
+
 def test_joined_files_are_refused() -> None:
     refused(EXAMPLE + b"\0" * 100, CorruptFile, "TEND record at byte 416: found 100 bytes after it; expected none")
     refused(EXAMPLE + EXAMPLE, CorruptFile, r"TEND.file_length: found 456 in a file of 912 bytes.*joined")

@@ -39,7 +39,8 @@ class TouchfieldError(Exception):
             text += f"; expected {expected}"
         if mend:
             text += f". {mend}"
-        super().__init__(" ".join(text.split()))
+        # what a server or a name says could otherwise rewrite the screen of a terminal
+        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split())))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """As it travels from a process to another: its text, whatever made it."""

@@ -45,7 +45,7 @@ END_SIZE: Final = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
 MIN_SEGMENT: Final = FRAME_SIZE + RECORD_OF["SEGM"].kind.smallest + CRC_SIZE
 MAX_WALKED: Final = 1 << 12
 MOST_EXPECTED: Final = 1 << 24
-"""Bytes before the first segment that are fetched at once of a file elsewhere: its objects."""
+"""Bytes that are fetched at once of a file elsewhere: what is before the first segment, and the index."""
 
 
 class TouchReader:
@@ -149,7 +149,7 @@ class TouchReader:
         self.head: Head
         self.head, _ = read_record(source, head_record, "HEAD")
         end_record, end = self._read_end(head_record.end)
-        source.expect(end.index_offset, end_record.end)
+        source.expect(max(end.index_offset, end_record.end - MOST_EXPECTED), end_record.end)
         index_record = find_record(source, end.index_offset, end_record.offset)
         index: Index
         index, _ = read_record(source, index_record, "INDX")

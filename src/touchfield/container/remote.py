@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import http.client
 import re
-import time
+import socket
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from threading import Lock
+from threading import Lock, Timer
 from typing import Final, NamedTuple
 from urllib.parse import urljoin, urlsplit
 
@@ -133,21 +133,34 @@ class _Http:
     def __init__(self, url: str, name: str) -> None:
         self._url, self._name = url, name
         self._link: http.client.HTTPConnection | None = None
+        self._socket: socket.socket | None = None
+        self._is_late = False
 
     def get(self, offset: int, size: int) -> _Part:
         """At most `size` bytes from `offset` on."""
-        for _ in range(_MOST_REDIRECTS + 1):
-            deadline = time.monotonic() + _PATIENCE_S + size / _SLOWEST
-            try:
+        self._is_late = False
+        watch = Timer(_PATIENCE_S + size / _SLOWEST, self._leave)
+        watch.daemon = True
+        watch.start()
+        try:
+            for _ in range(_MOST_REDIRECTS + 1):
                 answer = self._asked(offset, size)
                 if answer.status not in (301, 302, 303, 307, 308):
-                    return self._part(answer, offset, size, deadline)
+                    return self._part(answer, offset, size)
                 self._url = urljoin(self._url, answer.getheader("Location") or "")
                 self.close()
-            except (OSError, http.client.HTTPException, ValueError) as error:
-                self.close()
-                raise self._failed(str(error) or type(error).__name__) from None
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            raise self._failed(str(error) or type(error).__name__) from None
+        finally:
+            watch.cancel()
         raise self._failed(f"more than {_MOST_REDIRECTS} redirections")
+
+    def _leave(self) -> None:
+        """End an answer that takes too long, in its head or wherever it is being read."""
+        self._is_late = True
+        if self._socket is not None:
+            with suppress(OSError):
+                socket.socket.shutdown(self._socket, socket.SHUT_RDWR)  # of the connection below TLS, too
 
     def close(self) -> None:
         """Close the connection."""
@@ -169,13 +182,14 @@ class _Http:
                 self._link = link(to.hostname, to.port, timeout=_PATIENCE_S)
             try:
                 self._link.request("GET", path, headers=headers)
+                self._socket = self._link.sock
                 return self._link.getresponse()
             except (ConnectionError, http.client.CannotSendRequest):
                 self.close()
-                if is_new:
+                if is_new or self._is_late:
                     raise
 
-    def _part(self, answer: http.client.HTTPResponse, offset: int, size: int, deadline: float) -> _Part:
+    def _part(self, answer: http.client.HTTPResponse, offset: int, size: int) -> _Part:
         content = _RANGE.fullmatch(answer.getheader("Content-Range") or "")
         if answer.status == 200:
             mend = "Serve it with one that does, such as: touchfield serve FOLDER."
@@ -188,12 +202,12 @@ class _Http:
             raise self._failed(f"bytes {begin} to {last} of {whole}, where {size} from {offset} were asked for")
         data = bytearray()
         while len(data) <= last - begin:
-            if time.monotonic() > deadline:
-                raise self._failed(f"{len(data)} of {last - begin + 1} bytes, and then hardly more")
             more = answer.read1(min(_CHUNK, last - begin + 1 - len(data)))
             if not more:
                 break
             data += more
+        if self._is_late:
+            raise self._failed("too late")
         if answer.length == 0:
             answer.close()  # the connection stays
         else:  # what was not asked for is not read
@@ -202,6 +216,7 @@ class _Http:
 
     def _failed(self, found: str, mend: str = "") -> SourceError:
         self.close()
+        found = "an answer that takes too long" if self._is_late else found
         return SourceError(self._name, found, "a .touch file on a server that answers ranges", mend)
 
 

@@ -29,6 +29,7 @@ from touchfield.errors import (
     UnsupportedVersion,
 )
 from touchfield.files import require_plain
+from touchfield.medium.budget import memory_budget_bytes
 
 
 class ByteSource:
@@ -63,11 +64,15 @@ class ByteSource:
     def read_at(self, offset: int, size: int) -> bytes:
         """`size` bytes from `offset` on; TruncatedFile if the file ends before.
 
-        The size is compared with the file's before anything is allocated.
+        The size is compared with the file's and with `memory_budget_bytes` before anything is allocated: a file may
+        have holes, and a server that sends zeros for ever.
         """
         if offset + size > self.size:
             found = f"{max(0, self.size - offset)} bytes at byte {offset}, then the end of the file"
             raise TruncatedFile(self.name, found, f"{size} bytes", "Fetch or write the file again.")
+        if size > (allowed := memory_budget_bytes()):
+            found, expected = f"{size} bytes at byte {offset}, to be read at once", f"at most {allowed}"
+            raise InvalidArgument(self.name, found, expected, "Set TOUCHFIELD_MEMORY_GIB.")
         if self.remote is not None:
             return self.remote.read_at(offset, size)
         try:
