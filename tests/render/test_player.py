@@ -91,8 +91,8 @@ def test_a_device_that_fails_is_told_and_the_force_is_zero() -> None:
 
 
 def slow(frame: int) -> ForceField:
-    """Takes three times as long as a frame lasts."""
-    time.sleep(0.06)
+    """Takes ten times as long as a frame lasts: also for a servo that a busy machine makes wait."""
+    time.sleep(0.2)
     return told(frame)
 
 
@@ -120,6 +120,14 @@ def test_a_corrupt_segment_in_the_middle_is_told() -> None:
     assert log["media_s"].max() >= 4 / 50 and not log["force_n"][-1].any()
     with pytest.raises(CorruptFile), Player(telling(20, corrupt_from=0), OMNI, Simulated):
         pytest.fail("there is no first frame")
+
+
+def test_an_error_is_raised_at_the_end_also_where_the_watch_had_no_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Player, "_watch", lambda player: None)
+    with Player(telling(20, corrupt_from=6), OMNI, Simulated) as player:
+        player.play()
+        with pytest.raises(CorruptFile, match="segment 3"):
+            player.wait(30)
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")

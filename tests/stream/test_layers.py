@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.filters.resample import halved, interpolated, pyramid, rebuilt
 from touchfield.job import EncodeSpec
 from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
+from touchfield.job.prepare import Prepared
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.stream.live import ENDLESS, Ended, LiveReceiver, LiveSegment, Lost, Opened
 from touchfield.stream.live_medium import WAITED_S, LiveEnd, LiveFrames, LiveStream
@@ -294,6 +296,12 @@ def rough() -> HapticMedium:
     )
 
 
+def bodies_of(prepared: Prepared) -> list[bytes]:
+    """Segments of five frames of a source that lasts five of them, coded."""
+    encoder = TouchEncoder(prepared.medium.grid, prepared.coding)
+    return [encoder.encode_segment([prepared.medium[5 * i + n] for n in range(5)]).body for i in range(5)]
+
+
 def felt_share(has_layer: bool, segments: int = 150) -> float:
     """Share of the time that a hand feels: frames from datagrams that are lost in bursts, on a clock of ours."""
     source, now, rng, is_bad = rough(), [0.0], np.random.default_rng(11), False
@@ -301,8 +309,7 @@ def felt_share(has_layer: bool, segments: int = 150) -> float:
     coarse, under = coarse_layer(source, fine)
     layers = []
     for one, own, layer in ((coarse, under, "coarse"), (fine, sender, "fine"))[not has_layer :]:
-        encoder = TouchEncoder(one.medium.grid, one.coding)
-        bodies = [encoder.encode_segment([one.medium[5 * i + n] for n in range(5)]).body for i in range(5)]
+        bodies = bodies_of(one)
         (opened,) = LiveReceiver().receive(own.opening)
         assert isinstance(opened, Opened)
         frames = LiveFrames(opened, clock_s=lambda: now[0], under=layers[0][0] if layers else None)
@@ -337,14 +344,12 @@ def test_a_hand_feels_more_of_the_time_with_a_coarse_layer_through_bursts_of_los
 
 
 class OnAir:
-    """A medium with its coarse layer on a server, and by datagrams at two ports; the fine ones may be kept back."""
+    """A medium with its coarse layer on a server."""
 
-    def __init__(self, port: int | None = None, keeps_back: bool = False) -> None:
-        source = medium() if port is None else rough()
-        self._prepared, self._sender = opened_sender(source, EncodeSpec())
-        self._coarse, self._under = coarse_layer(source, self._prepared)
-        self.server = LiveServer(self._sender, Access(port=0), coarse=self._under)
-        self._port, self._keeps_back = port, keeps_back
+    def __init__(self) -> None:
+        self._prepared, sender = opened_sender(medium(), EncodeSpec())
+        self._coarse, under = coarse_layer(medium(), self._prepared)
+        self.server = LiveServer(sender, Access(port=0), coarse=under)
         self._thread, self._is_over = threading.Thread(target=self._run, daemon=True), threading.Event()
 
     def _run(self) -> None:
@@ -353,22 +358,9 @@ class OnAir:
                 raise KeyboardInterrupt
             return time.monotonic()
 
-        with ExitStack() as held, suppress(KeyboardInterrupt):
-            adds = [self.server.add, self.server.add_coarse]
-            if self._port is not None:
-                to = f"127.0.0.1:{self._port}"
-                fine = held.enter_context(UdpSender(self._sender, to, "fine"))
-                coarse = held.enter_context(UdpSender(self._under, to, "coarse"))
-
-                def send(segment: LiveSegment) -> None:
-                    message = self.server.add(segment)
-                    if not self._keeps_back or segment.first_frame < 200:
-                        fine.add(message)
-
-                adds = [send, lambda segment: coarse.add(self.server.add_coarse(segment))]
-            broadcast(
-                self._prepared, adds[0], LiveSpec(0.1, loop=True), clock_s=clock, coarse=(self._coarse, adds[1])
-            )
+        coarse = self._coarse, self.server.add_coarse
+        with suppress(KeyboardInterrupt):
+            broadcast(self._prepared, self.server.add, LiveSpec(0.1, loop=True), clock_s=clock, coarse=coarse)
 
     def __enter__(self) -> str:
         self.server.__enter__()
@@ -379,6 +371,33 @@ class OnAir:
         self._is_over.set()
         self._thread.join(10)
         self.server.__exit__()
+
+
+@contextmanager
+def sending(port: int, fine_segments: int) -> Iterator[None]:
+    """Datagrams of both layers at two ports, ten segments a second, coded before; few of the fine one."""
+    fine, sender = opened_sender(rough(), EncodeSpec())
+    coarse, under = coarse_layer(rough(), fine)
+    bodies, is_over = [bodies_of(fine), bodies_of(coarse)], threading.Event()
+
+    def run() -> None:
+        to = f"127.0.0.1:{port}"
+        with UdpSender(sender, to, "fine") as above, UdpSender(under, to, "coarse") as below:
+            began, number = time.monotonic(), 0
+            while not is_over.wait(max(0.0, began + 0.1 * (number + 1) - time.monotonic())):
+                segments = [LiveSegment(5 * number, 5, own[number % 5]) for own in bodies]
+                if number < fine_segments:
+                    above.add(sender.add(segments[0]))
+                below.add(under.add(segments[1]))
+                number += 1
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join(10)
 
 
 @pytest.mark.parametrize("form", ["ws://{}/coarse/live", "http://{}/coarse/live.json"])
@@ -395,7 +414,7 @@ def test_a_hand_goes_on_feeling_where_only_the_coarse_layer_comes(tmp_path: Path
     hand, port, notes = tmp_path / "hand.csv", free_port(), list[str]()
     hand.write_text("t_s,x_m,y_m,z_m\n0,0,0,-0.07\n60,0,0,-0.07\n")
     spec = PlaySpec("sim", seconds=7.0, trajectory=hand, is_logged=True, coarse=f"udp://127.0.0.1:{port + 1}")
-    with OnAir(port, keeps_back=True):
+    with sending(port, fine_segments=40):
         played = play(f"udp://127.0.0.1:{port}", spec, tell=notes.append)
     assert played.error is None and played.rows is not None, notes
     last = played.rows[-2000:]

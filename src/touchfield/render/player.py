@@ -197,6 +197,7 @@ class Player:
             if left <= 0:
                 return False
             time.sleep(left)
+        self._look()  # the watch may not have had its turn since
         if self._error is not None:
             raise self._error
         return True
