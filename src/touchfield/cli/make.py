@@ -186,7 +186,7 @@ def plan(
         str, typer.Option(help="What to keep to: a rate such as 64kbit/s, or bytes of the file, such as 60kB.")
     ],
     k: Annotated[list[float] | None, "Weber fraction to try; may be repeated."] = None,
-    effort: Annotated[str, "fast, default or max."] = "fast",
+    effort: Annotated[str, "fast or default, as of encode."] = "fast",
     out: Annotated[
         Path | None, typer.Option("--plot", "--out", help="PNG to draw: the frontier and the choice.")
     ] = None,
