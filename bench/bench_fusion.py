@@ -29,7 +29,7 @@ from machine import SHARED, Bar, at_least, at_most, bench, column, figure
 from machine import Figures as Row
 from touchfield.adapters.sim import SimHand
 from touchfield.devices import device
-from touchfield.filters.resample import low_pass, nyquist_per_m
+from touchfield.filters.resample import low_pass
 from touchfield.job import EncodeSpec, encode, open_stream, prepare
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.trace import Trace
@@ -91,7 +91,7 @@ def standing(name: str, world: str, frames_bytes: int | None, count: int) -> Row
     scene.take(0, count)
     fine, law = asked_of(scene, spec)  # type: ignore[arg-type]
     grid = placement.to_scene(medium.grid)
-    reach_m = low_pass("spline").half_width / nyquist_per_m(grid)[0]
+    reach_m = low_pass("spline").half_width * 2 * grid.spacing_m[0]
     counts, changes = np.zeros((2, 2)), []
     before, raw_before = medium[0].to_dense(), scene.field(0, fine, law).to_dense().any(-1)
     for i in range(1, count):

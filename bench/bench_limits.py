@@ -43,7 +43,7 @@ def row(frames: list[FieldSymbols]) -> dict[str, float]:
     voxels = first.voxel_count
     jobs = {
         "contexts": lambda: ContextCounter(first.alphabet, first.quantiser, previous_frame=False).add(first, None),
-        "scan_lines": lambda: BlockCounter(first.alphabet, 4).add_field(first, 2),
+        "scan_lines": lambda: BlockCounter(first.alphabet, 4, first.quantiser).add_field(first, 2),
     }
     found: dict[str, float] = {"frames": len(frames), "support_share": first.object_count / voxels}
     for name, job in jobs.items():

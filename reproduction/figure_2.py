@@ -8,7 +8,7 @@ import numpy as np
 
 from reproduction.experiment import Experiment, Finding, Inputs, markdown_table
 from touchfield.job import EncodeSpec, prepare
-from touchfield.perception.weber import WeberLadder, jnd_gain, mask_kept_from_n, quantise_fixed_step, quantise_literal
+from touchfield.perception.weber import WeberLadder, jnd_gain, mask_kept_from_n, quantise_fixed_step
 from touchfield.sources.options import SourceOptions
 from touchfield.viewer.plots import draw_masked_signal
 
@@ -27,7 +27,7 @@ def run(inputs: Inputs) -> Finding:
     t_s, x_n = stroke()
     ladder = WeberLadder.spanning(K, FORCE_MIN_N, FORCE_MAX_N)
     readings = {
-        f"as printed: a gain of {jnd_gain(K):g}": quantise_literal(x_n, K),
+        f"as printed: a gain of {jnd_gain(K):g}": jnd_gain(K) * x_n,
         f"fixed step of {STEP_N:g} N": quantise_fixed_step(x_n, STEP_N),
         f"Weber ladder, {ladder.steps} levels": np.asarray(
             ladder.levels_n[np.searchsorted(ladder.thresholds_n, x_n, side="right")], np.float64

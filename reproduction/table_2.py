@@ -65,7 +65,7 @@ def run(inputs: Inputs) -> Finding:
     chosen = scenes(inputs)
     steps = Steps(inputs.report, len(READINGS) * len(chosen))
     found = [(scene, {r: _found(scene, r, q, steps, inputs.quick) for r in READINGS}) for scene in chosen]
-    actuators = shirt.actuator_count or 0
+    actuators = shirt.lattice[0] * shirt.lattice[1] * shirt.panels
     parts = [INTRODUCTION.format(words=q.words, f_min=1e3 * q.force_min_n, actuators=actuators)]
     if inputs.quick:
         parts.append("**A quick trial: few later frames.**\n")

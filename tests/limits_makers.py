@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from touchfield.measure.context import ContextCounter, ContextEntropy, scan_relabelled
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.limits import BlockRates, coding_limits
 from touchfield.medium import Grid
 
 
@@ -26,6 +28,23 @@ def sparse(shape: tuple[int, ...], alphabet: int, share: float, seed: int = 0) -
 def fields_of(frames: np.ndarray, alphabet: int) -> list[FieldSymbols]:
     grid = Grid(frames.shape[1:], (1, 1, 1), (0, 0, 0))
     return [FieldSymbols.from_dense(grid, f, alphabet, "test") for f in frames]
+
+
+def context_entropy(
+    frames: Sequence[FieldSymbols], neighbourhood: str, *, previous_frame: bool = False
+) -> ContextEntropy:
+    """H(S | c) of one neighbourhood alone, counted with no context that is not asked for."""
+    counter = ContextCounter(frames[0].alphabet, frames[0].quantiser, previous_frame=previous_frame)
+    before = None
+    for frame in map(scan_relabelled, frames):
+        counter.add(frame, before)
+        before = frame
+    return counter.result(neighbourhood, previous_frame=previous_frame)
+
+
+def block_rates(x: np.ndarray, longest: int) -> BlockRates:
+    """Block entropies and rates of one sequence."""
+    return coding_limits(fields_of(x.reshape(1, 1, 1, -1), int(x.max()) + 1), longest=longest).scan_lines
 
 
 def most_mib(work: Callable[[], object]) -> float:

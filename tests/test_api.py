@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -161,6 +164,27 @@ def test_what_a_decoded_medium_is_made_of_stays_open_as_long_as_it_is_used(
     assert tf.decode(out)[1:][0].support_count == 64
 
 
+# -- copies ---------------------------------------------------------------------------------------------------------
+
+
+def test_values_can_be_copied_and_sent_to_other_processes(forces: NDArray[np.float64]) -> None:
+    medium = medium_of(forces)
+    for one in (medium, medium[1:], medium[2]):
+        for made in (copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
+            assert repr(made) == repr(one)
+    made = pickle.loads(pickle.dumps(replace(medium[1:], provenance={"a": "b"})))
+    assert made[0] == medium[1] and dict(made.provenance) == {"a": "b"}
+    with pytest.raises(TypeError):
+        made.provenance["a"] = "c"
+    device = tf.device("phantom-omni")
+    assert pickle.loads(pickle.dumps(device)) == device == copy.deepcopy(device)
+
+
+def test_what_is_no_field_is_not_added(forces: NDArray[np.float64]) -> None:
+    with pytest.raises(TypeError, match="unsupported operand"):
+        medium_of(forces)[0] + 1.0  # type: ignore[operator]
+
+
 # -- words ----------------------------------------------------------------------------------------------------------
 
 
@@ -185,10 +209,10 @@ def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.fl
         (lambda f: tf.HapticMedium.from_array(f * np.nan, GRID), "not finite"),
         (lambda f: tf.HapticMedium.from_array(f[..., :2], GRID), "shape"),
         (lambda f: tf.HapticMedium.from_array(f[0, 0], GRID), "as the grid says"),
-        (lambda f: tf.HapticMedium.from_array("forces", GRID), "shape"),
-        (lambda f: tf.ForceField.from_dense(GRID, "forces"), "no such array"),
-        (lambda f: tf.ForceField.from_support(GRID, [[1, 2, 3]], [1.0, 2.0]), "no such array"),
-        (lambda f: tf.ForceField.from_bricks(GRID, [[0, 0, 0]], f), "no such array"),
+        (lambda f: tf.HapticMedium.from_array("forces", GRID), "no array of numbers"),
+        (lambda f: tf.ForceField.from_dense(GRID, "forces"), "no array of numbers"),
+        (lambda f: tf.ForceField.from_support(GRID, [[1, 2, 3]], [1.0, 2.0]), "no array of numbers"),
+        (lambda f: tf.ForceField.from_bricks(GRID, [[0, 0, 0]], f), "no array of numbers"),
         (lambda f: tf.Grid(8, 1.0, 0.0), "three numbers"),
         (lambda f: tf.Grid.over_box((0, 0), (1, 1), (4, 4)), "three numbers"),
         (lambda f: medium_of(f)[0].sample_n([1.0, 2.0]), "metres"),
@@ -196,6 +220,31 @@ def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.fl
         (lambda f: medium_of(f)[::2], "step"),
         (lambda f: medium_of(f)[2:2], "2:2"),
         (lambda f: medium_of(f).filtered("wish:1"), "one of"),
+        (lambda f: medium_of(f).filtered(tf.filter_of("gaussian", "2mm")), "one of"),  # type: ignore[arg-type]
+        (lambda f: tf.HapticMedium.from_array(f + 1j, GRID), "complex"),
+        (lambda f: tf.HapticMedium.from_array(np.ma.masked_greater(f, 1.0), GRID), "masked"),
+        (lambda f: tf.HapticMedium.from_array([[1.0], [1.0, 2.0]], GRID), "no array of numbers"),
+        (lambda f: tf.HapticMedium.from_array(f, GRID, "30"), "rate_hz"),  # type: ignore[arg-type]
+        (lambda f: tf.HapticMedium.from_array(f, GRID.shape), "a Grid"),  # type: ignore[arg-type]
+        (lambda f: tf.HapticMedium.from_frames(list(f), 30.0), "from_array"),
+        (lambda f: tf.ForceField.from_support(GRID, [[0.5, 0, 0]], [[1.0, 0, 0]]), "not whole"),
+        (lambda f: tf.ForceField.from_bricks(GRID, np.array([[1 << 32, 0, 0]]), f), "beyond int32"),
+        (lambda f: tf.Grid((1.5, 8, 8), (1, 1, 1), (0, 0, 0)), "counts"),  # type: ignore[arg-type]
+        (lambda f: tf.Grid.over_box((0, 0, 0), (1, 1, 1), (4.5, 4, 4)), "counts"),  # type: ignore[arg-type]
+        (lambda f: medium_of(f)["1"], "whole number"),  # type: ignore[call-overload]
+        (lambda f: medium_of(f)[1.5:2], "whole number"),  # type: ignore[misc]
+        (lambda f: medium_of(f).at("0"), "time_s"),  # type: ignore[arg-type]
+        (lambda f: tf.FieldSampler(medium_of(f)[0]), "stream.medium"),  # type: ignore[arg-type]
+        (lambda f: tf.FieldSampler(medium_of(f)).force_n(0.0, [[1.0], [1.0, 2.0]]), "points_m"),
+        (lambda f: tf.FieldSampler(medium_of(f)).force_n("now", [0.0, 0.0, 0.0]), "time_s"),
+        (lambda f: tf.FieldSampler(medium_of(f)).at(0.0, "x", 0.0, 0.0), "no array of numbers"),  # type: ignore[arg-type]
+        (lambda f: tf.EncodeSpec(filters=("gaussian:2mm",)), "names and words"),  # type: ignore[arg-type]
+        (lambda f: tf.encode(medium_of(f), "x.touch", tf.TouchSpec()), "EncodeSpec"),  # type: ignore[arg-type]
+        (lambda f: tf.encode(medium_of(f), None), "a path"),  # type: ignore[arg-type]
+        (lambda f: tf.plan("sample:shapes", "64 parsecs"), "64kbit/s"),
+        (lambda f: tf.PlaySpec(seconds="1"), "--seconds"),  # type: ignore[arg-type]
+        (lambda f: tf.filters.Gain("2"), "gain"),  # type: ignore[arg-type]
+        (lambda f: tf.filters.gaussian("signal", 1.0), "no array of numbers"),
     ],
 )
 def test_errors_are_our_own(

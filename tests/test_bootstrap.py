@@ -26,8 +26,6 @@ estimator      H basic our own
 ============== ======= ========= ==============================================================================
 plug-in           96 %      96 % I: 100 %; our own is the basic one
 miller-madow      64 %      96 % I: 100 %
-grassberger       60 %      97 %
-chao-shen         47 %      94 % I: 6 %; where no symbol is seen just once it *is* plug-in, and as high for I
 chao-wang-jost    59 %      97 % I: 100 %
 ============== ======= ========= ==============================================================================
 

@@ -137,7 +137,7 @@ def test_the_min_guards_against_upsampling_and_says_so() -> None:
 
 
 def test_an_overshooting_estimate_stops_at_the_codomain() -> None:
-    found = capacity(entropy(10, estimator="chao-shen"), entropy(7, estimator="chao-shen"), 6)
+    found = capacity(entropy(10, estimator="chao-wang-jost"), entropy(7, estimator="chao-wang-jost"), 6)
     assert found.capacity.value == 6 and any("overshoots" in n for n in found.notes)
     with pytest.raises(InvalidArgument, match=r"codomain_bits: found 6, below H\(M\(W\)\) = 7"):
         capacity(entropy(10), entropy(7), 6)
@@ -158,11 +158,11 @@ def test_a_device_that_tells_nothing() -> None:
 
 
 def test_what_the_ratios_are_of() -> None:
-    a = entropy(5, quantiser="distinct", weighting="voxel", estimator="chao-shen")
+    a = entropy(5, quantiser="distinct", weighting="voxel", estimator="chao-wang-jost")
     b = entropy(3, quantiser="weber:0.1", weighting="voxel", samples=40, symbols=7)
     found = capacity(a, b, 8)
     assert found.wmr.quantiser == "W: distinct; M(W): weber:0.1"
-    assert found.wmr.estimator == "W: chao-shen; M(W): plug-in"
+    assert found.wmr.estimator == "W: chao-wang-jost; M(W): plug-in"
     assert (found.hil.weighting, found.hil.samples, found.hil.symbols) == ("voxel", 40, 7)
     assert any("two estimators" in n for n in found.notes)
     assert capacity(b, b, 8).wmr.quantiser == "weber:0.1"

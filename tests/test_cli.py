@@ -139,6 +139,7 @@ def _bad_inputs(folder: Path) -> dict[str, tuple[list[str], int]]:
         "foreign stream": (["info", str(folder / "foreign.touch")], 1),
         "missing stream": (["info", str(folder / "no.touch")], 1),
         "unknown ending": (["field", str(sphere), str(folder / "field.xyz"), "--nw", "3"], 2),
+        "ending of a field": (["encode", str(sphere), str(folder / "field.npz"), "--nw", "3"], 2),
         "unknown sample": (["encode", "sample:moon", out], 2),
     }  # fmt: skip
 
@@ -342,9 +343,25 @@ def test_the_help_is_in_groups_and_ends_in_examples(
     assert sum(line.lstrip("│ ").startswith("--") for line in first.splitlines()) == 10
     assert "[default: half" in printed, "what stands in brackets is no markup"
     assert "touchfield encode scan.ply" in printed.split("Examples:")[1]
-    for command in ("filter", "field", "plan", "decode", "export", "import", "info", "compare", "measure", "play"):
+    made = ("filter", "field", "plan", "decode", "export", "import", "edit", "splice", "resample", "lod", "partition")
+    for command in (*made, "info", "compare", "measure", "play"):
         assert _exit_code([command, "--help"]) == 0
         assert f"touchfield {command} " in capsys.readouterr().out.split("Examples:")[1], command
+
+
+def test_a_usage_error_names_the_help_that_helps(capsys: pytest.CaptureFixture[str]) -> None:
+    for words, hint in ((["plan", "x.ply"], "touchfield plan --help"), (["embroider"], "touchfield --help")):
+        assert _exit_code(words) == 2
+        assert f"({hint} tells more)" in capsys.readouterr().err
+
+
+def test_a_terminal_without_the_letters_of_a_name(sphere: Path, tmp_path: Path) -> None:
+    stream = tmp_path / "kühe.touch"
+    assert _exit_code(["encode", str(sphere), str(stream), "--nw", "3"]) == 0
+    words = [sys.executable, "-m", "touchfield", "info", str(stream)]
+    ascii_alone = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(words, capture_output=True, text=True, check=True, env=ascii_alone)
+    assert "k\\xfche.touch" in done.stdout and not done.stderr
 
 
 def test_help_and_version_run_in_a_fresh_interpreter() -> None:

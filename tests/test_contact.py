@@ -1,20 +1,18 @@
-"""Friction and damping at the receiver: closed forms, dissipation at the ends of float64, the normal of a field."""
+"""Friction at the receiver: closed forms, dissipation at the ends of float64, the normal of a field."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from touchfield.errors import InvalidArgument
-from touchfield.filters.contact import Contact, damping_n, friction_n, rendered_n
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.filters.kernels.forces import friction
+from touchfield.medium import ForceField, Grid
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.shapes import Sphere
@@ -26,6 +24,16 @@ slip_speeds = st.floats(1e-300, 1e300) | st.just(0.001) | st.just(5e-324)
 GRID = Grid((51, 51, 51), (0.002,) * 3, (-0.05,) * 3)
 CENTRE = np.array([0.0003, 0.0001, -0.0002])
 BALL = AnalyticScene([Sphere(tuple(CENTRE), 0.04)]).field(0, GRID, profile_of(LawSpec("penalty"), 0.008))
+
+
+def friction_n(
+    force_n: ArrayLike, velocity_m_s: ArrayLike, mu: float, slip_speed_m_s: float = 0.001
+) -> NDArray[np.float64]:
+    """Friction of the renderer's loop, at many contacts."""
+    force, velocity = np.broadcast_arrays(np.asarray(force_n, float), np.asarray(velocity_m_s, float))
+    rows = zip(force.reshape(-1, 3), velocity.reshape(-1, 3), strict=True)
+    made = [friction(*f, *v, float(mu), float(slip_speed_m_s)) for f, v in rows]
+    return np.reshape(np.array(made, float), force.shape)
 
 
 def power(force: NDArray[np.float64], velocity: tuple[float, ...]) -> tuple[float, float]:
@@ -63,14 +71,6 @@ def test_friction_of_random_contacts_is_the_formula() -> None:
     assert (speed < 0.001).any() and (speed > 0.001).any()
     expected = -0.3 * size * tangential / np.maximum(speed, 0.001)
     assert friction_n(force, velocity, 0.3) == pytest.approx(expected, rel=1e-11, abs=1e-14)
-
-
-def test_friction_broadcasts() -> None:
-    velocities = np.random.default_rng(2).normal(size=(4, 5, 3))
-    made = friction_n([1.0, 2.0, 3.0], velocities, 0.4)
-    assert made.shape == (4, 5, 3) and made.dtype == np.float64
-    assert np.array_equal(made[2, 3], friction_n([1.0, 2.0, 3.0], velocities[2, 3], 0.4))
-    assert friction_n(np.zeros((0, 3)), [1, 2, 3], 0.4).shape == (0, 3)
 
 
 @given(vectors, vectors, st.floats(0, 1e5), slip_speeds)
@@ -137,36 +137,7 @@ def test_friction_is_odd_in_the_velocity_and_even_in_the_force(
     assert np.array_equal(friction_n(np.negative(force), velocity, 0.7), made)
 
 
-# -- damping ----------------------------------------------------------------------------------------------------
-
-
-@given(vectors, st.floats(0, 1e5))
-def test_damping_always_takes_energy(velocity: tuple[float, ...], b: float) -> None:
-    made = damping_n(velocity, b)
-    assert np.array_equal(made, -b * np.asarray(velocity))
-    assert (made * np.sign(velocity) <= 0).all()
-
-
 # -- a field that is touched ------------------------------------------------------------------------------------
-
-
-def test_what_is_rendered_is_the_sum() -> None:
-    rng = np.random.default_rng(3)
-    at = CENTRE + rng.normal(size=(200, 3)) * 0.025
-    velocity = rng.normal(size=(200, 3)) * 0.1
-    contact = Contact(0.4, 2.0)
-    force = BALL.sample_n(at).astype(float)
-    assert force.any(axis=1).sum() > 10 and (~force.any(axis=1)).sum() > 10
-    expected = force + friction_n(force, velocity, 0.4) - 2.0 * velocity
-    assert np.array_equal(rendered_n(BALL, at, velocity, contact), expected)
-    assert np.array_equal(rendered_n(BALL, at[7], velocity[7], contact), expected[7])
-    assert np.array_equal(rendered_n(BALL, at, velocity, Contact()), force)
-
-
-def test_the_coefficients_travel_with_the_medium() -> None:
-    medium = replace(HapticMedium.from_frames([BALL], 1000.0), friction=0.25, damping_n_s_per_m=1.5)
-    assert Contact.of(medium) == Contact(0.25, 1.5)
-    assert Contact.of(medium, 0.01).slip_speed_m_s == 0.01
 
 
 def test_a_sliding_point_comes_to_rest_without_gaining_energy() -> None:
@@ -174,10 +145,11 @@ def test_a_sliding_point_comes_to_rest_without_gaining_energy() -> None:
     grid = Grid((9, 9, 9), (1.0, 1.0, 0.01), (-4.0, -4.0, -0.04))
     weight_n = 0.1 * 9.81
     floor = ForceField.from_dense(grid, np.broadcast_to(np.float32([0, 0, weight_n]), (9, 9, 9, 3)))
-    contact = Contact(0.5, slip_speed_m_s=0.5 * weight_n * 1e-3 / 0.1)  # the least that is steady
+    slip_speed_m_s = 0.5 * weight_n * 1e-3 / 0.1  # the least that is steady
     at, velocity, energy = np.zeros(3), np.array([0.6, 0.8, 0.0]), [0.05]
     for _ in range(500):
-        force = rendered_n(floor, at, velocity, contact) - (0, 0, weight_n)
+        held = floor.sample_n(at).astype(float)
+        force = held + friction_n(held, velocity, 0.5, slip_speed_m_s) - (0, 0, weight_n)
         velocity = velocity + force / 0.1 * 1e-3
         at = at + velocity * 1e-3
         energy.append(0.05 * float(velocity @ velocity))
@@ -209,41 +181,3 @@ def test_the_direction_of_the_field_is_the_normal_of_a_sphere() -> None:
     assert rim.sum() > 1000 and angle[rim].max() < 4
     size = np.linalg.norm(force[held], axis=1)
     assert size[rim].mean() < 0.02 * size.max()
-
-
-# -- faults -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("bad", [-0.1, math.nan, math.inf])
-def test_coefficients_that_make_no_sense(bad: float) -> None:
-    f, v = [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]
-    with pytest.raises(InvalidArgument, match="friction"):
-        friction_n(f, v, bad)
-    with pytest.raises(InvalidArgument, match="damping_n_s_per_m"):
-        damping_n(v, bad)
-    with pytest.raises(InvalidArgument, match="slip_speed_m_s"):
-        friction_n(f, v, 0.5, bad)
-    with pytest.raises(InvalidArgument, match="slip_speed_m_s"):
-        Contact(0.5, 0.5, 0.0)
-
-
-@pytest.mark.parametrize("bad", [[0.0, math.nan, 1.0], [math.inf, 0.0, 0.0], [1.0, 2.0], 3.0])
-def test_vectors_that_make_no_sense(bad: object) -> None:
-    good = [0.0, 0.0, 1.0]
-    with pytest.raises(InvalidArgument, match="force_n"):
-        friction_n(bad, good, 0.5)
-    with pytest.raises(InvalidArgument, match="velocity_m_s"):
-        friction_n(good, bad, 0.5)
-    with pytest.raises(InvalidArgument, match="velocity_m_s"):
-        damping_n(bad, 0.5)
-    with pytest.raises(InvalidArgument, match="position_m"):
-        rendered_n(BALL, bad, good, Contact())
-
-
-def test_arrays_that_do_not_fit_and_forces_that_no_number_holds() -> None:
-    with pytest.raises(InvalidArgument, match="velocity_m_s"):
-        friction_n(np.zeros((4, 3)), np.zeros((5, 3)), 0.5)
-    with pytest.raises(InvalidArgument, match="float64"):
-        friction_n([1e300, 0, 0], [1, 0, 0], 1e10)
-    with pytest.raises(InvalidArgument, match="float64"):
-        damping_n([1e300, 0, 0], 1e10)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-import wave
 from pathlib import Path
 from typing import Any
 
@@ -215,21 +214,17 @@ def test_a_real_recording(tmp_path: Path, shared_data: Path) -> None:
 # -- played again ---------------------------------------------------------------------------------------------------
 
 
-def test_a_recording_is_felt_again_along_its_own_path_and_heard(tmp_path: Path) -> None:
+def test_a_recording_is_felt_again_along_its_own_path(tmp_path: Path) -> None:
     angle = np.linspace(0, 6 * np.pi, 3000)
     points = 0.2 + np.stack([0.015 * np.cos(angle), 0.015 * np.sin(angle), 0.01 * np.sin(angle / 3)], axis=1)
     pulled = ContactTrace(points, (points - 0.2) * -100)
     path = written(tmp_path / "probe.csv", pulled)
     encode(path, tmp_path / "a.touch", EncodeSpec(nw=6, touch=TouchSpec(k=0.02, f0_n=0.0, effort="fast")))
-    log, sound = tmp_path / "log.csv", tmp_path / "a.wav"
+    log = tmp_path / "log.csv"
     asked = ["play", str(tmp_path / "a.touch"), "--offline", "--trace", str(path), "--seconds", "2.9"]
-    assert _exit_code([*asked, "--log", str(log), "--wav", str(sound)]) == 0
+    assert _exit_code([*asked, "--log", str(log)]) == 0
     felt = read_contacts(log).forces_n[100:]
     wanted = pulled.forces_n[100 : 100 + len(felt)]
     assert np.sqrt(((felt - wanted) ** 2).mean()) < 0.15 * np.sqrt((wanted**2).mean())
-    with wave.open(str(sound)) as file:
-        assert file.getnchannels() == 2 and file.getnframes() == pytest.approx(2.9 * 8000, rel=0.01)
-        samples = np.frombuffer(file.readframes(1 << 20), "<i2").reshape(-1, 2)
-        assert np.abs(samples).max(axis=0).min() > 30000
     assert _exit_code([*asked, "--trajectory", str(path)]) == 2  # one of both
     assert _exit_code([*asked[:4], str(tmp_path / "none.csv")]) == 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import warnings
 from collections import Counter
 
 import numpy as np
@@ -12,18 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from limits_makers import fields_of, markov, sparse
-from touchfield.measure.context import NEIGHBOURHOODS, CellCounter, ContextEntropy, context_entropy
+from limits_makers import context_entropy, fields_of, markov, sparse
+from touchfield.measure.context import NEIGHBOURHOODS, CellCounter, ContextEntropy
 from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
-from touchfield.measure.quantity import FewSamplesWarning
-
-pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
 
 
-def of_array(x: np.ndarray, *words: str, **options: object) -> ContextEntropy:
+def of_array(x: np.ndarray, neighbourhood: str, previous_frame: bool = False) -> ContextEntropy:
     """`context_entropy` of an array [x, y, z] or [t, x, y, z], or one of fewer axes."""
     frames = x if x.ndim == 4 else x.reshape(1, *(1,) * (3 - x.ndim), *x.shape)
-    return context_entropy(fields_of(frames, int(x.max()) + 1), *words, **options)  # type: ignore[arg-type]
+    return context_entropy(fields_of(frames, int(x.max()) + 1), neighbourhood, previous_frame=previous_frame)
 
 
 OFFSETS = {"none": [], "previous": [(0, 0, -1)], "axes": [(0, 0, -1), (0, -1, 0), (-1, 0, 0)]}
@@ -97,12 +93,10 @@ def test_a_field_whose_axis_neighbours_are_needed_together() -> None:
     assert of_array(x, "previous").per_voxel.value == pytest.approx(1, abs=0.01)
 
 
-def test_independent_voxels_teach_nothing_and_miller_madow_sees_it() -> None:
+def test_independent_voxels_teach_nothing() -> None:
     x = np.random.default_rng(5).choice(4, (40, 40, 40), p=[0.7, 0.1, 0.1, 0.1])
     h = entropy_bits([7, 1, 1, 1])
-    plug_in = of_array(x, "axes").per_voxel.value
-    corrected = of_array(x, "axes", estimator="miller-madow").per_voxel.value
-    assert plug_in < corrected and abs(corrected - h) < 0.006
+    assert h - 0.01 < of_array(x, "axes").per_voxel.value < h
     assert of_array(x, "previous").per_voxel.value == pytest.approx(h, abs=0.01)
 
 
@@ -120,13 +114,10 @@ def test_the_frame_before_is_worth_what_it_tells() -> None:
 
 def test_dilution_is_told() -> None:
     x = sparse((12, 12, 12), 200, 0.5)
-    with pytest.warns(FewSamplesWarning, match="diluted"):
-        found = of_array(x, "corner")
+    found = of_array(x, "corner")
     assert found.is_diluted and found.per_voxel.value < 0.2 and "diluted" in found.per_voxel.notes[1]
     assert found.once > 0.9 * found.cells
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert not of_array(markov(10_000), "previous").is_diluted
+    assert not of_array(markov(10_000), "previous").is_diluted
 
 
 def test_cells_with_equal_hashes_are_told_apart() -> None:

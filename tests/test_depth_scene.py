@@ -339,12 +339,11 @@ def _busy_surface() -> SurfacePlanes:
 def test_halving_cubes_of_bricks_loses_none(profile: ForceProfile, monkeypatch: pytest.MonkeyPatch) -> None:
     surface, pose = _busy_surface(), pose_of(turned((1, 2, 0), 0.4), (0.1, -0.2, 0.3))
     grid = Grid((117, 90, 75), (0.02, 0.03, 0.05), (-1.0, -1.2, -0.6))
-    monkeypatch.setattr(depth_scene, "_NODES_AT_ONCE", 10**9)
-    at_once = plane_forces(surface, pose, grid, profile)
-    assert len(at_once.bricks) > 50
-    for few in (1, 20, 300):
-        monkeypatch.setattr(depth_scene, "_NODES_AT_ONCE", few)
-        assert plane_forces(surface, pose, grid, profile) == at_once
+    halved = plane_forces(surface, pose, grid, profile)
+    assert len(halved.bricks) > 50
+    every = np.indices(grid.brick_shape, np.int32).reshape(3, -1).T.copy()
+    monkeypatch.setattr(depth_scene, "bricks_that", lambda may_hold, grid: every)
+    assert plane_forces(surface, pose, grid, profile) == halved
 
 
 def test_a_grid_of_a_thousand_per_axis_costs_what_its_surface_costs() -> None:

@@ -72,7 +72,8 @@ def test_without_edges_it_is_repeated_averaging(shape: tuple[int, ...]) -> None:
 def test_the_blur_is_as_wide_in_metres_along_each_axis() -> None:
     grid = Grid((61, 41, 31), (0.001, 0.002, 0.0015), (-0.03, -0.04, -0.0225))
     field = ForceField.from_support(grid, [[30, 20, 15]], [[0, 2.0, 0]])
-    out = DiffusionFilter(math.inf, steps=25, region="all")(field).to_dense()[..., 1].astype(np.float64)
+    everywhere = ForceField.from_dense(grid, field.to_dense() + np.float32([1e-30, 0, 0]))  # all space takes part
+    out = DiffusionFilter(math.inf, steps=25)(everywhere).to_dense()[..., 1].astype(np.float64)
     assert out.sum() == pytest.approx(2.0, rel=1e-6)
     for axis in range(3):
         line = out.sum(tuple(a for a in range(3) if a != axis)) / 2
@@ -173,27 +174,22 @@ def test_an_edge_is_kept_where_a_gaussian_blurs_it() -> None:
 
 
 @pytest.mark.parametrize("conductance", CONDUCTANCES)
-@pytest.mark.parametrize("region", ["all", "support"])
-def test_sparse_is_dense(wavy_field: ForceField, region: str, conductance: str) -> None:
+def test_sparse_is_dense(wavy_field: ForceField, conductance: str) -> None:
     field = wavy_field.on_grid(Grid(wavy_field.grid.shape, (0.001,) * 3, (0, 0, 0)))
     dense = field.to_dense()
-    where = dense.any(axis=-1) if region == "support" else None
+    where = dense.any(axis=-1)
     expected = perona_malik(dense, steps=9, kappa_n=0.4, lam=1 / 7, conductance=conductance, where=where)
-    got = DiffusionFilter(0.4, 9, None, conductance, region)(field)
+    got = DiffusionFilter(0.4, 9, None, conductance)(field)
     assert np.array_equal(got.to_dense(), expected)
     assert got == ForceField.from_dense(field.grid, expected)  # no brick without a force
-    assert (got.support_count > field.support_count) == (region == "all")
 
 
-@pytest.mark.parametrize("region", ["all", "support"])
-def test_the_same_bits_for_any_number_of_threads(
-    wavy_field: ForceField, region: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_bits_for_any_number_of_threads(wavy_field: ForceField, monkeypatch: pytest.MonkeyPatch) -> None:
     dense = noisy((70, 50, 41, 3))
     made = []
     for threads in ("1", "2", "5"):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-        made.append((DiffusionFilter(0.4, region=region)(wavy_field), perona_malik(dense, steps=2, kappa_n=1.0)))
+        made.append((DiffusionFilter(0.4)(wavy_field), perona_malik(dense, steps=2, kappa_n=1.0)))
     for field, array in made[1:]:
         assert field == made[0][0] and np.array_equal(array, made[0][1])
 
@@ -211,40 +207,27 @@ def test_nothing_crosses_empty_space() -> None:
     assert step(both).to_dense()[10:30] == pytest.approx(5.0, rel=1e-5)
 
 
-@given(st.integers(1, 12), st.sampled_from(["support", "all"]))
-def test_claims_of_reach_support_and_mean(steps: int, region: str) -> None:
+@given(st.integers(1, 12))
+def test_claims_of_reach_support_and_mean(steps: int) -> None:
     grid = Grid((30, 30, 30), (0.001, 0.001, 0.002), (0, 0, 0))
     places = [[14, 15, 15], [15, 15, 15], [15, 16, 15], [15, 16, 16]]
     forces = np.array([[1, 0, 0], [1, 0.2, 0], [0.8, 0, 0.1], [1, 1, 1]], np.float32)
-    step = DiffusionFilter(0.7, steps, region=region)
+    step = DiffusionFilter(0.7, steps)
     one = step(ForceField.from_support(grid, places, forces))
     other = step(ForceField.from_support(grid, places, forces + np.float32([0, 0, 0.5]) * np.eye(4, 1)))
     reach, claims = (steps,) * 3, step.claims(grid)
     assert claims.reach == reach and claims.keeps_mean and claims.max_principle and not claims.linear
-    assert claims.keeps_support == (region == "support")
-    far = np.abs(one.positions() - 15).max(axis=1)
-    assert far.max() <= (1 if region == "support" else steps + 1)
-    assert region == "support" or far.max() == steps + 1
+    assert claims.keeps_support
+    assert np.abs(one.positions() - 15).max() <= 1
     changed = np.argwhere((one.to_dense() != other.to_dense()).any(-1))
     assert np.abs(changed - [14, 15, 15]).max() <= steps
     assert one.vectors_n().sum(0, dtype=float) == pytest.approx(forces.sum(0), abs=1e-5)
 
 
-def test_it_is_linear_only_where_nothing_depends_on_the_forces(wavy_field: ForceField) -> None:
-    grid = wavy_field.grid
-    a, b = wavy_field, ForceField.from_dense(grid, noisy((*grid.shape, 3)))
-    step = DiffusionFilter(math.inf, 4, region="all")
-    assert step.claims(grid).linear
-    assert (step(a) + step(b).scaled(2)).to_dense() == pytest.approx(step(a + b.scaled(2)).to_dense(), abs=1e-5)
-    for other in (DiffusionFilter(1.0, region="all"), DiffusionFilter(math.inf)):
-        assert not other.claims(grid).linear
-
-
 def test_empty_fields_flat_grids_and_forces_that_cancel() -> None:
     flat = Grid((32, 20, 1), (0.01, 0.01, 0.001), (0, 0, 0))
     empty = ForceField.empty(flat)
-    for region in ("support", "all"):
-        assert DiffusionFilter(1.0, region=region)(empty) == empty
+    assert DiffusionFilter(1.0)(empty) == empty
     values = noisy((32, 20, 1, 3))
     got = DiffusionFilter(1.0, 3)(ForceField.from_dense(flat, values)).to_dense()
     assert got == pytest.approx(perona_malik(values, steps=3, kappa_n=1.0), abs=1e-6)
@@ -261,8 +244,8 @@ def test_empty_fields_flat_grids_and_forces_that_cancel() -> None:
 
 def test_words() -> None:
     assert DiffusionFilter.parse("steps=10,kappa=0.3") == DiffusionFilter(0.3, 10)
-    assert DiffusionFilter.parse("0.3, region=all,lam=0.1") == DiffusionFilter(0.3, lam=0.1, region="all")
-    for step in (DiffusionFilter(0.25, 3), DiffusionFilter(math.inf, 7, 0.125, "rational", "all")):
+    assert DiffusionFilter.parse("0.3, region=support,lam=0.1") == DiffusionFilter(0.3, lam=0.1)
+    for step in (DiffusionFilter(0.25, 3), DiffusionFilter(math.inf, 7, 0.125, "rational")):
         assert DiffusionFilter.parse(step.words) == step
     with pytest.raises(InvalidArgument, match="no kappa"):
         DiffusionFilter.parse("steps=3")
@@ -301,8 +284,8 @@ def test_arrays_that_are_impossible() -> None:
     for where in (np.ones(3, bool), np.ones((4, 4), bool), np.ones(4)):
         with pytest.raises(InvalidArgument, match="where"):
             perona_malik(np.zeros(4), steps=1, kappa_n=1.0, where=where)
-    with pytest.raises(InvalidArgument, match="region"):
-        DiffusionFilter(1.0, region="some")
+    with pytest.raises(InvalidArgument, match="region=all"):
+        DiffusionFilter.parse("0.3,region=all")
     huge = ForceField.from_support(Grid((2, 2, 2), (1, 1, 1), (0, 0, 0)), [[0, 0, 0]], [[3e38, 0, 0]])
     with pytest.raises(InvalidArgument, match="forces_n"):
         DiffusionFilter(1.0)(huge)

@@ -28,13 +28,11 @@ from touchfield.filters import (
     Region,
     RigidMotion,
     Voxels,
-    concatenated,
     cross_faded,
     edited,
     edited_medium,
     field_filters,
     filter_of,
-    without,
 )
 from touchfield.medium import ForceField, Grid, HapticMedium
 
@@ -288,13 +286,14 @@ def test_a_medium_over_a_medium_begins_with_the_range() -> None:
 
 def test_pieces_put_together_are_the_whole() -> None:
     whole, other = medium(6), medium(3, seed=40)
-    assert list(concatenated(whole.between(0, 2), whole.between(2, 3), whole.between(3, 6))) == list(whole)
-    both = concatenated(whole, other)
+    joined = cross_faded(cross_faded(whole.between(0, 2), whole.between(2, 3), 0), whole.between(3, 6), 0)
+    assert list(joined) == list(whole)
+    both = cross_faded(whole, other, 0)
     assert len(both) == 9 and both[5] == whole[5] and both[6] == other[0] and both[-1] == other[2]
-    assert list(without(whole, 1, 4)) == [whole[i] for i in (0, 4, 5)]
-    assert concatenated(whole) is whole
-    assert both.provenance["splices"] == "6 + 3 frames"
-    assert without(both, 0, 1).provenance["splices"] == "6 + 3 frames; frames 0:1 cut"
+    cut = cross_faded(both.between(0, 1), both.between(4, 9), 0)
+    assert list(cut) == [both[i] for i in (0, 4, 5, 6, 7, 8)]
+    assert both.provenance["splices"] == "6 frames into 3 over 0"
+    assert cut.provenance["splices"].endswith("1 frames into 5 over 0")
 
 
 def test_a_cross_fade_goes_in_equal_steps() -> None:
@@ -306,7 +305,6 @@ def test_a_cross_fade_goes_in_equal_steps() -> None:
         share = (i + 1) / 4
         expected = (1 - share) * first[1 + i].to_dense() + share * second[i].to_dense()
         np.testing.assert_allclose(made[1 + i].to_dense(), expected, atol=1e-6)
-    assert list(cross_faded(first, second, 0)) == list(concatenated(first, second))
     same = cross_faded(first, first, 4)  # one medium into itself, frame on frame
     np.testing.assert_allclose(same[2].to_dense(), first[2].to_dense(), atol=1e-6)
 
@@ -314,15 +312,10 @@ def test_a_cross_fade_goes_in_equal_steps() -> None:
 def test_what_cannot_be_spliced() -> None:
     one = medium(3)
     with pytest.raises(InvalidArgument, match=r"medium 1 to splice, rate_hz: found 30\.0; expected 25\.0"):
-        concatenated(one, medium(3, rate_hz=30.0))
+        cross_faded(one, medium(3, rate_hz=30.0), 0)
     other = HapticMedium.from_frames([ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))], 25.0)
     with pytest.raises(InvalidArgument, match="medium 1 to splice, grid"):
         cross_faded(one, other, 1)
     for frames in (-1, 4, True, 1.0):
         with pytest.raises(InvalidArgument, match="cross-fade"):
             cross_faded(one, one, frames)  # type: ignore[arg-type]
-    for cut in ((0, 3), (2, 2), (1, 5)):
-        with pytest.raises(InvalidArgument, match="frames to cut"):
-            without(one, *cut)
-    with pytest.raises(InvalidArgument, match="none"):
-        concatenated()

@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from scipy import ndimage, signal
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters import fir
 from touchfield.filters.fir import ANCHORS, FirFilter, fir_filter
 from touchfield.filters.separable import BOUNDARIES, SCIPY_MODES
 from touchfield.medium import ForceField, Grid
@@ -43,8 +42,7 @@ def test_the_literal_sum_of_equation_4() -> None:
     rng = np.random.default_rng(0)
     x, h = rng.normal(size=20), rng.normal(size=4)
     expected = [sum(h[k] * x[n - k] for k in range(4) if n >= k) for n in range(20)]
-    for method in ("direct", "fft", "auto"):
-        assert fir_filter(x, h, anchor="causal", method=method) == pytest.approx(expected, abs=1e-13)
+    assert fir_filter(x, h, anchor="causal") == pytest.approx(expected, abs=1e-13)
     assert fir_filter(x, h, anchor="causal") == pytest.approx(signal.lfilter(h, [1.0], x), abs=1e-13)
 
 
@@ -52,7 +50,7 @@ def test_the_literal_sum_of_equation_4() -> None:
     st.lists(st.integers(1, 9), min_size=1, max_size=3), st.integers(0, 2), st.sampled_from(ANCHORS),
     st.sampled_from(BOUNDARIES), st.booleans(), st.data(),
 )  # fmt: skip
-def test_both_methods_equal_the_padded_sum(
+def test_any_kernel_is_the_padded_sum(
     shape: list[int], components: int, anchor: str, boundary: str, product: bool, data: st.DataObject
 ) -> None:
     rng = np.random.default_rng(len(shape))
@@ -72,9 +70,7 @@ def test_both_methods_equal_the_padded_sum(
     for k in itertools.product(*(range(n) for n in counts)):
         window = tuple(slice(n - 1 - i, n - 1 - i + m) for n, i, m in zip(counts, k, shape, strict=True))
         expected += h[k] * wide[window]
-    for method in ("direct", "fft"):
-        made = fir_filter(x, h, anchor=anchor, boundary=boundary, method=method)
-        assert np.abs(made - expected).max() < 1e-12
+    assert np.abs(fir_filter(x, h, anchor=anchor, boundary=boundary) - expected).max() < 1e-12
 
 
 @pytest.mark.parametrize("boundary", BOUNDARIES)
@@ -87,18 +83,8 @@ def test_the_causal_form_is_the_centred_one_moved(boundary: str) -> None:
 
 def test_the_type_of_the_signal_is_kept() -> None:
     h = np.array([1.0, 2.0, 1.0]) / 4
-    for method in ("direct", "fft"):
-        assert fir_filter(np.ones((9, 3), np.float32), h, method=method).dtype == np.float32
-        assert fir_filter(np.ones(9, np.int64), h, method=method).dtype == np.float64
-
-
-def test_the_cheaper_method_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-    for name in ("direct_sums", "_by_fft"):
-        monkeypatch.setattr(fir, name, lambda x, *_, name=name: asked.append(name) or x)
-    for taps in (np.ones((3, 3)) + np.eye(3), np.ones((101, 101)) + np.eye(101), np.ones((41, 41))):
-        fir_filter(np.ones((500, 500)), taps)
-    assert asked == ["direct_sums", "_by_fft", "direct_sums"]  # the last is a product of rows
+    assert fir_filter(np.ones((9, 3), np.float32), h).dtype == np.float32
+    assert fir_filter(np.ones(9, np.int64), h).dtype == np.float64
 
 
 @pytest.mark.parametrize(
@@ -109,11 +95,10 @@ def test_the_cheaper_method_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
         (np.ones(11), {}, "11 taps along an axis of 10 samples; expected at most 10"),
         (np.ones((3, 13)), {}, "axis 1: found 13 taps along an axis of 12"),
         (np.ones((1, 1, 1)), {}, "3 axes for a signal"),
-        (np.array([1, np.nan, 1]), {}, "tap that is not finite"),
+        (np.array([1, np.nan, 1]), {}, "not finite"),
         (np.array([]), {}, "at least one tap"),
         (np.ones(3), {"anchor": "left"}, "centred or causal"),
         (np.ones(3), {"boundary": "mirror"}, "zero, nearest, reflect, wrap"),
-        (np.ones(3), {"method": "magic"}, "auto, direct, fft"),
     ],
 )
 def test_kernels_that_are_refused(taps: np.ndarray, options: dict[str, str], said: str) -> None:
@@ -139,20 +124,20 @@ def test_filtering_raises_the_entropy_of_a_sample_and_lowers_that_of_the_field()
     fields = np.array(list(itertools.product((0, 1), repeat=9)), float).reshape(-1, 3, 3)
     one = Counter(fields[:, 1, 1].tolist())
     assert entropy_bits(one) == 1.0
-    boxed = [fir_filter(f, np.ones((3, 3)), boundary="wrap", method="direct") for f in fields]
+    boxed = [fir_filter(f, np.ones((3, 3)), boundary="wrap") for f in fields]
     assert entropy_bits(Counter(round(f[1, 1]) for f in boxed)) == pytest.approx(2.629928, abs=1e-6)
     joint = entropy_bits(Counter(tuple(np.rint(f).ravel().tolist()) for f in boxed))
     assert joint == pytest.approx(2.629928, abs=1e-6)  # of 9 bits: all nine sums are the same one
     assert joint / 9 == pytest.approx(0.292214, abs=1e-6)
     cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
-    crossed = [fir_filter(f, cross, boundary="wrap", method="direct") for f in fields]
+    crossed = [fir_filter(f, cross, boundary="wrap") for f in fields]
     assert entropy_bits(Counter(round(f[1, 1]) for f in crossed)) > 1.0
     assert entropy_bits(Counter(tuple(np.rint(f).ravel().tolist()) for f in crossed)) <= 9.0 + 1e-12
 
 
 def test_the_joint_entropy_of_a_valid_box_of_4_by_4() -> None:
     fields = ((np.arange(1 << 16)[:, None] >> np.arange(16)) & 1).reshape(-1, 4, 4).astype(float)
-    sums = fir_filter(np.moveaxis(fields, 0, -1), np.ones((3, 3)), anchor="causal", method="direct")[2:, 2:]
+    sums = fir_filter(np.moveaxis(fields, 0, -1), np.ones((3, 3)), anchor="causal")[2:, 2:]
     codes = np.rint(sums).astype(np.int64).reshape(4, -1)
     _, counts = np.unique(codes, axis=1, return_counts=True)
     share = counts / counts.sum()
@@ -163,27 +148,23 @@ def test_the_joint_entropy_of_a_valid_box_of_4_by_4() -> None:
 
 
 @pytest.mark.parametrize("anchor", ANCHORS)
-@pytest.mark.parametrize("boundary", BOUNDARIES)
 @pytest.mark.parametrize("taps", [[1.0, 3.0, 2.0], [0.5, -1.0, 0.0, 2.0, 1.0]])
-def test_one_axis_of_taps_on_bricks_equals_the_dense_array(anchor: str, boundary: str, taps: list[float]) -> None:
+def test_one_axis_of_taps_on_bricks_equals_the_dense_array(anchor: str, taps: list[float]) -> None:
     field = random_field((20, 17, 26), 5)
-    made = filter_of_array(taps, anchor=anchor, boundary=boundary, normalise=False)(field)
+    made = filter_of_array(taps, anchor=anchor, normalise=False)(field)
     h = np.einsum("i,j,k->ijk", taps, taps, taps)
-    expected = fir_filter(field.to_dense().astype(float), h, anchor=anchor, boundary=boundary)
+    expected = fir_filter(field.to_dense().astype(float), h, anchor=anchor)
     assert np.abs(made.to_dense() - expected).max() < 2e-5
     assert made == ForceField.from_dense(field.grid, made.to_dense())
 
 
 @pytest.mark.parametrize("anchor", ANCHORS)
-@pytest.mark.parametrize("boundary", BOUNDARIES)
 @pytest.mark.parametrize("shape", [(3, 3, 3), (1, 5, 3), (9, 1, 11)])
-def test_a_box_of_taps_on_bricks_equals_the_dense_array(
-    anchor: str, boundary: str, shape: tuple[int, int, int]
-) -> None:
+def test_a_box_of_taps_on_bricks_equals_the_dense_array(anchor: str, shape: tuple[int, int, int]) -> None:
     field = random_field((20, 17, 26), 6)
     h = np.random.default_rng(7).normal(size=shape)
-    made = filter_of_array(h, anchor=anchor, boundary=boundary, normalise=False)(field)
-    expected = fir_filter(field.to_dense().astype(float), h, anchor=anchor, boundary=boundary)
+    made = filter_of_array(h, anchor=anchor, normalise=False)(field)
+    expected = fir_filter(field.to_dense().astype(float), h, anchor=anchor)
     assert np.abs(made.to_dense() - expected).max() < 1e-5
     assert made == ForceField.from_dense(field.grid, made.to_dense())
 
@@ -240,10 +221,10 @@ def test_claims_of_a_smoothing_a_literal_and_a_high_pass() -> None:
 def test_a_constant_is_multiplied_by_the_gain() -> None:
     grid = Grid((12, 12, 12), (0.001,) * 3, (0.0,) * 3)
     field = ForceField.from_dense(grid, np.ones((12, 12, 12, 3)))
-    for filt in (FirFilter("1/2/4", boundary="nearest"), FirFilter("1/2/4", boundary="wrap", normalise=False)):
+    for filt in (FirFilter("1/2/4"), FirFilter("1/2/4", normalise=False)):
         gain = filt.claims(grid).dc_gain
         assert gain == pytest.approx(1 if filt.normalise else 343)
-        assert filt(field).to_dense() == pytest.approx(np.full((12, 12, 12, 3), gain), rel=1e-6)
+        assert filt(field).to_dense()[1:-1, 1:-1, 1:-1] == pytest.approx(np.full((10, 10, 10, 3), gain), rel=1e-6)
 
 
 def test_a_flat_field_is_filtered_along_its_two_axes() -> None:
@@ -257,8 +238,8 @@ def test_a_flat_field_is_filtered_along_its_two_axes() -> None:
 
 
 def test_words_and_files_give_the_same_taps(tmp_path: Path) -> None:
-    asked = FirFilter.parse("1/2/1,anchor=causal,boundary=wrap")
-    assert asked == FirFilter("1/2/1", "causal", "wrap") == FirFilter.parse(asked.words)
+    asked = FirFilter.parse("1/2/1,anchor=causal,boundary=zero")  # as older streams have it
+    assert asked == FirFilter("1/2/1", "causal") == FirFilter.parse(asked.words)
     h = np.random.default_rng(1).normal(size=(3, 1, 3))
     np.save(tmp_path / "h.npy", h)
     from_file, of_array = FirFilter.parse(f"taps={tmp_path / 'h.npy'}"), filter_of_array(h)
@@ -286,7 +267,7 @@ def test_an_empty_field_stays_empty() -> None:
         ("0/0/0,normalise=false", "not zero"),
         ("no/such/file.npy", "cannot be read"),
         ("1/2/1,anchor=left", "centred or causal"),
-        ("1/2/1,boundary=mirror", "zero, nearest"),
+        ("1/2/1,boundary=wrap", "each of taps, anchor, normalise"),
         ("1/2/1,normalise=perhaps", "true or false"),
     ],
 )
@@ -304,20 +285,18 @@ def test_a_kernel_larger_than_the_field_is_refused() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("method", ["direct", "fft"])
-def test_sums_beyond_the_type_are_refused(dtype: type, method: str) -> None:
+def test_sums_beyond_the_type_are_refused(dtype: type) -> None:
     huge = 0.5 * float(np.finfo(dtype).max)
     said = f"signal: found numbers whose sums are beyond {np.dtype(dtype)}"
     for shape, taps in (((40,), np.ones(3)), ((9, 9), np.eye(3)), ((7, 7, 7, 3), np.ones((3, 3, 3)))):
         with pytest.raises(InvalidArgument, match=said):
-            fir_filter(np.full(shape, huge, dtype), taps, method=method)
-    assert np.isfinite(fir_filter(np.full(40, huge / 8, dtype), np.ones(3), method=method)).all()
+            fir_filter(np.full(shape, huge, dtype), taps)
+    assert np.isfinite(fir_filter(np.full(40, huge / 8, dtype), np.ones(3))).all()
 
 
 @pytest.mark.parametrize("taps", ["1/2/1", "3x3x3:" + "/".join(str(v) for v in range(27)), "1e39/1e39/1e39"])
-@pytest.mark.parametrize("boundary", BOUNDARIES)
-def test_forces_beyond_float32_are_refused(taps: str, boundary: str) -> None:
+def test_forces_beyond_float32_are_refused(taps: str) -> None:
     grid = Grid((12, 12, 12), (0.001,) * 3, (0.0,) * 3)
     field = ForceField.from_dense(grid, np.full((12, 12, 12, 3), 3e38))
-    with pytest.raises(InvalidArgument, match=r"sums are beyond float32|a force that is not finite"):
-        FirFilter(taps, boundary=boundary, normalise=False)(field)
+    with pytest.raises(InvalidArgument, match=r"sums are beyond float32|a number that is not finite"):
+        FirFilter(taps, normalise=False)(field)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -16,10 +16,8 @@ from touchfield.filters.separable import (
     BOUNDARIES,
     SCIPY_MODES,
     AxisTaps,
-    cropped,
     factors,
     filter_field,
-    widened,
 )
 from touchfield.filters.smoothing import GaussianFilter, gaussian, gaussian_taps
 from touchfield.medium import ForceField, Grid
@@ -90,19 +88,18 @@ def test_taps_are_symmetric_positive_and_of_unit_sum(sigma: float, truncate: flo
 # -- bricks -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("boundary", BOUNDARIES)
 @pytest.mark.parametrize("shape", [(24, 33, 41), (17, 18, 30), (40, 17, 64)])
-def test_bricks_equal_the_dense_array(boundary: str, shape: tuple[int, int, int]) -> None:
+def test_bricks_equal_the_dense_array(shape: tuple[int, int, int]) -> None:
     field = random_field(shape, 3, 0.01)
-    made = GaussianFilter(1.9, boundary=boundary)(field)
-    expected = by_scipy(field.to_dense(), (1.9,) * 3, boundary)
+    made = GaussianFilter(1.9)(field)
+    expected = by_scipy(field.to_dense(), (1.9,) * 3, "zero")
     assert np.abs(made.to_dense() - expected).max() < 1e-6
     assert made == ForceField.from_dense(field.grid, made.to_dense())  # no empty brick, nothing beyond the grid
 
 
-@given(shapes, st.integers(0, 999), st.sampled_from([0.001, 0.05, 1.0]), st.sampled_from(BOUNDARIES), st.data())
+@given(shapes, st.integers(0, 999), st.sampled_from([0.001, 0.05, 1.0]), st.data())
 def test_any_taps_on_bricks_and_on_arrays_equal_scipy(
-    shape: tuple[int, int, int], seed: int, share: float, boundary: str, data: st.DataObject
+    shape: tuple[int, int, int], seed: int, share: float, data: st.DataObject
 ) -> None:
     field = random_field(shape, seed, share)
     rng = np.random.default_rng(seed)
@@ -115,11 +112,11 @@ def test_any_taps_on_bricks_and_on_arrays_equal_scipy(
         axes.append(AxisTaps(taps, data.draw(st.integers(0, len(taps) - 1))))
         origin = len(taps) - 1 - axes[-1].origin - len(taps) // 2
         expected = ndimage.correlate1d(
-            expected, taps[::-1], axis=axis, mode=SCIPY_MODES[boundary], origin=origin
+            expected, taps[::-1], axis=axis, mode="constant", origin=origin
         )  # fmt: skip
     tolerance = 1e-5 * max(1.0, float(np.prod([np.abs(a.taps).sum() for a in axes])))
     rows = (axes[0], axes[1], axes[2])
-    made, _ = filter_field(field, rows, boundary)
+    made, _ = filter_field(field, rows)
     assert np.abs(made.to_dense() - expected).max() <= tolerance
     assert made == ForceField.from_dense(field.grid, made.to_dense())
 
@@ -177,14 +174,6 @@ def test_claims_hold_on_a_field_clear_of_the_border(wavy_field: ForceField) -> N
     assert np.abs(twice + 2.5 * made.to_dense()).max() < 1e-6
 
 
-@settings(max_examples=20)
-@given(st.floats(0.2, 1.9), st.sampled_from(BOUNDARIES[1:]))
-def test_a_constant_stays_itself_where_the_boundary_continues_it(sigma: float, boundary: str) -> None:
-    force = np.array([1.0, -2.0, 0.5], np.float32)
-    field = ForceField.from_dense(unit_grid((17, 18, 20)), np.broadcast_to(force, (17, 18, 20, 3)))
-    assert np.abs(GaussianFilter(sigma, boundary=boundary)(field).to_dense() - force).max() < 2e-6
-
-
 def test_an_axis_of_one_sample_is_left_alone() -> None:
     field = random_field((30, 30, 1), 8, 0.1)
     made = GaussianFilter(2.0)(field).to_dense()
@@ -192,28 +181,10 @@ def test_an_axis_of_one_sample_is_left_alone() -> None:
 
 
 def test_an_empty_field_stays_empty_and_words_come_back() -> None:
-    smooth = GaussianFilter.parse("sigma=2mm,truncate=3,boundary=wrap")
-    assert smooth == GaussianFilter(0.002, 3.0, "wrap") == GaussianFilter.parse(smooth.words)
+    smooth = GaussianFilter.parse("sigma=2mm,truncate=3,boundary=zero")  # as older streams have it
+    assert smooth == GaussianFilter(0.002, 3.0) == GaussianFilter.parse(smooth.words)
     empty = ForceField.empty(Grid((32, 32, 32), (0.001,) * 3, (0.0,) * 3))
     assert smooth(empty) == empty
-
-
-# -- continued fields -------------------------------------------------------------------------------------------
-
-
-@given(shapes, st.integers(0, 99), st.sampled_from(BOUNDARIES[1:]), st.data())
-def test_a_widened_field_is_the_padded_array(
-    shape: tuple[int, int, int], seed: int, boundary: str, data: st.DataObject
-) -> None:
-    field = random_field(shape, seed, 0.2)
-    before, after = (tuple(data.draw(st.integers(0, n)) for n in shape) for _ in range(2))
-    wide = widened(field, before, after, boundary)
-    mode = {"nearest": "edge", "reflect": "symmetric", "wrap": "wrap"}[boundary]
-    low = tuple(-(-b // 8) * 8 for b in before)
-    padded = np.pad(field.to_dense(), [*zip(before, after, strict=True), (0, 0)], mode=mode)
-    expected = np.pad(padded, [*((m - b, 0) for m, b in zip(low, before, strict=True)), (0, 0)])
-    assert np.array_equal(wide.to_dense(), expected)
-    assert np.array_equal(cropped(wide, field.grid).to_dense(), field.to_dense())
 
 
 def test_factors_of_a_product_and_of_what_is_none() -> None:
@@ -237,7 +208,7 @@ def test_factors_of_a_product_and_of_what_is_none() -> None:
         ("2", "--gaussian sigma: found '2'"),
         ("2mm,truncate=0", "truncate"),
         ("2mm,truncate=nan", "truncate"),
-        ("2mm,boundary=mirror", "zero, nearest, reflect, wrap"),
+        ("2mm,boundary=mirror", "each of sigma, truncate"),
     ],
 )
 def test_words_that_make_no_gaussian(text: str, said: str) -> None:
@@ -280,15 +251,14 @@ def test_a_signal_that_is_not_finite_is_refused(bad: float) -> None:
             gaussian(signal, 1.0)
 
 
-def test_sums_beyond_the_type_are_refused() -> None:
+def test_sums_of_the_largest_numbers_do_not_overflow() -> None:
     """SciPy adds two samples of one weight before it weighs them; our passes weigh each."""
     most = float(np.finfo(np.float32).max)
     field = ForceField.from_dense(unit_grid((20, 20, 20)), np.full((20, 20, 20, 3), 0.9 * most))
     for boundary in BOUNDARIES:
         assert gaussian(field.to_dense(), 1.0, boundary=boundary).max() == pytest.approx(0.9 * most, rel=1e-6)
-        with pytest.raises(InvalidArgument, match="signal: found numbers whose sums are beyond float64"):
-            gaussian(np.full(20, 1.7e308), 1.0, boundary=boundary)
-        assert GaussianFilter(1.0, boundary=boundary)(field).forces_n.max() == pytest.approx(0.9 * most, rel=1e-6)
+        assert gaussian(np.full(20, 1.7e308), 1.0, boundary=boundary).max() == pytest.approx(1.7e308, rel=1e-12)
+    assert GaussianFilter(1.0)(field).forces_n.max() == pytest.approx(0.9 * most, rel=1e-6)
     assert np.isfinite(GaussianFilter(1.0)(field.scaled(0.5)).forces_n).all()
 
 

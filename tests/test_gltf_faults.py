@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -17,7 +18,8 @@ from hypothesis import strategies as st
 from gltf_makers import CUBE, Gltf, everything, glb, moving_cube
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.sources.animated_mesh import KIND, AnimatedMeshScene
-from touchfield.sources.gltf_document import Document
+from touchfield.sources.gltf_document import Document, contents
+from touchfield.sources.mesh import KIND as MESH
 from touchfield.sources.options import SourceOptions
 
 Change = Callable[[dict[str, Any]], Any]
@@ -181,6 +183,33 @@ def test_compressed_primitives_without_data_name_their_extension(tmp_path: Path)
     del gltf.json["accessors"][0]["bufferView"]
     primitive(gltf.json)["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
     refused(gltf, tmp_path, "KHR_draco_mesh_compression")
+
+
+def test_another_version_is_told_whatever_else_is_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "old.gltf"
+    path.write_text('{"asset": {"version": "1.0"}, "meshes": {"a": {}}, "nodes": {}}')
+    with pytest.raises(SourceError, match=r"glTF version '1\.0'; expected version 2"):
+        Document(path)
+
+
+def test_extensions_that_are_not_read_are_told(tmp_path: Path) -> None:
+    gltf = moving_cube()
+    gltf.json["extensionsUsed"] = ["KHR_materials_unlit", "EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression"]
+    path = gltf.save(tmp_path / "a.gltf")
+    for scene in (KIND.open(path, SourceOptions()), MESH.open(path, SourceOptions())):
+        assert "Not read, and left out: 'EXT_mesh_gpu_instancing'" in scene.notes
+
+
+def test_of_a_glb_that_is_recognised_the_json_is_read_alone(tmp_path: Path) -> None:
+    path = moving_cube().save(tmp_path / "a.glb", "glb")
+    members, data = contents(path)
+    assert data and contents(path, has_binary=False) == (members, b"")
+    json_bytes = int.from_bytes(path.read_bytes()[12:16], "little")
+    os.truncate(path, 20 + json_bytes)
+    with path.open("r+b") as file:  # nothing behind the JSON
+        file.seek(8)
+        file.write((20 + json_bytes).to_bytes(4, "little"))
+    assert contents(path) == (members, b"")
 
 
 def test_small_documents_cannot_ask_for_much_memory(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.height_scene import KIND, HeightLattice, HeightScene, degree_m, jacksboro_scene
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import open_source
 from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES
 
 SOLID = profile_of(LawSpec(), np.inf)
@@ -294,13 +295,36 @@ def tiff(path: Path, values: np.ndarray, tags: dict[int, tuple[int, tuple | str]
     path.write_bytes(head + data + struct.pack("<H", len(entries)) + table + b"\0" * 4 + extra)
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int16, np.int32, np.float32])
+@pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.int16, np.int32, np.float32])
 def test_tiff_of_each_type(tmp_path: Path, dtype: type) -> None:
     values = MAP.astype(dtype) - (5 if np.dtype(dtype).kind != "u" else 0)
     tiff(tmp_path / "ground.tif", values.astype(dtype), {33550: (12, (2.0, 3.0, 0.0))})
     scene = opened(tmp_path / "ground.tif")
     np.testing.assert_array_equal(scene._heights(0), values)
     np.testing.assert_allclose(scene.bounds_m()[1][:2], [6, 6])
+
+
+def test_a_tiff_of_another_form_is_told_as_such(tmp_path: Path) -> None:
+    path = tmp_path / "ground.tif"
+    tiff(path, MAP.astype(np.float64), {33550: (12, (2.0, 3.0, 0.0))})
+    with pytest.raises(SourceError, match=r"of a form that is not read.*or of 32, whole or floating"):
+        open_source(path)
+
+
+def test_of_several_pages_the_first_is_read_and_told(tmp_path: Path) -> None:
+    path, note = tmp_path / "ground.tif", "The file has several pages of this size: the first is read."
+    first, second, small = (Image.fromarray(np.full(shape, 3, np.uint16)) for shape in ((6, 8), (6, 8), (3, 4)))
+    first.save(path, save_all=True, append_images=[second])
+    assert note in opened(path).notes
+    first.save(path, save_all=True, append_images=[small])  # a smaller copy is no page of its own
+    assert note not in opened(path).notes
+
+
+@pytest.mark.parametrize("values", [np.ones((3, 4), bool), np.ones((3, 4), complex), np.ones((0, 4))])
+def test_an_npy_of_no_numbers_is_told_by_what_it_holds(tmp_path: Path, values: np.ndarray) -> None:
+    np.save(tmp_path / "ground.npy", values)
+    with pytest.raises(SourceError, match=rf"found {values.dtype} .*expected whole or floating numbers"):
+        opened(tmp_path / "ground.npy")
 
 
 def test_geotiff_in_degrees_with_nodata(tmp_path: Path) -> None:
@@ -398,6 +422,12 @@ def test_damaged_files_give_a_scene_or_a_source_error(
     except SourceError as error:
         outcome = str(error)
     assert outcome == "(2, 3)" or path.name in outcome
+
+
+def test_an_array_of_no_numbers_is_told_as_such(tmp_path: Path) -> None:
+    np.save(tmp_path / "map.npy", np.zeros((4, 5), bool))
+    with pytest.raises(SourceError, match=r"found bool \[4, 5\]; expected numbers"):
+        KIND.open(tmp_path / "map.npy", SourceOptions())
 
 
 def test_what_is_not_taken_for_a_height_map(tmp_path: Path) -> None:

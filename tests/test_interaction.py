@@ -113,7 +113,7 @@ def test_the_interval_is_of_blocks_of_time() -> None:
     assert spread.high - spread.low > 3 * (apart.interval.high - apart.interval.low)  # dependence is not hidden
 
 
-@pytest.mark.parametrize("estimator", ["plug-in", "miller-madow", "chao-shen"])
+@pytest.mark.parametrize("estimator", ["plug-in", "miller-madow", "chao-wang-jost"])
 def test_the_interval_is_within_the_alphabet(estimator: str) -> None:
     rng = np.random.default_rng(1)
     symbols = FieldSymbols.from_dense(GRID, rng.integers(0, 2, GRID.shape), 2, "given")

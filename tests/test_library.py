@@ -85,6 +85,14 @@ def test_every_medium_is_filed_and_what_cannot_be_is_told(folder: Path) -> None:
         assert index[name] == tf.measure.descriptor(tf.decode(folder / name))
 
 
+def test_a_folder_without_media_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bare").mkdir()
+    assert _exit_code(["index", str(tmp_path / "bare")]) == 0
+    assert "note: no .touch file in" in capsys.readouterr().out
+    assert _exit_code(["index", str(tmp_path / "bare"), "--json"]) == 0
+    assert "no .touch file in" in json.loads(capsys.readouterr().out)["notes"][0]
+
+
 def test_only_what_changed_is_decoded_again(folder: Path, decoded: list[str]) -> None:
     first = index_folder(folder)
     assert len(decoded) == 8

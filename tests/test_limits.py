@@ -8,13 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from limits_makers import fields_of, sparse
+from limits_makers import context_entropy, fields_of, sparse
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.errors import InvalidArgument
-from touchfield.measure.context import context_entropy
 from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.limits import block_rates, coding_limits, scan_line_rates
+from touchfield.measure.limits import BlockCounter, coding_limits
 from touchfield.medium import ForceField, Grid
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
@@ -56,7 +55,7 @@ def test_flat_media_are_scanned_along_the_last_axis_that_has_samples(shape: tupl
         alone = context_entropy(fields_of(dense, 4), context.neighbourhood, previous_frame=context.previous_frame)
         assert context.per_voxel.value == pytest.approx(alone.per_voxel.value, abs=1e-12)
         assert (context.contexts, context.cells) == (alone.contexts, alone.cells)
-    lines = block_rates(dense.reshape(-1, dense.shape[-1]), min(4, dense.shape[-1]))
+    lines = coding_limits(fields_of(dense, 4)).scan_lines
     assert [q.value for q in found.scan_lines.rates] == [q.value for q in lines.rates]
     if max(shape) > 1:
         assert found.scan_lines.rates[1].value < 0.9 * found.voxel_entropy.value
@@ -85,19 +84,9 @@ def test_a_nominal_lattice_is_never_laid_out() -> None:
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: block_rates([0.5, 1.0]), "Quantise them first"),
-        (lambda: block_rates([[0, 1], [1]]), "x: found lists"),
-        (lambda: block_rates(np.zeros(0, int)), "at least one"),
-        (lambda: block_rates([1, -1]), "-1"),
-        (lambda: block_rates([1, 0, 1], 4), "blocks of 4"),
-        (lambda: block_rates([1, 0, 1], 0), "longest"),
-        (lambda: block_rates([1, 0, 1], 2, estimator="guess"), "guess"),
-        (lambda: scan_line_rates([]), "no frame"),
-        (lambda: scan_line_rates(fields_of(np.ones((1, 9, 9, 2), int), 2), 3), "axis of 2"),
-        (lambda: scan_line_rates(fields_of(np.ones((1, 9, 9, 2), int), 2), 2, axis=3), "axis"),
-        (lambda: context_entropy(np.zeros(9, int), "moore"), "moore"),
-        (lambda: context_entropy(7), "int"),
-        (lambda: context_entropy([1, 2]), "FieldSymbols"),
+        (lambda: BlockCounter(2, 0, "test"), "longest"),
+        (lambda: coding_limits(7), "int"),
+        (lambda: coding_limits([1, 2]), "FieldSymbols"),
         (lambda: coding_limits([]), "no frame"),
     ],
 )  # fmt: skip
@@ -113,9 +102,8 @@ def test_frames_that_do_not_match_are_refused() -> None:
         fields_of(np.ones((1, 4, 4, 4), int), 3)[0],
         FieldSymbols(a.grid, a.bricks, a.symbols, 2, "another"),
     ):
-        for measure in (coding_limits, context_entropy, scan_line_rates):
-            with pytest.raises(InvalidArgument, match=r"grid|quantiser"):
-                measure([a, other])
+        with pytest.raises(InvalidArgument, match=r"grid|quantiser"):
+            coding_limits([a, other])
 
 
 def test_cells_beyond_the_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

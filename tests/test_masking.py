@@ -8,18 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from scipy import ndimage, signal
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
-from touchfield.perception.human import figure
 from touchfield.perception.mask import (
     SpatialMasking,
-    body_mask_n,
     mask_n,
-    site_weights,
     violations,
 )
 
@@ -150,75 +146,6 @@ def test_an_empty_field_has_no_masks() -> None:
     assert SpatialMasking(0.1, beta=0.5, radius_m=0.01).field_mask_n(ForceField.empty(GRID)).shape == (0, 8, 8, 8)
 
 
-# -- of arrays and sites ----------------------------------------------------------------------------------------
-
-
-def array_mask_n(
-    masking: SpatialMasking, levels: NDArray[np.float64], pitch: tuple[float, float]
-) -> NDArray[np.float64]:
-    """The mask of an array of actuators [N, M]: its places are the sites."""
-    along = [p * np.arange(n) for p, n in zip(pitch, levels.shape, strict=True)]
-    places = np.stack(np.meshgrid(*along, indexing="ij"), -1)
-    return body_mask_n(levels.reshape(-1), places.reshape(-1, 2), [masking] * levels.size).reshape(levels.shape)
-
-
-def test_a_field_one_sample_deep_is_an_array_away_from_its_border() -> None:
-    grid = Grid((30, 40, 1), (0.01, 0.012, 0.01), (0.0, 0.0, 0.0))
-    field = noise(grid, 4, 0.5)
-    masking = SpatialMasking(0.07, 0.01, 0.5, 0.03)
-    plane = array_mask_n(masking, amplitudes(field)[..., 0], (0.01, 0.012))
-    made = dense(field, masking.field_mask_n(field))[..., 0]
-    assert made[3:-3, 2:-2] == pytest.approx(plane[3:-3, 2:-2], rel=1e-6)
-    assert (made <= plane * (1 + 1e-6)).all()  # beyond the border the field has silence, the array nothing
-
-
-@given(arrays(np.float64, (4, 3), elements=st.floats(0, 10)), st.integers(0, 11), st.floats(0, 5))
-def test_arrays_keep_the_laws(levels: NDArray[np.float64], one: int, more: float) -> None:
-    masking, plain = SpatialMasking(0.1, 0.02, 0.4, 0.025), SpatialMasking(0.1, 0.02)
-    made = array_mask_n(masking, levels, (0.01, 0.01))
-    assert np.array_equal(array_mask_n(plain, levels, (0.01, 0.01)), mask_n(levels, 0.1, 0.02))
-    assert (made >= mask_n(levels, 0.1, 0.02)).all()
-    louder = levels.copy()
-    louder.flat[one] += more
-    assert (array_mask_n(masking, louder, (0.01, 0.01)) >= made).all()
-    twice = SpatialMasking(0.1, 0.04, 0.4, 0.025)
-    assert np.array_equal(array_mask_n(twice, 2 * levels, (0.01, 0.01)), 2 * made)
-
-
-def test_weights_of_sites() -> None:
-    places = [[0.0, 0.0], [0.02, 0.0], [0.0, 0.03], [0.5, 0.5]]
-    weights = site_weights(places, [0.04, 0.025, 0.04, 0.04])
-    assert np.array_equal(np.diag(weights), np.zeros(4))
-    assert weights.sum(axis=1) == pytest.approx([1, 1, 1, 0])
-    near, far = np.exp(-2 * 0.5**2), np.exp(-2 * 0.75**2)
-    assert weights[0] == pytest.approx([0, near / (near + far), far / (near + far), 0])
-    assert weights[1] == pytest.approx([1, 0, 0, 0])  # the third lies beyond R_1 along y
-    assert (site_weights([[0.0]], [1.0]) == 0).all()
-
-
-def test_body_sites_have_their_own_figures() -> None:
-    finger = SpatialMasking.at_site("finger", beta=0.2)
-    assert finger == SpatialMasking(figure("force_weber_fraction"), 0.0, 0.2, 0.0025)
-    assert SpatialMasking(0.1).radius_m == 0.0025
-    forearm = SpatialMasking.at_site("forearm", k=0.2, f0_n=0.1)
-    assert forearm == SpatialMasking(0.2, 0.1, 0.0, 0.035)
-    with pytest.raises(InvalidArgument, match="Weber fraction"):
-        SpatialMasking.at_site("forearm")
-    with pytest.raises(InvalidArgument, match="finger, palm"):
-        SpatialMasking.at_site("ear")
-
-
-def test_a_strong_neighbour_hides_a_weak_one_on_a_forearm_and_not_on_a_finger() -> None:
-    places = [[0.0], [0.02]]
-    levels = [1.0, 0.05]
-    arm = body_mask_n(levels, places, [SpatialMasking.at_site("forearm", 0.3, 0.1)] * 2)
-    assert arm == pytest.approx([0.1 + 0.3 * 0.05, 0.005 + 0.3])
-    tips = body_mask_n(levels, places, [SpatialMasking.at_site("finger", 0.3, 0.1)] * 2)
-    assert tips == pytest.approx([0.1, 0.005])
-    mixed = body_mask_n(levels, places, [SpatialMasking(0.1), SpatialMasking(0.2, 0.4)])
-    assert mixed == pytest.approx([0.1, 0.4])
-
-
 # -- faults -----------------------------------------------------------------------------------------------------
 
 
@@ -228,7 +155,7 @@ def test_parameters_that_make_no_sense(bad: float) -> None:
         with pytest.raises(InvalidArgument, match=name):
             SpatialMasking(**{"k": 0.1, name: bad})
         for word in ("a", None, [0.1]):
-            with pytest.raises(InvalidArgument, match=f"{name}: found .*; expected a number"):
+            with pytest.raises(InvalidArgument, match=f"{name}: found .*; expected a (finite|positive) number"):
                 SpatialMasking(**{"k": 0.1, name: word})  # type: ignore[arg-type]
     assert SpatialMasking(np.float32(0.5), beta=np.int64(1)) == SpatialMasking(0.5, beta=1)  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match="radius_m"):
@@ -252,33 +179,6 @@ def test_one_sample_alone_has_the_plain_mask(radius_m: float) -> None:
     masking, plain = SpatialMasking(0.1, 0.02, 0.5, radius_m), SpatialMasking(0.1, 0.02)
     lone = ForceField.from_dense(Grid((1, 1, 1), (0.001,) * 3, (0.0,) * 3), np.full((1, 1, 1, 3), 3.0))
     assert np.array_equal(masking.field_mask_n(lone), plain.field_mask_n(lone))
-    assert np.array_equal(body_mask_n([[0.1], [4.0]], [[0.0]], [masking]), mask_n([[0.1], [4.0]], 0.1, 0.02))
-
-
-def test_sites_that_do_not_fit() -> None:
-    masking = SpatialMasking(0.1, beta=0.1, radius_m=0.02)
-    for levels in (1.0, np.ones(3), np.array([[1.0, math.nan]]), np.array([[1.0, -1.0]]), np.zeros((0, 3))):
-        with pytest.raises(InvalidArgument, match="amplitudes_n"):
-            body_mask_n(levels, [[0.0], [0.01]], [masking] * 2)
-    ragged = [[1.0, 2.0], [3.0]]
-    with pytest.raises(InvalidArgument, match="amplitudes_n: found what is no array of numbers"):
-        body_mask_n(ragged, [[0.0], [0.01]], [masking] * 2)
-    with pytest.raises(InvalidArgument, match="positions_m: found what is no array of numbers"):
-        body_mask_n([1.0, 2.0], ragged, [masking] * 2)
-    with pytest.raises(InvalidArgument, match="radii_m: found what is no array of numbers"):
-        site_weights([[0.0], [1.0]], ragged)
-    with pytest.raises(InvalidArgument, match="one for each site"):
-        body_mask_n([1.0, 2.0], [[0.0], [1.0]], [masking])
-    with pytest.raises(InvalidArgument, match="radii_m"):
-        body_mask_n([1.0], [[0.0], [1.0]], [masking])
-    with pytest.raises(InvalidArgument, match="positions_m"):
-        body_mask_n([1.0], [[math.nan]], [masking])
-    for radii in ([1.0], [1.0, 0.0], [1.0, math.inf]):
-        with pytest.raises(InvalidArgument, match="radii_m"):
-            site_weights([[0.0], [1.0]], radii)
-    for places in (np.zeros((0, 2)), np.zeros((5000, 2)), np.zeros((2, 4)), np.zeros(2)):
-        with pytest.raises(InvalidArgument, match="positions_m"):
-            site_weights(places, np.ones(len(places)))
 
 
 def test_violations_are_judged_by_what_the_neighbours_hide() -> None:

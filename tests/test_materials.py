@@ -274,7 +274,7 @@ BAD_TABLES = [
     ),
     (
         {"materials": [{"name": "a", "speeds_m_s": [1], "forces_n": [1], "texture_rms_n": [[[1], [1, 2]]]}]},
-        "texture_rms_n: found rows of several lengths",
+        "texture_rms_n: found what is no array of numbers",
     ),
 ]
 

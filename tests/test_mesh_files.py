@@ -71,6 +71,69 @@ def test_damaged_files_are_one_clear_error(tmp_path: Path, suffix: str) -> None:
         assert "\n" not in str(caught.value) and path.name in str(caught.value)
 
 
+L_OUTLINE = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply"])
+@pytest.mark.parametrize("start", range(6))
+def test_concave_polygons_are_not_folded(tmp_path: Path, suffix: str, start: int) -> None:
+    """Of two caps of an L, from whatever corner the file begins with: a fan of the first has triangles outside."""
+    points = [(x, y, z) for z in (0, 1) for x, y in L_OUTLINE]
+    top = [6 + (start + i) % 6 for i in range(6)]
+    faces = [top, [i - 6 for i in top[::-1]], *([i, (i + 1) % 6, (i + 1) % 6 + 6, i + 6] for i in range(6))]
+    path = tmp_path / f"l{suffix}"
+    rows = "".join(f"{x} {y} {z}\n" for x, y, z in points)
+    polygons = "".join(f"{len(face)} {' '.join(map(str, face))}\n" for face in faces)
+    if suffix == ".obj":
+        rows = "".join(f"v {row}\n" for row in rows.splitlines())
+        path.write_text(rows + "".join(f"f {' '.join(str(i + 1) for i in face)}\n" for face in faces))
+    else:
+        axes = "".join(f"property float {axis}\n" for axis in "xyz")
+        counts = f"element vertex 12\n{axes}element face {len(faces)}\n"
+        path.write_text(f"ply\nformat ascii 1.0\n{counts}property list uchar int vertex_index\nend_header\n")
+        path.write_text(path.read_text() + rows + polygons)
+    surface = KIND.open(path, SourceOptions()).surface
+    corners = surface.vertices_m[surface.triangles]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    assert surface.is_closed and surface.volume_m3() == pytest.approx(3)
+    assert areas.sum() == pytest.approx(2 * 3 + 8)  # caps and walls; what is folded would cover more
+
+
+def test_a_concave_quad_is_cut_inside(tmp_path: Path) -> None:
+    path = tmp_path / "dart.obj"
+    path.write_text("v 0 0 0\nv 4 0 0\nv 1 1 0\nv 0 4 0\nf 2 3 4 1\n")
+    surface = KIND.open(path, SourceOptions()).surface
+    sides = np.diff(surface.vertices_m[surface.triangles], axis=1)
+    assert (np.cross(sides[:, 0], sides[:, 1])[:, 2] > 0).all()
+
+
+def test_numbers_of_vertices_before_a_face(tmp_path: Path) -> None:
+    """-1 is the last vertex before the face, and not the last of the file."""
+    vertices, faces = cube()
+    text = ""
+    for shift in (0.0, 2.0):
+        text += "".join(f"v {x + shift} {y} {z}\r\n" for x, y, z in vertices)
+        text += "".join(f"f {a - 8}/1/1 {b - 8}//1 \\\r\n {c - 8}\r\n" for a, b, c in faces)
+    path = tmp_path / "two.obj"
+    path.write_text(text, newline="")
+    scene = KIND.open(path, SourceOptions())
+    np.testing.assert_allclose(scene.bounds_m(), [[0, 0, 0], [3, 1, 1]])
+    assert scene.is_closed and scene.surface.volume_m3() == pytest.approx(2)
+    path.write_text("v 0 0 0\nf -1 -2 -3\nv 1 0 0\nv 0 1 0\n")
+    with pytest.raises(SourceError, match="not there"):
+        KIND.open(path, SourceOptions())
+
+
+def test_a_binary_stl_ends_where_its_triangles_do(tmp_path: Path) -> None:
+    path = tmp_path / "box.stl"
+    data = trimesh.creation.box((1, 1, 1)).export(file_type="stl")
+    path.write_bytes(data + b"made by a scanner")
+    assert len(KIND.open(path, SourceOptions()).surface.triangles) == 12
+    path.write_bytes(data[:-25])
+    with pytest.raises(SourceError, match=r"659 bytes where its triangles take 684"):
+        KIND.open(path, SourceOptions())
+
+
 def test_clouds_and_folders_are_refused(tmp_path: Path) -> None:
     cloud = tmp_path / "cloud.ply"
     trimesh.PointCloud(np.eye(3)).export(cloud)

@@ -91,3 +91,16 @@ def test_a_mesh_in_a_unit_that_cannot_be_is_told(tmp_path: Path, unit_m: float, 
     notes = prepare(tmp_path / "a.obj", EncodeSpec(nw=4, source=SourceOptions(unit_m=unit_m))).notes
     assert ("Is the unit right?" in " ".join(notes)) == (words is not None)
     assert words is None or any(words in note for note in notes)
+
+
+def test_options_that_do_nothing_are_told(tmp_path: Path) -> None:
+    values = np.kron(make.depths_mm()[0], np.ones((8, 8), np.uint16))
+    make.write_png(tmp_path / "shot.png", values)  # not named like depth: a height map
+    asked = SourceOptions(depth_scale=1000, intrinsics="160,168,47.5,35.5", exaggeration=2.0, allow_outside=True)
+    notes = prepare(tmp_path / "shot.png", EncodeSpec(nw=3, source=asked)).notes
+    assert "Options that do nothing for this source: --depth-scale, --intrinsics." in notes
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "shot.png").rename(tmp_path / "depth" / "0.png")
+    asked = SourceOptions(depth_scale=1000, intrinsics="160,168,47.5,35.5", kind="depth-folder", rate_hz=10.0)
+    assert "do nothing" not in " ".join(prepare(tmp_path, EncodeSpec(nw=3, source=asked)).notes)
+    assert "--seconds." in " ".join(prepare("sample:shapes", EncodeSpec(nw=3, source=SourceOptions(seconds=1))).notes)

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from scipy import stats
 from sklearn import metrics
 
+from limits_makers import block_rates, context_entropy
 from touchfield.measure import information as info
-from touchfield.measure.context import context_entropy
 from touchfield.measure.counts import Counts, SymbolCounter
 from touchfield.measure.estimators import entropy_bits, estimate_bits
 from touchfield.measure.field_count import field_counts, field_entropy
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.limits import block_rates
 from touchfield.measure.quantity import Quantity
 from touchfield.medium import Grid
 
@@ -94,7 +93,7 @@ ROADS: dict[str, dict[str, Road]] = {
         "field": lambda x, y: field_entropy(as_field(x, KX), interval=False),
         "fields": lambda x, y: info.entropy(joined(x, y), column=0),
         "blocks": lambda x, y: block_rates(x, 1).entropies[0],
-        "context": lambda x, y: context_entropy(as_field(x, KX), "none").per_voxel,
+        "context": lambda x, y: context_entropy([as_field(x, KX)], "none").per_voxel,
         "with itself": lambda x, y: info.mutual_information(x, x, interval=False),
     },
     "H(X,Y)": {
@@ -190,7 +189,7 @@ def test_what_a_sequence_says_of_itself_leads_to_the_oracle(samples: tuple[Symbo
     before = np.concatenate([[0], x[:-1]])
     pair = np.bincount(KX * x + before, minlength=KX * KX).reshape(KX, KX) / len(x)
     rate = dit.shannon.conditional_entropy(law_of(pair), [0], [1])
-    assert float(context_entropy(as_field(x, KX), "previous").per_voxel) == pytest.approx(rate, abs=1e-12, rel=0)
+    assert float(context_entropy([as_field(x, KX)], "previous").per_voxel) == pytest.approx(rate, abs=1e-12, rel=0)
     frames = [as_field(y, KX), as_field(x, KX)]
     now, past = np.concatenate([y, x]), np.concatenate([0 * y, y])
     pair = np.bincount(KX * now + past, minlength=KX * KX).reshape(KX, KX) / len(now)

@@ -16,7 +16,6 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters import (
     LOW_PASSES,
     frequency_response,
-    nyquist_per_m,
     resample,
 )
 from touchfield.filters.resample import axis_weights, grid_weights, low_pass
@@ -24,7 +23,7 @@ from touchfield.medium import ForceField, Grid
 
 
 def dense_resample(field: ForceField, grid: Grid, kernel: str) -> NDArray[np.float64]:
-    weights = grid_weights(field.grid, grid, low_pass(kernel), nyquist_per_m(grid))
+    weights = grid_weights(field.grid, grid, low_pass(kernel))
     x, y, z = (w.dense(n) for w, n in zip(weights, field.grid.shape, strict=True))
     return np.einsum("ia,jb,kc,abcd->ijkd", x, y, z, field.to_dense().astype(float), optimize=True)
 
@@ -164,7 +163,7 @@ def test_smoothing_at_the_same_rate_equals_scipy() -> None:
     field = random_field(grid, 9)
     expected = field.to_dense().astype(float)
     for axis in range(3):
-        weights = grid_weights(grid, grid, low_pass("gaussian"), nyquist_per_m(grid))[axis].weights[10]
+        weights = grid_weights(grid, grid, low_pass("gaussian"))[axis].weights[10]
         expected = ndimage.convolve1d(expected, weights.astype(float), axis=axis, mode="constant")
     assert np.abs(resample(field, grid, "gaussian").to_dense() - expected).max() < 1e-6
 
@@ -216,8 +215,8 @@ def test_fields_that_cannot_be_resampled() -> None:
     with pytest.raises(InvalidArgument, match="low_pass"):
         resample(field, source, "brick wall")
     with pytest.raises(InvalidArgument, match="cutoff_per_m"):
-        resample(field, source, cutoffs_per_m=(0.0, 1.0, 1.0))
+        axis_weights((8, 0.1, 0.0), (8, 0.1, 0.0), low_pass("spline"), 0.0)
     with pytest.raises(InvalidArgument, match="bricks reached"):
         resample(field, Grid.over_box((0, 0, 0), (1, 1, 1), (1 << 14,) * 3))
     with pytest.raises(InvalidArgument, match="coarser source"):
-        resample(field, source, cutoffs_per_m=(1e-9, 1.0, 1.0))
+        axis_weights((8, 0.1, 0.0), (8, 0.1, 0.0), low_pass("spline"), 1e-9)

@@ -102,21 +102,18 @@ def test_amplitudes_have_no_say_in_directions(forces: NDArray[np.float32], facto
 @given(
     arrays(np.float32, (9, 7, 10, 3), elements=st.floats(-9, 9, width=32, allow_subnormal=False)),
     st.floats(2e-4, 6e-3),
-    st.booleans(),
 )
-def test_claims(forces: NDArray[np.float32], sigma_m: float, spread: bool) -> None:
+def test_claims(forces: NDArray[np.float32], sigma_m: float) -> None:
     field = ForceField.from_dense(Grid((9, 7, 10), (0.001, 0.002, 0.001), (0, 0, 0)), forces)
     unit, lengths = apart(field.to_dense())
     held, greatest = field.to_dense().any(axis=-1), lengths.max()
-    for smooth in SMOOTHED[0 if not spread else 2 :]:
-        step = ShadingFilter(sigma_m, smooth, spread=spread)
+    for smooth in SMOOTHED:
+        step = ShadingFilter(sigma_m, smooth)
         claims, out = step.claims(field.grid), step(field)
         new_unit, new_lengths = apart(out.to_dense())
         assert claims.max_principle and not claims.linear and not claims.keeps_mean
         assert new_lengths.max() <= greatest * (1 + 1e-6)
-        assert claims.keeps_support != spread
-        if not spread:
-            assert np.array_equal(out.mask, field.mask)
+        assert claims.keeps_support and np.array_equal(out.mask, field.mask)
         assert claims.keeps_amplitude == (smooth == "direction")
         if claims.keeps_amplitude:
             assert new_lengths == pytest.approx(lengths, rel=1e-6, abs=1e-7 * greatest)
@@ -156,43 +153,15 @@ def test_where_directions_cancel_a_sample_keeps_its_own() -> None:
     assert ShadingFilter(0.005)(field).vectors_n()[:, 1] == pytest.approx([1, 1, -1, -1])
 
 
-# -- spread -----------------------------------------------------------------------------------------------------
-
-
-def test_spread_makes_a_soft_rim_as_wide_as_the_reach() -> None:
-    grid = Grid((30, 26, 22), (0.001, 0.001, 0.002), (0, 0, 0))
-    dense = np.zeros((30, 26, 22, 3), np.float32)
-    dense[:, :, 10:13] = (0.6, 0, 0.8)
-    field = ForceField.from_dense(grid, dense)
-    step = ShadingFilter(0.002, truncate=3.0, spread=True)
-    assert step.claims(grid).reach == (6, 6, 3)
-    got = step(field).to_dense()
-    assert np.flatnonzero(got.any((0, 1, 3))).tolist() == list(range(7, 16))
-    line = gaussian((dense[0, 0, :, 0] > 0).astype(float), (1.0,), 3.0)
-    expected = np.broadcast_to(line[:, None] * np.array([0.6, 0, 0.8]), got.shape)  # no fading at the border
-    assert got == pytest.approx(expected, abs=1e-6)
-
-
-def test_spread_of_the_amplitude_keeps_directions(wavy_field: ForceField) -> None:
-    got = ShadingFilter(0.002, "amplitude", spread=True)(wavy_field)
-    assert got.support_count > 1.5 * wavy_field.support_count
-    dense, before = got.to_dense(), wavy_field.to_dense()
-    held = before.any(-1)
-    assert apart(dense)[0][held] == pytest.approx(apart(before)[0][held], abs=1e-6)
-    assert np.linalg.norm(apart(dense)[0][dense.any(-1)], axis=-1) == pytest.approx(1)
-    assert not ShadingFilter(0.002, "amplitude", spread=True).claims(wavy_field.grid).keeps_support
-
-
 # -- bits, scales, edges ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("spread", [False, True])
-def test_the_same_bits_for_any_number_of_threads(spread: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     field, _ = faceted(320)
     made = []
     for threads in ("1", "2", "5"):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-        made.append(ShadingFilter(0.003, spread=spread)(field))
+        made.append(ShadingFilter(0.003)(field))
     assert made[0] == made[1] == made[2]
 
 
@@ -206,8 +175,7 @@ def test_the_same_for_forces_of_any_size(wavy_field: ForceField) -> None:
 def test_empty_fields_and_flat_grids() -> None:
     flat = Grid((32, 20, 1), (0.01, 0.01, 0.06), (0, 0, 0))
     empty = ForceField.empty(flat)
-    for spread in (False, True):
-        assert ShadingFilter(0.01, spread=spread)(empty) == empty
+    assert ShadingFilter(0.01)(empty) == empty
     dense = np.zeros((32, 20, 1, 3), np.float32)
     dense[8:24, 4:16, 0, 2] = np.random.default_rng(5).random((16, 12)) + 0.5
     step = ShadingFilter(0.02, "amplitude")
@@ -219,15 +187,18 @@ def test_empty_fields_and_flat_grids() -> None:
 def test_words() -> None:
     assert ShadingFilter.parse("2mm") == ShadingFilter(0.002)
     assert ShadingFilter.parse("sigma=2mm,smooth=direction,truncate=3") == ShadingFilter(0.002, "direction", 3.0)
-    for step in (ShadingFilter(0.0015), ShadingFilter(1e-4, "amplitude", 2.5, True)):
+    for step in (ShadingFilter(0.0015), ShadingFilter(1e-4, "amplitude", 2.5)):
         assert ShadingFilter.parse(step.words) == step
+        assert ShadingFilter.parse(f"{step.words},spread=false") == step  # as older streams have it
+    with pytest.raises(InvalidArgument, match="spread"):
+        ShadingFilter.parse("2mm,spread=true")
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
         {"sigma_m": 0.0}, {"sigma_m": -1.0}, {"sigma_m": math.nan}, {"sigma_m": math.inf}, {"smooth": "all"},
-        {"truncate": 0.0}, {"truncate": math.nan}, {"truncate": 17.0}, {"spread": True, "smooth": "direction"},
+        {"truncate": 0.0}, {"truncate": math.nan}, {"truncate": 17.0},
     ],
 )  # fmt: skip
 def test_values_that_are_impossible(wrong: dict[str, object]) -> None:
@@ -252,8 +223,6 @@ def test_the_cost_follows_the_bricks_not_the_grid() -> None:
         low, high = (near * 1 + far * 3) / (near + far), (near * 3 + far * 1) / (near + far)
         expected = [[low, 0, 0], [high, 0, 0], [0, low, 0], [0, high, 0]]
         assert ShadingFilter(2e-6)(field).vectors_n() == pytest.approx(np.array(expected), rel=1e-6)
-        grown = ShadingFilter(2e-6, spread=True)(field)
-        assert 4 < grown.support_count <= 4 * 17**3
     lone = ForceField.from_support(grid, [[5, 6, 7]], [[1, 2, 2]])
     assert ShadingFilter(0.5)(lone).vectors_n() == pytest.approx(np.array([[1, 2, 2]]), rel=1e-6)
 
@@ -263,8 +232,6 @@ def test_a_reach_beyond_what_a_machine_can_do(monkeypatch: pytest.MonkeyPatch) -
     far = ForceField.from_support(grid, [[1, 1, 1], [1 << 19, 1, 1]], [[1, 0, 0], [1, 0, 0]])
     with pytest.raises(InvalidArgument, match="a reach of up to 32768 samples"):
         ShadingFilter(0.01)(far)
-    with pytest.raises(InvalidArgument, match="a reach of up to 32768 samples"):
-        ShadingFilter(0.01, spread=True)(ForceField.from_support(grid, [[1, 1, 1]], [[1, 0, 0]]))
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "1")
     with pytest.raises(InvalidArgument, match=r"shading sigma_m: found 0\.004 m, for whose reach the threads take"):
-        ShadingFilter(0.004, spread=True)(ForceField.from_support(grid, [[1, 1, 1]], [[1, 0, 0]]))
+        ShadingFilter(0.004)(far)

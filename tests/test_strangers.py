@@ -17,11 +17,13 @@ from depth_makers import write_plain, write_redwood, write_sun3d, write_threedma
 from touchfield.adapters.json_values import read_json
 from touchfield.container import TouchReader
 from touchfield.devices.profile import device
-from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
 from touchfield.files import require_beside
 from touchfield.filters.registry import filter_of
 from touchfield.job import EncodeSpec
 from touchfield.medium.trace import read_trace
+from touchfield.render.material import BANDS_HZ, stored_materials
+from touchfield.render.spec import stated_n_per_m
 from touchfield.sources import moving_pictures
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics import open_physics
@@ -237,6 +239,18 @@ def test_a_stream_does_not_allow_what_the_user_did_not() -> None:
     assert "allow_outside" not in told["source"]
     told["source"]["allow_outside"] = True
     assert EncodeSpec.from_json(json.dumps(told)).source.allow_outside is False
+
+
+def test_a_number_in_a_stream_that_no_float_holds() -> None:
+    told = json.dumps(json.loads(EncodeSpec().to_json()) | {"friction": 10**400})
+    for text in (told, "[" * 4096):
+        with pytest.raises(CorruptFile, match="PROV spec"):
+            EncodeSpec.from_json(text)
+    assert stated_n_per_m({"spec": json.dumps({"law": "penalty", "stiffness_n_per_m": 10**400})}) is None
+    for bands, row in (([10**400], {}), (list(BANDS_HZ), {"friction": 10**400})):
+        table = {"bands_hz": bands, "materials": [{"name": "wood", **row}]}
+        with pytest.raises(SourceError, match="inf"):
+            stored_materials({"materials.json": json.dumps(table)})
 
 
 def test_names_that_are_none(tmp_path: Path) -> None:

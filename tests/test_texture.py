@@ -1,4 +1,4 @@
-"""The haptic texture: impulses against splitmix64 and a dense oracle, the high-pass against scipy, and its limits."""
+"""The haptic texture: impulses against splitmix64 and a dense oracle, and its limits."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from touchfield.errors import InvalidArgument
 from touchfield.filters import contact
 from touchfield.filters.contact import TextureFilter
 from touchfield.filters.fir import frequency_response
+from touchfield.filters.registry import felt_medium
 from touchfield.measure.estimators import entropy_bits
-from touchfield.medium import ForceField, Grid
+from touchfield.medium import ForceField, Grid, HapticMedium
 
 WORD = (1 << 64) - 1
 GOLDEN = 0x9E3779B97F4A7C15
@@ -152,15 +153,14 @@ def test_no_force_turns_round_grows_past_the_limit_or_appears() -> None:
             assert (length[was > 0] > 0).all()
 
 
-@pytest.mark.parametrize("kind", ["salt-pepper", "literal"])
-def test_no_force_exceeds_the_device(kind: str) -> None:
+def test_no_force_exceeds_the_device() -> None:
     field = noise(cube(20), 6)
-    made = TextureFilter(kind, rms=0.5, density=0.5, force_max_n=0.75)(field).vectors_n().astype(float)
-    length = np.linalg.norm(made, axis=1)
+    made = felt_medium(HapticMedium.from_frames([field], 30.0), (TextureFilter(rms=0.5, density=0.5),), 0.75)[0]
+    length = np.linalg.norm(made.vectors_n().astype(float), axis=1)
     assert length.max() <= 0.75 and np.count_nonzero(length > 0.7499) > 100
     huge = constant(cube(9), (3e38, 0.0, 0.0))
-    made = TextureFilter(kind, rms=0.5, density=0.5)(huge).vectors_n()
-    assert np.isfinite(made).all()
+    with pytest.raises(InvalidArgument, match="--texture forces"):
+        TextureFilter(rms=0.5, density=0.5)(huge)
 
 
 def test_the_texture_belongs_to_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,9 +182,9 @@ def test_the_texture_belongs_to_the_place(monkeypatch: pytest.MonkeyPatch) -> No
     results = []
     for threads in ("1", "3"):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
-        results.append([texture(field), TextureFilter("literal")(field)])
+        results.append(texture(field))
     assert results[0] == results[1]
-    assert np.array_equal(results[0][0].to_dense(), made)
+    assert np.array_equal(results[0].to_dense(), made)
 
 
 def test_another_seed_is_another_texture() -> None:
@@ -193,7 +193,7 @@ def test_another_seed_is_another_texture() -> None:
     assert abs(np.corrcoef(a, b)[0, 1]) < 4 / np.sqrt(32**3)
 
 
-def test_texture_raises_the_entropy_and_the_literal_reading_does_not() -> None:
+def test_texture_raises_the_entropy() -> None:
     grid = cube(32)
 
     def bits(field: ForceField, inner: slice = slice(4, -4)) -> float:
@@ -202,73 +202,35 @@ def test_texture_raises_the_entropy_and_the_literal_reading_does_not() -> None:
 
     flat = constant(grid)
     assert bits(flat) == 0
-    assert bits(TextureFilter("literal")(flat)) == 0  # a surface without edges stays without texture
     rising = [bits(TextureFilter(density=d)(flat)) for d in (0.001, 0.01, 0.1)]
     assert 0 < rising[0] < rising[1] < rising[2]
     assert rising[2] > 3
-
-
-# -- as printed -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("grain_m", "half"), [(None, 1), (2e-3, 2), (8e-3, 8)])
-def test_literal_is_the_field_less_its_box(grain_m: float | None, half: int) -> None:
-    grid = Grid((40, 21, 33), (1e-3,) * 3, (0.0, 0.0, 0.0))
-    field = noise(grid, 9, 0.02)
-    texture = TextureFilter("literal", grain_m=grain_m)
-    width = (2 * half + 1,) * 3
-    dense = field.to_dense().astype(float)
-    expected = dense - ndimage.uniform_filter(dense, (*width, 1), mode="constant")
-    made = texture(field)
-    assert np.abs(made.to_dense() - expected).max() < 1e-6
-    assert made == ForceField.from_dense(grid, made.to_dense())  # no empty brick, nothing beyond the grid
-    assert texture.claims(grid).reach == (half,) * 3
-    reached = ndimage.maximum_filter(np.any(dense != 0, axis=-1), width, mode="constant")
-    assert not made.to_dense()[~reached].any()
-
-
-def test_literal_has_no_gain_at_dc_and_amplifies_edges() -> None:
-    for half in (1, 3):
-        texture = TextureFilter("literal", grain_m=half * 1e-3)
-        assert texture.claims(cube(24)).dc_gain == 0
-        made = texture(constant(cube(24), (1 / 3, -np.pi, 1e-5))).to_dense()
-        inner = (slice(half, -half),) * 3
-        assert not made[inner].any() and made.any()
 
 
 def test_an_array_is_rough_in_its_plane() -> None:
     grid = Grid((40, 30, 1), (1e-3,) * 3, (0.0, 0.0, 0.0))
     share = amplitudes(TextureFilter()(constant(grid))) / 1.3 - 1
     assert np.sqrt(np.mean(share**2)) == pytest.approx(0.1, rel=0.1)
-    made = TextureFilter("literal")(constant(grid)).to_dense()
-    assert not made[1:-1, 1:-1].any()
-    assert made[0, 5, 0] == pytest.approx(np.array((0.3, -0.4, 1.2)) / 3, abs=1e-6)
 
 
 def test_nothing_comes_of_nothing() -> None:
-    for kind in ("salt-pepper", "literal"):
-        assert TextureFilter(kind)(ForceField.empty(cube(12))).support_count == 0
+    assert TextureFilter()(ForceField.empty(cube(12))).support_count == 0
 
 
 # -- claims, words, faults --------------------------------------------------------------------------------------
 
 
 def test_claims() -> None:
-    salt, literal = TextureFilter().claims(cube(9)), TextureFilter("literal").claims(cube(9))
+    salt = TextureFilter().claims(cube(9))
     assert salt.reach == (0, 0, 0) and salt.linear and salt.keeps_support and salt.keeps_direction
-    assert literal.reach == (1, 1, 1) and literal.linear and not literal.keeps_support
-    assert not TextureFilter(force_max_n=1.0).claims(cube(9)).linear
-    assert TextureFilter("literal").claims(Grid((9, 9, 1), (1, 1, 1), (0, 0, 0))).reach == (1, 1, 0)
-    assert TextureFilter is TextureFilter and TextureFilter.name == "texture"
+    assert TextureFilter.name == "texture"
 
 
 def test_words() -> None:
-    asked = TextureFilter.parse("salt-pepper:seed=3,density=0.1,rms=0.2,grain=2mm,limit=0.5,force_max_n=3")
-    assert asked == TextureFilter("salt-pepper", 3, 0.1, 0.2, 2e-3, 0.5, 3.0)
+    asked = TextureFilter.parse("salt-pepper:seed=3,density=0.1,rms=0.2,grain=2mm,limit=0.5")
+    assert asked == TextureFilter("salt-pepper", 3, 0.1, 0.2, 2e-3, 0.5)
     assert TextureFilter.parse("") == TextureFilter.parse("salt-pepper") == TextureFilter.parse("salt-pepper:")
-    assert TextureFilter.parse("literal:grain=1mm") == TextureFilter("literal", grain_m=1e-3)
-    assert TextureFilter.parse("literal,seed=2") == TextureFilter("literal", 2)
-    for texture in (asked, TextureFilter(), TextureFilter("literal", grain_m=1e-3)):
+    for texture in (asked, TextureFilter(), TextureFilter(grain_m=1e-3)):
         assert TextureFilter.parse(texture.words) == texture
 
 
@@ -278,7 +240,7 @@ def test_words() -> None:
         "pepper", "salt:seed=1", "salt-pepper:0.5", "salt-pepper:kind=literal", "seed=1:rms=0.1", "seed=-1",
         "seed=1.5", "seed=18446744073709551616", "density=0", "density=1.1", "density=nan", "rms=-0.1", "rms=nan",
         "rms=1.1", "rms=0.5,limit=0.4", "limit=0", "limit=1.5", "limit=nan", "grain=0mm", "grain=-1mm", "grain=2",
-        "force_max_n=0", "force_max_n=inf", "colour=red",
+        "force_max_n=1", "colour=red", "literal:grain=1mm",
     ],
 )  # fmt: skip
 def test_words_that_make_no_sense(text: str) -> None:
@@ -287,22 +249,12 @@ def test_words_that_make_no_sense(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "grain_m", "shape"),
-    [
-        ("salt-pepper", 0.4e-3, (9, 9, 9)),
-        ("salt-pepper", 10e-3, (20, 9, 20)),
-        ("salt-pepper", 1e300, (20, 9, 20)),
-        ("salt-pepper", None, (1, 1, 1)),
-        ("literal", 0.4e-3, (9, 9, 9)),
-        ("literal", 5e-3, (20, 10, 20)),
-        ("literal", 9e-3, (40, 40, 40)),
-        ("literal", None, (9, 2, 9)),
-        ("literal", None, (1, 1, 1)),
-    ],
+    ("grain_m", "shape"),
+    [(0.4e-3, (9, 9, 9)), (10e-3, (20, 9, 20)), (1e300, (20, 9, 20)), (None, (1, 1, 1))],
 )
-def test_a_grain_that_does_not_fit_the_field(kind: str, grain_m: float | None, shape: tuple[int, int, int]) -> None:
+def test_a_grain_that_does_not_fit_the_field(grain_m: float | None, shape: tuple[int, int, int]) -> None:
     grid = Grid(shape, (1e-3,) * 3, (0.0, 0.0, 0.0))
-    texture = TextureFilter(kind, grain_m=grain_m)
+    texture = TextureFilter(grain_m=grain_m)
     for act in (lambda: texture(constant(grid)), lambda: texture.claims(grid)):
         with pytest.raises(InvalidArgument, match="texture"):
             act()

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal, stats
 
+from limits_makers import block_rates, context_entropy
 from touchfield import job
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.encoder import fitted_code
@@ -29,11 +30,9 @@ from touchfield.filters.fir import fir_filter
 from touchfield.job import EncodeSpec
 from touchfield.measure import information as info
 from touchfield.measure.capacity import capacity, codomain_bits
-from touchfield.measure.context import context_entropy
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import binary_entropy_bits, estimate_bits
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.limits import block_rates
 from touchfield.measure.quantity import Quantity
 from touchfield.medium import ForceField, Grid
 from touchfield.perception.weber import WeberLadder, mask_kept_from_n, quantise_fixed_step
@@ -109,7 +108,7 @@ def test_a_drawn_chain_has_the_rate_of_its_law() -> None:
         float(info.entropy(exact(table.sum(axis=0)))), **near
     )
     from_zero = drawn - drawn.min()
-    assert float(context_entropy(on_a_line(from_zero), "previous").per_voxel) == pytest.approx(rate, **near)
+    assert float(context_entropy([on_a_line(from_zero)], "previous").per_voxel) == pytest.approx(rate, **near)
     assert float(block_rates(from_zero, 2).rates[1]) == pytest.approx(rate, **near)
 
 
@@ -194,7 +193,7 @@ def binary_frames(*shape: int) -> NDArray[np.float64]:
 def test_a_box_raises_the_bits_of_a_sample_and_lowers_those_of_a_field() -> None:
     """Item 11 and the data-processing number of a periodic 3 x 3 image: 1 -> 2.630 bits a sample, 9 -> 2.630 all."""
     images = binary_frames(3, 3)
-    made = np.stack([fir_filter(i, np.ones((3, 3)), boundary="wrap", method="direct") for i in images])
+    made = np.stack([fir_filter(i, np.ones((3, 3)), boundary="wrap") for i in images])
     sums = np.round(made).astype(np.int64)
     assert made == pytest.approx(sums, abs=1e-12)
     whole = info.joint_entropy(*sums.reshape(512, 9).T, interval=False)
@@ -212,7 +211,7 @@ def test_a_box_raises_the_bits_of_a_sample_and_lowers_those_of_a_field() -> None
 def test_a_box_within_an_image_and_its_decimation() -> None:
     images = binary_frames(4, 4)
     # the images lie along the last axis, where the taps do not reach
-    made = np.round(fir_filter(np.moveaxis(images, 0, -1), np.ones((3, 3)), method="direct")).astype(np.int64)
+    made = np.round(fir_filter(np.moveaxis(images, 0, -1), np.ones((3, 3)))).astype(np.int64)
     inner = np.moveaxis(made[1:3, 1:3], -1, 0)
     whole = info.joint_entropy(*inner.reshape(-1, 4).T, interval=False)
     assert float(whole) == pytest.approx(8.786455, abs=6e-7)

@@ -1,6 +1,7 @@
 """Arrays by the type of their elements, of any shape: names for annotations, which give the shape in words."""
 
 from dataclasses import fields
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,15 @@ Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
+
+
+class Travels:
+    """Base of a dataclass made anew of its fields where it is copied or pickled: a read-only mapping cannot be."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        mine: Any = self
+        values = [getattr(self, f.name) for f in fields(mine)]
+        return type(self), tuple(dict(v) if isinstance(v, MappingProxyType) else v for v in values)
 
 
 class EqualByValue:

@@ -106,11 +106,40 @@ def import_extra(module: str, purpose: str, library: str, extra: str) -> Any:
         raise MissingExtra(purpose, library, extra) from error
 
 
+def is_finite(value: Any) -> bool:
+    """True for a finite number; False for one that is not, and for what is no number."""
+    try:
+        return math.isfinite(value)
+    except (TypeError, ValueError, OverflowError):
+        return False
+
+
 def require_positive(**values: float) -> None:
-    """`InvalidArgument` for a value, by its name, that is not positive or not finite."""
+    """`InvalidArgument` for a value, by its name, that is not a finite number above 0."""
     for name, value in values.items():
-        if not (value > 0 and math.isfinite(value)):
+        if not (is_finite(value) and value > 0):
             raise InvalidArgument(name, repr(value), "a positive number")
+
+
+def require_not_negative(**values: float) -> None:
+    """`InvalidArgument` for a value, by its name, that is not a finite number of at least 0."""
+    for name, value in values.items():
+        if not (is_finite(value) and value >= 0):
+            raise InvalidArgument(name, repr(value), "a finite number, 0 or more")
+
+
+def require_between(low: float, high: float, **values: float) -> None:
+    """`InvalidArgument` for a value, by its name, that is not a number from `low` to `high`."""
+    for name, value in values.items():
+        if not (is_finite(value) and low <= value <= high):
+            raise InvalidArgument(name, repr(value), f"{low:.9g} to {high:.9g}")
+
+
+def require_up_to(high: float, **values: float) -> None:
+    """`InvalidArgument` for a value, by its name, that is not a number above 0, at most `high`."""
+    for name, value in values.items():
+        if not (is_finite(value) and 0 < value <= high):
+            raise InvalidArgument(name, repr(value), f"above 0, up to {high:.9g}")
 
 
 def require_one_of(where: str, value: object, choices: Collection[str]) -> None:

@@ -6,12 +6,13 @@ folder, or below it, unless the user allows more: who opens a stranger's scene d
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from touchfield.errors import SourceError
 
@@ -62,6 +63,11 @@ def require_beside(folder: Path, name: str | os.PathLike[str], where: str, *, an
             mend = "Copy it there; for models and scene files --allow-outside allows it."
             raise SourceError(where, repr(os.fspath(name))[:100], f"a file in the folder {folder} or below it", mend)
     return path
+
+
+def json_of(text: str) -> Any:
+    """Value of JSON text; a whole number of 19 digits or more is a float there, beyond the largest float infinite."""
+    return json.loads(text, parse_int=lambda digits: int(digits) if len(digits) < 19 else float(digits))
 
 
 def standard_input() -> IO[bytes]:

@@ -281,6 +281,7 @@ def test_nothing_there() -> None:
 def test_words_that_name_no_device() -> None:
     assert [kind.name for kind in array_kinds()] == ["bhaptics", "osc", "pins"]
     assert is_array_device("osc:anything") and is_array_device("pins") and not is_array_device("sim")
+    assert is_array_device(" BHaptics:vest") and isinstance(array_device(" Pins:/dev/none", SMALL), Pins)
     with pytest.raises(InvalidArgument, match=r"bhaptics\[:HOST:PORT\], osc:HOST:PORT, pins:.*Did you mean bhaptics"):
         array_device("bhaptic:1")
     with pytest.raises(InvalidArgument, match=r"^device: found 'vest'; expected bhaptics.*PORT$"):

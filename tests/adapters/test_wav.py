@@ -11,7 +11,6 @@ import pytest
 from touchfield.adapters.effect_files import RATE_HZ, write_wav, write_wav_array
 from touchfield.adapters.symbolic import ArrayEffect
 from touchfield.errors import InvalidArgument
-from touchfield.job.play import TONE_HZ, sound_of
 
 
 def heard(path: Path) -> np.ndarray:
@@ -61,14 +60,3 @@ def test_sounds_that_cannot_be(tmp_path: Path) -> None:
         with pytest.raises(InvalidArgument, match="channels"):
             write_wav(tmp_path / "a.wav", [], channels, count)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_play_is_heard_as_its_force_and_as_what_the_force_does() -> None:
-    times = np.arange(2000) / 1000
-    forces = np.zeros((2000, 3))
-    forces[:, 2] = 2.0 * (times > 0.5) + 0.5 * np.sin(2 * np.pi * 120 * times) * (times > 1)
-    samples, (full, fast) = sound_of(times, forces)
-    assert full == pytest.approx(2.5, abs=0.05) and not samples[:3900].any() and np.abs(samples).max() == 1
-    assert pitch_hz(samples[4800:8000, 0]) == pytest.approx(TONE_HZ, abs=1)
-    assert pitch_hz(samples[10000:, 1]) == pytest.approx(120, abs=1)
-    assert np.abs(samples[10000:, 1]).max() * fast == pytest.approx(0.5, rel=0.1)  # the force that rests is not in it

@@ -30,7 +30,7 @@ def test_the_core_alone_shows_something(
     out = capsys.readouterr().out
     assert "left out: the motorcycle scene" in out and "left out: the bundled elevation model" in out
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        "plate.csv", "plate.touch", "shapes.forces.csv", "shapes.html", "shapes.json", "shapes.touch",
+        "shapes.forces.csv", "shapes.html", "shapes.json", "shapes.touch",
     }  # fmt: skip
     told = json.loads((tmp_path / "out" / "shapes.json").read_text())
     assert told["mask_violations"] == 0 and told["worst_mask_ratio"] <= 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import pytest
@@ -121,6 +122,11 @@ def test_a_plan_for_a_budget(sphere: str, tmp_path: Path, capsys: pytest.Capture
     told = capsys.readouterr().out
     assert "->" in told and "touchfield encode" in told and "mask kept" in told
     assert picture.stat().st_size > 5000
+    printed = shlex.split(next(line for line in told.splitlines() if "touchfield encode" in line))
+    assert printed[3:5] == [sphere, "OUT.touch"] and printed[printed.index("--thickness-m") + 1] == "0.01"
+    assert printed[printed.index("--effort") + 1] == "fast", "as it was tried"
+    assert _exit_code(["encode", sphere, str(tmp_path / "planned.touch"), *printed[5:]]) == 0
+    capsys.readouterr()
     assert _exit_code(["plan", sphere, "--nw", "3", "--budget", "1Mbit/s", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert {"chosen", "front", "trials", "encode_options", "lambda_bytes"} <= set(found), "a still medium has bytes"

@@ -296,6 +296,8 @@ def test_each_level_of_detail_tells_its_bytes_and_its_error(stream: Path, tmp_pa
     assert none.shown["level"] is None and "10 bytes" in none.notes[0]
     with pytest.raises(InvalidArgument):
         levels_of_detail(stream, levels=9)
+    with pytest.raises(InvalidArgument, match="found a file; expected a folder"):
+        levels_of_detail(stream, stream, spec=EXACT)
 
 
 # -- the command line -----------------------------------------------------------------------------------------------

@@ -92,6 +92,16 @@ def test_too_little_names_the_least() -> None:
         plan(AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),)), 10.0, SPEC, PlanGrid((4,), (0.4,), (), ()))
 
 
+def test_a_scene_that_the_coarsest_lattice_misses_is_planned_all_the_same() -> None:
+    scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.002),))
+    spec = EncodeSpec(mapping="1", oversample=1, touch=TouchSpec(effort="fast"))
+    assert not prepare(scene, EncodeSpec(mapping="1", oversample=1, nw=3)).medium[0].support_count
+    tried = plan(scene, Budget(bytes=60000), spec, PlanGrid((3, 6), (0.1,), (), ()))
+    assert tried.chosen.spec.nw == 6
+    with pytest.raises(InvalidArgument, match="frames without a force"):
+        plan(scene, Budget(bytes=60000), spec, PlanGrid((3,), (0.1, 0.2), (), ()))
+
+
 @given(st.lists(st.tuples(st.integers(1, 60), st.integers(0, 30)), min_size=1, max_size=20), st.integers(1, 60))
 def test_lambda_makes_the_choice_where_it_lies_on_the_hull(rows: list[tuple[int, int]], budget: int) -> None:
     trials = tuple(Trial(SPEC, size, 8, nmse / 30, 0.0, 1.0, 1.0) for size, nmse in rows)

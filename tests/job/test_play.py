@@ -1,4 +1,4 @@
-"""Which device a stream is played for."""
+"""The device that a stream is played for, and the walls that its file states."""
 
 from __future__ import annotations
 
@@ -6,8 +6,23 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
+import pytest
+
+import touchfield as tf
 from touchfield.devices import device
+from touchfield.job.editing import edit
 from touchfield.job.play import stream_device
+from touchfield.render.feeder import FrameSource
+from touchfield.render.spec import stated_n_per_m
+
+GRID = tf.Grid((24, 24, 24), (0.002,) * 3, (-0.023,) * 3)
+PLATE = """
+[[shape]]
+kind = "box"
+center_m = [0, 0, 0]
+half_extents_m = [0.05, 0.04, 0.001]
+"""
 
 
 def test_a_stream_names_a_profile_and_never_a_file(tmp_path: Path) -> None:
@@ -20,3 +35,29 @@ def test_a_stream_names_a_profile_and_never_a_file(tmp_path: Path) -> None:
         assert stream_device(SimpleNamespace(told_device=named)) is named
     array = replace(told, type=2)
     assert stream_device(SimpleNamespace(told_device=array)) is array
+
+
+@pytest.mark.parametrize("stiffness", [150.0, 1500.0])
+def test_a_file_of_one_s_own_forces_has_walls_as_stiff_as_these(stiffness: float, tmp_path: Path) -> None:
+    forces = np.zeros((*GRID.shape, 3))
+    forces[..., 2] = np.maximum(-stiffness * GRID.axis_m(2), 0.0)
+    medium = tf.HapticMedium.from_array(forces, GRID)
+    out = tmp_path / "own.touch"
+    for source in (medium, medium.filtered("gaussian:1mm")):
+        tf.encode(source, out, tf.EncodeSpec(touch=tf.TouchSpec(k=0.02, f0_n=0.01)))
+        wall = FrameSource(tf.decode(out)).wall()
+        assert wall is not None and wall.stiffness_n_per_m == pytest.approx(stiffness, rel=0.05)
+    tf.job.write_field(tmp_path / "own.npz", medium)
+    tf.encode(tmp_path / "own.npz", out, tf.EncodeSpec(nw=5, mapping="crop"))
+    assert stated_n_per_m(tf.decode(out).provenance) is None
+
+
+def test_a_stream_coded_anew_keeps_the_walls_that_it_states_and_an_edited_one_has_its_own(tmp_path: Path) -> None:
+    plate, again, edited = tmp_path / "plate.toml", tmp_path / "again.touch", tmp_path / "edited.touch"
+    plate.write_text(PLATE)
+    first = tmp_path / "first.touch"
+    tf.encode(plate, first, tf.EncodeSpec(nw=5, mapping="crop", stiffness_n_per_m=800.0))
+    tf.encode(first, again)
+    edit(first, edited, operators=["gain:0.2"])
+    stated = [stated_n_per_m(tf.decode(path).provenance) for path in (first, again, edited)]
+    assert stated == [800.0, 800.0, None]

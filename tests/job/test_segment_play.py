@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -72,25 +73,22 @@ def test_without_a_mask_that_is_a_ball_nothing_is_blended(tmp_path: Path, touch:
     with open_stream(tmp_path / "a.touch") as opened:
         assert opened.medium.segments is None
     hold = compare(noisy(9, 30.0), tmp_path / "a.touch").hand.hold
-    assert hold is not None and hold.start_error_mn == hold.decoded_start_error_mn > 0
+    assert hold is not None and hold.start_error_mn > 0
 
 
 @pytest.mark.parametrize(("rate_hz", "frames", "most"), [(30.0, 41, 0.6), (1000.0, 193, 0.25)])
-def test_a_hand_on_a_standing_world_feels_no_start(tmp_path: Path, rate_hz: float, frames: int, most: float) -> None:
+def test_a_hand_on_a_standing_world_feels_no_start(
+    tmp_path: Path, rate_hz: float, frames: int, most: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, scene = tmp_path / "a.touch", noisy(frames, rate_hz)
     encode(scene, path, SPEC)
     with open_stream(path) as opened:
         before = [opened.medium[i] for i in range(frames)]
-    hold = compare(scene, path).hand.hold
-    assert hold is not None
+    holds = [compare(scene, path).hand.hold]
+    monkeypatch.setattr(sys.modules["touchfield.job.compare"], "with_blends", lambda felt: (felt, ()))
+    holds.append(compare(scene, path).hand.hold)  # each frame as it was decoded
     # the noise of the source itself is in every step; what a start adds to the others is what the blend takes
-    added, decoded_added = (
-        np.sqrt(max(0.0, start**2 - other**2))
-        for start, other in (
-            (hold.start_error_mn, hold.error_step_mn),
-            (hold.decoded_start_error_mn, hold.decoded_error_step_mn),
-        )
-    )
+    added, decoded_added = (np.sqrt(max(0.0, h.start_error_mn**2 - h.error_step_mn**2)) for h in holds if h)
     assert decoded_added > 5 and added < most * decoded_added
     with open_stream(path) as opened:
         assert [opened.medium[i] for i in reversed(range(frames))] == before[::-1]

@@ -240,15 +240,12 @@ def test_quantiles_are_those_of_the_ticks(late_ns: list[int]) -> None:
     assert desk.counts["lateness_worst_us"] == pytest.approx(ordered[-1])
 
 
-def test_latency_is_from_publication_to_first_use() -> None:
+def test_each_frame_that_is_used_counts_once() -> None:
     desk = playing()
-    for n in range(20):
+    for _ in range(20):
         desk.feeder.step()
-        desk.memory.i8[W.FREE + W.DIRECTORY_WORDS * n + 2] = START_NS
     desk.tick(100)  # five frames, 20 ms one after the other
     assert desk.counts["frames_used"] == 5
-    assert desk.counts["latency_min_s"] == pytest.approx(0.0, abs=1e-8)
-    assert desk.counts["latency_median_s"] == pytest.approx(0.04, rel=0.06)
 
 
 def test_the_log_has_a_row_for_each_tick() -> None:

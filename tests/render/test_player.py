@@ -17,6 +17,8 @@ from player_makers import OMNI, Absent, Failing, Hung, Noted, Simulated, Still, 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.medium import ForceField
 from touchfield.render.block import FLAGS, PREFIX, shared_folder
+from touchfield.render.block import words as W
+from touchfield.render.feeder import FrameSource
 from touchfield.render.player import Player
 from touchfield.render.servo import zero_afresh
 
@@ -51,6 +53,11 @@ def test_a_medium_is_played_to_its_end_and_again() -> None:
         player.play()
         assert player.wait(30) and player.is_ended and player.error is None
         assert player.media_s == pytest.approx(0.2)
+        for wrong in (None, "0", -1.0, float("nan")):
+            with pytest.raises(InvalidArgument, match="time"):
+                player.seek(wrong)  # type: ignore[arg-type]
+            with pytest.raises(InvalidArgument, match="speed"):
+                player.set_speed(wrong)  # type: ignore[arg-type]
         player.seek(0.0)
         player.set_speed(0.5)
         assert player.wait(30)
@@ -66,15 +73,10 @@ def test_a_medium_is_played_to_its_end_and_again() -> None:
     assert log["force_n"][:, 2].max() == pytest.approx(0.5 + 9 / 64, abs=1e-6)
     assert not log["force_n"][-1].any() and log["flags"][-1] & FLAGS["stopping"]
     assert np.linalg.norm(log["force_n"], axis=1).max() <= 4.0
-    assert (
-        counts["priority"]
-        and counts["memory"]
-        and counts["processors"]
-        and counts["decode_median_s"] > 0
-        and counts["latency_median_s"] > 0
-    )
+    assert counts["priority"] and counts["memory"] and counts["processors"] and counts["decode_median_s"] > 0
     player.close()  # twice is once
     assert player.is_ended
+    assert player.servo_pid is None
     for use in (player.play, player.pause, player.__enter__):
         with pytest.raises(InvalidArgument, match="player"):
             use()
@@ -97,7 +99,10 @@ def slow(frame: int) -> ForceField:
 
 
 def test_a_stream_that_is_too_slow_is_told_while_it_plays_and_keeps_time() -> None:
-    with Player(replace(telling(60), make_frame=slow), OMNI, Still) as player:
+    medium = replace(telling(60), make_frame=slow)
+    frame_bytes = W.WORD * FrameSource(medium).prepare(0).words
+    # room for some frames, so that not all are there where the device takes long to be opened
+    with Player(medium, OMNI, Still, memory_bytes=6 * frame_bytes) as player:
         player.play()
         assert player.wait(60)
         assert any("left out" in note for note in player.notes)
@@ -182,6 +187,8 @@ def test_a_signal_to_the_process_is_a_stop() -> None:
 
 
 def test_what_cannot_be_is_refused_before_anything_is_begun() -> None:
+    with pytest.raises(InvalidArgument, match="from_frames"):
+        Player(telling()[0], OMNI, Still)  # type: ignore[arg-type]
     for options in ({"memory_bytes": 0}, {"speed": -1.0}, {"start_s": float("inf")}):
         with pytest.raises(InvalidArgument):
             Player(telling(), OMNI, Still, **options)  # type: ignore[arg-type]
@@ -225,6 +232,28 @@ def test_when_the_player_is_gone_the_servo_goes(name: str, tmp_path: Path) -> No
     while _runs(servo) and time.monotonic() < ends:
         time.sleep(0.02)
     assert not _runs(servo)
+
+
+UNGUARDED = """
+import sys
+from functools import partial
+import numpy as np
+sys.path.insert(0, {folder!r})
+from player_makers import OMNI, telling
+from touchfield.adapters.sim import SimHand
+from touchfield.medium.trace import Trace
+from touchfield.render.player import Player
+with Player(telling(1), OMNI, partial(SimHand, Trace.regular(np.zeros((100_000, 3))))) as player:
+    player.play()
+"""
+
+
+def test_a_program_without_its_guard_is_told_whatever_goes_to_the_device(tmp_path: Path) -> None:
+    script = tmp_path / "unguarded.py"
+    script.write_text(UNGUARDED.format(folder=str(Path(__file__).parent)))
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 1
+    assert done.stderr.rstrip().endswith('Begin the player under `if __name__ == "__main__":` of your program.')
 
 
 def _runs(pid: int) -> bool:

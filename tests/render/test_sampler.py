@@ -13,6 +13,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.medium import VibrationBand, VibrationFrame
 from touchfield.render.kernels.frames import force_at
+from touchfield.render.kernels.points import force_at_once
 from touchfield.render.sampler import FieldSampler
 
 GRID = Grid((17, 12, 21), (0.01, 0.011, 0.009), (-0.08, -0.06, -0.1))
@@ -245,6 +246,23 @@ def test_points_of_any_kind() -> None:
     assert sampler.force_n(np.zeros(0), np.zeros((0, 3))).shape == (0, 3)
     assert not sampler.force_n(0.0, [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 1e300]]).any()
     assert not sampler.force_n(np.zeros(3), [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 1e300]]).any()
+
+
+def test_numbers_of_any_kind_take_one_compiled_query() -> None:
+    grid = Grid((3, 3, 3), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    field = ForceField.from_dense(grid, np.random.default_rng(3).normal(size=(3, 3, 3, 3)))
+    sampler = FieldSampler(HapticMedium.from_frames([field] * 3, 1.0), 1e6)  # type: ignore[arg-type]
+    found = sampler.at(0.5, 1.0, 2.0, 1.0)
+    for one in ((0.5, 1, 2, 1), (0.5, np.float32(1), np.int8(2), True), (np.array(0.5), np.array(1), 2.0, "1")):
+        assert sampler.at(*one) == found  # type: ignore[arg-type]
+    assert len(force_at_once.signatures) == 1
+    with pytest.raises(InvalidArgument, match="time_s, x_m, y_m, z_m"):
+        sampler.at(0.5, [1.0, 2.0], 2.0, 1.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("point", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 1e300]])
+def test_there_is_no_slope_where_no_force_can_be(point: list[float]) -> None:
+    assert not HELD.gradient_n_per_m(0.0, point).any()
 
 
 @pytest.mark.parametrize("time_s", [np.nan, np.inf, [0.0, np.nan], [0.0], [[0.0, 0.0]]])

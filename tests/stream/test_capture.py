@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shutil
 import struct
 import subprocess
 import sys
@@ -76,6 +77,16 @@ def test_a_folder_that_grows_shows_the_newest_picture(tmp_path: Path, monkeypatc
     until(lambda: bool((sequence.depth_m(next(frames)) == depth_mm(2) / np.float32(1000)).all()))
     with pytest.raises(CaptureEnd, match=r"no new picture for 0\.3 s"):
         until(lambda: sequence.depth_m(next(frames)) is None)
+
+
+def test_a_folder_that_goes_is_the_end_at_once(tmp_path: Path) -> None:
+    (tmp_path / "watched").mkdir()
+    put(tmp_path / "watched", 0)
+    folder = GrowingFolder(tmp_path / "watched")
+    folder.next()
+    shutil.rmtree(tmp_path / "watched")
+    with pytest.raises(CaptureEnd, match="no folder any more"):  # where it waits, it tells of no new picture
+        folder.next()
 
 
 def test_a_picture_that_is_never_finished_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Sized
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
 from touchfield.job.prepare import Prepared
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.stream.live import ENDLESS, Ended, LiveReceiver, LiveSegment, Lost, Opened
-from touchfield.stream.live_medium import WAITED_S, LiveEnd, LiveFrames, LiveStream
+from touchfield.stream.live_medium import WAITED_S, LiveEnd, LiveFrames, LiveStream, Playing
 
 HALF = halved(GRID)
 UNDER = TouchEncoder(HALF, TouchSpec(k=0.2, f0_n=0.1, effort="fast"))
@@ -195,20 +196,27 @@ def test_twice_as_fine_is_what_interpolation_gives(shape: tuple[int, int, int], 
 # -- the sending end ------------------------------------------------------------------------------------------
 
 
+class Paced:
+    """A clock that goes on where it is waited for, once whoever codes has sent all segments that are complete."""
+
+    def __init__(self, frames: int, *sent: Sized) -> None:
+        self.now_s, self._frames, self._sent = 0.0, frames, sent
+
+    def pause(self, seconds: float) -> None:
+        complete, ends = round(50 * self.now_s) // self._frames, time.monotonic() + 30
+        while any(len(one) < complete for one in self._sent) and time.monotonic() < ends:
+            time.sleep(0.001)
+        self.now_s += seconds
+
+
 def test_both_layers_go_on_the_air() -> None:
     prepared, _ = opened_sender(medium(), EncodeSpec())
     coarse, under = coarse_layer(medium(), prepared)
-    now, took = [0.0], ([], [])  # type: tuple[list[float], tuple[list[LiveSegment], list[LiveSegment]]]
-
-    def pause(seconds: float) -> None:
-        time.sleep(0.01)  # the coders' threads
-        now[0] += seconds
-
-    spec = LiveSpec(0.1, loop=True, seconds=2.0)
-    sent = broadcast(
-        prepared, took[0].append, spec, clock_s=lambda: now[0], pause=pause, coarse=(coarse, took[1].append)
-    )
-    assert sent.segments == len(took[0]) >= 3 and len(took[1]) >= 3
+    took: tuple[list[LiveSegment], list[LiveSegment]] = ([], [])
+    paced, spec = Paced(5, *took), LiveSpec(0.1, loop=True, seconds=2.0)
+    layer = (coarse, took[1].append)
+    sent = broadcast(prepared, took[0].append, spec, clock_s=lambda: paced.now_s, pause=paced.pause, coarse=layer)
+    assert sent.segments == len(took[0]) == len(took[1]) == 20 and sent.left_out == 0
     assert sent.coarse_bytes == sum(len(one.body) for one in took[1]) > 0
     receiver = LiveReceiver()
     (opened,) = receiver.receive(under.opening)
@@ -223,17 +231,14 @@ def test_both_layers_go_on_the_air() -> None:
 
 def sent_messages(with_layer: bool) -> list[bytes]:
     prepared, sender = opened_sender(medium(), EncodeSpec())
-    now, messages = [0.0], list[bytes]()
-
-    def pause(seconds: float) -> None:
-        time.sleep(0.01)
-        now[0] += seconds
+    messages, under = list[bytes](), list[LiveSegment]()
+    paced = Paced(25, messages, *([under] if with_layer else []))
+    coarse = (coarse_layer(medium(), prepared)[0], under.append) if with_layer else None
 
     def send(segment: LiveSegment) -> None:
         messages.append(sender.add(segment))
 
-    coarse = (coarse_layer(medium(), prepared)[0], lambda segment: None) if with_layer else None
-    broadcast(prepared, send, LiveSpec(0.5), clock_s=lambda: now[0], pause=pause, coarse=coarse)
+    broadcast(prepared, send, LiveSpec(0.5), clock_s=lambda: paced.now_s, pause=paced.pause, coarse=coarse)
     return [sender.opening, *messages]
 
 
@@ -343,29 +348,51 @@ def test_a_hand_feels_more_of_the_time_with_a_coarse_layer_through_bursts_of_los
     assert layered > 0.99 and layered >= alone, (alone, layered)
 
 
-class OnAir:
-    """A medium with its coarse layer on a server."""
+def bodies_of(prepared: Prepared) -> list[bytes]:
+    """The bodies of all segments of five frames."""
+    source = prepared.medium
+    encoder = TouchEncoder(source.grid, prepared.coding)
+    return [encoder.encode_segment([source[i + n] for n in range(5)]).body for i in range(0, len(source), 5)]
 
-    def __init__(self) -> None:
-        self._prepared, sender = opened_sender(medium(), EncodeSpec())
-        self._coarse, under = coarse_layer(medium(), self._prepared)
-        self.server = LiveServer(sender, Access(port=0), coarse=under)
+
+class OnAir:
+    """A medium with its coarse layer on a server, and by datagrams at two ports, coded before it goes on the air.
+
+    The fine layer is no longer sent two seconds after `keep_back` has been called.
+    """
+
+    def __init__(self, port: int | None = None) -> None:
+        source = medium() if port is None else rough()
+        prepared, self._sender = opened_sender(source, EncodeSpec())
+        coarse, self._under = coarse_layer(source, prepared)
+        self._bodies = bodies_of(prepared), bodies_of(coarse)
+        self.server = LiveServer(self._sender, Access(port=0), coarse=self._under)
+        self._port, self._sent, self._last = port, 0, math.inf
         self._thread, self._is_over = threading.Thread(target=self._run, daemon=True), threading.Event()
 
+    def keep_back(self) -> None:
+        self._last = min(self._last, self._sent + 20)
+
     def _run(self) -> None:
-        def clock() -> float:
-            if self._is_over.is_set():
-                raise KeyboardInterrupt
-            return time.monotonic()
+        with ExitStack() as held:
+            by_datagrams = []
+            if self._port is not None:
+                to = f"127.0.0.1:{self._port}"
+                by_datagrams.append(held.enter_context(UdpSender(self._sender, to, "fine")))
+                by_datagrams.append(held.enter_context(UdpSender(self._under, to, "coarse")))
+            began = time.monotonic()
+            while not self._is_over.wait(max(0.0, began + 0.1 * (self._sent + 1) - time.monotonic())):
+                fine, coarse = (LiveSegment(5 * self._sent, 5, own[self._sent % len(own)]) for own in self._bodies)
+                messages = [self.server.add(fine), self.server.add_coarse(coarse)]
+                for one, message in zip(by_datagrams, messages, strict=False):
+                    if message is messages[1] or self._sent < self._last:
+                        one.add(message)
+                self._sent += 1
 
-        coarse = self._coarse, self.server.add_coarse
-        with suppress(KeyboardInterrupt):
-            broadcast(self._prepared, self.server.add, LiveSpec(0.1, loop=True), clock_s=clock, coarse=coarse)
-
-    def __enter__(self) -> str:
+    def __enter__(self) -> OnAir:
         self.server.__enter__()
         self._thread.start()
-        return self.server.address
+        return self
 
     def __exit__(self, *_: object) -> None:
         self._is_over.set()
@@ -402,7 +429,7 @@ def sending(port: int, fine_segments: int) -> Iterator[None]:
 
 @pytest.mark.parametrize("form", ["ws://{}/coarse/live", "http://{}/coarse/live.json"])
 def test_a_receiver_with_a_thin_link_takes_the_coarse_layer_alone(form: str) -> None:
-    with OnAir() as address, open_stream(form.format(address)) as stream:
+    with OnAir() as air, open_stream(form.format(air.server.address)) as stream:
         assert stream.grid == HALF
         frames = stream.medium
         number = frames.make_frame.stream_frame(0)  # type: ignore[attr-defined]
@@ -410,11 +437,20 @@ def test_a_receiver_with_a_thin_link_takes_the_coarse_layer_alone(form: str) -> 
         np.testing.assert_allclose(frames[0].to_dense(), expected, atol=0.45)
 
 
-def test_a_hand_goes_on_feeling_where_only_the_coarse_layer_comes(tmp_path: Path) -> None:
+def test_a_hand_goes_on_feeling_where_only_the_coarse_layer_comes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     hand, port, notes = tmp_path / "hand.csv", free_port(), list[str]()
     hand.write_text("t_s,x_m,y_m,z_m\n0,0,0,-0.07\n60,0,0,-0.07\n")
     spec = PlaySpec("sim", seconds=7.0, trajectory=hand, is_logged=True, coarse=f"udp://127.0.0.1:{port + 1}")
-    with sending(port, fine_segments=40):
+    with OnAir(port) as air:
+        keep_up = LiveStream.keep_up
+
+        def played_already(live: LiveStream, player: Playing) -> bool:
+            air.keep_back()
+            return keep_up(live, player)
+
+        monkeypatch.setattr(LiveStream, "keep_up", played_already)
         played = play(f"udp://127.0.0.1:{port}", spec, tell=notes.append)
     assert played.error is None and played.rows is not None, notes
     last = played.rows[-2000:]
@@ -424,7 +460,8 @@ def test_a_hand_goes_on_feeling_where_only_the_coarse_layer_comes(tmp_path: Path
 
 def test_a_coarse_layer_that_is_not_there_is_told_and_one_of_a_file_refused(tmp_path: Path) -> None:
     notes: list[str] = []
-    with OnAir() as address:
+    with OnAir() as air:
+        address = air.server.address
         given = open_stream(f"ws://{address}/live", notes.append, f"ws://{address}/nothing")
         with given as stream:
             assert stream.medium[0].support_count

@@ -167,6 +167,22 @@ def test_many_receivers_and_bad_ones_beside_them() -> None:
             link.close()
 
 
+def test_who_asks_for_a_segment_and_does_not_read_it_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("touchfield.stream.live_server._PATIENCE_S", 0.3)
+    sender = sender_of(0)[0]
+    with LiveServer(sender, Access(port=0)) as server:
+        server.add(LiveSegment(0, 5, bytes(1 << 25)))
+        host, port = server.address.split(":")
+        with socket.create_connection((host, int(port)), timeout=5) as link:
+            link.sendall(f"GET /live/0 HTTP/1.1\r\nHost: {server.address}\r\n\r\n".encode())
+            time.sleep(1.0)
+            received = 0
+            with suppress(ConnectionError):
+                while part := link.recv(1 << 20):
+                    received += len(part)
+        assert received < 1 << 25
+
+
 def test_who_may_not_receive() -> None:
     access = Access(port=0, token="a long word")
     with on_air(access) as server:

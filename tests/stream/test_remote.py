@@ -201,13 +201,13 @@ def _drip(link: socket.socket) -> None:
 
 
 def _drip_head(link: socket.socket) -> None:
-    link.sendall(b"HTTP/1.1 206 x\r\nX-Long: ")
+    link.sendall(b"HTTP/1.1 206 x\r\n")
     for _ in range(100):
         link.sendall(b"x")
         threading.Event().wait(0.05)
 
 
-def _put_off(link: socket.socket) -> None:
+def _go_on(link: socket.socket) -> None:
     for _ in range(100):
         link.sendall(b"HTTP/1.1 100 Continue\r\n\r\n")
         threading.Event().wait(0.05)
@@ -238,10 +238,9 @@ OPENING = b"\x89TOUCH\r\n\x1a\n\x01\x00\x00\x00"
         ((partial(OPENING + bytes(4082), 0, 20000), partial(bytes(15904), 4096, 20000, '"b"')), "another file now"),
         ((partial(OPENING + bytes(4082), 0, 20000)[:900],), "timed out|Incomplete|expected"),
         ((lambda link: None,), "closed"),
-        ((_drip,), "takes too long"),
-        ((_drip_head,), "takes too long"),
-        ((_put_off,), "takes too long"),
-        ((b"HTTP/1.1 404 \x1b[2J\x07\r\nContent-Length: 0\r\n\r\n",), r"404 \\x1b\[2J\\x07"),
+        ((_drip,), "hardly more"),
+        ((_drip_head,), "hardly more"),
+        ((_go_on,), "hardly more"),
         ((_flood,), "bytes 0 to 4095|HEAD"),
     ],
     ids=lambda value: value[:20] if isinstance(value, str) else "x",

@@ -33,7 +33,7 @@ from touchfield.adapters.hjif_read import DEFAULT_TIMESCALE, LARGEST_VECTOR
 from touchfield.adapters.hmpg_read import LARGEST_PHASE
 from touchfield.adapters.symbolic import filled_hz
 from touchfield.arrays import Float32s, Float64s, Int64s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, require_one_of, require_up_to
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.medium import MAX_FREQUENCY_HZ
 
@@ -136,8 +136,7 @@ def write_hjif_force(
         among them, clip them at 1; with another value the file tells shares of it.
     description : str
     """
-    if not 0 < full_scale_n <= _LARGEST_FORCE_N:
-        raise InvalidArgument("full_scale_n", repr(full_scale_n), f"newtons above 0, up to {_LARGEST_FORCE_N:g}")
+    require_up_to(_LARGEST_FORCE_N, full_scale_n=full_scale_n)
     peaks_n = np.abs(forces_n).max(axis=0)
     shares = np.clip(forces_n / np.where(peaks_n > 0, peaks_n, 1), -1, 1)
     channels = [

@@ -146,7 +146,7 @@ def point_device(words: str, trajectory: Trace | None = None) -> PointChoice:
 
 def is_array_device(words: str) -> bool:
     """True if these words name an array, rightly written or not."""
-    return words.partition(":")[0] in ARRAYS
+    return words.strip().partition(":")[0].lower() in ARRAYS
 
 
 def array_device(words: str, profile: Device | None = None) -> ArrayDevice:
@@ -156,8 +156,8 @@ def array_device(words: str, profile: Device | None = None) -> ArrayDevice:
     """
     from touchfield.devices import device
 
-    name, _, rest = words.partition(":")
-    kind = _kind(words, name, array_kinds())
+    name, _, rest = words.strip().partition(":")
+    kind = _kind(words, name.lower(), array_kinds())
     chosen = profile or device(str(kind.profile))
     if not chosen.is_array:
         raise InvalidArgument(f"profile of {name}", f"{chosen.name}, a point", "an array of actuators (type 2)")

@@ -10,7 +10,6 @@ the array's normal, for whatever knows only forces, and as the vibration's ampli
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -18,7 +17,7 @@ import numpy as np
 
 from touchfield.arrays import Float32s, Float64s
 from touchfield.devices import Device, device, device_names
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_between, require_positive
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.field import frozen
 from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
@@ -77,8 +76,7 @@ class ArrayEffect:
 
     def __post_init__(self) -> None:
         drives, frequencies = self.drives, self.frequencies_hz
-        if not (self.rate_hz > 0 and math.isfinite(self.rate_hz)):
-            raise InvalidArgument("rate_hz", repr(self.rate_hz), "a positive number of frames a second")
+        require_positive(rate_hz=self.rate_hz)
         if drives.dtype != np.float32 or drives.ndim != 3 or not drives.size:
             raise InvalidArgument("drives", f"{drives.dtype} {drives.shape}", "float32 [frames, rows, columns]")
         if not ((drives >= 0).all() and (drives <= 1).all()):
@@ -152,8 +150,7 @@ def filled_hz(drives: Float32s, frequencies_hz: Float32s | None) -> Float32s:
 
 def check_rate(rate_hz: float) -> None:
     """InvalidArgument unless an effect can be sampled at so many frames a second."""
-    if not 1 <= rate_hz <= MAX_RATE_HZ:
-        raise InvalidArgument("rate_hz", repr(rate_hz), f"1 to {MAX_RATE_HZ:g} frames a second")
+    require_between(1, MAX_RATE_HZ, rate_hz=rate_hz)
 
 
 def checked_frames(where: str, frames: int, actuators: int, most: int = MAX_VALUES) -> int:

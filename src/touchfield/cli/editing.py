@@ -28,7 +28,7 @@ Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, gaussian, b
 _COUNTS = "NX,NY,NZ, such as 64,64,32"
 
 
-@command("Make")
+@command("Make", 'edit room.touch soft.touch --region "ball:0mm,10mm,0mm,15mm" --operator gain:0.5')
 @asks(CODER)
 def edit(
     asked: Asked,
@@ -78,7 +78,7 @@ def splice(
     show(done.summary(), str(done.path), as_json, done.notes)
 
 
-@command("Make")
+@command("Make", "resample room.touch small.touch --nw 5", "resample room.touch slow.touch --rate-hz 15")
 @asks(CODER)
 def resample(
     asked: Asked,
@@ -99,7 +99,7 @@ def resample(
     show(done.summary(), str(done.path), as_json, done.notes)
 
 
-@command("Make")
+@command("Make", "lod room.touch levels --most-bytes 20000")
 @asks(CODER)
 def lod(
     asked: Asked,
@@ -124,7 +124,7 @@ def lod(
     show_notes((*best, *done.notes))
 
 
-@command("Make")
+@command("Make", "partition room.touch --depth 1 --penalty-bits 100")
 def partition(
     medium: Medium,
     depth: Annotated[int, "The device has 2^-depth of the lattice's samples along each axis."] = 2,
@@ -197,11 +197,8 @@ def texture(
         store_materials(into, materials, out)
     if plot is not None:
         _draw(plot, materials)
-    show(
-        {"file": str(out), "file_bytes": out.stat().st_size, "materials": [m.name for m in materials]},
-        str(out),
-        as_json,
-    )
+    names = [material.name for material in materials]
+    show({"file": str(out), "file_bytes": out.stat().st_size, "materials": names}, str(out), as_json)
 
 
 def _draw(path: Path, materials: tuple[Material, ...]) -> None:

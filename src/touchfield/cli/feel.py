@@ -82,7 +82,6 @@ def play(
     stream: Stream,
     log: Annotated[Path | None, "CSV to write: every tick."] = None,
     plot: Annotated[Path | None, "PNG to draw: the hand, the field, the forces."] = None,
-    wav: Annotated[Path | None, "WAV to write: the play as sound."] = None,
     check: Annotated[bool, "Play nothing; tell whether this machine can decode it in time."] = False,
     bridge: Annotated[bool, "Show the hand in a browser while it plays (extra broadcast)."] = False,
     as_json: Json = False,
@@ -97,8 +96,8 @@ def play(
         if not verdict["can_play"]:
             raise typer.Exit(1)
         return
-    check_results((stream,), log, plot, wav)
-    is_logged = not (log is plot is wav is None)
+    check_results((stream,), log, plot)
+    is_logged = not (log is plot is None)
     beside = {"is_logged": is_logged, "is_drawn": plot is not None, "render": render_spec(asked)}
     spec = PlaySpec(**{**fields_of(PlaySpec, asked), **beside})
     with _bridge(stream, bridge) as watch, progress("play", "s") as report:
@@ -110,8 +109,6 @@ def play(
     if plot is not None and played.error is None:
         played.draw(plot)
         notes = (*notes, f"the picture is {plot}")
-    if wav is not None and played.error is None:
-        notes = (*notes, played.write_wav(wav))
     if played.is_starved:
         share = played.statistics["stalled_share"]
         notes = (

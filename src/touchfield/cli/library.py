@@ -9,7 +9,7 @@ import typer
 
 from touchfield.cli.main import Asked, Json, Stream, command
 from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, encode_spec, numbers_of, workers_of
-from touchfield.cli.show import check_results, keep_source, progress, show, show_notes, show_rows
+from touchfield.cli.show import check_results, progress, show, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 
 Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
@@ -31,12 +31,11 @@ def index(folder: Folder, index_file: IndexFile = None, workers: Workers = None,
         done = index_folder(folder, index_file, report, executor)
     faults = done.faults
     if as_json:
-        show({**done.summary(), "faults": faults}, str(folder), True)
+        show({**done.summary(), "faults": faults}, str(folder), True, done.notes)
         return
-    show(done.summary(), str(done.path), False)
-    show_notes([f"left out: {name}: {fault}" for name, fault in list(faults.items())[:_TOLD]])
-    if len(faults) > _TOLD:
-        show_notes([f"{len(faults) - _TOLD} more are left out; --json tells them all"])
+    left_out = [f"left out: {name}: {fault}" for name, fault in list(faults.items())[:_TOLD]]
+    more = (f"{len(faults) - _TOLD} more are left out; --json tells them all",) if len(faults) > _TOLD else ()
+    show(done.summary(), str(done.path), False, (*done.notes, *left_out, *more))
 
 
 @command("Study", "search recordings like.touch")
@@ -61,10 +60,11 @@ def search(
         except ValueError:
             raise InvalidArgument("--weight", repr(words), "PART=NUMBER, such as amplitude=2") from None
     result = run(folder, like, count, weights, index_file)
+    figures = result.summary()
     if as_json:
-        show(result.summary(), str(like), True, result.notes)
+        show(figures, str(like), True, result.notes)
         return
-    typer.echo(f"like {like}, of {result.media} media ({result.query_ms:.1f} ms)")
+    typer.echo(f"like {like}, of {figures['media']} media ({figures['query_ms']:.1f} ms)")
     for rank, match in enumerate(result.matches, start=1):
         typer.echo(f"{rank:4d}  {match.distance:.4f}  {match.name}")
     show_notes(result.notes)
@@ -115,8 +115,8 @@ def correlate(
     rows = []
     for look in done:
         figures = look.found.summary()
-        rows.append({"frame": look.frame, "picture": look.picture, "mutual_bits": figures["mutual"]["value"],
-                     **{name: value for name, value in figures.items() if name != "mutual"}})  # fmt: skip
+        mutual = figures.pop("mutual")
+        rows.append({"frame": look.frame, "picture": look.picture, "mutual_bits": mutual["value"], **figures})
     notes = tuple(dict.fromkeys(note for look in done for note in look.found.mutual.notes))
     if as_json:
         show({"looks": rows}, str(stream), True, notes)
@@ -148,9 +148,7 @@ def points(
     from touchfield.job.reduction import fewest_points, next_points
     from touchfield.job.spec import EncodeSpec
 
-    check_results((source,), plot)
-    if out is not None:
-        keep_source(source, out)
+    check_results((source,), plot, out)
     if is_next and (out is not None or modes is not None):
         raise InvalidArgument("--next", "OUT or --modes beside it", "neither: nothing is rebuilt yet")
     if measured is not None and not is_next:

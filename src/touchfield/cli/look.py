@@ -14,7 +14,6 @@ from touchfield.cli.options import ALLOW_OUTSIDE, SCENE, asks, encode_spec
 from touchfield.cli.show import (
     check_results,
     is_same_file,
-    keep_source,
     literal_console,
     progress,
     show,
@@ -77,8 +76,7 @@ def compare(
     from touchfield import job
 
     target = picture or _free_name(source, stream)
-    keep_source(source, target)
-    keep_source(stream, target)
+    check_results((source, stream), target)
     if not no_picture and target.exists() and not is_our_picture(target):
         mend = "Name another --picture, or take --no-picture."
         raise InvalidArgument(f"{target} is there, and touchfield did not draw it: it is left as it is", mend=mend)

@@ -67,11 +67,8 @@ def sources(as_json: Json = False) -> None:
     """List the kinds of source."""
     from touchfield.sources.registry import kinds
 
-    show(
-        {kind.name: kind.summary for kind in kinds()},
-        "kinds of source (--as takes a name, or a word that one description alone has)",
-        as_json,
-    )
+    title = "kinds of source (--as takes a name, or a word that one description alone has)"
+    show({kind.name: kind.summary for kind in kinds()}, title, as_json)
 
 
 @command("Set up", "doctor --device haply")

@@ -7,6 +7,7 @@ with ``--json`` one object.
 from __future__ import annotations
 
 import inspect
+import io
 import json
 import os
 import signal
@@ -114,12 +115,15 @@ def run(arguments: list[str] | None = None, commands: typer.Typer = app) -> None
     """The console entry point."""
     # a request to end (a job scheduler, `timeout`) cleans up as Ctrl-C does
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a name may have letters that the terminal's encoding has not
+        sys.stdout.reconfigure(errors="backslashreplace")
     sys.exit(_exit_code(arguments, commands))
 
 
 def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
     """Run a command, and say what ended it."""
-    as_json = "--json" in (sys.argv[1:] if arguments is None else arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    as_json = "--json" in given
 
     def say(text: str, code: int, kind: str) -> int:
         line = " ".join(text.split())
@@ -129,7 +133,7 @@ def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
 
     try:
         if commands is app:
-            open_rooms(sys.argv[1:] if arguments is None else arguments)
+            open_rooms(given)
         result = commands(args=arguments, standalone_mode=False)
         if result == TYPER_INTERRUPTED:
             raise KeyboardInterrupt
@@ -139,7 +143,8 @@ def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return say("interrupted; nothing was written under the final name", 1, "Interrupted")
     except USAGE_ERROR as error:
-        return say(f"{error.format_message()} (touchfield --help tells more)", 2, "UsageError")
+        own = f"{given[0]} " if commands is app and given and given[0] in COMMANDS else ""
+        return say(f"{error.format_message()} (touchfield {own}--help tells more)", 2, "UsageError")
     except MemoryError:
         text = "out of memory: a smaller --nw, fewer --frames or a thinner --thickness-m take less"
         return say(text, 1, "MemoryError")

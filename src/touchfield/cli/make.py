@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -68,6 +69,9 @@ def encode(
     """Turn SOURCE into a .touch file."""
     out = Path(to)
     keep_source(source, out)
+    if out.suffix in (".npz", ".vti"):
+        mend = "Take touchfield field for a field."
+        raise InvalidArgument(to, f"the ending {out.suffix!r}", "OUT.touch or OUT.zarr", mend)
     spec, target = encode_spec(asked), target_of(asked)
     if is_remote(to) and (target is not None or with_report or out.suffix == ".zarr"):
         raise InvalidArgument("--report, targets and .zarr work with a path, not with an address")
@@ -123,8 +127,7 @@ def filter_(
             )
     if workers is not None and out.suffix != ".touch":
         raise InvalidArgument(f"--workers works with OUT.touch, not with {out.suffix}")
-    keep_source(source, out)
-    check_results((source,), plot)
+    check_results((source,), out, plot)
     measured = None
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
@@ -163,9 +166,7 @@ def field(
     """Write the device-filtered force field before coding, what `encode` starts from; or draw it, with --preview."""
     if out is None and preview is None:
         raise InvalidArgument("touchfield field makes FIELD.npz or FIELD.vti, or draws --preview PNG: name one")
-    check_results((source,), preview)
-    if out is not None:
-        keep_source(source, out)
+    check_results((source,), preview, out)
     shown: dict[str, Any] = {}
     with computing(device_compute), progress("field") as report:
         prepared = job.prepare(source, encode_spec(asked))
@@ -204,15 +205,28 @@ def plan(
         chosen = job.plan(source, amount, spec, search, report, executor)
     if out is not None:
         chosen.draw(out)
-    _show_plan(chosen, as_json, (f"the picture is {out}",) if out else ())
+    _show_plan(chosen, _options(chosen, asked), as_json, (f"the picture is {out}",) if out else ())
 
 
-def _show_plan(plan: Plan, as_json: bool, notes: tuple[str, ...] = ()) -> None:
+def _options(plan: Plan, asked: dict[str, Any]) -> list[str]:
+    """The options with which `encode` makes the choice: its settings, and those of the scene as they were given."""
+    words = [*plan.chosen.options.split(), "--representation", "voxel"]
+    if plan.chosen.spec.coder == "touch":
+        words += ["--effort", plan.chosen.spec.touch.effort]
+    for name, _, usual, _ in SCENE:
+        value = asked[name.replace("-", "_")]
+        if value != usual and name not in ("nw", "representation"):
+            words += [f"--{name}"] if value is True else [f"--{name}", str(value)]
+    return words
+
+
+def _show_plan(plan: Plan, options: list[str], as_json: bool, notes: tuple[str, ...]) -> None:
     """Print a plan as one JSON object, or as a table with its notes."""
     if as_json:
-        show(plan.summary(), "", True, (*plan.notes, *notes))
+        show({**plan.summary(), "encode_options": shlex.join(options)}, "", True, (*plan.notes, *notes))
         return
-    title = f"{plan.source}: {plan.frames_tried} frames under {len(plan.trials)} settings; the frontier"
+    frames = f"{plan.frames_tried} frame{'s' * (plan.frames_tried > 1)}"
+    title = f"{plan.source}: {frames} under {len(plan.trials)} settings; the frontier"
     literal_console().print(title, style="bold", soft_wrap=True)
     rows = [("->" if trial is plan.chosen else "", *_cells(plan, trial)) for trial in plan.front()]
     headings = ("", "nw", "coder", "k or step", plan.unit, "NMSE dB", "mask kept")
@@ -226,10 +240,11 @@ def _show_plan(plan: Plan, as_json: bool, notes: tuple[str, ...] = ()) -> None:
         said.append(f"lambda is {plan.multiplier:.4g} {plan.unit} for a unit of NMSE at the choice")
     if papers:
         paper = min(papers, key=lambda t: t.nmse)
-        said.append(f"coder paper within the budget: {paper.options}: {' '.join(_cells(plan, paper)[-2:])}")
+        *_, nmse, kept = _cells(plan, paper)
+        said.append(f"coder paper within the budget: {paper.options}: NMSE {nmse} dB, mask kept {kept}")
     else:
         said.append("coder paper: nothing within the budget")
-    said.append(f"touchfield encode {plan.source} OUT.touch {plan.chosen.options}")
+    said.append(shlex.join(["touchfield", "encode", plan.source, "OUT.touch", *options]))
     show_notes((*said, *notes))
 
 

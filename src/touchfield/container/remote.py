@@ -8,14 +8,16 @@ justifies, and a file that changes meanwhile is told.
 from __future__ import annotations
 
 import http.client
+import io
 import re
 import socket
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from threading import Lock, Timer
-from typing import Final, NamedTuple
+from threading import Lock
+from typing import Any, Final, NamedTuple
 from urllib.parse import urljoin, urlsplit
 
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
@@ -127,6 +129,33 @@ class RemoteFile:
             self._kept.popitem(last=False)
 
 
+class _Timely(io.RawIOBase):
+    """What a connection gives, until a deadline."""
+
+    def __init__(self, raw: io.RawIOBase, deadline: float) -> None:
+        self._raw, self._deadline = raw, deadline
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int | None:
+        if time.monotonic() > self._deadline:
+            raise TimeoutError("an answer that began, and then hardly more")
+        return self._raw.readinto(buffer)
+
+    def close(self) -> None:
+        self._raw.close()
+        super().close()
+
+
+class _Answer(http.client.HTTPResponse):
+    """An answer that is given up at a deadline, in its head too."""
+
+    def __init__(self, deadline: float, *args: Any, **more: Any) -> None:
+        super().__init__(*args, **more)
+        self.fp = io.BufferedReader(_Timely(self.fp.detach(), deadline))
+
+
 class _Http:
     """A file on a web server, by ranges over one connection that stays."""
 
@@ -138,12 +167,8 @@ class _Http:
 
     def get(self, offset: int, size: int) -> _Part:
         """At most `size` bytes from `offset` on."""
-        self._is_late = False
-        watch = Timer(_PATIENCE_S + size / _SLOWEST, self._leave)
-        watch.daemon = True
-        watch.start()
-        try:
-            for _ in range(_MOST_REDIRECTS + 1):
+        for _ in range(_MOST_REDIRECTS + 1):
+            try:
                 answer = self._asked(offset, size)
                 if answer.status not in (301, 302, 303, 307, 308):
                     return self._part(answer, offset, size)
@@ -180,6 +205,8 @@ class _Http:
             if self._link is None:
                 link = http.client.HTTPSConnection if to.scheme == "https" else http.client.HTTPConnection
                 self._link = link(to.hostname, to.port, timeout=_PATIENCE_S)
+            deadline = time.monotonic() + _PATIENCE_S + size / _SLOWEST
+            self._link.response_class = partial(_Answer, deadline)  # type: ignore[assignment]
             try:
                 self._link.request("GET", path, headers=headers)
                 self._socket = self._link.sock

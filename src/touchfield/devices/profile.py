@@ -29,6 +29,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from touchfield.arrays import Travels
 from touchfield.errors import DeviceError, InvalidArgument, SourceError
 from touchfield.files import require_plain
 
@@ -38,7 +39,7 @@ MAX_PROFILE_BYTES: Final = 1 << 16
 
 
 @dataclass(frozen=True)
-class Device:
+class Device(Travels):
     """A haptic display; a value that is not known is None.
 
     Attributes
@@ -103,11 +104,6 @@ class Device:
         """The nominal box, metres, along x right, y up, z towards the user."""
         x, y, z = self.workspace_mm
         return (x / 1000, y / 1000, z / 1000)
-
-    @property
-    def actuator_count(self) -> int | None:
-        """Actuators on all panels; None for a point."""
-        return self.lattice[0] * self.lattice[1] * self.panels if self.is_array else None
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,11 @@ on fields           `field_filters` names them all; `filter_of`, `filtered`, `fi
 eq. 5               `FrequencyResponse`, `frequency_response`
 editing             `edited`, `edited_medium`; regions `Box`, `Ball`, `HalfSpace`, `Voxels`, `ForceRange`; operators
                     `Gain`, `Erased`, `Composed`, `Moved`, `Limited` or any filter; `RigidMotion`
-in time             `concatenated`, `cross_faded`, `without`
+in time             `cross_faded`
 level of detail     `pyramid`, `rebuilt`, `interpolated`
-at the receiver     `Contact`, `friction_n`, `damping_n`, `rendered_n`
 ==================  ===========================================================================================
 """
 
-from touchfield.filters.contact import Contact, damping_n, friction_n, rendered_n
 from touchfield.filters.device_filter import (
     NW_RANGE,
     DeviceFilter,
@@ -30,11 +28,9 @@ from touchfield.filters.edit import (
     Gain,
     Limited,
     Moved,
-    concatenated,
     cross_faded,
     edited,
     edited_medium,
-    without,
 )
 from touchfield.filters.fir import FrequencyResponse, fir_filter, frequency_response
 from touchfield.filters.lifting import (
@@ -53,7 +49,6 @@ from touchfield.filters.resample import (
     halved,
     interpolated,
     most_levels,
-    nyquist_per_m,
     pyramid,
     rebuilt,
     resample,
@@ -63,12 +58,11 @@ from touchfield.filters.smoothing import actuator_taps, cutoff_per_m, gaussian
 from touchfield.medium.grid import Placement
 
 __all__ = [
-    "COMPOSITIONS", "LOW_PASSES", "NW_RANGE", "Ball", "Box", "Claims", "Composed", "Contact", "DeviceFilter",
-    "DeviceFilterSpec", "EditOperator", "Erased", "Everywhere", "FieldFilter", "ForceRange", "FrequencyResponse",
-    "Gain", "HalfSpace", "Limited", "LowPass", "Moved", "Placement", "Region", "RigidMotion", "Voxels",
-    "actuator_taps", "concatenated", "cross_faded", "cutoff_per_m", "damping_n", "device_grid", "device_medium",
-    "edited", "edited_medium", "fcc_coarse", "fcc_forward", "fcc_inverse", "field_filters", "filter_of", "filtered",
-    "filtered_medium", "fir_filter", "frequency_response", "friction_n", "gaussian", "halved", "interpolated",
-    "limited", "most_levels", "nyquist_per_m", "perona_malik", "pyramid", "quincunx_coarse", "quincunx_forward",
-    "quincunx_inverse", "rebuilt", "rendered_n", "resample", "without",
+    "COMPOSITIONS", "LOW_PASSES", "NW_RANGE", "Ball", "Box", "Claims", "Composed", "DeviceFilter", "DeviceFilterSpec",
+    "EditOperator", "Erased", "Everywhere", "FieldFilter", "ForceRange", "FrequencyResponse", "Gain", "HalfSpace",
+    "Limited", "LowPass", "Moved", "Placement", "Region", "RigidMotion", "Voxels", "actuator_taps",
+    "cross_faded", "cutoff_per_m", "device_grid", "device_medium", "edited", "edited_medium", "fcc_coarse",
+    "fcc_forward", "fcc_inverse", "field_filters", "filter_of", "filtered", "filtered_medium", "fir_filter",
+    "frequency_response", "gaussian", "halved", "interpolated", "limited", "most_levels",
+    "perona_malik", "pyramid", "quincunx_coarse", "quincunx_forward", "quincunx_inverse", "rebuilt", "resample",
 ]  # fmt: skip

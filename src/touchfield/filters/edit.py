@@ -7,24 +7,22 @@ every haptic filter is one, too. Frames stay lazy: nothing is made before it is 
 
 from __future__ import annotations
 
-import math
-from bisect import bisect_right
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from typing import ClassVar, Final, Protocol
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, is_finite, require_not_negative, require_one_of
 from touchfield.filters.device_filter import limited
 from touchfield.filters.region import Region, RigidMotion, weights
 from touchfield.filters.registry import noted
-from touchfield.filters.resample import BRICKS_AT_ONCE, LOCAL, interpolated
+from touchfield.filters.resample import interpolated
 from touchfield.medium import BRICK, ForceField, HapticMedium
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import bricks_of, keys_of_both
+from touchfield.sources.scene import LOCAL
 
+_BRICKS_AT_ONCE: Final = 512
 COMPOSITIONS: Final = ("replace", "over", "add", "max")
 
 
@@ -48,7 +46,7 @@ class Gain:
     factor: float
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.factor):
+        if not is_finite(self.factor):
             raise InvalidArgument("gain", repr(self.factor), "a finite factor")
 
     @property
@@ -78,7 +76,7 @@ class Limited:
     force_max_n: float
 
     def __post_init__(self) -> None:
-        if not 0 < self.force_max_n < math.inf:
+        if not (is_finite(self.force_max_n) and self.force_max_n > 0):
             raise InvalidArgument("limit", repr(self.force_max_n), "newtons, more than 0")
 
     @property
@@ -164,15 +162,14 @@ def edited(field: ForceField, region: Region, operator: EditOperator, feather_m:
     feather_m : float; width of the transition outside the region, metres; beyond it the field keeps its bits.
     Raises `InvalidArgument` if the feather is negative, or the operator or the region belongs to another grid.
     """
-    if not 0 <= feather_m < math.inf:
-        raise InvalidArgument("feather_m", repr(feather_m), "a finite length of 0 or more")
+    require_not_negative(feather_m=feather_m)
     after = operator(field)
     if after.grid != field.grid:
         raise InvalidArgument(f"operator {operator.name}", f"a field on {after.grid}", f"one on {field.grid}")
     grid, place, keys = field.grid, region.on(field), keys_of_both(field, after)
     bricks, forces = bricks_of(grid, keys), zero_forces(len(keys))
-    for begin in range(0, len(keys), BRICKS_AT_ONCE):
-        some = slice(begin, begin + BRICKS_AT_ONCE)
+    for begin in range(0, len(keys), _BRICKS_AT_ONCE):
+        some = slice(begin, begin + _BRICKS_AT_ONCE)
         points = grid.to_m(bricks[some, None, None, None] * BRICK + LOCAL)
         share, before_n = weights(place, points, feather_m), field.forces_at(keys[some])
         after_n = after.forces_at(keys[some])
@@ -223,41 +220,13 @@ def edited_medium(
     return replace(medium, make_frame=make, provenance=noted(medium.provenance, "edits", words))
 
 
-def concatenated(*media: HapticMedium) -> HapticMedium:
-    """One medium after the other.
-
-    Raises `InvalidArgument` if there is none, or they differ in grid, rate, axes, friction, damping or tags.
-    """
-    if not media:
-        raise InvalidArgument("media to concatenate", "none", "at least one")
-    ends = list(accumulate(len(m) for m in media))
-
-    def make(i: int) -> ForceField:
-        which = bisect_right(ends, i)
-        return media[which][i - ends[which] + len(media[which])]
-
-    counts = " + ".join(str(len(m)) for m in media)
-    return _spliced(media, ends[-1], make, f"{counts} frames") if len(media) > 1 else media[0]
-
-
-def without(medium: HapticMedium, start: int, stop: int) -> HapticMedium:
-    """The medium with frames start to stop - 1 cut out.
-
-    Raises `InvalidArgument` if there is no such range, or nothing would be left.
-    """
-    count, gap = len(medium), stop - start
-    if not 0 <= start < stop <= count or gap == count:
-        raise InvalidArgument("frames to cut", f"{start}:{stop}", f"a range within 0:{count}, and not all of it")
-    words = f"frames {start}:{stop} cut"
-    return _spliced((medium,), count - gap, lambda i: medium[i if i < start else i + gap], words)
-
-
 def cross_faded(first: HapticMedium, second: HapticMedium, frames: int) -> HapticMedium:
     """The first medium into the second, the last `frames` of the one mixed with as many of the other.
 
-    frames : int; of the transition, 0 or more. Frame i of it is (1 - w) F + w G with w = (i + 1) / (frames + 1): the
-        frames before and after it are those of one medium, and go on in equal steps.
-    Raises `InvalidArgument` if a medium is shorter than the transition, or they differ as for `concatenated`.
+    frames : int; of the transition, 0 or more; 0 puts one after the other. Frame i of it is (1 - w) F + w G with
+        w = (i + 1) / (frames + 1): the frames before and after it are those of one medium, and go on in equal steps.
+    Raises `InvalidArgument` if a medium is shorter than the transition, or they differ in grid, rate, axes, friction,
+        damping or tags.
     """
     shortest = min(len(first), len(second))
     if isinstance(frames, bool) or not isinstance(frames, int) or not 0 <= frames <= shortest:
@@ -272,18 +241,12 @@ def cross_faded(first: HapticMedium, second: HapticMedium, frames: int) -> Hapti
         share = (i - begin + 1) / (frames + 1)
         return first[i].scaled(1 - share) + second[i - begin].scaled(share)
 
+    for name in ("grid", *first.beside):
+        mine, theirs = getattr(second, name), getattr(first, name)
+        if mine != theirs:
+            raise InvalidArgument(f"medium 1 to splice, {name}", str(mine), f"{theirs}, as of medium 0")
+    before = "; ".join(m.provenance["splices"] for m in (first, second) if "splices" in m.provenance)
     words = f"{len(first)} frames into {len(second)} over {frames}"
-    return _spliced((first, second), begin + len(second), make, words)
-
-
-def _spliced(
-    media: tuple[HapticMedium, ...], count: int, make: Callable[[int], ForceField], words: str
-) -> HapticMedium:
-    for n, one in enumerate(media[1:], start=1):
-        for name in ("grid", *media[0].beside):
-            mine, theirs = getattr(one, name), getattr(media[0], name)
-            if mine != theirs:
-                raise InvalidArgument(f"medium {n} to splice, {name}", str(mine), f"{theirs}, as of medium 0")
-    before = "; ".join(m.provenance["splices"] for m in media if "splices" in m.provenance)
-    provenance = noted({**media[0].provenance, "splices": before}, "splices", words)
-    return replace(media[0], frame_count=count, make_frame=make, provenance=provenance, vibration=None, segments=None)
+    provenance = noted({**first.provenance, "splices": before}, "splices", words)
+    count = begin + len(second)
+    return replace(first, frame_count=count, make_frame=make, provenance=provenance, vibration=None, segments=None)

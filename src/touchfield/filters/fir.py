@@ -30,16 +30,14 @@ from touchfield.filters.separable import (
     SCIPY_MODES,
     AxisTaps,
     brick_field,
-    cropped,
     factors,
     filter_field,
     keys_of_passes,
     reach_of,
-    widened,
 )
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import blocks_around, bricks_of, frozen
+from touchfield.medium.field import blocks_around, bricks_of, frozen, numbers_of
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -47,14 +45,11 @@ if TYPE_CHECKING:
     from touchfield.medium import Grid
 
 ANCHORS: Final = ("centred", "causal")
-METHODS: Final = ("auto", "direct", "fft")
 _NO_GAIN: Final = 1e-15  # -300 dB: a gain of zero has no decibels
-_FFT_TAPS: Final = 4  # a sample's share of an FFT, for each doubling of the samples, costs as much as four taps
-_ROW_TAPS: Final = 0.75  # and a tap along one axis as much as this of one of a box
 
 
 def fir_filter(
-    signal: ArrayLike, taps: ArrayLike, *, anchor: str = "centred", boundary: str = "zero", method: str = "auto"
+    signal: ArrayLike, taps: ArrayLike, *, anchor: str = "centred", boundary: str = "zero"
 ) -> NDArray[Any]:
     """Equation 4 on a dense array.
 
@@ -62,31 +57,25 @@ def fir_filter(
     taps : float, N-D, N <= M; h, the kernel.
     anchor : {"centred", "causal"}; which tap stands over the sample: the middle one, or the first, as printed.
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
-    method : {"auto", "direct", "fft"}; "auto" takes the one that is likely to be quicker.
     Returns float32 or float64 of the signal's shape and type. Raises `InvalidArgument` if the kernel is empty, not
     finite, larger than the signal, or even and to be centred; if the signal or a sum is not finite; for other words.
     """
     x, h = checked_signal(signal, boundary), _checked_taps(taps, anchor)
-    require_one_of("method", method, METHODS)
     if h.ndim > x.ndim:
         raise InvalidArgument("taps", f"{h.ndim} axes for a signal {x.shape}", f"at most {x.ndim}")
     origins = [n // 2 if anchor == "centred" else 0 for n in h.shape]
     for axis, (n, count) in enumerate(zip(h.shape, x.shape, strict=False)):
         AxisTaps(np.ones(n), 0).check_fits(count, f"taps of axis {axis}")
-    rows = factors(h)
-    if method == "auto":
-        taps_of_sample = _ROW_TAPS * sum(h.shape) if rows else np.count_nonzero(h)
-        method = "direct" if taps_of_sample <= _FFT_TAPS * math.log2(max(2, x.size)) else "fft"
     with np.errstate(over="ignore", invalid="ignore"):
-        sums = _by_fft(x, h, origins, boundary) if method == "fft" else direct_sums(x, rows or h, origins, boundary)
+        sums = direct_sums(x, factors(h) or h, origins, boundary)
     return without_overflow(sums, "signal")
 
 
 def checked_signal(signal: ArrayLike, boundary: str) -> NDArray[Any]:
     """A dense array in float32 or float64; `InvalidArgument` for other boundaries, or a number that is not finite."""
     require_one_of("boundary", boundary, BOUNDARIES)
-    x = np.asarray(signal)
-    x = x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
+    kind = np.float32 if getattr(signal, "dtype", None) == np.float32 else np.float64
+    x = numbers_of("signal", signal, kind)
     if not all_finite(x):
         raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     return x
@@ -114,11 +103,9 @@ def without_overflow(sums: NDArray[Any], where: str) -> NDArray[Any]:
 
 
 def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
-    h = np.asarray(taps, np.float64)
+    h = numbers_of("taps", taps, is_finite=True)
     if not h.size or not h.ndim:
         raise InvalidArgument("taps", f"an array {h.shape}", "at least one tap along each of one or more axes")
-    if not np.isfinite(h).all():
-        raise InvalidArgument("taps", "a tap that is not finite", "finite numbers")
     require_one_of("anchor", anchor, ANCHORS)
     if anchor == "centred" and any(n % 2 == 0 for n in h.shape):
         mend = 'An even kernel has no middle tap: add a zero, or take anchor="causal".'
@@ -127,33 +114,37 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
 
 
 def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
-    """The sums by `scipy.ndimage`, of a box of taps or of one row after the other."""
+    """The sums of a box of taps, by `scipy.ndimage`, or of one row after the other."""
+    if isinstance(taps, list):
+        out = np.empty(x.shape, x.dtype)
+        for axis, (row, origin) in enumerate(zip(taps, origins, strict=True)):
+            _sums_along(out if axis else np.ascontiguousarray(x), row[::-1], origin, axis, boundary, out)
+        return out
     from scipy import ndimage
 
-    mode = SCIPY_MODES[boundary]
-    shape = [len(row) for row in taps] if isinstance(taps, list) else taps.shape
     # scipy counts the origin from the middle of the mirrored kernel
-    places = [n - 1 - o - n // 2 for n, o in zip(shape, origins, strict=True)]
-    if isinstance(taps, list):
-        for axis, (row, place) in enumerate(zip(taps, places, strict=True)):
-            x = ndimage.correlate1d(x, row[::-1], axis=axis, mode=mode, origin=place)
-        return np.asarray(x)
+    places = [n - 1 - o - n // 2 for n, o in zip(taps.shape, origins, strict=True)]
     beside = x.ndim - taps.ndim
     mirrored = np.flip(taps).reshape(*taps.shape, *[1] * beside)
-    return np.asarray(ndimage.correlate(x, mirrored, mode=mode, origin=[*places, *[0] * beside]))
+    return np.asarray(ndimage.correlate(x, mirrored, mode=SCIPY_MODES[boundary], origin=[*places, *[0] * beside]))
 
 
-def _by_fft(x: NDArray[Any], h: Float64s, origins: list[int], boundary: str) -> NDArray[Any]:
-    from scipy import signal
+def _sums_along(x: NDArray[Any], weights: Float64s, origin: int, axis: int, boundary: str, out: NDArray[Any]) -> None:
+    """Weighted sums of samples along one axis, the last weight of those `origin` ahead; `out` may be the array."""
+    from touchfield.filters.kernels.separable import COLUMNS, sums_along
 
-    # powers of two, which lose nothing, keep the transforms within float64 where the sums are
-    x_order, h_order = (int(np.frexp(np.abs(a).max(initial=0.0))[1]) for a in (x, h))
-    beside = x.ndim - h.ndim
-    margins = [*((n - 1 - origin, origin) for n, origin in zip(h.shape, origins, strict=True)), *[(0, 0)] * beside]
-    wide = np.pad(np.ldexp(x.astype(np.float64), -x_order), margins, mode=NUMPY_MODES[boundary])
-    row = np.ldexp(h, -h_order).reshape(*h.shape, *[1] * beside)
-    sums = signal.fftconvolve(wide, row, mode="valid", axes=tuple(range(h.ndim)))
-    return np.asarray(np.ldexp(sums, x_order + h_order), x.dtype)
+    count, beside = x.shape[axis], math.prod(x.shape[axis + 1 :])
+    # the samples that a line continues with, and which of them lie one behind the other; -1 for zero
+    line = np.pad(np.arange(count) + 1, (len(weights) - 1 - origin, origin), mode=NUMPY_MODES[boundary]) - 1
+    held = np.flatnonzero(line >= 0)
+    begins = held if beside > COLUMNS else held[np.diff(line[held], prepend=-2) != 1]
+    runs = np.stack([begins, line[begins], np.diff(begins, append=held[-1:] + 1)], axis=1)
+    places = np.flatnonzero(weights)
+    fill = 0, -len(places) % 4  # the kernel takes four weights at once
+    some, places = np.pad(weights[places].astype(x.dtype), fill), np.pad(places, fill)
+    rows, width = (math.prod(x.shape[:axis]), count * beside), max(1, min(beside, COLUMNS))
+    sizes, arrays = (len(line), beside, width), (frozen(x).reshape(rows), runs, places, some)
+    for_chunks(sums_along, rows[0] * -(-beside // width), *arrays, sizes, out.reshape(rows))
 
 
 @dataclass(frozen=True)
@@ -164,7 +155,6 @@ class FirFilter(FieldFilter):
         in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``; or a file NAME.npy with an array of one or
         three axes.
     anchor : {"centred", "causal"}
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     normalise : bool; scale the taps to unit sum, so that a constant field stays itself.
     Raises `InvalidArgument` if the taps cannot be read, are not finite, even and to be centred, or of sum zero and to
     be normalised; on use, if the kernel is larger than the field, or a sum is beyond float32.
@@ -176,11 +166,9 @@ class FirFilter(FieldFilter):
 
     taps: str
     anchor: str = "centred"
-    boundary: str = "zero"
     normalise: bool = True
 
     def __post_init__(self) -> None:
-        require_one_of("--fir boundary", self.boundary, BOUNDARIES)
         total = float(self.kernel.sum())
         nothing = abs(total) <= 1e-12 * float(np.abs(self.kernel).sum())
         if (self.normalise and nothing) or not self.kernel.any():
@@ -236,12 +224,9 @@ class FirFilter(FieldFilter):
         axes = self._axes(field.grid)
         with np.errstate(over="ignore", invalid="ignore"):  # of taps that float32 cannot hold
             if self._rows or not len(field.bricks):
-                result = filter_field(field, axes, self.boundary)[0]
-            elif self.boundary == "zero":
-                result = self._summed(field, axes)
+                result = filter_field(field, axes)[0]
             else:
-                wide = widened(field, tuple(a.before for a in axes), tuple(a.origin for a in axes), self.boundary)
-                result = cropped(self._summed(wide, axes), field.grid)
+                result = self._summed(field, axes)
         without_overflow(result.forces_n, "--fir forces")
         return result
 
@@ -277,10 +262,10 @@ def _read_taps(text: str) -> Float64s:
 
 def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.complex128]:
     """Equation 5: H(w1, ..) of a kernel [n1, ...] at frequencies in radians per sample, complex128 of their shape."""
-    kernel = np.asarray(taps, np.float64)
+    kernel = numbers_of("taps", taps)
     if kernel.ndim != len(omegas) or not omegas:
         raise InvalidArgument("frequency_response", f"{len(omegas)} frequencies", f"{kernel.ndim}, one for each axis")
-    frequencies = np.broadcast_arrays(*(np.asarray(w, np.float64) for w in omegas))
+    frequencies = np.broadcast_arrays(*(numbers_of("omegas", w) for w in omegas))
     response: Any = np.broadcast_to(kernel, (*frequencies[0].shape, *kernel.shape))
     for omega, count in zip(reversed(frequencies), reversed(kernel.shape), strict=True):
         wave = np.exp(-1j * omega[..., None] * np.arange(count))
@@ -319,19 +304,3 @@ class FrequencyResponse:
             raise InvalidArgument("direction", repr(direction), f"one of {expected}, or {axes} numbers")
         gain = np.abs(frequency_response(self.taps, *(part * np.asarray(omega, np.float64) for part in parts)))
         return np.asarray(20 * np.log10(np.maximum(gain, _NO_GAIN)))
-
-    def crossing_rad(self, drop_db: float, direction: Sequence[float] | str = "x") -> float:
-        """The lowest frequency, radians per sample up to pi, where |H| is `drop_db` below |H(0)|; NaN if none."""
-        if not drop_db > 0:
-            raise InvalidArgument("drop_db", repr(drop_db), "a positive number of decibels")
-        if not abs(self.taps.sum()) > _NO_GAIN:
-            return math.nan  # a high-pass has nothing to fall from
-        level = 20 * math.log10(abs(self.taps.sum())) - drop_db
-        omega = np.linspace(0, np.pi, 4097)
-        below = np.flatnonzero(self.gain_db(omega, direction) <= level)
-        if not len(below):
-            return math.nan
-        from scipy import optimize
-
-        a, b = omega[below[0] - 1], omega[below[0]]
-        return float(optimize.brentq(lambda w: float(self.gain_db(w, direction)) - level, a, b, xtol=1e-12))

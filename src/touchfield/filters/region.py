@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
@@ -23,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.medium.field import slots_of
+from touchfield.medium.field import numbers_of, slots_of
 
 if TYPE_CHECKING:
     from touchfield.medium import ForceField, Grid
@@ -373,7 +372,7 @@ class RigidMotion:
 
 
 def _unit(where: str, given: ArrayLike) -> Float64s:
-    v = np.asarray(given, np.float64)
+    v = numbers_of(where, given)
     length = float(np.sqrt((v * v).sum())) if v.shape == (3,) else math.nan
     if not (0 < length < math.inf):
         raise InvalidArgument(where, repr(given), "three finite numbers, not all 0")
@@ -381,8 +380,8 @@ def _unit(where: str, given: ArrayLike) -> Float64s:
 
 
 def _point(where: str, given: Any, may_be_infinite: bool = False) -> tuple[float, float, float]:
-    values = tuple(float(v) for v in given) if isinstance(given, Sequence | np.ndarray) else ()
-    if len(values) != 3 or any(math.isnan(v) or (math.isinf(v) and not may_be_infinite) for v in values):
+    values = numbers_of(where, given).tolist()
+    if np.shape(given) != (3,) or any(math.isnan(v) or (math.isinf(v) and not may_be_infinite) for v in values):
         raise InvalidArgument(where, repr(given), "three numbers" if may_be_infinite else "three finite numbers")
     return (values[0], values[1], values[2])
 

@@ -70,14 +70,15 @@ class FieldFilter(ABC):
         """A filter of words: the first field's value alone, or "field=value,field=value", or both.
 
         A field that ends in ``_m`` takes a length with its unit, ``2mm``, one in ``_n`` newtons; both may be named
-        without the ending. An empty text takes every default.
+        without the ending. An empty text takes every default. Of the words of older streams those that were the
+        default of a field no longer there are passed over.
 
         Raises `InvalidArgument` if a field is unknown, missing, there twice or not of its type.
         """
         rows = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
         hints = get_type_hints(cls)
         given: dict[str, Any] = {}
-        for place, part in enumerate(p for p in text.split(",") if p.strip()):
+        for place, part in enumerate(p for p in text.split(",") if p.strip() and p.strip() not in _OF_OLD):
             key, equals, value = part.partition("=")
             key, value = key.strip().replace("-", "_"), value.strip()
             if not equals:
@@ -135,6 +136,8 @@ def _value(where: str, name: str, kind: Any, text: str) -> Any:
         expected = {int: "a whole number", float: "a number", bool: "true or false"}.get(kind, "another value")
         raise InvalidArgument(where, repr(text), expected) from None
 
+
+_OF_OLD = ("boundary=zero", "region=support", "spread=false")
 
 _CLASSES = (
     "smoothing.GaussianFilter", "fir.FirFilter", "smoothing.ActuatorLowPass", "shading.ShadingFilter",

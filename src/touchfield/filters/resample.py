@@ -47,10 +47,11 @@ from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.region import RigidMotion
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import blocks_around, brick_keys, bricks_of, dilated
+from touchfield.medium.field import blocks_around, brick_keys, bricks_of, bricks_reached, bricks_within, dilated
+from touchfield.medium.grid import CORNERS, ON_A_SAMPLE
+from touchfield.sources.scene import field_of_points
 
 MAX_WEIGHTS: Final = 1 << 24
-MAX_PAIRS: Final = 1 << 26
 _BATCH: Final = 1 << 14
 _SPLINE_KNOT: Final = 0.3189166986852232  # sinc(f T)^4 = 1/2 at f T = this
 _GAUSSIAN_SIGMA: Final = math.sqrt(math.log(2) / 2) / math.pi  # exp(-2 (pi sigma f)^2) = 1/2 at f = 1
@@ -155,43 +156,27 @@ def axis_weights(
     return AxisWeights(first, weights.astype(np.float32))
 
 
-def nyquist_per_m(grid: Grid) -> tuple[float, float, float]:
-    """The highest frequency that each axis of a lattice carries, 1/(2 spacing), cycles per metre."""
-    x, y, z = grid.spacing_m
-    return (0.5 / x, 0.5 / y, 0.5 / z)
-
-
-def grid_weights(
-    source: Grid, target: Grid, kernel: LowPass, cutoffs_per_m: tuple[float, float, float]
-) -> list[AxisWeights]:
+def grid_weights(source: Grid, target: Grid, kernel: LowPass) -> list[AxisWeights]:
     """The weights of the three axes from one lattice to another."""
     ends = [[(g.shape[a], g.spacing_m[a], g.origin_m[a]) for a in range(3)] for g in (source, target)]
-    return [axis_weights(ends[0][a], ends[1][a], kernel, cutoffs_per_m[a]) for a in range(3)]
+    return [axis_weights(ends[0][a], ends[1][a], kernel, 0.5 / target.spacing_m[a]) for a in range(3)]
 
 
-def resample(
-    field: ForceField,
-    grid: Grid,
-    kernel: str | LowPass = "spline",
-    cutoffs_per_m: tuple[float, float, float] | None = None,
-) -> ForceField:
-    """The field on another lattice, through a low-pass.
+def resample(field: ForceField, grid: Grid, kernel: str | LowPass = "spline") -> ForceField:
+    """The field on another lattice, through a low-pass that cuts off at the lower of the two Nyquist rates.
 
     grid : Grid; the target, with the same axes and in the same metres.
     kernel : str or LowPass; a name of `touchfield.filters.LOW_PASSES`, or a kernel.
-    cutoffs_per_m : (float, float, float), optional; cut-off along each axis, cycles per metre; the lower of the two
-        Nyquist rates where none is given.
     Returns ForceField: On `grid`, linear in the field, the same bits for any number of threads.
-    Raises `InvalidArgument` if the kernel or a cut-off is not possible, or the target is too fine for a field of that
-    size.
+    Raises `InvalidArgument` if there is no such kernel, or the target is too fine for a field of that size.
     """
     from touchfield.filters.kernels import forces as kernels
 
     chosen = low_pass(kernel) if isinstance(kernel, str) else kernel
-    weights = grid_weights(field.grid, grid, chosen, cutoffs_per_m or nyquist_per_m(grid))
+    weights = grid_weights(field.grid, grid, chosen)
     reach = [_reach(one, bricks) for one, bricks in zip(weights, field.grid.brick_shape)]
-    keys = _reached(np.stack([row[field.bricks[:, a]] for a, row in enumerate(reach)], axis=1), grid)
-    bricks, own = bricks_of(grid, keys), brick_keys(field.grid, field.bricks)
+    bricks = bricks_within(grid, np.stack([row[field.bricks[:, a]] for a, row in enumerate(reach)], axis=1))
+    own = brick_keys(field.grid, field.bricks)
     kept = [(bricks[:0], zero_forces(0))]
     for begin in range(0, len(bricks), _BATCH):  # so that what proves empty is never in memory all at once
         batch = bricks[begin : begin + _BATCH]
@@ -200,18 +185,6 @@ def resample(
     if len(kept) == 2:
         return ForceField(grid, *kept[1])
     return ForceField(grid, *(np.concatenate(parts) for parts in zip(*kept)))
-
-
-def _reached(spans: Int64s, grid: Grid) -> Int64s:
-    """Keys of the bricks within some boxes, ascending, each once; `spans` [n, 3, 2] are their begins and ends."""
-    from touchfield.filters.kernels import forces as kernels
-
-    pairs = float(np.maximum(0, spans[..., 1] - spans[..., 0]).prod(axis=1, dtype=np.float64).sum())
-    if pairs > MAX_PAIRS:
-        raise InvalidArgument("grid", f"{pairs:.3g} bricks reached", f"up to {MAX_PAIRS}", "Take a coarser lattice.")
-    keys = np.empty(int(pairs), np.int64)
-    kernels.reached(spans, grid.brick_shape, keys)
-    return np.unique(keys)
 
 
 def _reach(weights: AxisWeights, source_bricks: int) -> Int64s:
@@ -227,10 +200,6 @@ def _reach(weights: AxisWeights, source_bricks: int) -> Int64s:
 
 
 BORDERS: Final = ("zero", "cell")
-BRICKS_AT_ONCE: Final = 512
-_ON_A_SAMPLE: Final = 1e-6  # of the spacing: as near to a sample a point lies on it, so that whole steps are exact
-_CORNERS: Final = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
-LOCAL: Final = np.stack(np.meshgrid(*[np.arange(BRICK)] * 3, indexing="ij"), axis=-1)
 
 
 def interpolated(
@@ -248,34 +217,21 @@ def interpolated(
     from touchfield.medium import kernels
 
     motion = None if motion == RigidMotion() else motion
-    bricks = bricks_of(grid, _reached(_spans(field, grid, motion), grid))
-    out, keys, last = zero_forces(len(bricks)), brick_keys(field.grid, field.bricks), np.array(field.grid.shape) - 1.0
-    for begin in range(0, len(bricks), BRICKS_AT_ONCE):
-        some = slice(begin, begin + BRICKS_AT_ONCE)
-        points = grid.to_m(bricks[some, None, None, None] * BRICK + LOCAL)
-        index = field.grid.to_index(points if motion is None else motion.inverse.points_m(points))
+    bricks = bricks_reached(field, grid, None if motion is None else motion.points_m)
+    keys, last = brick_keys(field.grid, field.bricks), np.array(field.grid.shape) - 1.0
+
+    def forces_n(points_m: Float64s) -> NDArray[Any]:
+        index = field.grid.to_index(points_m if motion is None else motion.inverse.points_m(points_m))
         whole = np.rint(index)
-        index = np.where(np.abs(index - whole) < _ON_A_SAMPLE, whole, index)
+        index = np.where(np.abs(index - whole) < ON_A_SAMPLE, whole, index)
         if border == "cell":
-            beyond = ((index < -0.5 - _ON_A_SAMPLE) | (index > last + 0.5 + _ON_A_SAMPLE)).any(axis=-1)
+            beyond = ((index < -0.5 - ON_A_SAMPLE) | (index > last + 0.5 + ON_A_SAMPLE)).any(axis=-1)
             index = np.clip(index, 0.0, last)
             index[beyond] = -2.0
-        forces = kernels.sample(np.ascontiguousarray(index.reshape(-1, 3)), field.grid, keys, field.forces_n)
-        out[some] = (forces if motion is None else motion.vectors(forces)).reshape(points.shape)
-    return ForceField.from_bricks(grid, bricks, out)
+        forces = kernels.sample(index, field.grid, keys, field.forces_n)
+        return forces if motion is None else motion.vectors(forces)
 
-
-def _spans(field: ForceField, grid: Grid, motion: RigidMotion | None) -> Int64s:
-    """The bricks of `grid` that each brick may reach, begins and ends [n, 3, 2]: samples act within one spacing."""
-    corners = field.bricks[:, None] * BRICK + np.where(_CORNERS, BRICK, -1)
-    points = field.grid.to_m(corners)
-    index = grid.to_index(points if motion is None else motion.points_m(points))
-    low, high = index.min(axis=1) - _ON_A_SAMPLE, index.max(axis=1) + _ON_A_SAMPLE
-    last = np.array(grid.shape) - 1
-    is_met = ((high >= 0) & (low <= last)).all(axis=1)
-    first = (np.clip(np.floor(low[is_met]), 0, last) // BRICK).astype(np.int64)
-    end = (np.clip(np.ceil(high[is_met]), 0, last) // BRICK).astype(np.int64) + 1
-    return np.stack([first, end], axis=2)
+    return field_of_points(grid, bricks, forces_n)
 
 
 _OFFSETS: Final = tuple(o for o in product((-1, 0, 1), repeat=3) if any(o))
@@ -307,7 +263,7 @@ def pyramid(field: ForceField, levels: int) -> tuple[ForceField, ...]:
     for _ in range(levels):
         last, grid = fields[-1], halved(fields[-1].grid)
         # a kept sample looks one sample back, into the brick before
-        around = np.concatenate([last.bricks + np.array(o, np.int32) for o in product((0, 1), repeat=3)])
+        around = np.concatenate([last.bricks + corner for corner in CORNERS])
         around = around[(around < last.grid.brick_shape).all(axis=1)]
         bricks = bricks_of(last.grid, np.unique(brick_keys(last.grid, around)))
         home, quarter = np.divmod(bricks, 2)

@@ -13,8 +13,7 @@ reflect  c b a | a b c d | d c b, about the edge of the cell
 wrap     b c d | a b c d | a b c
 ======== =====================================================
 
-"zero" is what a field means: there is no force beyond its grid. A field of bricks is continued by copying the forces
-that lie near its border to a wider grid; where there are none, nothing is done.
+"zero" is what a field means: there is no force beyond its grid. The others are for arrays.
 """
 
 from __future__ import annotations
@@ -41,43 +40,6 @@ NUMPY_MODES: Final[dict[str, Any]] = {"zero": "constant", "nearest": "edge", "re
 """And in `numpy.pad`."""
 
 BOUNDARIES: Final = tuple(SCIPY_MODES)
-
-
-def widened(field: ForceField, before: tuple[int, ...], after: tuple[int, ...], boundary: str) -> ForceField:
-    """The field on a grid with more samples around it, filled as the boundary says.
-
-    The grid grows by whole bricks at its beginning, at least `before` samples, so that bricks stay bricks.
-    """
-    grid = field.grid
-    low = tuple(-(-b // BRICK) * BRICK for b in before)
-    nx, ny, nz = (n + b + a for n, b, a in zip(grid.shape, low, after, strict=True))
-    wide = Grid((nx, ny, nz), grid.spacing_m, tuple(grid.to_m(np.negative(low)).tolist()))
-    moved = ForceField(wide, (field.bricks + np.floor_divide(low, BRICK)).astype(np.int32), field.forces_n)
-    reach = np.maximum(before, after)
-    is_rim = ((field.bricks * BRICK < reach) | ((field.bricks + 1) * BRICK > grid.shape - reach)).any(axis=1)
-    rim = ForceField(grid, field.bricks[is_rim], field.forces_n[is_rim])
-    positions, forces = rim.positions().astype(np.int64), rim.vectors_n()
-    is_near = ((positions < reach) | (positions >= grid.shape - reach)).any(axis=1)
-    positions, forces = positions[is_near], forces[is_near]
-    for axis, count in enumerate(grid.shape):
-        place = np.arange(-before[axis], count + after[axis])
-        is_beyond = (place < 0) | (place >= count)
-        continued = np.pad(np.arange(count), (before[axis], after[axis]), mode=NUMPY_MODES[boundary])[is_beyond]
-        sources = [np.flatnonzero(positions[:, axis] == sample) for sample in continued]
-        source = np.concatenate([np.zeros(0, np.int64), *sources])
-        copies = positions[source]
-        copies[:, axis] = np.repeat(place[is_beyond], [len(same) for same in sources])
-        positions, forces = np.concatenate([positions, copies]), np.concatenate([forces, forces[source]])
-    outside = ((positions < 0) | (positions >= grid.shape)).any(axis=1)
-    return moved + ForceField.from_support(wide, positions[outside] + low, forces[outside])
-
-
-def cropped(field: ForceField, grid: Grid) -> ForceField:
-    """The part of a `widened` field that lies on the grid it was made from."""
-    low = np.rint(np.asarray(field.grid.to_index(grid.origin_m)) / BRICK).astype(np.int32)
-    bricks = field.bricks - low
-    inside = ((bricks >= 0) & (bricks < grid.brick_shape)).all(axis=1)
-    return ForceField.from_bricks(grid, bricks[inside], field.forces_n[inside])
 
 
 @dataclass(frozen=True)
@@ -120,11 +82,8 @@ def reach_of(axes: Axes) -> tuple[int, int, int]:
     return (axes[0].reach, axes[1].reach, axes[2].reach)
 
 
-def factors(kernel: Float64s, tolerance: float = 1e-12) -> list[Float64s] | None:
-    """One row of taps for each axis whose product is the kernel float64, N-D; None if there are none.
-
-    tolerance : float; how far the product may be from the kernel, of its greatest tap.
-    """
+def factors(kernel: Float64s) -> list[Float64s] | None:
+    """One row of taps for each axis whose product is the kernel float64, N-D; None if there are none."""
     peak = np.unravel_index(np.abs(kernel).argmax(), kernel.shape)
     top = kernel[peak]
     if top == 0:
@@ -136,10 +95,10 @@ def factors(kernel: Float64s, tolerance: float = 1e-12) -> list[Float64s] | None
     product = rows[0]
     for row in rows[1:]:
         product = np.multiply.outer(product, row)
-    return rows if np.abs(product - kernel).max() <= tolerance * abs(top) else None
+    return rows if np.abs(product - kernel).max() <= 1e-12 * abs(top) else None
 
 
-def filter_field(field: ForceField, axes: Axes, boundary: str = "zero") -> tuple[ForceField, bool]:
+def filter_field(field: ForceField, axes: Axes) -> tuple[ForceField, bool]:
     """A field filtered brick by brick, on the same grid, and whether all sums were finite while they were made.
 
     Only bricks that a force reaches are made; the same bits for any number of threads. A sum that is not finite may
@@ -147,11 +106,6 @@ def filter_field(field: ForceField, axes: Axes, boundary: str = "zero") -> tuple
     """
     if not len(field.bricks):
         return field, True
-    if boundary != "zero":
-        # the taps of a sum look `before` back and `origin` ahead, beyond the grid's two ends
-        wide = widened(field, tuple(a.before for a in axes), tuple(a.origin for a in axes), boundary)
-        result, is_finite = filter_field(wide, axes)
-        return cropped(result, field.grid), is_finite
     keys = keys_of_passes(field, axes)
     forces, tops = sums_of_bricks(field.grid, field.forces_n, axes, keys)
     result = brick_field(field.grid, bricks_of(field.grid, keys[3]), forces, tops != 0)
@@ -217,14 +171,3 @@ def brick_field(grid: Grid, bricks: Int32s, forces_n: Float32s, is_held: Bools) 
     if not is_held.all():
         bricks, forces_n = bricks[is_held], forces_n[is_held]
     return ForceField(grid, bricks, forces_n)
-
-
-def places_of(bricks: Int32s, axis: int) -> Int32s:
-    """Indices of the samples of each brick along one axis, int32 [n, 8]."""
-    return np.asarray(bricks[:, axis, None] * BRICK + np.arange(BRICK), np.int32)
-
-
-def within_grid(grid: Grid, bricks: Int32s) -> Bools:
-    """The samples of the bricks that are those of the grid, bool [n, 8, 8, 8]."""
-    x, y, z = (places_of(bricks, axis) < count for axis, count in enumerate(grid.shape))
-    return np.asarray(x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :])

@@ -10,8 +10,7 @@ taken from the field itself, with the Gaussian weights w and the support S::
 
 Directions are unit vectors, so that the amplitudes have no say in them. The sums run over the support (a normalised
 convolution, Knutsson and Westin 1993): empty space neither pulls forces down nor blunts a contact. Where the
-directions around cancel a sample keeps its own. ``spread`` lets the support grow by the reach of the kernel; the
-amplitude is then the plain mean with empty space as 0 N.
+directions around cancel a sample keeps its own.
 
 Diffusion: Perona and Malik, "Scale-space and edge detection using anisotropic diffusion", IEEE PAMI 12(7), 1990,
 equations 7 to 9, for vectors. In each step a sample takes from each neighbour j along the axes ::
@@ -23,26 +22,26 @@ with one conductance g for the three components: a change of direction is an edg
 of the forces stays, and no |F| exceeds what was there as long as lambda <= 1/(2 axes); at that limit a checkerboard
 never fades, and the default is 1/(2 axes + 1). With g = 1 (kappa = inf) n steps blur as a Gaussian of sigma = spacing
 sqrt(2 lambda n). Where spacings differ lambda along an axis is (finest spacing / spacing)^2 of the lambda asked for,
-a diffusion in metres; kappa is not divided by the spacing. Nothing crosses the border of the grid, nor, with the
-region "support", the edge of the support; with "all" empty space is force 0 like another.
+a diffusion in metres; kappa is not divided by the spacing. Nothing crosses the border of the grid, nor the edge of
+the support.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.arrays import Bools, Float32s, Int32s
+from touchfield.errors import InvalidArgument, require_one_of, require_positive, require_up_to
 from touchfield.filters.registry import Claims, FieldFilter
-from touchfield.filters.separable import AxisTaps, keys_of_passes, places_of, sums_of_bricks, within_grid
+from touchfield.filters.separable import AxisTaps, keys_of_passes, sums_of_bricks
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
-from touchfield.medium.field import brick_keys, bricks_of, dilated, neighbour_slots, tiled
+from touchfield.medium.field import bricks_of, neighbour_slots, tiled
 from touchfield.parallel import for_chunks, worker_count
 
 if TYPE_CHECKING:
@@ -61,7 +60,6 @@ class ShadingFilter(FieldFilter):
     sigma_m : float; of the Gaussian, metres. Facets vanish from about 0.4 of their edge on.
     smooth : str; "both"; "direction" keeps every amplitude, "amplitude" keeps every direction.
     truncate : float; the Gaussian is 0 beyond so many sigma, above 0, at most 16.
-    spread : bool; let the support grow; not with "direction", which leaves amplitudes alone, and so the zeros.
     Raises `InvalidArgument` if a value is out of range; on a call, if sigma is larger than the grid or reaches too
     many samples.
     """
@@ -69,20 +67,15 @@ class ShadingFilter(FieldFilter):
     sigma_m: float
     smooth: str = "both"
     truncate: float = 4.0
-    spread: bool = False
 
     name: ClassVar[str] = "shading"
     summary: ClassVar[str] = "smooth direction and amplitude apart within the support, 2mm or 2mm,smooth=direction"
     example: ClassVar[str] = "2mm"
 
     def __post_init__(self) -> None:
-        if not 0 < self.sigma_m < math.inf:
-            raise InvalidArgument("shading sigma_m", repr(self.sigma_m), "a positive length in metres")
+        require_positive(**{"shading sigma_m": self.sigma_m})
         require_one_of("shading smooth", self.smooth, SMOOTHED)
-        if not 0 < self.truncate <= MAX_TRUNCATE:
-            raise InvalidArgument("shading truncate", repr(self.truncate), f"above 0, at most {MAX_TRUNCATE:g} sigma")
-        if self.spread and self.smooth == "direction":
-            raise InvalidArgument("shading spread", "true with smooth=direction", "smooth=both or smooth=amplitude")
+        require_up_to(MAX_TRUNCATE, **{"shading truncate": self.truncate})
 
     def claims(self, grid: Grid) -> Claims:
         """The reach is truncate * sigma, rounded to samples; means of amplitudes never exceed the greatest."""
@@ -92,7 +85,7 @@ class ShadingFilter(FieldFilter):
             reach=(x, y, z),
             dc_gain=1.0,
             max_principle=True,
-            keeps_support=not self.spread,
+            keeps_support=True,
             keeps_direction=self.smooth == "amplitude",
             keeps_amplitude=self.smooth == "direction",
         )
@@ -110,39 +103,29 @@ class ShadingFilter(FieldFilter):
         directions[field.mask] = field.forces_n[field.mask] / lengths_n[:, None]
         masses[field.mask, 0], masses[field.mask, 1] = 1, lengths_n / scale_n
         keys = keys_of_passes(field, axes)
-        if not self.spread:  # the bricks around the support need not be made
-            keys[3] = keys[0]
-        mean_masses, mean_directions = (_smoothed(field.grid, v, axes, keys) for v in (masses, directions))
-        bricks, reached = np.array(field.bricks), field.mask
-        if self.spread:
-            bricks = bricks_of(field.grid, keys[3])
-            reached = (mean_masses[..., 0] > 0) & within_grid(field.grid, bricks)
-            placed = zero_forces(len(bricks))
-            placed[np.searchsorted(keys[3], keys[0])] = directions
-            directions = placed
+        keys[3] = keys[0]  # the bricks around the support need not be made
+        means = []
+        for values in (masses, directions):
+            sums, tops = sums_of_bricks(field.grid, values, axes, keys)
+            sums[tops == 0] = 0
+            means.append(sums)
+        mean_masses, mean_directions = means
+        reached = field.mask
+        weights = mean_masses[reached][:, 0]
         if self.smooth != "direction":
-            weights = _whole_weights(field.grid, axes, bricks)[reached] if self.spread else mean_masses[reached][:, 0]
             lengths_n = scale_n * mean_masses[reached][:, 1].astype(np.float64) / weights
-        unit = self._directions(directions[reached], mean_directions[reached], mean_masses[reached][:, 0])
-        forces = zero_forces(len(bricks))
+        unit = directions[reached].astype(np.float64)
+        if self.smooth != "amplitude":
+            sums = mean_directions[reached].astype(np.float64)
+            lengths = np.sqrt((sums * sums).sum(axis=1))
+            taken = lengths > _CANCELLED * weights
+            unit[taken] = sums[taken] / lengths[taken, None]
+        forces = zero_forces(len(field.bricks))
         forces[reached] = unit * lengths_n[:, None]
-        return ForceField.from_bricks(field.grid, bricks, forces)
-
-    def _directions(self, own: Float32s, around: Float32s, weights: Float32s) -> Float64s:
-        """Unit vectors [L, 3], from those of the samples (0 outside the support), sums around, and their weights."""
-        unit = own.astype(np.float64)
-        if self.smooth == "amplitude" and not self.spread:
-            return unit
-        sums = around.astype(np.float64)
-        lengths = np.sqrt((sums * sums).sum(axis=1))
-        taken = lengths > _CANCELLED * weights
-        if self.smooth == "amplitude":
-            taken &= ~own.any(axis=1)
-        unit[taken] = sums[taken] / lengths[taken, None]
-        return unit
+        return ForceField.from_bricks(field.grid, field.bricks, forces)
 
     def _axes(self, field: ForceField) -> Axes:
-        """The Gaussian along each axis, 1 in its middle; no longer than the support is, unless that is to grow."""
+        """The Gaussian along each axis, 1 in its middle; no longer than the support is."""
         grid = field.grid
         longest_m = max(h * n for h, n in zip(grid.spacing_m, grid.shape))
         if self.sigma_m > longest_m:
@@ -151,7 +134,7 @@ class ShadingFilter(FieldFilter):
         extents = (field.bricks.max(axis=0) - field.bricks.min(axis=0) + 1) * BRICK
         rows, needed = [], self.claims(grid).reach
         for spacing, extent, reach in zip(grid.spacing_m, extents.tolist(), needed):
-            reach = reach if self.spread else min(reach, extent - 1)
+            reach = min(reach, extent - 1)
             if reach > MAX_REACH:
                 found = f"{self.sigma_m:g} m, {reach} samples on either side"
                 raise InvalidArgument("shading sigma_m", found, f"a reach of up to {MAX_REACH} samples")
@@ -168,28 +151,7 @@ class ShadingFilter(FieldFilter):
         return rows[0], rows[1], rows[2]
 
 
-def _smoothed(grid: Grid, vectors: Float32s, axes: Axes, keys: list[Int64s]) -> Any:
-    """Weighted sums of vectors that lie in the bricks of the field, in the last bricks, float32 [n, 8, 8, 8, 3]."""
-    sums, tops = sums_of_bricks(grid, vectors, axes, keys)
-    sums[tops == 0] = 0
-    return sums
-
-
-def _whole_weights(grid: Grid, axes: Axes, bricks: Int32s) -> Float64s:
-    """The sum of all weights that lie within the grid, at each sample of the bricks, float64 [n, 8, 8, 8]."""
-    sums = []
-    for axis, row in enumerate(axes):
-        sum_to = np.concatenate([[0.0], np.cumsum(row.taps.astype(np.float32), dtype=np.float64)])
-        places = np.minimum(places_of(bricks, axis), grid.shape[axis] - 1)
-        first = np.maximum(row.reach - places, 0)
-        after = np.minimum(row.reach + grid.shape[axis] - places, len(row.taps))
-        sums.append(sum_to[after] - sum_to[first])
-    x, y, z = sums
-    return np.asarray(x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :])
-
-
 CONDUCTANCES: Final = ("exponential", "rational")
-REGIONS: Final = ("support", "all")
 MAX_STEPS: Final = 10_000
 _LEAST_KAPPA: Final = 1e-30
 _MOST: Final = 1e37  # beyond, the difference of two float32 values may not be one
@@ -204,7 +166,6 @@ class DiffusionFilter(FieldFilter):
     steps : int; 1 to 10000.
     lam : float, optional; lambda along the axis with the finest spacing, above 0, at most 1/6; by default 1/7.
     conductance : str; "exponential" or "rational".
-    region : str; "support": forces are exchanged within the support only. "all": empty space takes part.
     Raises `InvalidArgument` if a value is out of range; on a call, if the forces are too great for float32.
     """
 
@@ -212,7 +173,6 @@ class DiffusionFilter(FieldFilter):
     steps: int = 10
     lam: float | None = None
     conductance: str = "exponential"
-    region: str = "support"
 
     name: ClassVar[str] = "perona-malik"
     summary: ClassVar[str] = "smooth within surfaces and keep edges, steps=10,kappa=0.3 (newtons)"
@@ -227,33 +187,26 @@ class DiffusionFilter(FieldFilter):
             raise InvalidArgument("perona-malik kappa_n", repr(self.kappa_n), expected)
         require_one_of("perona-malik conductance", self.conductance, CONDUCTANCES)
         _lambda(self.lam, 3)
-        require_one_of("perona-malik region", self.region, REGIONS)
 
     def claims(self, grid: Grid) -> Claims:
-        """One sample further in each step; linear only where neither the conductance nor the region depends on F."""
+        """One sample further in each step, within the support."""
         x, y, z = (min(self.steps, n - 1) for n in grid.shape)
         return Claims(
             reach=(x, y, z),
-            linear=self.kappa_n == np.inf and self.region == "all",
             dc_gain=1.0,
             keeps_mean=True,
             max_principle=True,
-            keeps_support=self.region == "support",
+            keeps_support=True,
         )
 
     def __call__(self, field: ForceField) -> ForceField:
         """The diffused field, newtons, on the same grid."""
         _check_size("forces_n", field.forces_n)
-        bricks, support = field.bricks, field.mask.copy()
-        if self.region == "all":
-            bricks = dilated(field.grid, field.bricks, self.claims(field.grid).reach)
-            support = within_grid(field.grid, bricks)
-        forces = field.forces_at(brick_keys(field.grid, bricks))
         # an axis of one sample has no edges, and its spacing does not count
         finest = min((h for h, n in zip(field.grid.spacing_m, field.grid.shape) if n > 1), default=1.0)
         lam = [_lambda(self.lam, 3) * min(1.0, finest / h) ** 2 for h in field.grid.spacing_m]
-        forces = _diffused(field.grid, bricks, support, forces, lam, self)
-        return ForceField.from_bricks(field.grid, bricks, forces)
+        forces = _diffused(field.grid, field.bricks, field.mask.copy(), field.forces_n.copy(), lam, self)
+        return ForceField.from_bricks(field.grid, field.bricks, forces)
 
 
 def perona_malik(

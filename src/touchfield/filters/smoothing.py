@@ -21,11 +21,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import (
+    InvalidArgument,
+    is_finite,
+    require_not_negative,
+    require_one_of,
+    require_positive,
+    require_up_to,
+)
 from touchfield.filters.fir import checked_signal, direct_sums, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LOW_PASSES
-from touchfield.filters.separable import BOUNDARIES, NUMPY_MODES, AxisTaps, filter_field, reach_of
+from touchfield.filters.separable import AxisTaps, filter_field, reach_of
 from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
@@ -47,10 +54,8 @@ def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> Float64s:
     truncate : float; where the kernel is cut off, in standard deviations.
     Raises `InvalidArgument` if either is negative, not finite, or the radius exceeds 2^15 samples.
     """
-    if not (math.isfinite(sigma_samples) and sigma_samples >= 0):
-        raise InvalidArgument("sigma_samples", repr(sigma_samples), "0 or a positive number of samples")
-    if not (math.isfinite(truncate) and truncate > 0):
-        raise InvalidArgument("truncate", repr(truncate), "a positive number of standard deviations")
+    require_not_negative(sigma_samples=sigma_samples)
+    require_positive(truncate=truncate)
     radius = math.floor(min(truncate * sigma_samples, 1e9) + 0.5)
     if radius > MAX_RADIUS_SAMPLES:
         expected = f"a radius of up to {MAX_RADIUS_SAMPLES} samples"
@@ -64,7 +69,7 @@ def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> Float64s:
 def gaussian(
     signal: ArrayLike, sigma_samples: float | Sequence[float], *, truncate: float = 4.0, boundary: str = "zero"
 ) -> NDArray[Any]:
-    """A dense array smoothed by a Gaussian: a field of float32 as `GaussianFilter` does, else by `scipy.ndimage`.
+    """A dense array smoothed by a Gaussian.
 
     signal : float32, or taken as float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes.
     sigma_samples : float or one for each leading axis; standard deviation in samples. One number holds for every axis
@@ -84,22 +89,11 @@ def gaussian(
     axes = [AxisTaps.centred(gaussian_taps(s, truncate)) for s in sigmas]
     for axis, row in enumerate(axes):
         row.check_fits(x.shape[axis], f"sigma_samples of axis {axis}")
-    if x.dtype == np.float32 and len(axes) == 3 and x.shape[3:] == (3,) and x.size:
-        # continued as an array: of a field without empty space that is quicker than brick by brick
-        reach = [0 if boundary == "zero" else a.reach for a in axes]
-        wide = np.pad(x, [*((r, r) for r in reach), (0, 0)], mode=NUMPY_MODES[boundary])
-        nx, ny, nz, _ = wide.shape
-        field = ForceField.from_dense(Grid((nx, ny, nz), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), wide)
-        smooth = filter_field(field, (axes[0], axes[1], axes[2]))[0].to_dense()
-        own = smooth[tuple(slice(r, r + n) for r, n in zip(reach, x.shape))]
-        return without_overflow(np.ascontiguousarray(own), "signal")
     return without_overflow(direct_sums(x, [a.taps for a in axes], [a.origin for a in axes], boundary), "signal")
 
 
 class _LowPass(FieldFilter):
     """A filter of one centred row of taps an axis, each of unit sum."""
-
-    boundary: str
 
     @abstractmethod
     def taps(self, grid: Grid) -> Axes:
@@ -113,7 +107,7 @@ class _LowPass(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
-        smooth, is_finite = filter_field(field, self.taps(field.grid), self.boundary)
+        smooth, is_finite = filter_field(field, self.taps(field.grid))
         if not is_finite:
             without_overflow(smooth.forces_n, f"--{self.name} forces")
         return smooth
@@ -125,7 +119,6 @@ class GaussianFilter(_LowPass):
 
     sigma_m : float; standard deviation, metres, positive; an axis of a single sample is left as it is.
     truncate : float; where the kernel is cut off, in standard deviations.
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     Raises `InvalidArgument` if a number is out of range; on use, if the kernel or a sum does not fit the field.
     """
 
@@ -135,14 +128,11 @@ class GaussianFilter(_LowPass):
 
     sigma_m: float
     truncate: float = 4.0
-    boundary: str = "zero"
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.sigma_m) and self.sigma_m > 0):
+        if not (is_finite(self.sigma_m) and self.sigma_m > 0):
             raise InvalidArgument("--gaussian sigma", f"{self.sigma_m!r} m", "a positive length")
-        if not 0 < self.truncate <= 16:
-            raise InvalidArgument("--gaussian truncate", repr(self.truncate), "above 0 and up to 16 deviations")
-        require_one_of("--gaussian boundary", self.boundary, BOUNDARIES)
+        require_up_to(16, **{"--gaussian truncate": self.truncate})
 
     def taps(self, grid: Grid) -> Axes:
         """The taps along each axis of a grid."""
@@ -159,8 +149,7 @@ def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
 
     Raises `InvalidArgument` if the pitch is not positive, or the word is unknown.
     """
-    if not (math.isfinite(pitch_m) and pitch_m > 0):
-        raise InvalidArgument("pitch_m", f"{pitch_m!r} m", "a positive length")
+    require_positive(pitch_m=pitch_m)
     require_one_of("cutoff", cutoff, CUTOFFS)
     return CUTOFFS[cutoff] / pitch_m
 
@@ -175,8 +164,7 @@ def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", ker
         negative lobes: beside a contact they leave up to some per cent of its force turned round.
     Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a value is out of range.
     """
-    if not (math.isfinite(spacing_m) and spacing_m > 0):
-        raise InvalidArgument("spacing_m", f"{spacing_m!r} m", "a positive length")
+    require_positive(spacing_m=spacing_m)
     require_one_of("kernel", kernel, KERNELS)
     ratio = cutoff_per_m(pitch_m, cutoff) * 2 * spacing_m
     if ratio > 1 + 1e-9:
@@ -212,7 +200,6 @@ class ActuatorLowPass(_LowPass):
         needs 2.6.
     axes : str; the axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of
         a single sample is left as it is.
-    boundary : {"zero", "nearest", "reflect", "wrap"}; what lies beyond the grid, see `touchfield.filters.separable`.
     Raises `InvalidArgument` if a value is out of range; on use, for a cut-off or a kernel beyond the field's own.
     """
 
@@ -226,14 +213,12 @@ class ActuatorLowPass(_LowPass):
     cutoff: str = "nyquist"
     kernel: str = "auto"
     axes: str = "xy"
-    boundary: str = "zero"
 
     def __post_init__(self) -> None:
         cutoff_per_m(self.pitch_m, self.cutoff)
         require_one_of("--lowpass kernel", self.kernel, (AUTO, *KERNELS))
         if not self.axes or len(set(self.axes)) != len(self.axes) or not set(self.axes) <= set("xyz"):
             raise InvalidArgument("--lowpass axes", repr(self.axes), "some of x, y and z, each once")
-        require_one_of("--lowpass boundary", self.boundary, BOUNDARIES)
 
     def taps(self, grid: Grid) -> Axes:
         """The taps along each axis of a grid; `InvalidArgument` also for a cut-off above its Nyquist rate."""

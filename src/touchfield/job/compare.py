@@ -232,10 +232,10 @@ class HandMeter:
         if frame in self._slid:
             self._slides.add(source, ours, theirs, self._exact)
         if self._hold is not None:
-            felt, played = self._played, None
+            felt, played = self._played, theirs
             if self._blends:
                 played = partial(felt.sample_n, frame) if isinstance(felt, HapticScene) else felt[frame].sample_n
-            self._hold.add(source, ours, theirs, frame in self._starts, played)
+            self._hold.add(source, ours, played, frame in self._starts)
 
     def motion(self) -> HandMotion:
         """Slides and holds of the frames so far."""

@@ -5,7 +5,6 @@ Every result is a new file, coded like any medium; its provenance tells what was
 
 from __future__ import annotations
 
-import math
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +16,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import (
+    InvalidArgument,
+    require_between,
+    require_not_negative,
+    require_one_of,
+    require_positive,
+)
 from touchfield.filters.device_filter import NW_RANGE, limited
 from touchfield.filters.edit import (
     COMPOSITIONS,
@@ -91,8 +96,7 @@ def retimed(medium: HapticMedium, rate_hz: float) -> HapticMedium:
     """The medium at another rate, linear between its frames; its duration stays to within half a frame."""
     if medium.rate_hz == rate_hz:
         return medium
-    if not 0 < rate_hz < math.inf:
-        raise InvalidArgument("rate_hz", repr(rate_hz), "frames a second, more than 0")
+    require_positive(rate_hz=rate_hz)
     near = replace(medium, make_frame=lru_cache(2)(medium.__getitem__))  # a frame serves several that are asked for
     count = max(1, round(len(medium) * rate_hz / medium.rate_hz))
     words = with_history(medium, "resampled", f"{medium.rate_hz:g} Hz to {rate_hz:g} Hz")
@@ -102,8 +106,7 @@ def retimed(medium: HapticMedium, rate_hz: float) -> HapticMedium:
 
 def resampled(medium: HapticMedium, grid: Grid, kernel: str = "spline") -> HapticMedium:
     """The medium on another lattice through a low-pass, or "trilinear" between its samples."""
-    if kernel not in KERNELS:
-        raise InvalidArgument("kernel", repr(kernel), f"one of {', '.join(KERNELS)}")
+    require_one_of("kernel", kernel, KERNELS)
     if grid == medium.grid:
         return medium
 
@@ -150,14 +153,12 @@ def lattice_of(grid: Grid, nw: int | None, shape: Sequence[int] | None, spacing_
         raise InvalidArgument("lattice", "more than one of nw, shape and spacing", "one of them")
     low, high = grid.box_m
     if nw is not None:
-        if not NW_RANGE[0] <= nw <= NW_RANGE[1]:
-            raise InvalidArgument("--nw", f"{nw}", f"{NW_RANGE[0]} to {NW_RANGE[1]}")
+        require_between(*NW_RANGE, **{"--nw": nw})
         return Grid.over_box(low, high, (1 << nw,) * 3)
     if shape is not None:
         return Grid.over_box(low, high, tuple(shape))  # type: ignore[arg-type]
     if spacing_m is not None:
-        if not 0 < spacing_m < math.inf:
-            raise InvalidArgument("--spacing", repr(spacing_m), "a length of more than 0")
+        require_positive(**{"--spacing": spacing_m})
         x, y, z = np.maximum(1, np.rint((high - low) / spacing_m)).astype(int).tolist()
         return Grid.over_box(low, high, (x, y, z))
     return grid
@@ -282,8 +283,7 @@ def splice(
         if medium.vibration is not None and len(parts) > 1:
             notes += (f"{path.name}: the vibration is left out",)
         media.append(medium)
-    if not 0 <= fade_s < math.inf:
-        raise InvalidArgument("--fade-s", repr(fade_s), "seconds, 0 or more")
+    require_not_negative(**{"--fade-s": fade_s})
     whole = reduce(lambda a, b: cross_faded(a, b, round(fade_s * a.rate_hz)), media)
     shown = {"parts": [len(m) for m in media], "seconds": len(whole) / whole.rate_hz}
     done = _write(first, [path for path, _ in parts], whole, out, report, **shown)
@@ -339,12 +339,13 @@ def levels_of_detail(
     prepared = read_medium(source, spec)
     medium, most = prepared.medium, most_levels(prepared.medium.grid)
     wanted = max(0, most - 3) if levels is None else levels
-    if not 0 <= wanted <= most:
-        raise InvalidArgument("--levels", f"{wanted}", f"0 to {most}")
+    require_between(0, most, **{"--levels": wanted})
     store = Path(out) if out is not None and Path(out).suffix == ".zarr" else None
     is_kept = out is not None and store is None
     folder = Path(out) if out is not None and store is None else Path(tempfile.mkdtemp())
     if is_kept:
+        if folder.is_file():
+            raise InvalidArgument(str(out), "a file", "a folder, or OUT.zarr")
         folder.mkdir(exist_ok=True)
     rows: list[dict[str, Any]] = []
     try:

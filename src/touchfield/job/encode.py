@@ -18,6 +18,7 @@ from touchfield.codec.registry import coder, field_encoder
 from touchfield.codec.segment import compression_ratio
 from touchfield.container import TouchWriter
 from touchfield.container.remote import is_remote, sender
+from touchfield.errors import InvalidArgument
 from touchfield.job.coding import Sent, coded_segments, groups_of, head_of, spread_voxels, stretches, written
 from touchfield.job.prepare import Prepared, Source, as_source, is_stream, prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec
@@ -100,6 +101,8 @@ def encode(
         return done
     began = time.perf_counter()
     spec = spec or EncodeSpec()
+    if not (isinstance(out, str | Path) and isinstance(spec, EncodeSpec)):
+        raise InvalidArgument("out, spec", f"{out!r:.80}, a {type(spec).__name__}", "a path and an EncodeSpec")
     scene = as_source(source, spec.device, grid)
     prepared = prepare(scene, spec)
     story = provenance_of(scene, prepared)
@@ -151,7 +154,8 @@ def encode_prepared(
 def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, str]:
     """The file's account of where it comes from."""
     name = "scene" if isinstance(source, Scene) else str(source)
-    said = {"touchfield": __version__, "source": Path(name).name[:255], "spec": prepared.spec.to_json()}
+    spec = prepared.spec.to_json(prepared.has_law)
+    said = {"touchfield": __version__, "source": Path(name).name[:255], "spec": spec}
     if prepared.reference != FILTERED:
         said["reference"] = prepared.reference
     was = (prepared.scene or prepared.medium).provenance

@@ -41,7 +41,7 @@ from touchfield.adapters.symbolic import (
     effect_medium,
 )
 from touchfield.devices import Device, device
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.filters.device_filter import device_grid
 from touchfield.filters.registry import felt_medium
@@ -155,8 +155,7 @@ def _exported(
 def _export_array(
     stream: OpenStream, path: Path, kind: str, device_name: str | None, panel: str, report: Report
 ) -> Result:
-    if panel not in PANELS:
-        raise InvalidArgument("panel", repr(panel), " or ".join(PANELS))
+    require_one_of("panel", panel, PANELS)
     chosen = _array(stream, kind, device_name)
     # a back that the profile does not count is a front worn behind
     drives = array_drives(stream, chosen, panel if chosen.panels > 1 else PANELS[0])
@@ -244,12 +243,8 @@ def _export_force(
     if not forces_n.any():
         notes = ("Nothing can be felt: the trajectory meets no force.",)
     greatest_n = float(np.linalg.norm(forces_n, axis=1).max())
-    figures = {
-        "samples": len(times_s),
-        "ticks_per_second": timescale,
-        "force_max_n": peak_n,
-        "greatest_n": greatest_n,
-    }
+    figures: dict[str, Any] = {"samples": len(times_s), "ticks_per_second": timescale}
+    figures |= {"force_max_n": peak_n, "greatest_n": greatest_n}
     return _exported(path, name, float(times_s[-1]), figures, notes)
 
 

@@ -191,7 +191,8 @@ def index_folder(
     counts = {"described": len(fresh), "kept": len(files) - len(fresh), "gone": len(gone)}
     counts |= {"left_out": sum(bool(entry.fault) for entry in kept.entries.values())}
     figures = {"index": str(target), "media": len(kept.rows), **counts, "seconds": time.perf_counter() - began}
-    return Indexed(figures, path=target, library=kept)
+    notes = () if files else (f"no .touch file in {folder} or the folders in it",)
+    return Indexed(figures, notes, path=target, library=kept)
 
 
 def described(path: Path) -> tuple[Float64s | None, str]:
@@ -224,19 +225,11 @@ def _crc(path: Path) -> int:
     return crc
 
 
-@dataclass(frozen=True)
-class Retrieved:
+@dataclass(frozen=True, kw_only=True)
+class Retrieved(Result):
     """The media of a library that are nearest to one."""
 
     matches: tuple[Match, ...]
-    media: int
-    query_ms: float
-    notes: tuple[str, ...] = ()
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        rows = [{"rank": n, "name": m.name, "distance": m.distance} for n, m in enumerate(self.matches, start=1)]
-        return {"media": self.media, "query_ms": self.query_ms, "matches": rows}
 
 
 def search(
@@ -273,27 +266,22 @@ def search(
     began = time.perf_counter()
     nearest = index.query(entry, count + (own in library.rows), weights)
     matches = tuple(match for match in nearest if match.name != own)[:count]
-    return Retrieved(matches, len(index), 1e3 * (time.perf_counter() - began), notes)
+    figures = {"media": len(index), "query_ms": 1e3 * (time.perf_counter() - began)}
+    rows = [{"rank": n, "name": m.name, "distance": m.distance} for n, m in enumerate(matches, start=1)]
+    return Retrieved({**figures, "matches": rows}, notes, matches=matches)
 
 
-@dataclass(frozen=True)
-class Alike:
-    """How alike two media are: by their symbols where they lie, and by their descriptors wherever they lie."""
+@dataclass(frozen=True, kw_only=True)
+class Alike(Result):
+    """How alike two media are: by their symbols where they lie, and by their descriptors wherever they lie.
+
+    `distance` is that between the descriptors, as `search` ranks; 0 for equal ones.
+    """
 
     symbols: Similarity
     parts: dict[str, float]
     frames: int
-    notes: tuple[str, ...]
-
-    @property
-    def distance(self) -> float:
-        """Between the descriptors, as `search` ranks; 0 for equal ones."""
-        return math.sqrt(sum(d * d for d in self.parts.values()))
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        told = {"descriptor_distance": self.distance, "descriptor_parts": self.parts, "frames": self.frames}
-        return {**self.symbols.summary(), **told}
+    distance: float
 
 
 def similar(
@@ -314,7 +302,7 @@ def similar(
     one of them has no force, or an option is unknown.
     """
     if frames < 1:
-        raise InvalidArgument("frames", f"{frames}", "1 or more")
+        raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
     one, other = (prepare(source, spec).medium for source in (first, second))
     values = [np.zeros(DESCRIPTOR_LENGTH)] * 2
     for n, medium in enumerate((one, other)):
@@ -337,7 +325,10 @@ def similar(
             notes = (*notes, f"no NCD: {error}")
     report(3, 3)
     parts = {name: float(np.linalg.norm(values[0][slot] - values[1][slot])) for name, slot in part_slots()}
-    return Alike(measured, parts, len(places), notes)
+    distance = math.sqrt(sum(d * d for d in parts.values()))
+    told = {"descriptor_distance": distance, "descriptor_parts": parts, "frames": len(places)}
+    figures = {**measured.summary(), **told}
+    return Alike(figures, notes, symbols=measured, parts=parts, frames=len(places), distance=distance)
 
 
 class Looked(NamedTuple):
@@ -368,7 +359,7 @@ def correlate(
     within the picture, or the camera does not fit the medium.
     """
     if frames < 1:
-        raise InvalidArgument("frames", f"{frames}", "1 or more")
+        raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
     opened = StreamScene(stream)
     medium = opened.medium
     rate = source_rate_hz or (medium.rate_hz if len(medium) else None)

@@ -21,7 +21,7 @@ from typing import Any, Final
 from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.vibration import encode_vibration
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_between
 from touchfield.filters.resample import pyramid, rebuilt
 from touchfield.job.coding import head_of
 from touchfield.job.editing import detail_level
@@ -53,8 +53,7 @@ class LiveSpec:
     seconds: float | None = None
 
     def __post_init__(self) -> None:
-        if not 0.01 <= self.segment_s <= 10:
-            raise InvalidArgument("--segment-s", f"{self.segment_s:g}", "0.01 to 10 seconds")
+        require_between(0.01, 10, **{"--segment-s": self.segment_s})
         if self.seconds is not None and not self.seconds > 0:
             raise InvalidArgument("--on-air-s", f"{self.seconds:g}", "above 0")
 

@@ -21,7 +21,7 @@ from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuant
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import RAW_BITS_PER_VECTOR
 from touchfield.devices import device
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.job.mapping import SymbolFrames, mapped
 from touchfield.job.prepare import StreamScene, is_stream, prepare
 from touchfield.job.spec import EncodeSpec
@@ -171,8 +171,7 @@ class MeasureSpec:
         kind, _, trace = self.over.partition(":")
         if kind not in ("voxel", "object", "interaction") or (kind == "interaction") != bool(trace):
             raise InvalidArgument("--over", repr(self.over), "voxel, object, or interaction:TRACE.csv")
-        if self.estimator not in ESTIMATORS:
-            raise InvalidArgument("--estimator", repr(self.estimator), f"one of {', '.join(ESTIMATORS)}")
+        require_one_of("--estimator", self.estimator, ESTIMATORS)
         if self.density is not None and not 1 <= self.density < 1e6:
             raise InvalidArgument("--density", f"{self.density:g}", "1 or more samples of W for one of the device")
         if self.quantiser is not None:

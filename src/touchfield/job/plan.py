@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import coder, field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, is_finite
 from touchfield.filters.resample import interpolated
 from touchfield.job.executors import in_order
 from touchfield.job.prepare import open_scene, prepare
@@ -45,7 +45,7 @@ _SIZE_INCH: Final = (9.5, 5.6)
 _BUDGET: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(?:(bit|kbit|Mbit|B|kB)/s|(B|kB|MB))")
 _PLACES: Final = 3
 _SEGMENT_BYTES: Final = 60  # frame, checksum and index entry of a segment
-_FILE_BYTES: Final = 1200  # head, provenance and end of a file, about
+_FILE_BYTES: Final = 1340  # head, provenance and end of a file, about
 _MASK_KEPT: Final = 0.95  # where fewer of the voxels are within the mask, the choice is offered with a word on it
 
 
@@ -58,7 +58,7 @@ class Budget:
 
     def __post_init__(self) -> None:
         amounts = [amount for amount in (self.bits_per_s, self.bytes) if amount is not None]
-        if len(amounts) != 1 or not 0 < amounts[0] < math.inf:
+        if len(amounts) != 1 or not (is_finite(amounts[0]) and amounts[0] > 0):
             raise InvalidArgument("budget", repr(self), "bits a second or bytes, one of both, above 0")
 
     def of(self, frames: int, rate_hz: float) -> tuple[float, str]:
@@ -162,19 +162,22 @@ class Trial:
         """The coder, and its mode."""
         return "paper" if self.spec.coder == "paper" else f"touch {self.spec.touch.mode}"
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings of the coder that were varied, by the names of their options."""
+        if self.spec.coder == "paper":
+            names = ["k", "nq", "directions"]
+        else:
+            names = ["mode", "step_n"] if self.spec.touch.mode == "nmse" else ["mode", "k", "f0_n"]
+        return {name: getattr(self.spec.coding, name) for name in names}
+
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        touch, paper = self.spec.touch, self.spec.paper
-        is_paper, is_nmse = self.spec.coder == "paper", touch.mode == "nmse"
+        """Stable keys for people and programs; None for a setting that the coder or its mode has not."""
         return {
             "nw": self.spec.nw,
             "coder": self.spec.coder,
-            "mode": None if is_paper else touch.mode,
-            "k": paper.k if is_paper else None if is_nmse else touch.k,
-            "f0_n": None if is_paper or is_nmse else touch.f0_n,
-            "step_n": touch.step_n if is_nmse and not is_paper else None,
-            "nq": paper.nq if is_paper else None,
-            "directions": paper.directions if is_paper else None,
+            **dict.fromkeys(("mode", "k", "f0_n", "step_n", "nq", "directions")),
+            **self.settings,
             "file_bytes": self.file_bytes,
             "bits_per_frame": self.bits_per_frame,
             "nmse": self.nmse,
@@ -186,14 +189,12 @@ class Trial:
     @property
     def options(self) -> str:
         """The options of `touchfield encode` for it."""
-        figures = self.summary()
-        words = [] if figures["nw"] is None else [f"--nw {figures['nw']}"]
-        if figures["coder"] == "paper":
+        words = [] if self.spec.nw is None else [f"--nw {self.spec.nw}"]
+        if self.spec.coder == "paper":
             words.append("--coder paper")
-        for key in ("mode", "k", "f0_n", "step_n", "nq", "directions"):
-            if figures[key] is not None and figures[key] != "mask":
-                value = figures[key] if isinstance(figures[key], str) else f"{figures[key]:g}"
-                words.append(f"--{key.replace('_', '-')} {value}")
+        for key, value in self.settings.items():
+            if value != "mask":
+                words.append(f"--{key.replace('_', '-')} {value if isinstance(value, str) else f'{value:g}'}")
         return " ".join(words)
 
 
@@ -324,7 +325,7 @@ class Plan:
 
 def plan(
     source: str | Path | Scene,
-    budget: float | Budget,
+    budget: float | str | Budget,
     spec: EncodeSpec | None = None,
     search: PlanGrid | None = None,
     report: Report = silent,
@@ -332,12 +333,14 @@ def plan(
 ) -> Plan:
     """Code a few frames of a source, as voxels, under every setting, and choose the best within a budget.
 
-    A number as `budget` is bits a second; `spec` is of coder `touch`: its k and F_0 are the mask that is reported,
-    its effort that of every trial. `report` gets ``(done, total)`` in settings; with `executor` its workers try them.
-    TouchfieldError if a setting is not possible, the frames hold no force, or nothing is within the budget; the
-    message then names what takes least. The settings that take least are tried first, so that this is told soon.
+    A number as `budget` is bits a second, words are such as "64kbit/s" (`parse_budget`); `spec` is of coder `touch`:
+    its k and F_0 are the mask that is reported, its effort that of every trial. `report` gets ``(done, total)`` in
+    settings; with `executor` its workers try them. TouchfieldError if a setting is not possible, the frames hold no
+    force, or nothing is within the budget; the message then names what takes least. The settings that take least are
+    tried first, so that this is told soon.
     """
     spec, search = spec or EncodeSpec(), search or PlanGrid()
+    budget = parse_budget(budget) if isinstance(budget, str) else budget
     budget = budget if isinstance(budget, Budget) else Budget(bits_per_s=budget)
     if spec.coder != "touch":
         raise InvalidArgument("plan", f"coder {spec.coder}", "coder touch; the paper's is tried, too")
@@ -351,6 +354,9 @@ def plan(
         def tries() -> Iterator[tuple[Lattice, EncodeSpec]]:
             nonlocal total, lattice
             for lattice in _lattices(scene, asked, sorted(grid.nw)):
+                # the coarsest lattice alone may miss a thin scene that the finest one has
+                if grid is search and not any(field.support_count for field in lattice.reference):
+                    raise InvalidArgument("source of a search", "frames without a force", "a force")
                 specs = grid.specs(lattice.spec)
                 total = len(specs) * (1 if lattice.is_array else len(grid.nw))
                 yield from ((lattice, one) for one in specs)
@@ -380,11 +386,9 @@ class Lattice(NamedTuple):
 
 
 def _lattices(scene: Scene, base: EncodeSpec, nws: Sequence[int]) -> Iterator[Lattice]:
-    """The lattices of several n_w, each made once; an array has its own alone. InvalidArgument if nothing is felt."""
+    """The lattices of several n_w, each made once; an array has its own alone."""
     finest = prepare(scene, replace(base, nw=max(nws)))
     reference = tuple(finest.medium[i] for i in chain.from_iterable(_pairs(len(finest.medium))))
-    if not any(f.support_count for f in reference):
-        raise InvalidArgument("source of a search", f"{len(reference)} frames without a force", "a force")
     is_array = finest.device.is_array
     for nw in nws[:1] if is_array else nws:
         asked = replace(base, nw=nw)

@@ -16,13 +16,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.adapters.effect_files import RATE_HZ, write_wav
 from touchfield.adapters.registry import array_device, array_kinds, is_array_device, point_device, point_kinds
 from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
-from touchfield.arrays import Float64s
 from touchfield.devices import Device, device, device_names
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_not_negative, require_up_to
 from touchfield.job.array_medium import array_drives
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.medium.atomic import atomic_path
@@ -32,7 +30,7 @@ from touchfield.render.array_player import ArrayPlayer
 from touchfield.render.block import FLAGS
 from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
-from touchfield.render.player import Player
+from touchfield.render.player import FASTEST, Player
 from touchfield.render.spec import RenderSpec
 from touchfield.stream.live_medium import LiveEnd, LiveStream
 from touchfield.stream.opened import OpenStream, open_stream
@@ -43,7 +41,6 @@ Tell = Callable[[str], None]
 
 _LOOK_S: Final = 0.1
 MOST_NOTHING: Final = 0.01  # of the ticks of a play: where more had nothing, as frames came too late, it has failed
-_FASTEST: Final = 100.0
 _LEAST_S: Final = 0.1
 _LONGEST_S: Final = 24 * 3600.0
 _LEAST_PRESS_N: Final = 0.01
@@ -89,12 +86,10 @@ class PlaySpec:
     def __post_init__(self) -> None:
         if self.trace is not None and self.trajectory is not None:
             raise InvalidArgument("--trace and --trajectory say the same in two frames: take one of them")
-        if self.seconds is not None and not 0 < self.seconds <= _LONGEST_S:
-            raise InvalidArgument("--seconds", repr(self.seconds), f"above 0, up to {_LONGEST_S:g}")
-        if not 0 <= self.start_s < math.inf:
-            raise InvalidArgument("--start-s", repr(self.start_s), "0 or more seconds")
-        if not 0 < self.speed <= _FASTEST:
-            raise InvalidArgument("--speed", repr(self.speed), f"above 0, up to {_FASTEST:g}")
+        if self.seconds is not None:
+            require_up_to(_LONGEST_S, **{"--seconds": self.seconds})
+        require_not_negative(**{"--start-s": self.start_s})
+        require_up_to(FASTEST, **{"--speed": self.speed})
 
 
 @dataclass(frozen=True)
@@ -136,21 +131,6 @@ class Played:
                 numbers = np.column_stack([some[name] for name in _LOGGED]) + 0.0
                 for row, buttons, flags in zip(numbers.tolist(), some["buttons"].tolist(), some["flags"].tolist()):
                     file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{words[flags]}\n")
-
-    def write_wav(self, path: Path) -> str:
-        """Write the play as sound; a note on what it holds.
-
-        InvalidArgument if there are fewer than two rows, or too many for a WAV; SourceError if the system refuses.
-        """
-        rows = self._felt(self.rows, "wav")
-        if len(rows) < 2:
-            raise InvalidArgument("--wav", f"a play of {len(rows)} ticks", "at least 2", "Play longer.")
-        samples, (full_n, fast_n) = sound_of(rows["time_s"].astype(np.float64), rows["force_n"].astype(np.float64))
-        write_wav(path, [samples], 2, len(samples))
-        return (
-            f"the sound is {path}: left a tone as loud as |F| (1 is {full_n:.3g} N), right the force from "
-            f"{BAND_HZ[0]:g} Hz on (1 is {fast_n:.3g} N)"
-        )
 
     def draw(self, path: Path) -> None:
         """The picture of the interaction."""
@@ -308,7 +288,7 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
     if spec.offline or spec.trajectory is not None or spec.trace is not None:
         raise _for_points("offline" if spec.offline else "trajectory" if spec.trajectory else "trace")
     if spec.is_logged:
-        raise _for_points("log, --plot or --wav")
+        raise _for_points("log or --plot")
     chosen = array_device(spec.device, device(spec.profile) if spec.profile else None)
     drives = array_drives(stream, chosen.profile, spec.panel)
     with ArrayPlayer(drives, chosen, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
@@ -335,8 +315,7 @@ def check_play(path: str | Path, speed: float = 1.0, clock_s: Callable[[], float
     ``greatest_speed`` is the one that can be played in time, and ``can_play`` is of the speed asked for.
     InvalidArgument if that is not positive, TouchfieldError if the file cannot be read.
     """
-    if not 0 < speed <= _FASTEST:
-        raise InvalidArgument("--speed", repr(speed), "above 0, up to 100")
+    require_up_to(FASTEST, **{"--speed": speed})
     with open_stream(path) as stream:
         source = FrameSource(stream.scene or stream.medium)
         count = source.frame_count
@@ -382,22 +361,3 @@ _LOGGED: Final = (
     "field_torque_nm", "torque_nm", "gripper_m", "media_s",
 )  # fmt: skip
 _ROWS_AT_ONCE: Final = 1 << 14
-TONE_HZ: Final = 220.0
-BAND_HZ: Final = (30.0, 3000.0)
-
-
-def sound_of(times_s: Float64s, forces_n: Float64s) -> tuple[Float64s, tuple[float, float]]:
-    """The sound of forces over time, float64 [m, 2] from -1 to 1 at `RATE_HZ`, and the newtons at 1 in each channel.
-
-    times_s : float64 [n], ascending, n at least 2. forces_n : float64 [n, 3].
-    """
-    from scipy.signal import butter, sosfilt
-
-    at = np.arange(int((times_s[-1] - times_s[0]) * RATE_HZ) + 1) / RATE_HZ
-    forces = np.stack([np.interp(at, times_s - times_s[0], of) for of in forces_n.T], axis=1)
-    magnitude = np.linalg.norm(forces, axis=1)
-    principal = np.linalg.eigh(forces.T @ forces)[1][:, -1]
-    fast = sosfilt(butter(2, BAND_HZ, "bandpass", fs=RATE_HZ, output="sos"), forces @ principal)
-    both = np.stack([magnitude * np.sin(2 * np.pi * TONE_HZ * at), fast], axis=1)
-    scales = float(magnitude.max()), float(np.abs(fast).max())
-    return both / [scale or 1.0 for scale in scales], scales

@@ -23,7 +23,7 @@ from touchfield.medium.grid import Placement
 from touchfield.perception.hand_motion import Forces
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
-from touchfield.sources.options import SourceOptions
+from touchfield.sources.options import SourceOptions, WatchedOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
 from touchfield.sources.stored import StoredScene
@@ -111,7 +111,8 @@ class Prepared:
     `medium` is made of them. ``exact(points_m [n, 3]) -> newtons [n, 3]`` is the field that the lattice samples,
     where it has a formula and no haptic filter changes it; `source` what the frames are made of: it tells how far it
     is, and what was learnt once they are made; `reference` what a promise of the coder is held against, `OWN_FORCES`
-    of `touchfield.job.spec` where nothing changed these, else `FILTERED`.
+    of `touchfield.job.spec` where nothing changed these, else `FILTERED`; `has_law`
+    tells whether the force law of the spec made the forces, or the source had its own.
     """
 
     medium: HapticMedium
@@ -123,6 +124,7 @@ class Prepared:
     exact: Forces | None = None
     source: Scene | None = None
     reference: str = FILTERED
+    has_law: bool = True
 
     def __repr__(self) -> str:
         return f"<Prepared: {self.medium!r} for {self.device.name}>"
@@ -156,18 +158,24 @@ class Prepared:
 
 
 def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
-    """A path, ``sample:NAME`` or a scene, as a scene."""
+    """A path, ``sample:NAME`` or a scene, as a scene; options that do nothing for what it is are told in a note."""
     if isinstance(source, Scene):
         return source
     if not isinstance(source, str | Path):
         raise InvalidArgument("source", f"a {type(source).__name__}", "a path, sample:NAME or a scene")
     if is_stream(source):
         return StreamScene(source)
+    watched: Any = WatchedOptions(options)
     if str(source).startswith("sample:"):
         from touchfield.sources.samples import sample
 
-        return sample(str(source).removeprefix("sample:"), options)
-    return open_source(source, options)
+        scene: Scene = sample(str(source).removeprefix("sample:"), watched)
+    else:
+        scene = open_source(source, watched)
+    unread = ", ".join("--" + name.replace("_", "-") for name in watched.unread())
+    if unread:
+        scene.notes = (*scene.notes, f"Options that do nothing for this source: {unread}.")
+    return scene
 
 
 def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
@@ -210,14 +218,15 @@ def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
         stop = len(medium) if stop is None else stop
         medium, objects = medium.between(start, stop), objects and objects.between(start, stop)
     if objects is not None:
-        return Prepared(medium, chosen, placement, spec, notes, objects)
+        return Prepared(medium, chosen, placement, spec, notes, objects, has_law=scene.has_law)
     exact, stored, reference = None, stored_medium(origin), FILTERED
     if mapping and isinstance(origin, AnalyticScene) and not (spec.chain or chosen.is_array):
         exact = exact_forces(origin, mapping.placement, mapping.profile, chosen.force_max_n)
     if stored is not None and not spec.chain:
         is_own = mapping is None or same_lattice(mapping.placement.to_scene(mapping.grid), stored.grid)
         reference = OWN_FORCES if is_own else FILTERED
-    return Prepared(medium, chosen, placement, spec, notes, None, exact, origin if mapping else None, reference)
+    made_of = origin if mapping else None
+    return Prepared(medium, chosen, placement, spec, notes, None, exact, made_of, reference, scene.has_law)
 
 
 def _objects(scene: Scene, chosen: Device, mapping: Mapping | None, spec: EncodeSpec) -> HapticScene | None:

@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s
 from touchfield.devices import Device, device
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_between
 from touchfield.job.editing import _write, fidelity_of, read_medium, spread, with_history
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.prepare import Prepared
@@ -267,8 +267,7 @@ def fewest_points(
     only these). `spec` is the coder's and the mask's. TouchfieldError if anything is at fault; nothing is then left
     under the name `out`.
     """
-    if not 1 <= count <= MOST_POINTS:
-        raise InvalidArgument("points", f"{count}", f"1 to {MOST_POINTS}")
+    require_between(1, MOST_POINTS, points=count)
     trace = recorded_contacts(Path(source))
     if trace is not None:
         if modes is not None:
@@ -355,8 +354,7 @@ def next_points(source: str | Path, count: int, measured: str | Path | None = No
     of what is known already (without it, that of the source). `shown["next"]` has a row for each: metres, and the
     standard deviation of the force there, newtons. TouchfieldError if anything is at fault.
     """
-    if not 1 <= count <= MOST_POINTS:
-        raise InvalidArgument("points", f"{count}", f"1 to {MOST_POINTS}")
+    require_between(1, MOST_POINTS, points=count)
     known = recorded_contacts(Path(measured or source))
     if known is None:
         mend = "Name what was measured: --measured FELT.csv."

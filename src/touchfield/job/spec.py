@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Final
 
@@ -11,7 +10,8 @@ from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import field_coders
 from touchfield.codec.segment import longest_segment, segment_length
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.errors import CorruptFile, InvalidArgument, require_not_negative
+from touchfield.files import json_of
 from touchfield.filters.contact import VibrationRule
 from touchfield.filters.device_filter import DeviceFilterSpec
 from touchfield.filters.registry import FieldFilter, filter_of
@@ -77,8 +77,10 @@ class EncodeSpec:
     def __post_init__(self) -> None:
         for name in COEFFICIENTS:
             value = getattr(self, name)
-            if value is not None and not 0 <= value < math.inf:
-                raise InvalidArgument(f"--{name.replace('_', '-')}", repr(value), "a finite number, 0 or more")
+            if value is not None:
+                require_not_negative(**{f"--{name.replace('_', '-')}": value})
+        if not all(isinstance(one, tuple | list) and len(one) == 2 for one in self.filters):
+            raise InvalidArgument("filters", repr(self.filters), 'names and words, such as (("gaussian", "2mm"),)')
         if self.vibration is not None:
             VibrationRule.parse(self.vibration)
             if self.representation == "object":
@@ -126,10 +128,14 @@ class EncodeSpec:
         """The spec of the device filter."""
         return DeviceFilterSpec(oversample=self.oversample, pool=self.pool, cutoff=self.cutoff)
 
-    def to_json(self) -> str:
-        """The spec as the stream's provenance keeps it, without what is asked of a coder that is not taken."""
+    def to_json(self, has_law: bool = True) -> str:
+        """The spec as the stream's provenance keeps it, without what is asked of a coder that is not taken.
+
+        Without `has_law` it states no law and no stiffness: a receiver would make walls of it.
+        """
         values = {**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None}
-        for name in (*(c for c in CODERS if c != self.coder), *(n for n in _OPTIONAL if values[n] is None)):
+        unused = () if has_law else ("law", "stiffness_n_per_m")
+        for name in (*(c for c in CODERS if c != self.coder), *(n for n in _OPTIONAL if values[n] is None), *unused):
             del values[name]
         del values["source"]["allow_outside"]  # the user's alone, each time
         return json.dumps(values, separators=(",", ":"))
@@ -150,7 +156,7 @@ class EncodeSpec:
         CorruptFile if the provenance cannot be understood.
         """
         try:
-            values = json.loads(text)
+            values = json_of(text)
             values["source"] = SourceOptions(**{**values["source"], "allow_outside": False})
             values[values["coder"]] = type(_usual(values["coder"]))(**values[values["coder"]])
             if values["thickness_m"] is not None:
@@ -160,5 +166,5 @@ class EncodeSpec:
                     values[name] = tuple(values[name])
             values["filters"] = tuple((str(name), str(words)) for name, words in values.get("filters", ()))
             return cls(**values)
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
             raise CorruptFile("PROV spec", f"a spec that cannot be read ({error})", "what encode wrote") from None

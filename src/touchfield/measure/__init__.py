@@ -5,11 +5,11 @@ counts                 `Counts` of arrays or of given probabilities; `field_coun
 quantities of them     `entropy`, `joint_entropy`, `conditional_entropy`, `mutual_information`,
                        `variation_of_information`, `normalised_mutual_information`,
                        `jensen_shannon_distance`; `field_entropy`, `interaction_entropy`
-limits to a coder      `coding_limits`, `block_rates`, `scan_line_rates`, `context_entropy`
+limits to a coder      `coding_limits`
 of a device            `capacity`, `codomain_bits`
-of energy              `passivity`, `curl_n_per_m`, `loop_work_j`
+of energy              `passivity`, `loop_work_j`
 of two media           `similarity`, `compression_distance`
-of a collection        `descriptor`, `MediumIndex`, `mean_average_precision`
+of a collection        `descriptor`, `MediumIndex`
 of a picture beside    `contact_along_rays`, `picture_correlation`
 =====================  ================================================================================
 
@@ -17,7 +17,6 @@ A measured result is a `Quantity`: its unit, quantiser, weighting, estimator and
 """
 
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits
-from touchfield.measure.context import context_entropy
 from touchfield.measure.counts import Counts
 from touchfield.measure.descriptors import Descriptor, descriptor
 from touchfield.measure.estimators import ESTIMATORS, estimate_bits
@@ -33,10 +32,10 @@ from touchfield.measure.information import (
     variation_of_information,
 )
 from touchfield.measure.interaction import interaction_counts, interaction_entropy, visits
-from touchfield.measure.limits import CodingLimits, block_rates, coding_limits, scan_line_rates
-from touchfield.measure.passivity import Passivity, curl_n_per_m, loop_work_j, passivity
+from touchfield.measure.limits import CodingLimits, coding_limits
+from touchfield.measure.passivity import Passivity, loop_work_j, passivity
 from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity, interval
-from touchfield.measure.retrieval import MediumIndex, chance_average_precision, mean_average_precision
+from touchfield.measure.retrieval import MediumIndex
 from touchfield.measure.similarity import (
     Contact,
     Correlation,
@@ -51,11 +50,10 @@ from touchfield.medium.trace import Trace, read_trace
 
 __all__ = [
     "ESTIMATORS", "Capacity", "CodingLimits", "Contact", "Correlation", "Counts", "Descriptor", "FewSamplesWarning",
-    "FieldSymbols", "Interval", "MediumIndex", "Passivity", "Quantity", "Similarity", "Trace", "block_rates",
-    "capacity", "chance_average_precision", "coding_limits", "codomain_bits", "compression_distance",
-    "conditional_entropy", "contact_along_axis", "contact_along_rays", "context_entropy", "curl_n_per_m",
-    "descriptor", "entropy", "estimate_bits", "field_counts", "field_entropy", "interaction_counts",
-    "interaction_entropy", "interval", "jensen_shannon_distance", "joint_entropy", "loop_work_j",
-    "mean_average_precision", "mutual_information", "normalised_mutual_information", "passivity",
-    "picture_correlation", "read_trace", "scan_line_rates", "similarity", "variation_of_information", "visits",
+    "FieldSymbols", "Interval", "MediumIndex", "Passivity", "Quantity", "Similarity", "Trace", "capacity",
+    "coding_limits", "codomain_bits", "compression_distance", "conditional_entropy", "contact_along_axis",
+    "contact_along_rays", "descriptor", "entropy", "estimate_bits", "field_counts", "field_entropy",
+    "interaction_counts", "interaction_entropy", "interval", "jensen_shannon_distance", "joint_entropy",
+    "loop_work_j", "mutual_information", "normalised_mutual_information", "passivity", "picture_correlation",
+    "read_trace", "similarity", "variation_of_information", "visits",
 ]  # fmt: skip

@@ -25,7 +25,7 @@ from numbers import Integral
 from typing import Any, Final
 
 from touchfield.arrays import Int64s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, require_not_negative, require_one_of
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.quantity import Interval, Quantity, ratio_interval
@@ -111,8 +111,7 @@ def capacity(
         raise InvalidArgument(
             "rendered", f"weighting {rendered.weighting}", f"{reference.weighting}, the weighting of the reference"
         )
-    if not (math.isfinite(codomain_bits) and codomain_bits >= 0):
-        raise InvalidArgument("codomain_bits", repr(codomain_bits), "a finite number of bits per frame, 0 or more")
+    require_not_negative(codomain_bits=codomain_bits)
     if ratio is not None and reading != "realised":
         raise InvalidArgument("ratio", "an interval", f"none in the {reading} reading, whose C is no estimate")
     excess = rendered.value > codomain_bits * (1 + _ROUNDING) + _ROUNDING

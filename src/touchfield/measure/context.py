@@ -21,7 +21,6 @@ once costs nothing. `ContextEntropy` says how diluted it is.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Final
 
@@ -29,10 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Int32s, Int64s
-from touchfield.errors import InvalidArgument, require_one_of
-from touchfield.measure.estimators import estimate_bits
-from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.errors import InvalidArgument
+from touchfield.measure.estimators import entropy_bits
+from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.quantity import Quantity
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.field import brick_keys, bricks_of, slots_around
 from touchfield.medium.grid import BRICK, Grid
@@ -210,29 +209,23 @@ class ContextCounter:
         counts = alone.counts()[: len(alone.counts()) - bool(alone.zeros)]
         return counts, alone.zeros
 
-    def result(
-        self, neighbourhood: str, *, previous_frame: bool = False, estimator: str = "plug-in"
-    ) -> ContextEntropy:
-        """H(S | c) of what was counted; InvalidArgument if the estimator is unknown."""
+    def result(self, neighbourhood: str, *, previous_frame: bool = False) -> ContextEntropy:
+        """H(S | c) of what was counted."""
         neighbours = NEIGHBOURHOODS[neighbourhood]
         known = tuple(range(1, 1 + neighbours)) + (_PREVIOUS_FRAME,) * previous_frame
         joint = self._cells.marginal((_SYMBOL, *known))
         cells = joint.counts()
         contexts = joint.marginal(known).counts()
-        bits = estimate_bits(cells, estimator) - estimate_bits(contexts, estimator)
+        bits = max(0.0, entropy_bits(cells) - entropy_bits(contexts))  # below only by rounding
         informed = joint.samples - joint.zeros
         notes = [f"{len(contexts)} contexts"]
         if informed < 10 * len(cells):
             notes.append(f"diluted: {informed} voxels not all 0 for {len(cells)} cells, fewer than ten each; too low")
-        if estimator == "plug-in":
-            bits = max(0.0, bits)  # below only by rounding
-        elif bits < 0:
-            notes.append("negative by the correction of its bias")
         conditions = [f"{neighbours} neighbour{'s' * (neighbours > 1)}"] * (neighbours > 0)
         conditions += ["previous frame"] * previous_frame
         name = f"H(S|{', '.join(conditions)})" if conditions else "H(S)"
         quantity = Quantity(
-            name, bits, "bit/sample", self._quantiser, "voxel", estimator, joint.samples, len(cells), None,
+            name, bits, "bit/sample", self._quantiser, "voxel", "plug-in", joint.samples, len(cells), None,
             tuple(notes),
         )  # fmt: skip
         count, unit = int(self.symbol_counts()[0].sum()), "bit/supported voxel"
@@ -244,27 +237,3 @@ class ContextCounter:
         return ContextEntropy(
             neighbourhood, previous_frame, quantity, supported, len(contexts), len(cells), informed, once
         )
-
-
-def context_entropy(
-    frames: Fields, neighbourhood: str = "axes", *, previous_frame: bool = False, estimator: str = "plug-in"
-) -> ContextEntropy:
-    """H(S | c) of symbols, bits a voxel.
-
-    `frames`: FieldSymbols or a sequence of them, looked at once, in order; `FieldSymbols.from_dense` makes one of an
-    array. `neighbourhood`: "none", "previous", "axes" or "corner", 0, 1, 3 or 7 causal neighbours (1, 2 and 3 of a
-    picture, 1 of a sequence). `previous_frame`: whether to condition on the co-located voxel of the previous frame;
-    before the first there is only 0. `estimator`: of both entropies. InvalidArgument for frames that do not match, or
-    an unknown name. FewSamplesWarning if there are fewer than ten informed voxels to a cell.
-    """
-    require_one_of("neighbourhood", neighbourhood, NEIGHBOURHOODS)
-    counter, before = None, None
-    for frame in map(scan_relabelled, Frames(frames, "frames")):
-        counter = counter or ContextCounter(frame.alphabet, frame.quantiser, previous_frame=previous_frame)
-        counter.add(frame, before)
-        before = frame
-    assert counter is not None  # Frames refuses none
-    result = counter.result(neighbourhood, previous_frame=previous_frame, estimator=estimator)
-    if result.is_diluted:
-        warnings.warn(f"{result.per_voxel.name}: {result.per_voxel.notes[1]}", FewSamplesWarning, stacklevel=2)
-    return result

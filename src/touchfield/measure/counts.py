@@ -22,7 +22,7 @@ from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import as_array, entropy_bits
 from touchfield.measure.quantity import LEAST_BLOCKS
-from touchfield.medium.field import frozen
+from touchfield.medium.field import frozen, numbers_of
 from touchfield.parallel import for_chunks
 
 Histogram = tuple[Int64s, Int64s]
@@ -128,10 +128,7 @@ class Counts:
 
         InvalidArgument if one is negative or NaN, there is none, or they do not add up to 1 within 1e-9.
         """
-        try:
-            p = np.asarray(table, np.float64)
-        except (TypeError, ValueError) as error:
-            raise InvalidArgument("table", "what is no array of numbers", "probabilities") from error
+        p = numbers_of("table", table)
         if not p.size or p.ndim == 0:
             raise InvalidArgument("table", f"shape {p.shape}", "at least one probability")
         if not (p >= 0).all():

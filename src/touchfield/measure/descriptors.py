@@ -51,7 +51,7 @@ from touchfield.arrays import Float32s, Float64s, Int32s
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion, require_one_of
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, HapticMedium
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, numbers_of
 from touchfield.perception.weber import WeberLadder
 
 if TYPE_CHECKING:
@@ -221,11 +221,7 @@ class Descriptor:
     values: Float64s
 
     def __post_init__(self) -> None:
-        try:
-            values = np.array(self.values, np.float64)
-        except (TypeError, ValueError) as error:
-            found = "what is no list of numbers"
-            raise InvalidArgument("descriptor", found, f"{DESCRIPTOR_LENGTH} numbers") from error
+        values = numbers_of("descriptor", self.values).copy()
         if values.shape != (DESCRIPTOR_LENGTH,):
             raise InvalidArgument("descriptor", f"shape {values.shape}", f"({DESCRIPTOR_LENGTH},)")
         if not ((values >= 0) & (values <= 1)).all():

@@ -1,4 +1,4 @@
-"""Entropy from counts: five estimators (paper section 3, which defines the entropy of known probabilities only).
+"""Entropy from counts: three estimators (paper section 3, which defines the entropy of known probabilities only).
 
 The paper takes frequencies for probabilities, the plug-in estimate. It is low by about (K - 1)/(2 n ln 2) bits for
 K symbols and n samples, and half a bit low for a thousand codewords and as many samples, so other estimators stand
@@ -12,12 +12,10 @@ estimator       zipf sparse use
 ============== ===== ====== =================================================================
 plug-in        -0.60 -0.027 the paper's; identities such as the chain rule hold exactly
 miller-madow   -0.36 -0.017 cheap and safe; still low where most symbols are rare
-grassberger    -0.16 -0.009 as miller-madow, and better for small counts
-chao-shen      -0.07 +0.059 many unseen symbols; too high for a field that is mostly empty
 chao-wang-jost -0.07 -0.004 many unseen symbols, empty or not
 ============== ===== ====== =================================================================
 
-The expectation of the first three is a sum of binomial probabilities, which the tests compare.
+The expectation of the first two is a sum of binomial probabilities, which the tests compare.
 """
 
 from __future__ import annotations
@@ -135,34 +133,6 @@ def miller_madow(t: Tally) -> float:
     return plug_in(t) + (t.observed - 1) / (2 * t.samples)
 
 
-def grassberger(t: Tally) -> float:
-    """ln n - (1/n) sum n_i G(n_i), G(m) = psi(m) + (-1)^m/2 [psi((m + 1)/2) - psi(m/2)].
-
-    P. Grassberger, "Entropy estimates from insufficient samplings", arXiv:physics/0307138, 2003 (the version of 2008
-    keeps it); not his estimate of 1988, whose last term is (-1)^m/(m (m + 1)).
-    """
-    from scipy.special import digamma
-
-    m = t.counts
-    sign = 1.0 - 2.0 * np.mod(m, 2.0)
-    g = digamma(m) + sign / 2 * (digamma((m + 1) / 2) - digamma(m / 2))
-    return math.log(t.samples) - float((t.times * m * g).sum()) / t.samples
-
-
-def chao_shen(t: Tally) -> float:
-    """Horvitz-Thompson sum over the observed symbols, their shares scaled by Good's coverage C = 1 - f_1/n.
-
-    A. Chao and T.-J. Shen, "Nonparametric estimation of Shannon's index of diversity when there are unseen species
-    in sample", Environmental and Ecological Statistics 10, 2003. Departure: where every sample is another symbol C
-    would be 0 and the sum undefined; f_1 = n - 1 is taken then.
-    """
-    n = t.samples
-    coverage = 1 - min(t.seen(1), n - 1) / n
-    p = coverage * t.counts / n
-    chance = -np.expm1(n * np.log1p(-np.minimum(p, 1 - 2.0**-53)))  # of being seen; 1 where p is 1
-    return float(-(t.times * p * np.log(p) / chance).sum())
-
-
 def chao_wang_jost(t: Tally) -> float:
     """sum n_i/n [psi(n) - psi(n_i)] + the tail of the species accumulation curve, from f_1 and f_2.
 
@@ -201,8 +171,6 @@ ESTIMATORS: Final[Mapping[str, Callable[[Tally], float]]] = MappingProxyType(
     {
         "plug-in": plug_in,
         "miller-madow": miller_madow,
-        "grassberger": grassberger,
-        "chao-shen": chao_shen,
         "chao-wang-jost": chao_wang_jost,
     }
 )

@@ -28,7 +28,8 @@ _ROUND = 1 << 22  # stretches until the 32-bit tables are added up
 
 _FFFF = np.uint64(0xFFFF)
 _0, _1, _S, _16, _32, _48 = (np.uint64(i) for i in (0, 1, _STRETCH, 16, 32, 48))  # no sign to check
-_ONE, _ALL = np.uint32(1), np.uint32(_STRETCH)
+_SAME, _SPARE, _TURNS = np.uint64(0x0001000100010001), np.uint64(_SPAN), np.uint64(8)
+_NONE, _ONE, _ALL = np.uint32(0), np.uint32(1), np.uint32(4 * _STRETCH)
 
 
 @njit(cache=True, nogil=True)
@@ -36,17 +37,25 @@ def _count_words(words, tables):
     """Four 16-bit symbols a word into four tables in turn, uint32 [4, 65552]; `words` are whole stretches."""
     t0, t1, t2, t3 = tables[0], tables[1], tables[2], tables[3]
     for start in range(_0, np.uint64(len(words)), _S):
-        first = words[start]
-        if first == words[start + _S - _1]:
+        usual = words[start] & _FFFF
+        if words[start] == usual * _SAME:  # of a stretch of mostly one symbol its adds take turns over spare entries
             differ = _0
             for i in range(start, start + _S):
-                differ |= words[i] ^ first
+                differ |= words[i] ^ words[start]
             if differ == _0:
-                t0[first & _FFFF] += _ALL
-                t1[(first >> _16) & _FFFF] += _ALL
-                t2[(first >> _32) & _FFFF] += _ALL
-                t3[first >> _48] += _ALL
+                t0[usual] += _ALL
                 continue
+            for i in range(start, start + _S):
+                v, turn = words[i], _SPARE + i % _TURNS
+                a, b, c, d = v & _FFFF, (v >> _16) & _FFFF, (v >> _32) & _FFFF, v >> _48
+                t0[turn if a == usual else a] += _ONE
+                t1[turn if b == usual else b] += _ONE
+                t2[turn if c == usual else c] += _ONE
+                t3[turn if d == usual else d] += _ONE
+            for n in range(_SPARE, _SPARE + _TURNS):
+                t0[usual] += t0[n] + t1[n] + t2[n] + t3[n]
+                t0[n], t1[n], t2[n], t3[n] = _NONE, _NONE, _NONE, _NONE
+            continue
         for i in range(start, start + _S):
             v = words[i]
             t0[v & _FFFF] += _ONE
@@ -194,22 +203,20 @@ def insert(rows, weights, begin, slots, keys, counts, used):
 
 # -- curl at the lattice points, and work around the squares of the lattice
 
-COLUMNS = ("points", "held", "curl2", "gradient2", "squares", "work2", "curl2_max", "work_max")
-"""Sums of each brick: samples with a curl, those among them with a force, |curl|^2, |gradient|^2; squares,
-W^2; the largest |curl|^2 and |W|. The first six are sums."""
+COLUMNS = ("points", "curl2", "gradient2", "squares", "work2", "curl2_max", "work_max")
+"""Sums of each brick: samples with a curl, |curl|^2, |gradient|^2; squares, W^2; the largest |curl|^2 and |W|. The
+first five are sums."""
 
 
 @njit(cache=True, nogil=True)
-def _fill(slots, low, shape, forces, halo, held, within):
-    """The 10^3 samples of a brick and around it: forces, whether there is one, whether the grid reaches there."""
+def _fill(slots, forces, halo, held):
+    """The 10^3 samples of a brick and around it: forces, and whether there is one."""
     for a in range(10):
         da, la = (a + 7) >> 3, (a + 7) & 7
         for b in range(10):
             db, lb = (b + 7) >> 3, (b + 7) & 7
             for c in range(10):
                 p = a * 100 + b * 10 + c
-                x, y, z = low[0] + a - 1, low[1] + b - 1, low[2] + c - 1
-                within[p] = 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= z < shape[2]
                 slot = slots[da * 9 + db * 3 + ((c + 7) >> 3)]
                 held[p] = False
                 for d in range(3):
@@ -222,20 +229,19 @@ def _fill(slots, low, shape, forces, halo, held, within):
 
 
 @njit(cache=True, nogil=True)
-def _curl_and_loops(begin, end, slots, lows, shape, spacing, forces, edges, sums, curls):
-    halo, held, within = np.empty((1000, 3)), np.empty(1000, np.bool_), np.empty(1000, np.bool_)
-    jacobian, curl = np.empty((3, 3)), np.empty(3)
+def _curl_and_loops(begin, end, slots, spacing, forces, sums):
+    halo, held = np.empty((1000, 3)), np.empty(1000, np.bool_)
+    jacobian = np.empty((3, 3))
     step = (100, 10, 1)
     half = (0.5 / spacing[0], 0.5 / spacing[1], 0.5 / spacing[2])
     for n in range(begin, end):
-        _fill(slots[n], lows[n], shape, forces, halo, held, within)
+        _fill(slots[n], forces, halo, held)
         for s in range(512):
             p = (s // 64 + 1) * 100 + (s // 8 % 8 + 1) * 10 + s % 8 + 1
-            some, every, inside = held[p], held[p], within[p]
+            every = held[p]
             for d in range(3):
-                for q in (p + step[d], p - step[d]):
-                    some, every, inside = some or held[q], every and held[q], inside and within[q]
-            if every or (edges and some and inside):
+                every = every and held[p + step[d]] and held[p - step[d]]
+            if every:
                 square = 0.0
                 for d in range(3):
                     for e in range(3):
@@ -244,46 +250,27 @@ def _curl_and_loops(begin, end, slots, lows, shape, spacing, forces, edges, sums
                 curl2 = 0.0
                 for d in range(3):
                     e, f = (d + 1) % 3, (d + 2) % 3
-                    curl[d] = jacobian[f, e] - jacobian[e, f]
-                    curl2 += curl[d] ** 2
+                    curl2 += (jacobian[f, e] - jacobian[e, f]) ** 2
                 sums[n, 0] += 1
-                sums[n, 1] += held[p]
-                sums[n, 2] += curl2
-                sums[n, 3] += square
-                sums[n, 6] = max(sums[n, 6], curl2)
-                if n < curls.shape[0]:
-                    for d in range(3):
-                        curls[n, s, d] = curl[d]
+                sums[n, 1] += curl2
+                sums[n, 2] += square
+                sums[n, 5] = max(sums[n, 5], curl2)
             for d in range(3):  # the square from p along axes d and e
                 e = (d + 1) % 3
                 u, v, w = p + step[d], p + step[d] + step[e], p + step[e]
-                every = held[p] and held[u] and held[v] and held[w]
-                some = held[p] or held[u] or held[v] or held[w]
-                if every or (edges and some and within[p] and within[v]):
+                if held[p] and held[u] and held[v] and held[w]:
                     work = 0.5 * spacing[d] * (halo[p, d] + halo[u, d] - halo[w, d] - halo[v, d])
                     work += 0.5 * spacing[e] * (halo[u, e] + halo[v, e] - halo[p, e] - halo[w, e])
-                    sums[n, 4] += 1
-                    sums[n, 5] += work * work
-                    sums[n, 7] = max(sums[n, 7], abs(work))
+                    sums[n, 3] += 1
+                    sums[n, 4] += work * work
+                    sums[n, 6] = max(sums[n, 6], abs(work))
 
 
-def curl_and_loops(
-    grid: Grid,
-    bricks: Int32s,
-    slots: Int32s,
-    forces_n: Float32s,
-    edges: bool,
-    curls_n_per_m: Float32s,
-) -> Float64s:
-    """The `COLUMNS` for each brick, float64 [m, 8]; SI units.
+def curl_and_loops(grid: Grid, slots: Int32s, forces_n: Float32s) -> Float64s:
+    """The `COLUMNS` for each brick, float64 [m, 7]; SI units.
 
-    `bricks` int32 [m, 3]; `slots` int32 [m, 27], where in `forces_n` each neighbour lies, -1 for none. The curls are
-    written to `curls_n_per_m`, float32 [m, 512, 3], unless it is empty; samples without one are left as they are.
+    `slots` int32 [m, 27], where in `forces_n` each neighbour of a brick lies, -1 for none.
     """
-    sums = np.zeros((len(bricks), len(COLUMNS)))
-    lows, shape = bricks.astype(np.int64) * 8, np.array(grid.shape, np.int64)
-    spacing = np.array(grid.spacing_m)
-    for_chunks(
-        _curl_and_loops, len(bricks), slots, lows, shape, spacing, forces_n, edges, sums, curls_n_per_m, chunk=32
-    )
+    sums = np.zeros((len(slots), len(COLUMNS)))
+    for_chunks(_curl_and_loops, len(slots), slots, np.array(grid.spacing_m), forces_n, sums, chunk=32)
     return sums

@@ -12,14 +12,11 @@ Time: one pass over the frames, which may be made when asked for. Memory: two fr
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
@@ -31,16 +28,13 @@ from touchfield.measure.context import (
     scan_order,
     scan_relabelled,
 )
-from touchfield.measure.counts import checked_symbols
-from touchfield.measure.estimators import entropy_bits, estimate_bits
+from touchfield.measure.estimators import entropy_bits
 from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.quantity import Quantity
 from touchfield.medium.field import brick_keys, bricks_of, slots_of
 from touchfield.medium.grid import BRICK
 
 MOST_IN_BLOCK = 64
-MOST_SYMBOLS = 1 << 31
-"""Symbols are below this."""
 _SAMPLES_AT_ONCE = 1 << 18
 _TILE_SAMPLES = 1 << 20  # samples of scan lines laid out at once
 
@@ -57,43 +51,24 @@ class BlockRates:
 
 
 class BlockCounter:
-    """Counts the blocks of `longest` symbols of rings.
+    """Counts the blocks of `longest` symbols of scan lines, which are rings.
 
-    `alphabet`: symbols are below it. `longest`: 1 to 64, at most the length of the shortest ring. `quantiser`,
-    `weighting`: as in `Quantity`.
+    `alphabet`: symbols are below it. `longest`: 1 to 64, at most the samples along them. `quantiser`: as in
+    `Quantity`.
     """
 
-    def __init__(self, alphabet: int, longest: int, quantiser: str = "as given", weighting: str = "samples") -> None:
+    def __init__(self, alphabet: int, longest: int, quantiser: str) -> None:
         if not (isinstance(longest, int | np.integer) and 1 <= longest <= MOST_IN_BLOCK):
             raise InvalidArgument("longest", repr(longest), f"a whole number from 1 to {MOST_IN_BLOCK}")
         self.longest, self._bits = int(longest), max(1, (alphabet - 1).bit_length())
         self._cells = CellCounter(self.longest, self._bits)
-        self._of = quantiser, weighting
-
-    def add_lines(self, lines: NDArray[Any]) -> None:
-        """Count the blocks of rings, int [m, n]."""
-        count, length = lines.shape
-        places = np.arange(length + self.longest - 1) % length
-        rows, samples = max(1, _SAMPLES_AT_ONCE // length), _SAMPLES_AT_ONCE + self.longest - 1
-        starts = product(range(0, count, rows), range(0, length, _SAMPLES_AT_ONCE))
-        pieces = (lines[row : row + rows, places[begin : begin + samples]] for row, begin in starts)
-        self._add(pieces, length, lines.size)
+        self._of = quantiser, "voxel"
 
     def add_field(self, frame: FieldSymbols, axis: int) -> None:
         """Count the blocks of the scan lines of a sparse frame along an axis; empty space in closed form."""
-        self._add(_scan_lines(frame, axis, self.longest), frame.grid.shape[axis], frame.voxel_count)
-
-    def _add(self, pieces: Iterable[NDArray[Any]], length: int, samples: int) -> None:
-        """Count the blocks of lines of some length, of so many samples in all.
-
-        Of each piece int [m, b + longest - 1] they begin at the first b samples; what no piece has is nothing but 0.
-        """
-        if self.longest > length:
-            found = f"blocks of {self.longest} along an axis of {length} samples"
-            raise InvalidArgument("longest", found, f"1 to {length}")
-        self._cells.zeros += samples
+        self._cells.zeros += frame.voxel_count
         per_word = 64 // self._bits
-        for lines in pieces:
+        for lines in _scan_lines(frame, axis, self.longest):
             held, begins = lines[lines.any(axis=1)], lines.shape[1] - self.longest + 1
             at_once = max(1, _SAMPLES_AT_ONCE // lines.shape[1])
             for row in range(0, len(held), at_once):
@@ -107,23 +82,22 @@ class BlockCounter:
                 self._cells.add(filled)
                 self._cells.zeros -= len(filled)
 
-    def result(self, estimator: str = "plug-in") -> BlockRates:
-        """H(B_k) and h_k of what was counted; each entropy by the named estimator."""
+    def result(self) -> BlockRates:
+        """H(B_k) and h_k of what was counted."""
         entropies: list[Quantity] = []
         rates: list[Quantity] = []
         before = 0.0
         for k in range(1, self.longest + 1):
             blocks = self._cells.marginal(tuple(range(k)))
             counts, n = blocks.counts(), blocks.samples
-            bits = estimate_bits(counts, estimator)
+            bits = entropy_bits(counts)
             informed = n - blocks.zeros
             notes: tuple[str, ...] = ()
             if informed < 10 * len(counts):
                 notes = (f"{informed} blocks not all 0 for {len(counts)} kinds, fewer than ten each; too low",)
-            of = Quantity(f"H(B_{k})", bits, "bit", *self._of, estimator, n, len(counts), None, notes)
-            rate = max(0.0, bits - before) if estimator == "plug-in" else bits - before
+            of = Quantity(f"H(B_{k})", bits, "bit", *self._of, "plug-in", n, len(counts), None, notes)
             entropies.append(of)
-            rates.append(of.of(name=f"h_{k}", value=rate, unit="bit/sample"))
+            rates.append(of.of(name=f"h_{k}", value=max(0.0, bits - before), unit="bit/sample"))
             before = bits
         return BlockRates(tuple(entropies), tuple(rates))
 
@@ -170,48 +144,6 @@ def _lines_from(frame: FieldSymbols, axis: int, bricks: Int64s, width: int) -> I
         stored = slot >= 0
         lines[stored, :, :, i] = symbols[slot[stored], sample[stored] % BRICK]
     return lines.reshape(-1, width)
-
-
-def block_rates(x: Any, longest: int = 4, *, estimator: str = "plug-in") -> BlockRates:
-    """Block entropies and rates of a sequence.
-
-    `x` int [n] or [m, n]: symbols from 0 on; of two axes m sequences, no block running from one into the next.
-    `longest`: the longest block, 1 to 64 and at most n. `estimator`: of each H(B_k); only the plug-in keeps h_k from
-    rising. InvalidArgument for values that are not symbols, or blocks longer than the sequence. FewSamplesWarning if
-    there are fewer than ten blocks to each that was seen.
-    """
-    lines = checked_symbols(x, "x")
-    if lines.ndim not in (1, 2) or not lines.size:
-        raise InvalidArgument("x", f"shape {lines.shape}", "1 or 2 dimensions and at least one symbol")
-    low, high = int(lines.min()), int(lines.max())
-    if low < 0 or high >= MOST_SYMBOLS:
-        raise InvalidArgument("x", f"symbols {low} to {high}", f"0 to {MOST_SYMBOLS - 1}")
-    counter = BlockCounter(high + 1, longest)
-    counter.add_lines(lines.reshape(-1, lines.shape[-1]))
-    return _warned(counter.result(estimator))
-
-
-def scan_line_rates(frames: Fields, longest: int = 4, *, axis: int = 2, estimator: str = "plug-in") -> BlockRates:
-    """Block entropies and rates of the lines along an axis of quantised fields, over all voxels.
-
-    `frames`: FieldSymbols or a sequence of them, of one grid and one Q. `longest`: the longest block, at most the
-    samples along the axis. InvalidArgument if frames differ, the axis does not exist, or blocks are too long.
-    """
-    if axis not in (0, 1, 2):
-        raise InvalidArgument("axis", repr(axis), "0, 1 or 2")
-    counter = None
-    for frame in Frames(frames, "frames"):
-        counter = counter or BlockCounter(frame.alphabet, longest, frame.quantiser, "voxel")
-        counter.add_field(frame, axis)
-    assert counter is not None  # Frames refuses none
-    return _warned(counter.result(estimator))
-
-
-def _warned(result: BlockRates) -> BlockRates:
-    few = [q for q in result.rates if q.notes]
-    if few:
-        warnings.warn(f"{few[0].name} to {few[-1].name}: {few[-1].notes[0]}", FewSamplesWarning, stacklevel=3)
-    return result
 
 
 LINE_AXIS: Final = 2
@@ -287,7 +219,7 @@ def coding_limits(frames: Fields, *, longest: int = 4) -> CodingLimits:
         if contexts is None:
             axis = scan_order(given.grid)[LINE_AXIS]
             contexts = ContextCounter(frame.alphabet, frame.quantiser, previous_frame=True)
-            blocks = BlockCounter(frame.alphabet, min(longest, frame.grid.shape[LINE_AXIS]), frame.quantiser, "voxel")
+            blocks = BlockCounter(frame.alphabet, min(longest, frame.grid.shape[LINE_AXIS]), frame.quantiser)
         contexts.add(frame, last)
         blocks.add_field(frame, LINE_AXIS)
         count, last = count + 1, frame

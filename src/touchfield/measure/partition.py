@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_not_negative
 from touchfield.measure.counts import Histogram, merged
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium.grid import BRICK, Grid
@@ -227,8 +227,7 @@ def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalt
     bits a frame (`BoxLosses.bits`). `penalty_bits`: lambda, 0 or more. A greater one never gives more boxes, nor a
     smaller sum of losses. InvalidArgument if lambda is negative, or the losses have other shapes or are not finite.
     """
-    if not 0 <= penalty_bits < math.inf:
-        raise InvalidArgument("penalty_bits", repr(penalty_bits), "bits a box, 0 or more")
+    require_not_negative(penalty_bits=penalty_bits)
     shapes = [lattice.boxes(d) for d in range(lattice.depth + 1)]
     if [np.shape(loss) for loss in losses] != shapes:
         raise InvalidArgument("losses", f"shapes {[np.shape(loss) for loss in losses]}", str(shapes))

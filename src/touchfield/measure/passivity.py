@@ -12,9 +12,9 @@ Three looks, all of the field as a renderer that interpolates trilinearly (`Forc
 * the work around random closed loops, by Gauss's rule on each piece between two lattice planes, where F is cubic at
   most along a line, so that the rule is exact, too (but for the float32 of the forces).
 
-By default only what lies wholly within the support is looked at. At the edge of a wall the stored field ends in a
-step of one spacing, which is the lattice's doing and not the wall's, and would drown all else; ``edges=True`` counts
-it, as the hand would.
+Only what lies wholly within the support is looked at. At the edge of a wall the stored field ends in a step of one
+spacing, which is the lattice's doing and not the wall's, and would drown all else; `loop_work_j` counts it, as the
+hand would.
 """
 
 from __future__ import annotations
@@ -27,10 +27,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import ForceField, dilated, frozen, slots_around, values_at
+from touchfield.medium.field import ForceField, frozen, slots_around, values_at
 from touchfield.medium.grid import BRICK, Grid
 
 _MOST_LOOPS: Final = 1 << 12
@@ -59,12 +58,12 @@ def loop_work_j(force_field: ForceField, path_m: ArrayLike) -> float:
     return float(_works_j(force_field, path[None])[0])
 
 
-def _random_loops(force_field: ForceField, edges: bool, loops: int, rng: np.random.Generator) -> Float64s:
+def _random_loops(force_field: ForceField, loops: int, rng: np.random.Generator) -> Float64s:
     """Corners in metres, float64 [up to loops, 16, 3]."""
     spacing = np.asarray(force_field.grid.spacing_m)
-    index, forces = _random_samples(force_field, loops if edges else loops * _CANDIDATES, rng)
+    index, forces = _random_samples(force_field, loops * _CANDIDATES, rng)
     places = index + rng.uniform(-1, 1, index.shape)
-    some = np.ones(len(places), np.bool_) if edges else _cells_held(force_field, places)
+    some = _cells_held(force_field, places)
     centres, forces = force_field.grid.to_m(places[some][:loops]), forces[some][:loops]
     loops = len(centres)
     normals = rng.normal(size=(loops, 3))
@@ -80,8 +79,6 @@ def _random_loops(force_field: ForceField, edges: bool, loops: int, rng: np.rand
     extent = np.minimum((np.ptp(bricks, axis=0) + 1) * BRICK, force_field.grid.shape) * spacing
     smallest, largest = spacing.min(), max(spacing.min(), np.linalg.norm(extent) / 2)
     stars *= np.exp(rng.uniform(np.log(smallest), np.log(largest), (loops, 1, 1)))
-    if edges:
-        return np.asarray(centres[:, None] + stars)
     fits = np.zeros(loops, np.bool_)
     for _ in range(_ROUNDS):
         left = np.flatnonzero(~fits)
@@ -182,7 +179,7 @@ class Passivity:
     share of the gradient that turns: 0 conservative, 1 a pure rotation. `squares` of lattice edges, and the work
     around them, `rms_square_j`, `worst_square_j`, joules. `loops`: random loops that were run round; `worst_loop_j`:
     the greatest energy that one round of them gains (in the better of the two senses), joules; `worst_loop_m` float64
-    [16, 3]: its corners in that sense, metres, [0, 3] if there is none. `edges`: whether the support's edges counted.
+    [16, 3]: its corners in that sense, metres, [0, 3] if there is none.
     """
 
     support_count: int
@@ -198,7 +195,6 @@ class Passivity:
     loops: int
     worst_loop_j: float
     worst_loop_m: Float64s = field(compare=False, repr=False)
-    edges: bool
     notes: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
@@ -208,25 +204,29 @@ class Passivity:
         return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in table.items()}
 
 
-def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, seed: int = 0) -> Passivity:
+def passivity(force_field: ForceField, loops: int = 256, seed: int = 0) -> Passivity:
     """Curl, and work around closed loops, of a field; the same bits for any number of threads.
 
-    `edges`: whether to count what lies half outside the support, too, with no force outside. `loops`: random loops, 0
-    to 4096. Each is a star of 16 corners around a supported sample, half of them in the plane across the force (where
-    a conservative wall does no work at all), up to half the size of the support; one that leaves the support is
-    halved until it fits, or given up. `seed`: of the loops. InvalidArgument if the field is empty, or `loops` or
-    `seed` is out of range.
+    `loops`: random loops, 0 to 4096, with `seed`. Each is a star of 16 corners around a supported sample, half of
+    them in the plane across the force (where a conservative wall does no work at all), up to half the size of the
+    support; one that leaves it is halved until it fits, or given up. InvalidArgument if the field is empty, or a
+    number is out of range.
     """
+    from touchfield.measure.kernels import curl_and_loops
+
     if isinstance(loops, bool) or not isinstance(loops, int) or not 0 <= loops <= _MOST_LOOPS:
         raise InvalidArgument("loops", repr(loops), f"0 to {_MOST_LOOPS}")
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise InvalidArgument("seed", repr(seed), "a whole number, 0 or more")
     if not force_field.support_count:
         raise InvalidArgument("force_field", "a field without any force", "a support of at least one sample")
-    rows, _, _ = _looked_at(force_field, edges, keep=False)
-    points, held, curl2, gradient2, squares, work2 = rows[:, :6].sum(axis=0).tolist()
-    curl2_max, work_max = rows[:, 6:].max(axis=0).tolist()
-    paths = _random_loops(force_field, edges, loops, np.random.default_rng(seed))
+    grid = force_field.grid
+    bricks = force_field.bricks
+    slots = slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)
+    rows = curl_and_loops(grid, slots, force_field.forces_n)
+    points, curl2, gradient2, squares, work2 = rows[:, :5].sum(axis=0).tolist()
+    curl2_max, work_max = rows[:, 5:].max(axis=0).tolist()
+    paths = _random_loops(force_field, loops, np.random.default_rng(seed))
     works = _works_j(force_field, paths) if len(paths) else np.zeros(0)
     best = int(np.argmax(np.abs(works))) if len(paths) else 0
     loop = paths[best] if len(paths) else np.zeros((0, 3))
@@ -234,7 +234,7 @@ def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, se
     return Passivity(
         support_count=force_field.support_count,
         points=int(points),
-        share_seen=held / force_field.support_count,
+        share_seen=points / force_field.support_count,
         rms_curl_n_per_m=rms_curl,
         worst_curl_n_per_m=math.sqrt(curl2_max) if points else math.nan,
         rms_gradient_n_per_m=rms_gradient,
@@ -245,37 +245,8 @@ def passivity(force_field: ForceField, edges: bool = False, loops: int = 256, se
         loops=len(paths),
         worst_loop_j=float(abs(works[best])) if len(paths) else math.nan,
         worst_loop_m=frozen(loop[::-1].copy() if len(paths) and works[best] < 0 else loop),
-        edges=edges,
         notes=_notes(force_field.grid, int(points), int(squares), len(paths), loops),
     )
-
-
-def curl_n_per_m(force_field: ForceField, edges: bool = False) -> tuple[Int32s, Float32s]:
-    """The curl at lattice points by central differences: positions int32 [m, 3] and curls float32 [m, 3], N/m.
-
-    Positions are indices into the grid, in raster order: the supported samples whose six neighbours are supported;
-    with `edges`, all samples that are supported or beside one that is, and whose six neighbours are in the grid.
-    """
-    from touchfield.medium import kernels
-
-    _, bricks, curls = _looked_at(force_field, edges, keep=True)
-    seen = ~np.isnan(curls[..., 0])
-    slots = kernels.raster_slots(bricks, seen.reshape(-1, BRICK, BRICK, BRICK))
-    brick, local = np.divmod(slots, BRICK**3)
-    offset = np.stack(np.unravel_index(local, (BRICK,) * 3), axis=-1)
-    return (bricks[brick] * BRICK + offset).astype(np.int32), curls.reshape(-1, 3)[slots]
-
-
-def _looked_at(force_field: ForceField, edges: bool, keep: bool) -> tuple[Float64s, Int32s, Float32s]:
-    """Rows of `kernels.COLUMNS`, the bricks they are of, and their curls [m, 512, 3], NaN where unseen."""
-    from touchfield.measure.kernels import curl_and_loops
-
-    grid = force_field.grid
-    bricks = dilated(grid, force_field.bricks, (1, 1, 1)) if edges else force_field.bricks
-    slots = slots_around(bricks, force_field.bricks, grid.brick_shape).astype(np.int32)
-    curls = zero_forces(len(bricks) if keep else 0).reshape(-1, BRICK**3, 3)
-    curls.fill(np.nan)
-    return curl_and_loops(grid, bricks, slots, force_field.forces_n, edges, curls), bricks, curls
 
 
 def _rms(square_sum: float, count: float) -> float:

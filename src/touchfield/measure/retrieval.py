@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import math
 import zipfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -24,53 +24,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_one_of
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_not_negative, require_one_of
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, DESCRIPTOR_VERSION, PARTS, Descriptor, part_slots
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.npz import NpzArchive
-
-
-def average_precision(ranked: Sequence[str], relevant: Collection[str]) -> float:
-    """The average precision of one query, 0 to 1.
-
-    `ranked` sequence of str: the best first, each once. `relevant` collection of str: at least one. InvalidArgument
-    if nothing is relevant, or a name is ranked twice.
-    """
-    wanted = frozenset(relevant)
-    if not wanted:
-        raise InvalidArgument("relevant", "nothing", "at least one name", "Leave such a query out.")
-    if len(set(ranked)) != len(ranked):
-        raise InvalidArgument("ranked", "a name twice", "each once")
-    hits = np.flatnonzero([name in wanted for name in ranked])
-    return float((np.arange(1, len(hits) + 1) / (hits + 1)).sum() / len(wanted))
-
-
-def mean_average_precision(ranks: Mapping[str, Sequence[str]], relevant: Mapping[str, Collection[str]]) -> float:
-    """The mean of `average_precision` over queries, 0 to 1.
-
-    `ranks`: of each query the ranked names, the query itself not among them. `relevant`: of each query the names.
-    InvalidArgument if there is no query, one has nothing relevant, or `relevant` does not tell of one.
-    """
-    if not ranks:
-        raise InvalidArgument("ranks", "no query", "at least one")
-    missing = [query for query in ranks if query not in relevant]
-    if missing:
-        raise InvalidArgument("relevant", f"nothing of the query {missing[0]!r}", "names for each query")
-    return float(np.mean([average_precision(names, relevant[query]) for query, names in ranks.items()]))
-
-
-def chance_average_precision(relevant_count: int, count: int) -> float:
-    """The mean average precision of all orders of `count` items of which `relevant_count` are relevant.
-
-    InvalidArgument if the counts do not fit.
-    """
-    if not 1 <= relevant_count <= count:
-        raise InvalidArgument("relevant_count", f"{relevant_count} of {count}", "1 to as many as there are")
-    if count == 1:
-        return 1.0
-    harmonic = float((1 / np.arange(1, count + 1)).sum())
-    return (harmonic + (relevant_count - 1) / (count - 1) * (count - harmonic)) / count
-
 
 ANY_POSE: Final[Mapping[str, float]] = MappingProxyType({"directions": 0.0})
 """Weights that leave out what turns with the body; the octree levels still depend on the pose, but far less."""
@@ -215,8 +172,7 @@ def _factors(weights: Mapping[str, float]) -> Float64s:
     factors = np.ones(DESCRIPTOR_LENGTH)
     for name, slot in part_slots():
         weight = float(weights.get(name, 1.0))
-        if not (weight >= 0 and math.isfinite(weight)):
-            raise InvalidArgument(f"weight of {name}", repr(weight), "a finite number, 0 or more")
+        require_not_negative(**{f"weight of {name}": weight})
         factors[slot] = math.sqrt(weight)
     if not factors.any():
         raise InvalidArgument("weights", "0 for every part", "a positive weight for at least one")

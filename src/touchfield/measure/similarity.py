@@ -41,7 +41,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, require_between, require_one_of
 from touchfield.measure.counts import ABSENT
 from touchfield.measure.estimators import estimate_bits
 from touchfield.measure.field_count import field_counts, supported
@@ -53,7 +53,7 @@ from touchfield.measure.information import (
     variation_of_information,
 )
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
-from touchfield.medium.field import brick_keys, values_at
+from touchfield.medium.field import brick_keys, numbers_of, values_at
 from touchfield.medium.grid import BRICK
 
 if TYPE_CHECKING:
@@ -190,15 +190,13 @@ def contact_along_rays(field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike
     many.
     """
     require_one_of("reading", reading, READINGS)
-    begin, end = (np.asarray(p, np.float64) for p in (starts_m, ends_m))
+    begin, end = (numbers_of("rays", p, is_finite=True) for p in (starts_m, ends_m))
     try:
         shape = np.broadcast_shapes(begin.shape, end.shape)
     except ValueError:
         raise InvalidArgument("rays", f"shapes {begin.shape} and {end.shape}", "one shape [..., 3]") from None
     if not shape or shape[-1] != 3 or not math.prod(shape):
         raise InvalidArgument("rays", f"shape {shape}", "[..., 3], at least one")
-    if not (np.isfinite(begin).all() and np.isfinite(end).all()):
-        raise InvalidArgument("rays", "a point that is not finite", "metres")
     begin, end = (np.broadcast_to(p, shape).reshape(-1, 3) for p in (begin, end))
     longest = float(np.sqrt(((end - begin) ** 2).sum(axis=1)).max())
     steps = longest / (min(field.grid.spacing_m) / 2)
@@ -306,10 +304,8 @@ def picture_correlation(
     InvalidArgument if the shapes differ, no pixel or fewer than four blocks hold both, or an option is out of range.
     """
     v, a = _maps(picture, touched)
-    if not 2 <= classes <= 256:
-        raise InvalidArgument("classes", f"{classes}", "2 to 256")
-    if not 19 <= shuffles <= MOST_SHUFFLES:
-        raise InvalidArgument("shuffles", f"{shuffles}", f"19 to {MOST_SHUFFLES}")
+    require_between(2, 256, classes=classes)
+    require_between(19, MOST_SHUFFLES, shuffles=shuffles)
     block, notes = _block_side(v, a, block_px)
     x, y = (_in_blocks(classes_of_equal_share(m, classes), block) for m in (v, a))
     both = (x >= 0) & (y >= 0)

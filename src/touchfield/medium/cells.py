@@ -18,7 +18,7 @@ from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium.budget import memory_budget_bytes, require_memory, zero_forces
 from touchfield.medium.field import ForceField, bricks_of, slots_of
-from touchfield.medium.grid import BRICK
+from touchfield.medium.grid import BRICK, CORNERS
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ _COLUMNS: Final = 33
 _POINTS_AT_ONCE: Final = 2048
 _BRICKS_AT_ONCE: Final = 8
 _BYTES_PER_CELLS: Final = (BRICK + 1) ** 3 * 3 * 4
-_CORNERS: Final = np.stack([*np.indices((2, 2, 2))], axis=-1).reshape(8, 3)
 
 
 @dataclass(frozen=True)
@@ -69,10 +68,10 @@ class CellPool:
             return cls(lattice, np.zeros((1, 5), np.int64), np.zeros(2, np.int64), *none, np.zeros((0, 2), np.int64))
         near = [one.bricks for one in every_field]
         for one in every_field:  # samples at the beginning of a brick are corners of cells of the brick before
-            for corner in _CORNERS[1:]:
+            for corner in CORNERS[1:]:
                 begins = tuple(0 if c else slice(None) for c in corner)
                 is_near = one.mask[(slice(None), *begins)].reshape(len(one.bricks), -1).any(axis=1)
-                near.append(one.bricks[is_near] - corner.astype(np.int32))
+                near.append(one.bricks[is_near] - corner)
         every = np.concatenate(near).astype(np.int64)
         low = every.min(axis=0)
         box = every.max(axis=0) - low + 1
@@ -80,7 +79,7 @@ class CellPool:
         bricks = np.stack(np.unravel_index(keys, tuple(box)), axis=1)
         own = _keys(field.bricks - low, box)
         sources = np.empty((len(bricks), 8), np.int64)
-        for c, corner in enumerate(_CORNERS):
+        for c, corner in enumerate(CORNERS):
             behind = bricks + corner
             sources[:, c] = np.where((behind < box).all(axis=1), slots_of(own, _keys(behind, box)), -1)
         require_memory("haptic objects", len(bricks), len(bricks) * _BYTES_PER_CELLS)

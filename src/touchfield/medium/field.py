@@ -16,16 +16,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Bools, EqualByValue, Float32s, Int32s, Int64s
+from touchfield.arrays import Bools, EqualByValue, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.grid import BRICK, Grid
+from touchfield.medium.grid import BRICK, CORNERS, ON_A_SAMPLE, Grid
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
 
-_MAX_PAIRS = 1 << 27
+_MAX_PAIRS, _MAX_REACHED = 1 << 27, 1 << 26
 _BLOCK_VALUES = 1 << 21
 
 
@@ -46,6 +46,34 @@ def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> Int64s:
 def bricks_of(grid: Grid, keys: Int64s) -> Int32s:
     """The bricks of these keys, int32 [n, 3]; the inverse of `brick_keys`."""
     return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
+
+
+def bricks_within(grid: Grid, spans: Int64s) -> Int32s:
+    """The bricks within some boxes, ascending, each once; `spans` [n, 3, 2] are their begins and ends."""
+    from touchfield.medium import kernels
+
+    pairs = float(np.maximum(0, spans[..., 1] - spans[..., 0]).prod(axis=1, dtype=np.float64).sum())
+    if pairs > _MAX_REACHED:
+        found = f"{pairs:.3g} bricks reached"
+        raise InvalidArgument("grid", found, f"up to {_MAX_REACHED}", "Take a coarser lattice.")
+    keys = np.empty(int(pairs), np.int64)
+    kernels.reached(spans, grid.brick_shape, keys)
+    return bricks_of(grid, np.unique(keys))
+
+
+def bricks_reached(field: ForceField, grid: Grid, place: Callable[[Float64s], Float64s] | None = None) -> Int32s:
+    """The bricks of `grid` that a field may reach: its samples act within one spacing.
+
+    ``place(points_m)`` moves the field on the way.
+    """
+    points = field.grid.to_m(field.bricks[:, None] * BRICK + np.where(CORNERS, BRICK, -1))
+    index = grid.to_index(points if place is None else place(points))
+    low, high = index.min(axis=1) - ON_A_SAMPLE, index.max(axis=1) + ON_A_SAMPLE
+    last = np.array(grid.shape) - 1
+    is_met = ((high >= 0) & (low <= last)).all(axis=1)
+    first = (np.clip(np.floor(low[is_met]), 0, last) // BRICK).astype(np.int64)
+    end = (np.clip(np.ceil(high[is_met]), 0, last) // BRICK).astype(np.int64) + 1
+    return bricks_within(grid, np.stack([first, end], axis=2))
 
 
 def check_bricks(
@@ -181,14 +209,30 @@ def blocks_around(
         yield span, wide[cut]
 
 
-def _numbers(where: str, values: ArrayLike, kind: type[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
-    """An argument as an array of a kind and shape, or an error of ours."""
+def numbers_of(
+    where: str,
+    values: ArrayLike,
+    kind: type[Any] = np.float64,
+    shape: tuple[int, ...] | None = None,
+    *,
+    is_finite: bool = False,
+) -> NDArray[Any]:
+    """An argument as an array of a kind and shape; `InvalidArgument` for what would lose something on the way."""
     try:
-        numbers = np.asarray(values, kind)
-        return numbers if shape is None else numbers.reshape(shape)
+        given = np.asarray(values)
+        if given.dtype.kind in "cMm" or np.ma.is_masked(values):
+            raise TypeError(f"{'masked values' if np.ma.is_masked(values) else given.dtype}")
+        with np.errstate(over="ignore", invalid="ignore"):  # what is beyond is infinite: callers look for it
+            numbers = given.astype(kind, copy=False)
+        if np.issubdtype(kind, np.integer) and not (numbers == given).all():
+            raise ValueError(f"not whole, or beyond {kind.__name__}")
+        numbers = numbers if shape is None else numbers.reshape(shape)
     except (TypeError, ValueError, OverflowError) as error:
         expected = "numbers" if shape is None else f"numbers of shape {shape}".replace("-1", "n")
-        raise InvalidArgument(where, f"what is no such array ({error})", expected) from None
+        raise InvalidArgument(where, f"what is no array of numbers ({error})", expected) from None
+    if is_finite and not np.isfinite(numbers).all():
+        raise InvalidArgument(where, "a number that is not finite", "finite numbers")
+    return numbers
 
 
 @dataclass(frozen=True)
@@ -231,10 +275,8 @@ class ForceField(EqualByValue):
 
         Raises `InvalidArgument` if a force is not finite, or a brick is given twice or lies outside the grid.
         """
-        b = _numbers("bricks", bricks, np.int32, (-1, 3))
-        f = _numbers("forces_n", forces_n, np.float32, (len(b), BRICK, BRICK, BRICK, 3))
-        if not np.isfinite(f).all():
-            raise InvalidArgument("forces_n", "a force that is not finite", "finite newtons")
+        b = numbers_of("bricks", bricks, np.int32, (-1, 3))
+        f = numbers_of("forces_n", forces_n, np.float32, (len(b), BRICK, BRICK, BRICK, 3), is_finite=True)
         order = np.argsort(brick_keys(grid, b), kind="stable")
         b, f = b[order], f[order]
         for axis in range(3):
@@ -248,7 +290,9 @@ class ForceField(EqualByValue):
     @classmethod
     def from_dense(cls, grid: Grid, forces_n: ArrayLike) -> ForceField:
         """From a dense array of newtons [nx, ny, nz, 3]."""
-        dense = _numbers("forces_n", forces_n, np.float32)
+        if not isinstance(grid, Grid):
+            raise InvalidArgument("grid", f"a {type(grid).__name__}", "a Grid")
+        dense = numbers_of("forces_n", forces_n, np.float32)
         if dense.shape != (*grid.shape, 3):
             raise InvalidArgument("forces_n", f"shape {dense.shape}", f"{(*grid.shape, 3)}, as the grid says")
         return cls.from_slabs(grid, [dense])
@@ -275,8 +319,8 @@ class ForceField(EqualByValue):
     @classmethod
     def from_support(cls, grid: Grid, positions: ArrayLike, forces_n: ArrayLike) -> ForceField:
         """From indices int [L, 3] and newtons [L, 3]; a sample named twice keeps the last force."""
-        p = _numbers("positions", positions, np.int64, (-1, 3))
-        values = _numbers("forces_n", forces_n, np.float32, (len(p), 3))
+        p = numbers_of("positions", positions, np.int64, (-1, 3))
+        values = numbers_of("forces_n", forces_n, np.float32, (len(p), 3))
         if len(p) and (p.min() < 0 or (p.max(0) >= grid.shape).any()):
             raise InvalidArgument("positions", "an index outside the grid", f"below {grid.shape}")
         keys, slot = np.unique(brick_keys(grid, p // BRICK), return_inverse=True)
@@ -361,7 +405,7 @@ class ForceField(EqualByValue):
         """
         from touchfield.medium import kernels
 
-        points = _numbers("positions_m", positions_m, np.float64)
+        points = numbers_of("positions_m", positions_m)
         if not points.ndim or points.shape[-1] != 3:
             raise InvalidArgument("positions_m", f"shape {points.shape}", "[..., 3], metres")
         index = np.ascontiguousarray(self.grid.to_index(points).reshape(-1, 3))
@@ -373,6 +417,8 @@ class ForceField(EqualByValue):
         return ForceField.from_bricks(self.grid, self.bricks, self.forces_n * np.float32(factor))
 
     def __add__(self, other: ForceField) -> ForceField:
+        if not isinstance(other, ForceField):
+            return NotImplemented
         if self.grid != other.grid:
             raise InvalidArgument("sum of two fields", "two different grids", "one grid")
         keys = keys_of_both(self, other)

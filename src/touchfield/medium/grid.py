@@ -20,6 +20,11 @@ from touchfield.errors import InvalidArgument
 BRICK = 8
 """Samples along each edge of a brick (docs/decisions/0001)."""
 
+ON_A_SAMPLE: Final = 1e-6  # of the spacing: as near to a sample a point lies on it, so that whole steps are exact
+
+CORNERS: Final = np.indices((2, 2, 2), np.int32).reshape(3, 8).T.copy()
+"""The corners of a cube of edge 1, z fastest, int32 [8, 3]."""
+
 MAX_SAMPLES_PER_AXIS = 1 << 20
 
 
@@ -45,7 +50,7 @@ class Grid:
         except (TypeError, ValueError, OverflowError):
             found = f"{self.shape!r}, {self.spacing_m!r}, {self.origin_m!r}"
             raise InvalidArgument("grid", found, "three numbers each: samples, spacing_m, origin_m") from None
-        if len(shape) != 3 or any(not 1 <= n <= MAX_SAMPLES_PER_AXIS for n in shape):
+        if len(shape) != 3 or any(not 1 <= n <= MAX_SAMPLES_PER_AXIS for n in shape) or shape != tuple(self.shape):
             raise InvalidArgument("grid shape", repr(self.shape), f"three counts from 1 to {MAX_SAMPLES_PER_AXIS}")
         if len(spacing) != 3 or any(not (h > 0 and math.isfinite(h)) for h in spacing):
             raise InvalidArgument("grid spacing_m", repr(self.spacing_m), "three positive lengths in metres")

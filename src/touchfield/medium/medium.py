@@ -10,7 +10,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any, Final, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float32s, Int32s
-from touchfield.errors import InvalidArgument, import_extra, require_positive
+from touchfield.arrays import Float32s, Int32s, Travels
+from touchfield.errors import InvalidArgument, import_extra, is_finite, require_not_negative, require_positive
 from touchfield.medium.budget import memory_budget_bytes
-from touchfield.medium.field import ForceField, frozen
+from touchfield.medium.field import ForceField, frozen, numbers_of
 from touchfield.medium.grid import Grid
 from touchfield.medium.pose_track import PoseTrack
 
@@ -84,6 +84,10 @@ class VibrationFrame:
         return ForceField.from_support(self.grid, self.positions, both)
 
 
+def _later(make: Callable[[int], Any], start: int, index: int) -> Any:
+    return make(start + index)
+
+
 @dataclass(frozen=True)
 class VibrationBand:
     """The band over time: as many frames as the medium that it belongs to, on the same grid.
@@ -105,8 +109,7 @@ class VibrationBand:
 
     def between(self, start: int, stop: int) -> VibrationBand:
         """Frames start to stop - 1 as a band of their own."""
-        make = self.make_frame
-        return VibrationBand(self.grid, stop - start, lambda i: make(start + i))
+        return VibrationBand(self.grid, stop - start, partial(_later, self.make_frame, start))
 
     def on_grid(self, grid: Grid) -> VibrationBand:
         """The same samples on another grid of the same shape (its metres changed, its samples not)."""
@@ -144,7 +147,7 @@ class Segments:
 
 
 @dataclass(frozen=True)
-class HapticMedium:
+class HapticMedium(Travels):
     """A force field over time.
 
     grid : Grid; the lattice of every frame.
@@ -184,8 +187,8 @@ class HapticMedium:
     def from_frames(cls, frames: Sequence[ForceField], rate_hz: float, axes: str = "x, y, z") -> HapticMedium:
         """A medium of fields that are already there."""
         kept = tuple(frames)
-        if not kept:
-            raise InvalidArgument("frames", "none", "at least one ForceField")
+        if not kept or not all(isinstance(one, ForceField) for one in kept):
+            raise InvalidArgument("frames", "none, or what is no field", "ForceFields", "`from_array` takes newtons.")
         if any(f.grid != kept[0].grid for f in kept):
             raise InvalidArgument("frames", "fields on different grids", "one grid for all")
         return cls(kept[0].grid, rate_hz, len(kept), kept.__getitem__, axes)
@@ -198,7 +201,7 @@ class HapticMedium:
 
         Raises `InvalidArgument` if the shape is not the grid's, or a force is not finite.
         """
-        dense = np.asarray(forces_n)
+        dense = forces_n if isinstance(forces_n, np.ndarray) else numbers_of("forces_n", forces_n, np.float32)
         frames = dense[None] if dense.ndim == 4 else dense
         if frames.ndim != 5 or not len(frames):
             expected = f"{('frames', *grid.shape, 3)} or {(*grid.shape, 3)}, as the grid says"
@@ -223,14 +226,19 @@ class HapticMedium:
     @overload
     def __getitem__(self, index: slice) -> HapticMedium: ...
     def __getitem__(self, index: int | slice) -> ForceField | HapticMedium:
-        if isinstance(index, slice):
-            start, stop, step = index.indices(self.frame_count)
-            if step != 1:
-                raise InvalidArgument("frames", f"a step of {step}", "START:STOP", "`resample` changes the rate.")
-            return self.between(start, stop)
-        if not -self.frame_count <= index < self.frame_count:
-            raise IndexError(index)
-        frame = self.make_frame(index % self.frame_count)
+        try:
+            place = range(self.frame_count)[index]
+        except TypeError:
+            raise InvalidArgument("frames", repr(index), "a whole number or START:STOP") from None
+        except IndexError:
+            raise IndexError(f"frame {index} of a medium of {self.frame_count}") from None
+        if isinstance(place, range):
+            if place.step != 1:
+                raise InvalidArgument(
+                    "frames", f"a step of {place.step}", "START:STOP", "`resample` changes the rate."
+                )
+            return self.between(place.start, place.stop)
+        frame = self.make_frame(place)
         if frame.grid != self.grid:
             raise InvalidArgument("make_frame", "a field on another grid", "the medium's grid")
         return frame
@@ -243,11 +251,11 @@ class HapticMedium:
         if not 0 <= start < stop <= self.frame_count:
             mend = "Name frames that are there."
             raise InvalidArgument("frames", f"{start}:{stop}", f"a range within 0:{self.frame_count}", mend)
-        make, band, segments = self.make_frame, self.vibration, self.segments
+        band, segments = self.vibration, self.segments
         return replace(
             self,
             frame_count=stop - start,
-            make_frame=lambda i: make(start + i),
+            make_frame=partial(_later, self.make_frame, start),
             vibration=None if band is None else band.between(start, stop),
             segments=None if segments is None else segments.between(start, stop),
         )
@@ -275,7 +283,7 @@ class HapticMedium:
 
     def _around(self, time_s: float) -> tuple[int, int, float]:
         """The frames before and after a time, and the share of the second."""
-        if not math.isfinite(time_s):
+        if not is_finite(time_s):
             raise InvalidArgument("time_s", repr(time_s), "seconds, a finite number")
         place = min(max(time_s * self.rate_hz, 0.0), self.frame_count - 1.0)
         nearest = round(place)
@@ -290,7 +298,7 @@ class HapticMedium:
         Raises `InvalidArgument` if a filter is unknown or its words make no sense.
         """
         registry = import_module("touchfield.filters.registry")
-        chain = [registry.filter_of(name, text) for name, _, text in (words.partition(":") for words in filters)]
+        chain = [registry.filter_of(name, text) for name, _, text in (str(words).partition(":") for words in filters)]
         medium: HapticMedium = registry.filtered_medium(self, chain)
         return medium
 
@@ -345,7 +353,7 @@ class HapticObject:
 
 
 @dataclass(frozen=True)
-class HapticScene:
+class HapticScene(Travels):
     """Haptic objects and empty space over time.
 
     grid : Grid; the device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
@@ -373,9 +381,7 @@ class HapticScene:
         if not self.objects:
             raise InvalidArgument("objects", "none", "at least one HapticObject")
         require_positive(force_max_n=self.force_max_n, rate_hz=self.rate_hz)
-        damping = self.surface_damping_n_s_per_m
-        if not 0 <= damping < math.inf:
-            raise InvalidArgument("surface_damping_n_s_per_m", repr(damping), "0 or a positive number")
+        require_not_negative(surface_damping_n_s_per_m=self.surface_damping_n_s_per_m)
         count = len(self.objects[0].track)
         for one in self.objects:
             where = f"object {one.name}"

@@ -234,7 +234,9 @@ def map_npy(path: Path) -> NDArray[Any]:
         with path.open("rb") as stream:
             header = read_npy_header(stream, str(path))
         size, whole = path.stat().st_size, header.size_bytes + header.data_bytes
-        if header.dtype.kind not in "fiu" or size != whole or not header.data_bytes:
+        if header.dtype.kind not in "fiu" or not header.data_bytes:
+            raise SourceError(str(path), header.words, "numbers, at least one")
+        if size != whole:
             found, expected = f"{header.words} in {size} bytes", f"numbers in {whole} bytes"
             raise SourceError(str(path), found, expected, "Copy it again.")
         order: Literal["C", "F"] = "F" if header.is_fortran else "C"

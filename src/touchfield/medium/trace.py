@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from touchfield.arrays import EqualByValue, Float64s, Int64s
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.files import readable, require_plain
-from touchfield.medium.field import frozen
+from touchfield.medium.field import frozen, numbers_of
 
 Lines = Iterator[tuple[int, str]]
 
@@ -65,7 +65,7 @@ class Trace(EqualByValue):
     quaternions: Float64s | None = None
 
     def __post_init__(self) -> None:
-        t, p = np.array(self.times_s, np.float64), np.array(self.positions_m, np.float64)
+        t, p = (numbers_of(n, getattr(self, n)).copy() for n in ("times_s", "positions_m"))
         if p.ndim != 2 or p.shape[1] != 3 or not len(p):
             raise InvalidArgument("positions_m", f"shape {p.shape}", "[n, 3] with n at least 1")
         if t.shape != (len(p),):
@@ -80,7 +80,7 @@ class Trace(EqualByValue):
             expected = "times that never fall"
             raise InvalidArgument("times_s", f"{t[n + 1]} s after {t[n]} s at sample {n + 1}", expected)
         if self.quaternions is not None:
-            q = np.array(self.quaternions, np.float64)
+            q = numbers_of("quaternions", self.quaternions).copy()
             if q.shape != (len(p), 4) or not (np.abs(np.linalg.norm(q, axis=1) - 1) < 1e-6).all():
                 raise InvalidArgument("quaternions", f"shape {q.shape}", f"({len(p)}, 4), each of length 1")
             object.__setattr__(self, "quaternions", frozen(q))

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_between
 from touchfield.perception.human import THIRDS_HZ, VibrationThreshold, vibration_threshold
 
 if TYPE_CHECKING:
@@ -213,12 +213,9 @@ class SlideSpec:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.paths <= 1024:
-            raise InvalidArgument("paths", repr(self.paths), "1 to 1024")
-        if not LEAST_S <= self.duration_s <= 60:
-            raise InvalidArgument("duration_s", repr(self.duration_s), f"{LEAST_S:g} to 60 s")
-        if not 1000 <= self.rate_hz <= 1e5:
-            raise InvalidArgument("rate_hz", repr(self.rate_hz), "1000 to 100000 Hz")
+        require_between(1, 1024, paths=self.paths)
+        require_between(LEAST_S, 60, duration_s=self.duration_s)
+        require_between(1000, 1e5, rate_hz=self.rate_hz)
 
 
 class Slide(NamedTuple):
@@ -260,10 +257,10 @@ def margin_of(levels_mn: Float64s, threshold: VibrationThreshold | None = None) 
 class SlideMeter:
     """The slides over the frames of a medium, one after another; each frame has paths of its own."""
 
-    def __init__(self, spec: SlideSpec | None = None, speeds_mm_s: tuple[float, ...] = SPEEDS_MM_S) -> None:
+    def __init__(self, spec: SlideSpec | None = None) -> None:
         self._spec = spec or SlideSpec()
-        self._sums = {speed: BandSums(3) for speed in speeds_mm_s}  # error, source, lattice
-        self._paths = dict.fromkeys(speeds_mm_s, 0)
+        self._sums = {speed: BandSums(3) for speed in SPEEDS_MM_S}  # error, source, lattice
+        self._paths = dict.fromkeys(SPEEDS_MM_S, 0)
         self._rng = np.random.default_rng(self._spec.seed)
 
     def add(self, surface: ForceField, source: Forces, decoded: Forces, exact: Forces | None = None) -> None:
@@ -348,7 +345,7 @@ class HandMotion:
 
 
 class Hold(NamedTuple):
-    """A hand held still over the frames of a medium; forces in millinewtons; "decoded": not as it is played."""
+    """A hand held still over the frames of a medium; forces in millinewtons."""
 
     points: int
     steps: int  # changes from a frame to the next, summed over all points
@@ -360,10 +357,6 @@ class Hold(NamedTuple):
     error_step_mn: float
     still_step_mn: float  # the largest, and over max(F_0, k |F|), where the source makes none (`STILL_N`)
     still_step_ratio: float
-    decoded_start_error_mn: float
-    decoded_error_step_mn: float
-    decoded_still_step_mn: float
-    decoded_still_step_ratio: float
     error_mn: float | None  # from 40 to 400 Hz, rms and largest; None for a medium below 0.25 s
     error_peak_mn: float | None
     source_mn: float | None
@@ -377,27 +370,19 @@ class Hold(NamedTuple):
 class HoldMeter:
     """The holds over the frames of a medium; steps are measured by the mask max(F_0, k |F|), F_0 positive."""
 
-    def __init__(
-        self, frame_count: int, rate_hz: float, k: float, f0_n: float, points: int = 64, seed: int = 0
-    ) -> None:
+    def __init__(self, frame_count: int, rate_hz: float, k: float, f0_n: float, points: int = 64) -> None:
         self._rate_hz, self._k, self._f0_n, self._count = rate_hz, k, f0_n, points
         part = max(math.ceil(frame_count / _PARTS), math.ceil(_PART_S * rate_hz))
         self._part, self._left = min(part, _MOST_FRAMES), frame_count
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(0)
         self._points_m = np.zeros((0, 3))
         self._forces: list[Float64s] = []
         self._starts: list[bool] = []
-        self._sum, self._decoded_sum = _HoldSum(), _HoldSum()
+        self._sum = _HoldSum()
 
-    def add(
-        self, surface: ForceField, source: Forces, decoded: Forces, starts_segment: bool, played: Forces | None = None
-    ) -> None:
-        """Feel the next frame.
-
-        surface : ForceField; of the source, to find points on.
-        played : callable, optional; what a receiver makes of the frame; by default `decoded`.
-        """
-        felt = (source, played or decoded, decoded)
+    def add(self, surface: ForceField, source: Forces, played: Forces, starts_segment: bool) -> None:
+        """Feel the next frame: `surface` of the source, to find points on, and `played` as a receiver has it."""
+        felt = (source, played)
         self._feel(felt, starts_segment)
         self._left -= 1
         # the last of a part is the first of the next one, so that no step is missed; a rest too short joins the part
@@ -409,9 +394,9 @@ class HoldMeter:
     def hold(self) -> Hold:
         """The result of all frames."""
         self._close()
-        return self._sum.hold(self._decoded_sum)
+        return self._sum.hold()
 
-    def _feel(self, felt: tuple[Forces, Forces, Forces], starts_segment: bool) -> None:
+    def _feel(self, felt: tuple[Forces, Forces], starts_segment: bool) -> None:
         if len(self._points_m):
             self._forces.append(np.stack([np.asarray(forces(self._points_m), np.float64) for forces in felt]))
             self._starts.append(starts_segment)
@@ -419,9 +404,8 @@ class HoldMeter:
     def _close(self) -> None:
         if len(self._starts) > 1:
             forces_n, starts = np.stack(self._forces, axis=1), np.array(self._starts[1:])
-            self._sum.add_steps(forces_n[:2], starts, self._k, self._f0_n)
-            self._decoded_sum.add_steps(forces_n[::2], starts, self._k, self._f0_n)
-            self._sum.add_band(forces_n[:2], self._rate_hz)
+            self._sum.add_steps(forces_n, starts, self._k, self._f0_n)
+            self._sum.add_band(forces_n, self._rate_hz)
         self._sum.points += len(self._points_m)
         self._forces, self._starts, self._points_m = [], [], np.zeros((0, 3))
 
@@ -473,18 +457,14 @@ class _HoldSum:
             self._band.add(0, error, servo_hz, len(at))
             self._band.add(1, np.pad(source, margin, "edge"), servo_hz)
 
-    def error_steps(self) -> tuple[float, float, float, float]:
-        """Where a segment starts and elsewhere, rms in millinewtons; the largest at rest, and over the mask."""
+    def hold(self) -> Hold:
+        """All parts together."""
         start, other = (1e3 * math.sqrt(p / max(1, n)) for p, n in (self._errors[True], self._errors[False]))
-        return start, other, 1e3 * self._still[0], self._still[1]
-
-    def hold(self, decoded: _HoldSum) -> Hold:
-        """All parts together, of what is played; `decoded` are the sums of what is decoded."""
         (step, own), (at_start, own_at_start) = self._largest["any"], self._largest["start"]
         (rms, peak), (source, _) = self._band.mn(0), self._band.mn(1)
         is_known = self._band.samples[0] > 0
         return Hold(
             self.points, self._steps, 1e3 * step, 1e3 * own, 1e3 * at_start, 1e3 * own_at_start,
-            *self.error_steps(), *decoded.error_steps(), rms if is_known else None,
+            start, other, 1e3 * self._still[0], self._still[1], rms if is_known else None,
             peak if is_known else None, source if is_known else None, self._band.thirds_mn(0),
         )  # fmt: skip

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import require_one_of
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,7 @@ def human() -> Mapping[str, Figure]:
 
 def figure(name: str) -> float:
     """The value of one figure (the first of several); `InvalidArgument` if there is no figure of that name."""
-    if name not in human():
-        raise InvalidArgument("perception figure", repr(name), f"one of {', '.join(human())}")
+    require_one_of("perception figure", name, human())
     return human()[name].value
 
 
@@ -108,6 +107,5 @@ def vibration_thresholds() -> Mapping[str, VibrationThreshold]:
 
 def vibration_threshold(name: str = DEFAULT_HAND) -> VibrationThreshold:
     """The profile of a hand by its name; `InvalidArgument` if there is none of that name."""
-    if name not in vibration_thresholds():
-        raise InvalidArgument("hand", repr(name), f"one of {', '.join(vibration_thresholds())}")
+    require_one_of("hand", name, vibration_thresholds())
     return vibration_thresholds()[name]

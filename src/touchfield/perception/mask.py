@@ -11,8 +11,7 @@ w_ij falls with the distance d as exp(-2 d^2 / R^2) and is zero where the distan
 distance within which two points are felt as one; the cut at a cube lets the sum run axis by axis. beta has no agreed
 figure: it is 0 by default, which is the plain mask to the last bit.
 
-In a field the j are all the samples around, and space without a force counts as a stimulus of 0 N, beyond the grid
-too. Of body sites, or the actuators of an array, there are only those that exist; the weights are shared among them.
+The j are all the samples around, and space without a force counts as a stimulus of 0 N, beyond the grid too.
 """
 
 from __future__ import annotations
@@ -20,14 +19,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Real
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_not_negative, require_one_of, require_positive
 from touchfield.medium.field import blocks_around
 from touchfield.medium.grid import BRICK
 from touchfield.perception.human import figure, human
@@ -53,19 +51,13 @@ class Violations(NamedTuple):
     worst_ratio: float | None
 
 
-def _check(k: float, f0_n: float) -> None:
-    for name, value, expected in (("k", k, "a Weber fraction"), ("f0_n", f0_n, "an absolute threshold in newtons")):
-        if not 0 <= value < math.inf:
-            raise InvalidArgument(name, repr(value), f"{expected}, 0 or more")
-
-
 def mask_n(amplitudes_n: ArrayLike, k: float, f0_n: float = 0.0, *, masking_n: ArrayLike = 0.0) -> Float64s:
     """The mask max(F_0, k |F| + masking) of amplitudes |F| [...], newtons, float64 [...].
 
     masking_n : float [...], optional; what stimuli at other sites hide here, newtons.
     Raises `InvalidArgument` if `k` or `f0_n` (newtons) is negative or not finite.
     """
-    _check(k, f0_n)
+    require_not_negative(k=k, f0_n=f0_n)
     own: Any = k * np.abs(np.asarray(amplitudes_n, np.float64))
     mask: Float64s = np.maximum(f0_n, own + np.asarray(masking_n, np.float64))
     return mask
@@ -80,7 +72,7 @@ def violations(
     k, f0_n, masking_n; as of `mask_n`; a masking for each sample.
     Raises `InvalidArgument` if the shapes differ, a force is not finite, or `k` or `f0_n` is out of range.
     """
-    _check(k, f0_n)
+    require_not_negative(k=k, f0_n=f0_n)
     if original_n.shape != decoded_n.shape or original_n.ndim != 2 or original_n.shape[1] != 3:
         raise InvalidArgument("forces to compare", f"{original_n.shape} and {decoded_n.shape}", "twice [L, 3]")
     hidden = np.broadcast_to(np.asarray(masking_n, np.float64), len(original_n))
@@ -101,15 +93,13 @@ def violations(
 
 
 MAX_REACH: Final = 64
-MAX_SITES: Final = 4096
 
 
 def site_radius_m(site: str) -> float:
     """Two-point threshold of a body site, metres; InvalidArgument if there is no such site."""
     thresholds = human()["two_point_threshold_mm"]
     radii_mm = dict(zip(thresholds.of, thresholds.values, strict=True))
-    if site not in radii_mm:
-        raise InvalidArgument("body site", repr(site), f"one of {', '.join(radii_mm)}")
+    require_one_of("body site", site, radii_mm)
     return radii_mm[site] / 1000
 
 
@@ -127,25 +117,8 @@ class SpatialMasking:
     radius_m: float = field(default_factory=lambda: figure("two_point_threshold_mm") / 1000)
 
     def __post_init__(self) -> None:
-        for name in ("k", "f0_n", "beta", "radius_m"):
-            if not isinstance(getattr(self, name), Real):
-                raise InvalidArgument(name, repr(getattr(self, name)), "a number")
-        mask_n(0.0, self.k, self.f0_n)  # checks both
-        if not 0 <= self.beta < math.inf:
-            raise InvalidArgument("beta", repr(self.beta), "a finite share, 0 or more")
-        if not 0 < self.radius_m < math.inf:
-            raise InvalidArgument("radius_m", repr(self.radius_m), "a positive length in metres")
-
-    @classmethod
-    def at_site(cls, site: str, beta: float = 0.0, k: float | None = None, f0_n: float = 0.0) -> SpatialMasking:
-        """The mask of a body site: R is its two-point threshold, k its Weber fraction unless given.
-
-        Raises `InvalidArgument` if there is no such site, or no figure for its Weber fraction and `k` is not given.
-        """
-        radius_m = site_radius_m(site)
-        if k is None and site != "finger":
-            raise InvalidArgument("k", "none", f"a Weber fraction: there is no figure for {site!r}")
-        return cls(figure("force_weber_fraction") if k is None else k, f0_n, beta, radius_m)
+        require_not_negative(k=self.k, f0_n=self.f0_n, beta=self.beta)
+        require_positive(radius_m=self.radius_m)
 
     def hidden_n(self, field: ForceField) -> Float32s:
         """Beta times the mean of |F| around, at every sample of the stored bricks, newtons, float32 [n, 8, 8, 8]."""
@@ -183,51 +156,6 @@ class SpatialMasking:
         return masks
 
 
-def site_weights(positions_m: ArrayLike, radii_m: ArrayLike) -> Float64s:
-    """w_ij of single sites, float64 [S, S]: each row sums to 1, or to 0 where no other site is within R_i.
-
-    positions_m : float [S, 1 to 3]; where the sites are, metres; at most 4096.
-    radii_m : float [S]; R_i, metres, positive.
-    Raises `InvalidArgument` if a shape does not fit or a number is out of range.
-    """
-    places, radii = _numbers("positions_m", positions_m), _numbers("radii_m", radii_m)
-    if places.ndim != 2 or not 1 <= places.shape[1] <= 3 or not 1 <= len(places) <= MAX_SITES:
-        raise InvalidArgument("positions_m", f"shape {places.shape}", f"[S, 1 to 3], S from 1 to {MAX_SITES}")
-    if not np.isfinite(places).all():
-        raise InvalidArgument("positions_m", "a number that is not finite", "finite metres")
-    if radii.shape != places.shape[:1] or not (np.isfinite(radii) & (radii > 0)).all():
-        raise InvalidArgument("radii_m", f"shape {radii.shape}", f"{len(places)} positive lengths in metres")
-    exponent, within = np.zeros((len(places), len(places))), ~np.eye(len(places), dtype=bool)
-    for axis in places.T:
-        apart = np.abs(axis[:, None] - axis) / radii[:, None]
-        within &= apart <= 1 + 1e-9
-        exponent += 2 * np.minimum(apart, 2.0) ** 2
-    weights = np.where(within, np.exp(-exponent), 0.0)
-    total = weights.sum(axis=1, keepdims=True)
-    return np.asarray(weights / np.where(total > 0, total, 1.0))
-
-
-def body_mask_n(amplitudes_n: ArrayLike, positions_m: ArrayLike, sites: Sequence[SpatialMasking]) -> Float64s:
-    """Delta at single sites, each with its own k, F_0, beta and R, newtons, float64 [..., S].
-
-    amplitudes_n : float [..., S]; |F| at each site, newtons; axes before the last are frames.
-    positions_m : float [S, 1 to 3]; where the sites are, metres, measured along the skin if it bends.
-    sites : sequence of SpatialMasking; one for each, such as ``SpatialMasking.at_site("palm", k=0.1, beta=0.2)``.
-    Raises `InvalidArgument` if a shape does not fit or a number is out of range.
-    """
-    levels = _numbers("amplitudes_n", amplitudes_n)
-    if not levels.ndim or levels.shape[-1] != len(sites):
-        raise InvalidArgument("amplitudes_n", f"shape {levels.shape}", f"[..., {len(sites)}], one for each site")
-    if not (np.isfinite(levels) & (levels >= 0)).all():
-        raise InvalidArgument("amplitudes_n", "a negative number or one that is not finite", "newtons, 0 or more")
-    weights = site_weights(positions_m, [s.radius_m for s in sites])
-    # not a matrix product: its order of additions, and so its last bits, may differ between machines
-    hidden = [s.beta * (levels * row).sum(axis=-1) for s, row in zip(sites, weights, strict=True)]
-    own = levels * np.array([s.k for s in sites])
-    f0_n = np.array([s.f0_n for s in sites])
-    return np.asarray(np.maximum(f0_n, mask_n(own, 1.0, 0.0, masking_n=np.stack(hidden, axis=-1))))
-
-
 def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
     """The weighted sum of the others around each sample of the last axes, a row of factors at 0, 1, .. for each.
 
@@ -242,13 +170,6 @@ def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
         beside = ndimage.correlate1d(everything, both_sides, axis=axis, mode="constant")
         others, everything = others + beside, everything + beside
     return others
-
-
-def _numbers(where: str, values: ArrayLike) -> Float64s:
-    try:
-        return np.asarray(values, np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidArgument(where, "what is no array of numbers", "numbers in rows of one length") from error
 
 
 def _amplitudes(forces_n: NDArray[Any]) -> Float64s:

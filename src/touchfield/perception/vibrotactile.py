@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Bools, Float64s, Int32s, Int64s
-from touchfield.errors import InvalidArgument, require_positive
+from touchfield.errors import InvalidArgument, require_between, require_positive
+from touchfield.medium.field import numbers_of
 from touchfield.perception.human import VibrationThreshold, figure, vibration_threshold
 
 if TYPE_CHECKING:
@@ -50,10 +51,7 @@ _PATIENCE: Final = 8
 def _signal(where: str, values: ArrayLike, shapes: tuple[str, ...], rate_hz: float = 1.0) -> Float64s:
     """Numbers over time, checked; `shapes` are words of "[n]" and "[n, 3]"."""
     require_positive(rate_hz=rate_hz)
-    try:
-        x = np.asarray(values, np.float64)
-    except (TypeError, ValueError):
-        raise InvalidArgument(where, "what is no array of numbers", f"numbers {' or '.join(shapes)}") from None
+    x = numbers_of(where, values)
     own = {1: "[n]", 2: f"[n, {x.shape[-1] if x.ndim else 0}]"}.get(x.ndim)
     if own not in shapes or not len(x):
         mend = "dft321 makes one axis of three." if own == "[n, 3]" else ""
@@ -322,8 +320,7 @@ def reduced(
     x = _signal("vibration_n", vibration_n, ("[n]",), rate_hz)
     if rate_hz < 100:
         raise InvalidArgument("rate_hz", repr(rate_hz), "100 Hz or more")
-    if not 0 <= margin_db < 200:
-        raise InvalidArgument("margin_db", repr(margin_db), "0 dB or more")
+    require_between(0, 200, margin_db=margin_db)
     edges = _edges(rate_hz)
     # bounds of the error in each band, newtons rms: the least of the threshold within it, less the margin
     inside = edges[:, None] * 10 ** np.linspace(0, 0.1, 9)

@@ -44,35 +44,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float32s, Float64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_between, require_one_of, require_positive, require_up_to
 from touchfield.parallel import for_chunks
 
 
-def _check(k: float = 1.0, step_n: float = 1.0) -> None:
-    if not 0 < k < math.inf:
-        raise InvalidArgument("k", repr(k), "a positive Weber fraction, such as 0.1")
-    if not 0 < step_n < math.inf:
-        raise InvalidArgument("step_n", repr(step_n), "a positive step in newtons")
-
-
 def jnd_gain(k: float) -> float:
-    """k floor(1/k + 1/2), the gain that eq. 6 with Delta = k |x| comes to."""
-    _check(k)
-    return k * math.floor(1 / k + 0.5)
+    """k floor(1/k + 1/2), the gain that eq. 6 with Delta = k |x| comes to, and by which a force is multiplied.
 
-
-def quantise_literal(forces_n: ArrayLike, k: float) -> Float64s:
-    """Eq. 6 with Delta = k |x|, of forces [...] in newtons, float64 [...].
-
-    By the gain, not sample by sample: |x| / (k |x|) is 1 / k in exact arithmetic only, and its rounding would
-    decide the floor where 1/k + 1/2 is whole (k = 0.4).
+    Sample by sample |x| / (k |x|) would be rounded, and decide the floor where 1/k + 1/2 is whole (k = 0.4).
     """
-    return jnd_gain(k) * np.asarray(forces_n, np.float64)
+    require_positive(k=k)
+    return k * math.floor(1 / k + 0.5)
 
 
 def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> Float64s:
     """Eq. 6 with one Delta = `step_n` for all forces [...] in newtons, float64 [...]."""
-    _check(step_n=step_n)
+    require_positive(step_n=step_n)
     x = np.asarray(forces_n, np.float64)
     result: Float64s = np.sign(x) * step_n * np.floor(np.abs(x) / step_n + 0.5)
     return result
@@ -80,7 +67,7 @@ def quantise_fixed_step(forces_n: ArrayLike, step_n: float) -> Float64s:
 
 def mask_kept_from_n(step_n: float, k: float) -> float:
     """Delta / (2 k), newtons: from this amplitude on a fixed step keeps the mask k |x|."""
-    _check(k, step_n)
+    require_positive(k=k, step_n=step_n)
     return step_n / (2 * k)
 
 
@@ -110,12 +97,10 @@ class WeberLadder:
     criterion: str = "error"  # or "neighbours"
 
     def __post_init__(self) -> None:
-        if self.criterion not in CRITERIA:
-            raise InvalidArgument("criterion", repr(self.criterion), " or ".join(CRITERIA))
+        require_one_of("criterion", self.criterion, CRITERIA)
         if not _SMALLEST_K <= self.k < 1:
             raise InvalidArgument("k", repr(self.k), f"a Weber fraction from {_SMALLEST_K} to 1, such as 0.1")
-        if not _SMALLEST_FORCE_N <= self.force_min_n <= _LARGEST_FORCE_N:
-            raise InvalidArgument("force_min_n", repr(self.force_min_n), "newtons, from 1e-30 to 1e30")
+        require_between(_SMALLEST_FORCE_N, _LARGEST_FORCE_N, force_min_n=self.force_min_n)
         if not 1 <= self.steps <= MAX_STEPS:
             mend = "Raise k or force_min_n."
             raise InvalidArgument("Weber ladder", f"{self.steps} steps", f"1 to {MAX_STEPS}", mend)
@@ -129,8 +114,7 @@ class WeberLadder:
         N = ceil(ln(F_max / F_min) / ln rho), at least 1.
         """
         ratio = cls(k, force_min_n, 1, criterion).ratio
-        if not 0 < force_max_n <= _LARGEST_FORCE_N:
-            raise InvalidArgument("force_max_n", repr(force_max_n), "newtons, above 0 and up to 1e30")
+        require_up_to(_LARGEST_FORCE_N, force_max_n=force_max_n)
         octaves = (math.log(force_max_n) - math.log(force_min_n)) / math.log(ratio)
         return cls(k, force_min_n, max(1, math.ceil(octaves)), criterion)
 
@@ -202,8 +186,7 @@ def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s
     Raises `InvalidArgument` for an unknown reading, a `k` out of range, or arrays of other shapes or types.
     """
     fraction = guaranteeing_fraction(k)
-    if reading not in READINGS:
-        raise InvalidArgument("deadband reading", repr(reading), f"one of {', '.join(READINGS)}")
+    require_one_of("deadband reading", reading, READINGS)
     x = _vectors("vectors", vectors)
     from touchfield.perception import kernels
 

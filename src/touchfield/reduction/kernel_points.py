@@ -23,7 +23,7 @@ import numpy as np
 import scipy.linalg
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import require_between
 from touchfield.sources.contact_trace import CurlFree, covariances
 
 if TYPE_CHECKING:
@@ -55,8 +55,7 @@ class _Posterior:
     """Knowledge at candidates once some are measured."""
 
     def __init__(self, points_m: Float64s, kernel: Kernel, most: int) -> None:
-        if not 1 <= most <= len(points_m):
-            raise InvalidArgument("points", f"{most}", f"1 to {len(points_m)}, as many as there are places")
+        require_between(1, len(points_m), points=most)
         self.points, self.noise = points_m / kernel.length_m, kernel.noise
         self.factor = np.empty((3 * most, 3 * len(points_m)))  # rows of L^-1 K
         self.variances = np.full(len(points_m), 3.0)  # traces of each own 3 x 3
@@ -93,8 +92,7 @@ def variance_points(points_m: Float64s, count: int, kernel: Kernel, measured: in
     variance that each had, the sum over three components, of a field of variance 1. `points_m` float64 [m, 3]; the
     first `measured` of them are known already. InvalidArgument if there are fewer candidates.
     """
-    if not 1 <= count <= len(points_m) - measured:
-        raise InvalidArgument("points", f"{count}", f"1 to {len(points_m) - measured}, as many as there are places")
+    require_between(1, len(points_m) - measured, points=count)
     known = _Posterior(points_m, kernel, measured + count)
     for place in range(measured):
         known.take(place)

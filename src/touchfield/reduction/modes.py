@@ -28,7 +28,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_between
 from touchfield.medium.field import frozen
 
 _BLOCK_VALUES: Final = 1 << 21
@@ -147,8 +147,8 @@ def _decomposed(gram: Float64s, rank: int | None) -> tuple[Float64s, Float64s, i
     found, vectors = scipy.linalg.eigh(gram, overwrite_a=True, check_finite=False)
     squares, vectors = np.maximum(found[::-1], 0.0), vectors[:, ::-1]
     kept = int(np.count_nonzero(squares > _NOISE * len(squares) * squares[0]))
-    if rank is not None and not 1 <= rank <= len(squares):
-        raise InvalidArgument("rank", f"{rank}", f"1 to {len(squares)}")
+    if rank is not None:
+        require_between(1, len(squares), rank=rank)
     return squares, vectors, min(kept, rank or kept)
 
 

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion, binary_propagation, distance_transform_edt
 
 from touchfield.arrays import Bools, Float32s, Float64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import require_positive
 from touchfield.medium.budget import require_memory
 from touchfield.parallel import for_chunks
 
@@ -60,9 +60,7 @@ class Hand:
     speed_m_s: float
 
     def __post_init__(self) -> None:
-        for name in ("push_n", "mass_kg", "speed_m_s"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise InvalidArgument(name, repr(getattr(self, name)), "a finite number above 0")
+        require_positive(push_n=self.push_n, mass_kg=self.mass_kg, speed_m_s=self.speed_m_s)
 
     @property
     def lunge_nm(self) -> float:

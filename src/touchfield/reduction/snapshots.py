@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.medium import ForceField
 from touchfield.medium.budget import require_memory
 from touchfield.medium.field import brick_keys, bricks_of
@@ -57,8 +57,7 @@ def _bricks(field: ForceField) -> Float32s:
 
 def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None, step: int = 1) -> Reduced:
     """The modes of every `step`-th frame of a medium, all of them or the first `rank`; `kind` is one of `KINDS`."""
-    if kind not in KINDS:
-        raise InvalidArgument("--modes", repr(kind), f"one of {', '.join(KINDS)}")
+    require_one_of("--modes", kind, KINDS)
     places = range(0, len(medium), step)
     if kind == "bricks":
         return Reduced(medium, kind, klt((_bricks(medium[i]) for i in places), rank), np.zeros(0, np.int64))

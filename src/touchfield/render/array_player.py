@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 
 from touchfield.arrays import Float32s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, is_finite, require_between
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
@@ -197,10 +197,10 @@ class ArrayPlayer:
     ) -> None:
         usual = min(device.profile.rate_hz or USUAL_RATE_HZ, HIGHEST_USUAL_RATE_HZ)
         rate = usual if rate_hz is None else float(rate_hz)
-        _check("rate_hz", rate, 0.1, MAX_RATE_HZ)
-        _check("speed", speed, 0.001, 1000.0)
+        require_between(0.1, MAX_RATE_HZ, rate_hz=rate)
+        require_between(0.001, 1000.0, speed=speed)
         seconds = frames.frame_count / frames.rate_hz
-        if not (math.isfinite(start_s) and 0 <= start_s < seconds):
+        if not (is_finite(start_s) and 0 <= start_s < seconds):
             raise InvalidArgument("start_s", f"{start_s:g} s", f"0 to below {seconds:g} s, the end of the medium")
         self.rate_hz, self._device, self._loop = rate, device, loop
         self._first, self._count = start_s * frames.rate_hz, frames.frame_count
@@ -313,11 +313,6 @@ class ArrayPlayer:
             if shown is not None:
                 step += 1 + missed
                 position = self._first + step * self._stride
-
-
-def _check(name: str, value: float, low: float, high: float) -> None:
-    if not (math.isfinite(value) and low <= value <= high):
-        raise InvalidArgument(name, repr(value), f"{low:g} to {high:g}")
 
 
 class ArrayDevice(ABC):

@@ -22,7 +22,7 @@ from touchfield.errors import TouchfieldError
 from touchfield.medium import HapticScene
 from touchfield.render.block import Layout, Memory, Ring, check_fits, too_little
 from touchfield.render.block import words as W
-from touchfield.render.block.frames import VIBRATION, FieldName, FrameParts, field_words, write_fields
+from touchfield.render.block.frames import VIBRATION, FieldName, FrameParts, field_words, require_medium, write_fields
 from touchfield.render.segment_blend import with_blends
 from touchfield.render.spec import Wall, stated_n_per_m, stiffest_n_per_m, wall_of
 
@@ -91,8 +91,8 @@ def arena_words(source: FrameSource, memory_bytes: int) -> int:
 class Feeder:
     """Writes frames ahead of the servo; by `step` in the caller's thread, or in a thread of its own after `start`.
 
-    ``reserve(words)`` sees to it that so many words of the block can be written. With `is_timed` the time of
-    publication is told, and frames that come too late are left out. ``tell_stiffness(k)`` is told the stiffest slope
+    ``reserve(words)`` sees to it that so many words of the block can be written. With `is_timed` frames
+    that come too late are left out. ``tell_stiffness(k)`` is told the stiffest slope
     of each frame, N/m. `error` is what ended the feed, `decode_s` what the latest frames took, `left_out` how many
     would have come too late.
     """
@@ -192,7 +192,7 @@ class Feeder:
         if frame > self._next:
             if self._place and self._ring.hold(frame - 1):
                 for late in range(self._next, frame):
-                    publish(i8, self._generation, late, self._place, 0)
+                    publish(i8, self._generation, late, self._place)
             self.left_out += frame - self._next
             self._next = frame
         return self._is_loop or frame < self._source.frame_count
@@ -213,8 +213,7 @@ class Feeder:
         self._place = place = ready.write(self._memory, at)
         if self._tell_stiffness is not None:
             self._tell_stiffness(ready.stiffest_n_per_m)
-        now_ns = time.perf_counter_ns() if self._is_timed else 0
-        publish(self._memory.i8, self._generation, self._next, place, now_ns)
+        publish(self._memory.i8, self._generation, self._next, place)
         self._next, self._ready, self._is_published = self._next + 1, None, True
         return True
 
@@ -285,6 +284,7 @@ class FrameSource(FrameParts):
     def __init__(
         self, medium: HapticMedium | HapticScene, is_blended: bool = True, deformation: Deformation | None = None
     ) -> None:
+        require_medium(medium)
         self.axes = medium.axes
         self.friction, self.damping_n_s_per_m = medium.friction, medium.damping_n_s_per_m
         self.starts = _starts(medium)

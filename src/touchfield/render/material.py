@@ -25,8 +25,9 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on
-from touchfield.files import plain_size, readable
+from touchfield.files import json_of, plain_size, readable
 from touchfield.medium.atomic import atomic_path
+from touchfield.medium.field import numbers_of
 from touchfield.perception.vibrotactile import BANDS_HZ
 from touchfield.render.block import words as W
 
@@ -88,11 +89,7 @@ class Material:
     @property
     def levels_n(self) -> Float64s:
         """The table, newtons rms, float64 [speeds, forces, 16]; [0] where there is none."""
-        try:
-            return np.array(self.texture_rms_n, np.float64)
-        except (TypeError, ValueError):
-            found = f"material {self.name!r} texture_rms_n", "rows of several lengths, or no numbers"
-            raise InvalidArgument(*found, "[speeds, forces, 16]") from None
+        return numbers_of(f"material {self.name!r} texture_rms_n", self.texture_rms_n)
 
 
 def materials_json(materials: Iterable[Material]) -> str:
@@ -110,7 +107,7 @@ def materials_json(materials: Iterable[Material]) -> str:
 def _materials_of(text: str, where: str) -> tuple[Material, ...]:
     """The materials of a table; SourceError that names the place if it is none."""
     try:
-        table = json.loads(text)
+        table = json_of(text)
         bands, rows = table["bands_hz"], table["materials"]
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         said = f"what is no table of materials ({error})"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_between
 from touchfield.render.block import DEFAULT_BYTES, Memory, TickLog, statistics_of
 from touchfield.render.block import words as W
 from touchfield.render.player import Session, is_over
@@ -58,8 +58,8 @@ def run_offline(
     session = Session(medium, device_profile, spec, memory_bytes, loop, speed, start_s)
     if seconds is None and (loop or session.source.frame_count == 1):
         raise InvalidArgument("seconds", "none for a medium without end", "how long to play it")
-    if seconds is not None and not 0 <= seconds <= 1e6:
-        raise InvalidArgument("seconds", repr(seconds), "0 to 1e6")
+    if seconds is not None:
+        require_between(0, 1e6, seconds=seconds)
     device = opener()
     if device.is_paced or device.is_driven:
         raise InvalidArgument("device", "one with a rhythm of its own", "a simulated one")

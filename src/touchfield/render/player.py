@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, is_finite, require_positive, require_up_to
 from touchfield.render.block import (
     DEFAULT_BYTES,
     LOG_ROWS,
@@ -76,9 +76,8 @@ class Player:
         log_rows: int = 600_000,
         is_realtime: bool = True,
     ) -> None:
-        if memory_bytes < 1:
-            raise InvalidArgument("memory_bytes", repr(memory_bytes), "a positive number of bytes")
-        bound = min(memory_bytes, int(_SHARE_OF_FREE * free_bytes()))
+        require_positive(memory_bytes=memory_bytes)
+        bound = min(int(memory_bytes), int(_SHARE_OF_FREE * free_bytes()))
         self._session = Session(medium, device_profile, spec or RenderSpec(), bound, loop, speed, start_s)
         self._opener, self._log_rows, self._is_realtime = opener, log_rows, is_realtime
         self._lock = threading.RLock()
@@ -138,7 +137,7 @@ class Player:
 
     def seek(self, time_s: float) -> None:
         """Go to a media time, playing or not; the force goes to zero until its frames are there."""
-        self._order(seek_s=time_s)
+        self._order(seek_s=self._session.checked_s(time_s))
 
     def _order(self, **wanted: Any) -> None:
         with self._lock:
@@ -208,9 +207,9 @@ class Player:
         ``ticks``, ``seconds``, ``rate_hz``, ``mean_rate_hz``; ``jitter_`` (|dT - 1/rate|) and ``lateness_`` each with
         ``p50_us``, ``p99_us``, ``p99_9_us`` and ``worst_us``; ``late_ticks`` (by more than half a period),
         ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks), ``waiting_ticks``;
-        ``frames_used``; ``latency_min_s``, ``latency_median_s`` from the publication of a frame to its first use,
-        ``decode_median_s`` of one frame; ``frames_left_out``, which could not be decoded in time; ``stalled_share``
-        of the ticks of play that had nothing; ``log_rows_lost``; ``priority``, ``memory``, ``processors``.
+        ``frames_used``; ``decode_median_s`` of one frame; ``frames_left_out``, which could not be decoded in time;
+        ``stalled_share`` of the ticks of play that had nothing; ``log_rows_lost``; ``priority``, ``memory``,
+        ``processors``.
         """
         with self._lock:
             if self._block is not None and self._servo is not None and self._log is not None and self._feeder:
@@ -284,7 +283,7 @@ class Player:
                 block.close()
 
 
-_FASTEST: Final = 100.0
+FASTEST: Final = 100.0
 _AHEAD_S: Final = 4.0  # the directory has room for so much of a medium; frames of a high rate are many
 _MOST_SLOTS: Final = 1 << 14
 _RAMP_SPARE_S: Final = 1.0
@@ -302,8 +301,7 @@ class Orders:
     is_stopping: bool = False
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.speed) and 0 < self.speed <= _FASTEST):
-            raise InvalidArgument("speed", repr(self.speed), f"above 0, up to {_FASTEST:g}")
+        require_up_to(FASTEST, speed=self.speed)
 
 
 def ramp_limit_s(peak_n: float, slew_n_per_s: float, ramp_s: float) -> float:
@@ -363,7 +361,7 @@ class Session:
 
     def checked_s(self, time_s: float) -> float:
         """A media time to go to; past the end it begins anew where the medium is looped, and else is the end."""
-        if not (math.isfinite(time_s) and time_s >= 0):
+        if not (is_finite(time_s) and time_s >= 0):
             raise InvalidArgument("time", repr(time_s), "seconds from the beginning, 0 or more")
         if self.source.frame_count == 1:
             return 0.0

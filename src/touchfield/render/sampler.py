@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
+from touchfield.medium.field import numbers_of
 from touchfield.medium.medium import HapticScene
 from touchfield.parallel import for_chunks
 from touchfield.render.block import words as W
@@ -74,12 +75,13 @@ class FieldSampler:
         """
         from touchfield.render.kernels import points as kernels
 
-        if np.ndim(time_s) == 0 and self._is_voxels:
-            return self._voxels_n(float(np.asarray(time_s)), _points(points_m, np.float32), loop)
-        return self._each(kernels.forces_at_points, time_s, points_m, loop, 3, np.float32)
+        times = numbers_of("time_s", time_s)
+        if not times.ndim and self._is_voxels:
+            return self._voxels_n(float(times), _points(points_m, np.float32), loop)
+        return self._each(kernels.forces_at_points, times, points_m, loop, 3, np.float32)
 
     def gradient_n_per_m(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> Float64s:
-        """dF_i/dx_j, N/m, float64 [..., 3, 3]: the derivative of the interpolation.
+        """dF_i/dx_j, N/m, float64 [..., 3, 3]: the derivative of the interpolation; zeros where no force can be.
 
         On a plane of the lattice it is the one towards greater indices.
         """
@@ -100,13 +102,18 @@ class FieldSampler:
 
         The frames that follow are made in the background, for times that grow as the clock does.
         """
-        place = time_s * self._rate_hz
-        if not self._low <= place <= self._high:
-            self._prepare(time_s)
-        first, second = self._at
-        force_n: tuple[float, float, float] = self._point(
-            self._words, first, second, place - self._base, x_m, y_m, z_m
-        )
+        force_n: tuple[float, float, float]
+        try:
+            place = time_s * self._rate_hz
+            if not self._low <= place <= self._high:
+                self._prepare(time_s)
+            first, second = self._at
+            force_n = self._point(self._words, first, second, place - self._base, x_m, y_m, z_m)
+        except (TypeError, ValueError):
+            given = time_s, x_m, y_m, z_m
+            if all(type(one) is float for one in given):  # it is not for their types
+                raise
+            force_n = self.at(*numbers_of("time_s, x_m, y_m, z_m", given, shape=(4,)).tolist())
         return force_n
 
     def frames_at(self, time_s: float, loop: bool = False) -> tuple[Memory, int, int, float]:
@@ -123,6 +130,9 @@ class FieldSampler:
         b = min(a + 1, self._parts.frame_count - 1)
         self._low, self._high, self._base = _NEVER
         memory, first, second = self._ahead.take(a, b)
+        if not force_at_once.signatures:
+            force_at_once(memory.u8, first, second, 0.0, 0.0, 0.0, 0.0)
+            force_at_once.disable_compile()  # a whole number becomes a float, and takes no compiled code of its own
         self._words, self._at, self._point = memory.u8, (first, second), force_at_once
         self._base = float(a)
         self._low = float(a) if a > 0 else -_ALWAYS
@@ -136,7 +146,7 @@ class FieldSampler:
 
     def _instants(self, time_s: ArrayLike, shape: tuple[int, ...], loop: bool) -> tuple[Int64s, Float64s]:
         """First frames int64 [m] and blends [m] of one time, or of one for each of the points."""
-        times = np.asarray(time_s, np.float64)
+        times = numbers_of("time_s", time_s)
         if times.ndim and times.shape != shape:
             raise InvalidArgument("time_s", f"shape {times.shape}", f"one time, or {shape} as the points")
         with np.errstate(over="ignore"):
@@ -184,7 +194,7 @@ class FieldSampler:
         out = np.empty((len(flat), columns), dtype)
         firsts, blends = self._instants(time_s, points.shape[:-1], loop)
         groups: list[Any] = [slice(None)]
-        if np.ndim(time_s):
+        if len(blends) != 1:
             order = np.argsort(firsts, kind="stable")
             groups = np.split(order, np.flatnonzero(np.diff(firsts[order])) + 1) if len(order) else []
         for which in groups:
@@ -198,10 +208,8 @@ class FieldSampler:
 
 def _points(points_m: ArrayLike, *others: type[np.float32]) -> NDArray[Any]:
     """Points as the kernels take them: float64 or one of `others`, contiguous, writeable."""
-    points = np.asarray(points_m)
-    if points.dtype not in others:
-        points = points.astype(np.float64, copy=False)
-    points = np.ascontiguousarray(points)
+    kind = np.float32 if getattr(points_m, "dtype", None) in others else np.float64
+    points = np.ascontiguousarray(numbers_of("points_m", points_m, kind))
     if points.ndim == 0 or points.shape[-1] != 3:
         raise InvalidArgument("points_m", f"shape {points.shape}", "points [..., 3] in metres")
     return points if points.flags.writeable else points.copy()  # to the compiler read-only arrays are another type

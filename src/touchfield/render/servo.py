@@ -18,6 +18,7 @@ import sys
 import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from pickle import PickleError
 from typing import Any, Final
@@ -185,8 +186,8 @@ _TERMINATE_S: Final = 3.0
 _KILL_S: Final = 2.0
 
 
-def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> None:
-    """The process: attach, warm up, open, serve, tell."""
+def _main(path: str, is_realtime: bool, pipe: Connection) -> None:
+    """The process: attach, hear of the device, warm up, open, serve, tell."""
     parent = os.getppid()
     block = Block.attach(Path(path))
     pipe.send(("attached", None))
@@ -199,6 +200,7 @@ def _main(path: str, opener: Opener, is_realtime: bool, pipe: Connection) -> Non
     for one in (signal.SIGTERM, signal.SIGINT):
         signal.signal(one, stop)
     try:
+        opener: Opener = pipe.recv()
         warm_up(memory)
         report = prefer(is_realtime)
         device = opener()
@@ -326,27 +328,29 @@ class ServoProcess:
 
     def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
         context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe(duplex=False)
+        self._pipe, theirs = context.Pipe()
         self._block = block
+        try:
+            self._opener = ForkingPickler.dumps(opener)
+        except (AttributeError, TypeError, ImportError, PickleError) as error:  # of a local function, say
+            raise InvalidArgument("opener", f"{opener!r} ({error})", "a callable that can be pickled") from error
         self.report: dict[str, str] = {}
         self.error: TouchfieldError | None = None
         self.is_ready = self.is_done = self.is_lost = self._is_joined = False
         self._ticks, self._ticked_s = -1, time.monotonic()
         self._silent_s = max(_SILENT_S, 3 / float(block.memory.f8[W.RATE_HZ]))
         self._process = context.Process(
-            target=_main, args=(str(block.path), opener, is_realtime, theirs), name="touchfield-servo", daemon=True
+            target=_main, args=(str(block.path), is_realtime, theirs), name="touchfield-servo", daemon=True
         )
         try:
             self._process.start()
-        except (AttributeError, TypeError, ImportError, PickleError) as error:  # of a local function, say
-            raise InvalidArgument("opener", f"{opener!r} ({error})", "a callable that can be pickled") from error
         finally:
             theirs.close()
 
     @property
     def pid(self) -> int | None:
-        """Of the process."""
-        return self._process.pid
+        """Of the process; None once it has ended."""
+        return None if self._is_joined else self._process.pid
 
     def notice(self, ticks: int, has_released: bool) -> None:
         """End the process of a device that hangs: no tick has come since long ago, and the force is not at zero."""
@@ -373,6 +377,8 @@ class ServoProcess:
             while self._pipe.poll():
                 kind, content = self._pipe.recv()
                 if kind == "attached":
+                    # not as an argument: `start` would wait for ever to hand a long one to a process that is gone
+                    self._pipe.send_bytes(self._opener)
                     if os.name == "posix":
                         self._block.unlink()
                 elif kind == "ready":

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -13,7 +12,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.errors import (
+    DeviceError,
+    InvalidArgument,
+    is_finite,
+    require_between,
+    require_not_negative,
+    require_one_of,
+    require_positive,
+)
+from touchfield.files import json_of
 from touchfield.render.block import words as W
 from touchfield.render.point_device import UPS, axes_matrix, axes_notes
 from touchfield.render.tool import Tool
@@ -79,9 +87,9 @@ class RenderSpec:
 
     def __post_init__(self) -> None:
         for name in _NUMBERS:
-            value, is_open = getattr(self, name), name not in _FROM_ZERO
-            if value is not None and not (math.isfinite(value) and (value > 0 if is_open else value >= 0)):
-                raise InvalidArgument(name, repr(value), f"a finite number {'above' if is_open else 'of at least'} 0")
+            value, check = getattr(self, name), require_not_negative if name in _FROM_ZERO else require_positive
+            if value is not None:
+                check(**{name: value})
         if self.tool is not None and self.coupling_n_per_m:
             both = f"{self.coupling_n_per_m:g} N/m with {self.tool.name}"
             raise InvalidArgument("coupling_n_per_m", both, "0 with a tool: the coupling is that of a point")
@@ -91,14 +99,11 @@ class RenderSpec:
             raise InvalidArgument("deformation", "it with a tool or a proxy", "a point in the field as it is")
         for name in ("clutch_m", "gravity_n"):
             values = getattr(self, name)
-            if len(values) != 3 or not all(math.isfinite(v) for v in values):
+            if np.shape(values) != (3,) or not all(map(is_finite, values)):
                 raise InvalidArgument(name, repr(values), "three finite numbers")
-        if self.render not in ("auto", "proxy", "field"):
-            raise InvalidArgument("render", repr(self.render), "auto, proxy or field")
-        if self.up not in UPS:
-            raise InvalidArgument("up", repr(self.up), f"one of {', '.join(UPS)}")
-        if not 10 <= self.rate_hz <= 20000:
-            raise InvalidArgument("rate_hz", repr(self.rate_hz), "10 to 20000 ticks a second")
+        require_one_of("render", self.render, ("auto", "proxy", "field"))
+        require_one_of("up", self.up, UPS)
+        require_between(10, 20000, rate_hz=self.rate_hz)
 
 
 def write_parameters(
@@ -181,8 +186,7 @@ def _limit(name: str, asked: float | None, stated: float, whose: str) -> float:
 
 def _coefficient(name: str, asked: float | None, stated: float) -> float:
     value = float(stated if asked is None else asked)
-    if not 0 <= value < math.inf:
-        raise InvalidArgument(name, repr(value), "a finite number, 0 or more")
+    require_not_negative(**{name: value})
     return value
 
 
@@ -328,9 +332,14 @@ def wall_of(field: ForceField) -> Wall | None:
 
 
 def stated_n_per_m(provenance: Mapping[str, str]) -> float | None:
-    """The stiffness that a medium's provenance states for its walls; None where it states none that could be."""
+    """The stiffness that a medium's provenance states for its walls; None where it states none that could be.
+
+    A stream that was coded anew has that of its source, one that was edited none.
+    """
+    if "edits" in provenance:
+        return None
     try:
-        spec = json.loads(provenance.get("spec", "{}"))
+        spec = json_of(provenance.get("source.spec", provenance.get("spec", "{}")))
         stated = float(spec["stiffness_n_per_m"]) if spec["law"] == "penalty" else math.nan
     except (ValueError, KeyError, TypeError, RecursionError):
         return None

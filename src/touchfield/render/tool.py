@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_between, require_up_to
 from touchfield.medium.field import frozen
 from touchfield.render.block import words as W
 
@@ -67,10 +67,8 @@ class Tool:
     @classmethod
     def sphere(cls, radius_m: float, points: int = SPHERE_POINTS) -> Tool:
         """A sphere about the device's point, its points on a spiral from pole to pole, evenly."""
-        if not 0 < radius_m <= _LONGEST_M:
-            raise InvalidArgument("radius of the sphere", f"{radius_m!r} m", f"above 0, up to {_LONGEST_M:g} m")
-        if not 1 <= points <= MOST_POINTS:
-            raise InvalidArgument("points of the tool", repr(points), f"1 to {MOST_POINTS}")
+        require_up_to(_LONGEST_M, radius_m=radius_m)
+        require_between(1, MOST_POINTS, points=points)
         n = np.arange(points)
         height = 1 - (2 * n + 1) / points
         around = np.sqrt(1 - height**2)
@@ -86,8 +84,7 @@ class Tool:
         Triangles are counter-clockwise from outside; a closed surface that is inside out is turned.
         `InvalidArgument` if the surface has no area, or the numbers do not make a `Tool`.
         """
-        if not 1 <= points <= MOST_POINTS:
-            raise InvalidArgument("points of the tool", repr(points), f"1 to {MOST_POINTS}")
+        require_between(1, MOST_POINTS, points=points)
         a, b, c = (np.asarray(vertices_m, np.float64)[triangles[:, k]] for k in range(3))
         doubled = np.cross(b - a, c - a)
         areas = np.linalg.norm(doubled, axis=1)

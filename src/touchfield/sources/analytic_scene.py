@@ -30,14 +30,12 @@ import numpy as np
 
 from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_positive
-from touchfield.files import plain_size, readable
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.laws import ForceProfile
+from touchfield.sources.poses import read_text
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_that, field_of_points
+from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_near, field_of_points
 from touchfield.sources.shapes import SHAPES, Plane, Shape, moved
-
-_MAX_BYTES: Final = 1 << 24
 
 COMBINATIONS: Final = ("sum", "union")
 
@@ -99,18 +97,14 @@ class AnalyticScene(Scene):
                     may_hold |= (low <= piece_high) & (high > piece_low)
             return may_hold
 
-        return field_of_points(grid, bricks_that(may_act, grid), lambda points: self.forces_n(points, profile))
+        return field_of_points(grid, bricks_near(may_act, grid), lambda points: self.forces_n(points, profile))
 
 
 # -- from a file ---------------------------------------------------------------------------------------------
 def read_toml(path: Path, expected: str) -> dict[str, Any]:
-    """The table of a TOML file of up to 16 MiB; `SourceError` if it cannot be read, is longer, or is no TOML."""
+    """The table of a TOML file; `SourceError` if it cannot be read (`read_text`), or is no TOML."""
     try:
-        with readable(path, expected):
-            size = plain_size(path, expected)
-            if size > _MAX_BYTES:
-                raise SourceError(str(path), f"{size} bytes", f"{expected} of up to {_MAX_BYTES} bytes")
-            return tomllib.loads(path.read_text("utf-8"))
+        return tomllib.loads(read_text(path))
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), f"no TOML ({error})", expected) from error
 

@@ -107,7 +107,7 @@ class AnimatedMeshScene(MovingScene):
         others = ", ".join(_named(names, i) for i in range(len(names)) if i != number)
         text = f"Animation {_named(names, number)}: {self.duration_s:.4g} s, {self.frame_count} frame"
         text += "s" * (self.frame_count > 1) + (f"; there are also {others}." if others else ".")
-        self.notes = (size, text, *scene.notes)
+        self.notes = (size, text, *model.notes, *scene.notes)
 
     # -- the surface -----------------------------------------------------------------------------------------------
     def vertices_m(self, frame: int) -> Float64s:
@@ -358,7 +358,7 @@ def _recognise(path: Path) -> bool:
     if path.suffix.lower() not in (".glb", ".gltf") or not path.is_file():
         return False
     try:
-        members, _ = contents(path)
+        members, _ = contents(path, has_binary=False)
     except SourceError:
         return True  # this reader knows what is wrong with it
     return bool(members.get("animations") and isinstance(members["animations"], list))

@@ -76,11 +76,16 @@ class GrowingFolder(Pictures):
         self._last: Path | None = None
 
     def next(self) -> NDArray[Any]:
-        """See `Pictures.next`. A picture that is being written is looked at again for a second, then passed over."""
+        """See `Pictures.next`; where the folder goes, at once the end.
+
+        A picture that is being written is looked at again for a second, then passed over.
+        """
         until, since = time.monotonic() + PATIENCE_S, 0.0
         coming: Path | None = None
         while time.monotonic() < until:
             files = list_files(self._folder, with_suffix(*PICTURE_SUFFIXES))
+            if not files and not self._folder.is_dir():
+                raise CaptureEnd(self.name, "no folder any more", "a folder that grows")
             if coming is None and files and files[-1] != self._last:
                 coming, since = files[-1], time.monotonic()
             if coming is not None:

@@ -31,7 +31,7 @@ from touchfield.parallel import for_chunks
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Z_AXES, Scene, bricks_that, field_of_points
+from touchfield.sources.scene import UP_Z_AXES, Scene, bricks_near, field_of_points
 
 Triple = tuple[float, float, float]
 
@@ -151,6 +151,7 @@ class ContactScene(Scene):
 
     axes = UP_Z_AXES
     box_wording = "the trace"
+    has_law = False
 
     def __init__(self, trace: ContactTrace, where: str = "trace") -> None:
         require_contacts(trace, where)
@@ -186,7 +187,7 @@ class ContactScene(Scene):
             near: Bools = tree.query(centres, distance_upper_bound=self.reach_m + radius_m)[0] < np.inf
             return near
 
-        bricks = bricks_that(may_hold, grid)
+        bricks = bricks_near(may_hold, grid)
         return field_of_points(grid, bricks, lambda points: self.interpolant.forces_n(points, self.reach_m))
 
 

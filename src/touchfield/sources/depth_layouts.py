@@ -103,7 +103,7 @@ class Shots(NamedTuple):
 class Layout:
     """One way to lay a depth sequence out on disk: a folder, unless `is_file`.
 
-    name, summary, recognise : As of `SourceKind`; of what a path that cannot be read would raise, `kind` takes care.
+    name, summary, recognise : As of `SourceKind`.
     units_per_m : Stored units in a metre, unless a user or a file says otherwise; None where one must.
     camera : Of pictures of 640 x 480 where no file tells, or ``camera(path)`` that knows it.
     poses : ``poses(path, paths)`` where the layout has poses of its own form, None if they are not there.
@@ -178,18 +178,6 @@ def source_rate(options: SourceOptions) -> float:
     return options.source_rate_hz or options.rate_hz or DEFAULT_RATE_HZ
 
 
-def is_known(recognise: Callable[[Path], bool]) -> Callable[[Path], bool]:
-    """The same test, but False for what cannot be read."""
-
-    def is_known(path: Path) -> bool:
-        try:
-            return recognise(path)
-        except (OSError, SourceError):
-            return False
-
-    return is_known
-
-
 def depth_kind(
     name: str,
     summary: str,
@@ -203,7 +191,7 @@ def depth_kind(
             sequence = read_sequence(path, options)
         return depth_scene(sequence, options)
 
-    return SourceKind(name, summary, is_known(recognise), open_scene)
+    return SourceKind(name, summary, recognise, open_scene)
 
 
 def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:

@@ -31,7 +31,6 @@ A step edge thus ends the support and never tilts a normal, as long as it is hig
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 import numpy as np
@@ -45,14 +44,13 @@ from touchfield.sources.kernels.depth import Query
 from touchfield.sources.kernels.planes import SurfacePlanes, fit_planes
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.poses import checked_poses
-from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene
+from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene, bricks_that
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
 RAY_LIMIT: Final = 4.0  # walls at more than 75 degrees to the ray become thinner by it
 SLOPE_LIMIT_PX: Final = 5.0  # along an image row or column, footprints of a pixel in depth per pixel: 79 degrees
 
 _IJK = np.indices((BRICK, BRICK, BRICK), np.float64).reshape(3, -1)
-_NODES_AT_ONCE = 6000  # cubes of bricks tested in the first round
 _BOX_POINTS = 4_000_000  # points that `bounds_m` keeps
 _BOX_STRIDE_PX = 8
 _BOX_PERCENTILES = (0.5, 99.5)
@@ -180,7 +178,7 @@ def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: Fo
 
 def force_bricks(query: Query, grid: Grid) -> Int32s:
     """Bricks of `grid` with at least one force, int32 [n, 3], ascending."""
-    candidates = _candidates(query, grid)
+    candidates = bricks_that(lambda blocks, size: kernels.may_hold_force(blocks, size, query), grid)
     return candidates[kernels.holds_force(candidates, query)]
 
 
@@ -196,27 +194,3 @@ def query_of(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceP
     offsets = (lattice[1:].T @ _IJK).astype(np.float32).reshape(-1)
     pieces, first_m = profile.table().astype(np.float32), max(0.0, float(nearest_m - reach[0]))
     return Query(surface, lattice, grid.shape, offsets, turn.astype(np.float32), pieces, reach, first_m)
-
-
-def _candidates(query: Query, grid: Grid) -> Int32s:
-    """Bricks that cannot be ruled out, int32 [n, 3], ascending.
-
-    Cubes of bricks are halved from a size at which they are few, so that the work and the memory follow the
-    surface and not the grid.
-    """
-
-    def along(span: int) -> tuple[int, int, int]:
-        nx, ny, nz = (-(-n // (BRICK * span)) for n in grid.shape)
-        return nx, ny, nz
-
-    span = 1
-    while math.prod(along(span)) > _NODES_AT_ONCE:
-        span *= 2
-    sorted_already, nodes = span == 1, kernels.all_nodes(along(span))
-    nodes = nodes[kernels.may_hold_force(nodes, span, query)]
-    while span > 1:
-        span //= 2
-        nodes = (2 * nodes[:, None] + kernels.all_nodes((2, 2, 2))).reshape(-1, 3)
-        nodes = nodes[(nodes < along(span)).all(axis=1)]
-        nodes = nodes[kernels.may_hold_force(nodes, span, query)]
-    return nodes if sorted_already else nodes[np.lexsort(nodes.T[::-1])]

@@ -34,8 +34,8 @@ _LARGEST: Final = 1 << 53  # beyond this a JSON number need not be a whole one a
 _LISTS: Final = ("accessors", "animations", "bufferViews", "buffers", "meshes", "nodes", "scenes", "skins")
 _COMPONENTS: Final = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
-"""Required extensions that do not change where the triangles are, or that are understood."""
+HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
+"""Extensions that do not change where the triangles are, or that are understood."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,6 @@ class Document:
         self._path = path
         members, self._chunk = contents(path)
         self.root = Element(str(path), members, self)
-        self._elements = {key: self.root.children(key) for key in _LISTS}
         self._buffers: dict[int, memoryview] = {}
         self._files: dict[Path, bytes] = {}
         self._arrays: dict[tuple[int, bool], Any] = {}
@@ -170,9 +169,10 @@ class Document:
         if version is not None and not version.startswith("2."):
             raise self.root.fault(f"glTF version {version[:20]!r}", "version 2", "Convert it to glTF 2.0.")
         for name in map(str, self.root.list_of("extensionsRequired")):
-            if not name.startswith(_HARMLESS):
+            if not name.startswith(HARMLESS):
                 found = f"the required extension {name[:60]!r}"
                 raise self.root.fault(found, "a mesh without it", "Export it without extensions.")
+        self._elements = {key: self.root.children(key) for key in _LISTS}
 
     def all(self, key: str) -> list[Element]:
         """The objects of a top-level list: accessors, nodes, ..."""
@@ -294,29 +294,35 @@ def _component(element: Element) -> np.dtype[Any]:
     return np.dtype(_COMPONENTS[code])
 
 
-def contents(path: Path) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none."""
+def contents(path: Path, has_binary: bool = True) -> tuple[dict[str, Any], bytes]:
+    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none.
+
+    Without `has_binary` no more of a GLB is read than its JSON.
+    """
     require_plain(path, "one glTF file")
-    with readable(path):
-        text = data = path.read_bytes()
-    size, chunks = len(data), dict[int, bytes]()
-    if data.startswith(b"glTF"):
-        version, length = struct.unpack_from("<II", data, 4) if size >= 12 else (2, size + 1)
-        if version != 2:
-            raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
-        if length > size:
-            raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
-        begin = 12 + 8
-        while begin <= size and not {_JSON, _BIN} <= chunks.keys():
-            length, kind = struct.unpack_from("<II", data, begin - 8)
-            if length > size - begin:
-                found = f"a chunk of {length} bytes that is cut short"
-                raise SourceError(str(path), found, "whole chunks", "Copy it again.")
-            chunks.setdefault(kind, data[begin : begin + length])
-            begin += length + 8
-        if _JSON not in chunks:
-            raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
-        text = chunks[_JSON]
+    wanted, chunks = {_JSON, _BIN} if has_binary else {_JSON}, dict[int, bytes]()
+    with readable(path), path.open("rb") as file:
+        size, text = os.fstat(file.fileno()).st_size, file.read(12)
+        if not text.startswith(b"glTF"):
+            text += file.read()
+        else:
+            version, length = struct.unpack_from("<II", text, 4) if size >= 12 else (2, size + 1)
+            if version != 2:
+                raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
+            if length > size:
+                raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
+            while file.tell() + 8 <= size and not wanted <= chunks.keys():
+                length, kind = struct.unpack("<II", file.read(8))
+                if length > size - file.tell():
+                    found = f"a chunk of {length} bytes that is cut short"
+                    raise SourceError(str(path), found, "whole chunks", "Copy it again.")
+                if kind in wanted - chunks.keys():
+                    chunks[kind] = file.read(length)
+                else:
+                    file.seek(length, os.SEEK_CUR)
+            if _JSON not in chunks:
+                raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
+            text = chunks[_JSON]
     try:
         members = json.loads(text)
     except (ValueError, RecursionError) as error:

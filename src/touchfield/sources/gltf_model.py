@@ -19,9 +19,10 @@ import numpy as np
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.medium.pose_track import rotation_matrices, slerp
-from touchfield.sources.gltf_document import Document, Element
+from touchfield.sources.gltf_document import HARMLESS, Document, Element
 
 _MOST_TRIANGLES: Final = 10_000_000  # beyond one for each byte: a node tree may use one mesh many times
+_MOST_TOLD: Final = 9
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _COMPRESSIONS: Final = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 _WIDTHS: Final = {"translation": 3, "rotation": 4, "scale": 3}
@@ -299,6 +300,8 @@ class _Piece:
 class Model:
     """The triangles of the scene of a glTF document: `triangles` int64 [m, 3], vertex numbers over all pieces.
 
+    `notes` name the extensions that are not read.
+
     Raises `SourceError` if the document is at fault, or holds no triangle.
     """
 
@@ -345,6 +348,9 @@ class Model:
             faces.append(own_faces[:, ::-1] if is_mirrored else own_faces)  # turned over
             first += len(piece.geometry.vertices)
         self.triangles = np.concatenate(faces)
+        used = [str(name)[:60] for name in document.root.list_of("extensionsUsed")]
+        unread = [name for name in used if not name.startswith((*HARMLESS, *_COMPRESSIONS))]
+        self.notes = (f"Not read, and left out: {', '.join(map(repr, unread[:_MOST_TOLD]))}",) if unread else ()
 
     @property
     def is_animated(self) -> bool:

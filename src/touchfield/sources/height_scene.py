@@ -32,7 +32,7 @@ from touchfield.medium.npz import NpzArchive, map_npy, read_npy_header
 from touchfield.sources.camera import DepthSequence, noise_step_per_m
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.pictures import opened
+from touchfield.sources.pictures import opened, page_sizes
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, MovingScene, Scene
 from touchfield.sources.segments import SegmentRule, segmented_bodies
@@ -48,6 +48,7 @@ PICTURE_RELIEF: Final = 0.2  # of a picture without a scale, of its shorter side
 
 _GREY_MODES: Final = ("L", "LA", "I", "F", "I;16", "I;16L", "I;16B", "I;16N", "I;16S", "I;16BS")
 _PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113
+_SAMPLE_FORMAT, _SIGNED = 339, 2
 _MODEL_TYPE_KEY, _LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY = 1024, 3076, 4099
 _GEOGRAPHIC: Final = 2
 _UNITS_M: Final = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}  # EPSG: metre, international and US survey foot
@@ -245,6 +246,7 @@ class _Place(NamedTuple):
     unit_m: float = 1.0
     vertical_unit_m: float | None = 1.0
     nodata: float | None = None
+    notes: tuple[str, ...] = ()
 
 
 def _scene(path: Path, heights: _Heights, place: _Place, options: SourceOptions) -> HeightScene:
@@ -260,17 +262,18 @@ def _scene(path: Path, heights: _Heights, place: _Place, options: SourceOptions)
         is_degrees = abs(latitude) <= 90 and abs(longitude) <= 180 and max(place.cell) < 0.1
     if is_degrees and abs(latitude) > LATITUDE_LIMIT_DEG:
         raise SourceError(str(path), f"the latitude {latitude:.4g}", f"at most {LATITUDE_LIMIT_DEG} either way")
-    notes: tuple[str, ...] = ()
+    notes = place.notes
     dy, dx = place.cell or (1.0, 1.0)
     if options.cell_size_m is not None:
         cell_m = options.cell_size_m, options.cell_size_m
     elif place.cell is None:
-        cell_m, notes = (1.0, 1.0), ("The distance between samples is not given: one metre is assumed (cell size).",)
+        cell_m = (1.0, 1.0)
+        notes += ("The distance between samples is not given: one metre is assumed (cell size).",)
     elif is_degrees:
         along, across = degree_m(latitude)
         cell_m = dy * along, dx * across
         lengths = f"{cell_m[1]:.4g} m east, {cell_m[0]:.4g} m north"
-        notes = (f"Degrees are taken as metres at latitude {latitude:.2f}: {lengths}.",)
+        notes += (f"Degrees are taken as metres at latitude {latitude:.2f}: {lengths}.",)
     else:
         cell_m = dy * place.unit_m, dx * place.unit_m
     unit_m = place.vertical_unit_m if options.height_scale is None else options.height_scale
@@ -339,16 +342,23 @@ def _coordinates(archive: NpzArchive, shape: tuple[int, ...]) -> tuple[Float64s,
 
 def _from_picture(path: Path) -> tuple[_Heights, _Place]:
     """A grey picture: heights by its nature where it is of floats, or a TIFF with a place on Earth."""
-    with warnings.catch_warnings(), opened(path) as picture:
+    expected = "one grey channel of 8 to 16 bits, or of 32, whole or floating"
+    with warnings.catch_warnings(), opened(path, expected=expected) as picture:
         warnings.simplefilter("ignore")  # what is damaged is an error, or heights that are not known
         if picture.mode not in _GREY_MODES:
             found = f"a picture of mode {picture.mode}"
             raise SourceError(str(path), found, "one grey channel", "Convert it to grey first.")
         size = (picture.height, picture.width)
-        tags = _geo_tags(dict(getattr(picture, "tag_v2", {})), *size)
+        stored = dict(getattr(picture, "tag_v2", {}))
+        tags = _geo_tags(stored, *size)
         values = np.array(picture.getchannel(0) if picture.mode == "LA" else picture)
+        if picture.mode == "L" and stored.get(_SAMPLE_FORMAT) == (_SIGNED,):  # which Pillow does not tell
+            values = values.view(np.int8)
     if values.shape != size:
         raise SourceError(str(path), f"values of shape {values.shape}", f"{size}")
+    with suppress(SourceError):  # other pages may be of a form that is not read
+        if stored and page_sizes(path, most=1)[1:] == [size[::-1]]:
+            tags = tags._replace(notes=("The file has several pages of this size: the first is read.",))
     is_elevation = values.dtype.kind == "f" or tags.cell is not None
     if tags.nodata is not None:
         values = values.astype(np.float64)
@@ -421,21 +431,20 @@ def _recognise(path: Path) -> bool:
     names = f"{path.parent.name}/{path.name}".lower()
     if not path.is_file() or any(word in names for word in ("depth", "disp")):
         return False
+    if suffix == ".npz":
+        archive = NpzArchive(path)
+        is_height = any(n in HEIGHT_KEYS or len(archive.header(n).shape) == 2 for n in archive.names)
+        return is_height and "forces_n" not in archive.names
+    if suffix == ".npy":
+        with path.open("rb") as stream:
+            return len(read_npy_header(stream, str(path)).shape) == 2
+    if suffix not in PICTURES:
+        return False
     try:
-        if suffix == ".npz":
-            archive = NpzArchive(path)
-            if "forces_n" in archive.names:
-                return False
-            return any(n in HEIGHT_KEYS or len(archive.header(n).shape) == 2 for n in archive.names)
-        if suffix == ".npy":
-            with path.open("rb") as stream:
-                return len(read_npy_header(stream, str(path)).shape) == 2
-        if suffix not in PICTURES:
-            return False
         with opened(path) as picture:  # reads the head only
             return picture.mode in _GREY_MODES
     except (SourceError, OSError):
-        return False
+        return suffix in PICTURES[1:]  # this reader tells of the form of a TIFF that is not read
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:

@@ -33,6 +33,7 @@ _WELD, _TOGETHER = 1e-7, 1e-3
 HOLES: Final = {"small": 0.05, "close": np.inf, "leave": -1.0}  # of its part: the largest hole that is closed
 # a part with more of its area missing is a sheet: its wall lies behind its faces, not within what they enclose
 _NEARLY_CLOSED: Final = 0.75
+_FLAT: Final = 0.999  # cosine between the triangles of a polygon and its whole, of one that counts as flat
 _MOST_EDGES: Final = 1 << 18
 _LONGEST, _LONGEST_OF_MANY, _MANY = 128, 24, 100
 _MOST_TOLD: Final = 5
@@ -182,7 +183,7 @@ class Surface:
 def _check_finite(vertices: Float64s, name: str) -> None:
     bad = int(np.count_nonzero(~(np.abs(vertices) < _LARGEST_M).all(axis=1)))
     if bad:
-        raise SourceError(name, f"{bad} vertices with a coordinate that is NaN or infinite", "finite metres")
+        raise SourceError(name, f"{bad} vertices with a coordinate that is NaN or beyond {_LARGEST_M:g} m", "less")
 
 
 def from_longest(corners: Float64s) -> Int64s:
@@ -235,16 +236,43 @@ def places(points: Float64s, tolerance: float = 0.0) -> tuple[Int64s, Int64s]:
 
 # -- which vertices are one: those at one place, and in a mesh that moves only if they stay together ---------
 def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[Float64s, Int32s]:
-    """The mesh with equal vertices made one; nearly equal ones too, if that closes it."""
+    """The mesh with equal vertices made one; nearly equal ones too, if that closes it; and `unfolded`."""
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         return vertices, triangles.astype(np.int32)  # the scene will say so
     points, faces = joined(vertices, triangles)
+    faces = unfolded(points, faces)
     if not np.isfinite(points).all() or _unbalanced(faces, len(points)) == 0:
         return points, faces
     near_points, near_faces = joined(points, faces, _WELD * float(np.ptp(points, axis=0).max()))
     if _unbalanced(near_faces, len(near_points)) == 0:
         return near_points, near_faces
     return points, faces
+
+
+def unfolded(points: Float64s, triangles: Int32s) -> Int32s:
+    """The triangles with concave polygons cut anew.
+
+    Readers cut a polygon into a fan from its first corner, or a quad into two triangles. Where it is concave, some of
+    them lie upside down, partly outside; `_patch` cuts it along its outline.
+    """
+    fans, faces = triangles.copy(), triangles.copy()
+    is_quad = (fans[1:, 0] == fans[:-1, 2]) & (fans[1:, 2] == fans[:-1, 0])
+    fans[1:][is_quad] = np.roll(triangles[1:][is_quad], 1, axis=1)
+    goes_on = (fans[1:, 0] == fans[:-1, 0]) & (fans[1:, 1] == fans[:-1, 2])
+    first = np.flatnonzero(np.append(True, ~goes_on))
+    count = np.diff(np.append(first, len(fans)))
+    corners = points[fans]
+    with np.errstate(all="ignore"):  # what is not finite, the scene will say
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        whole = np.repeat(np.add.reduceat(normals, first), count, axis=0)
+        along, size = np.einsum("ij,ij->i", normals, whole), _lengths(normals) * _lengths(whole)
+        is_turned, is_flat = along < -_FLAT * size, np.abs(along) >= _FLAT * size
+    is_folded = np.logical_or.reduceat(is_turned, first) & np.logical_and.reduceat(is_flat, first)
+    most = _LONGEST if np.count_nonzero(is_folded) <= _MANY else _LONGEST_OF_MANY
+    for begin, end in zip(first[is_folded], (first + count)[is_folded]):
+        loop = np.append(fans[begin, :2], fans[begin:end, 2]).astype(np.int64)
+        faces[begin:end] = _patch(loop, points, most)
+    return faces
 
 
 def welded_in_motion(poses: Float64s, triangles: Int64s) -> tuple[Int64s, Int32s]:
@@ -342,7 +370,8 @@ def _told(taken: list[_Hole], left: list[_Hole]) -> tuple[str, ...]:
     notes = []
     for holes, kind, what in ((taken, "hole", "closed"), (left, "open outline", "left, where the force falls to 0")):
         largest = sorted(holes, key=lambda h: -h.area_m2)[:_MOST_TOLD]
-        sizes = ", ".join(f"{h.across_m:.3g} m across ({h.share:.2%} of its part)" for h in largest)
+        shares = (f"{h.share:.2%} of" if h.share < np.inf else "no area in" for h in largest)
+        sizes = ", ".join(f"{h.across_m:.3g} m across ({of} its part)" for h, of in zip(largest, shares))
         if holes:
             more = ", ..." * (len(holes) > _MOST_TOLD)
             notes.append(f"{len(holes)} {kind}{'s' * (len(holes) > 1)} {what}: {sizes}{more}")

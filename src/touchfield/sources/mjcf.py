@@ -41,9 +41,8 @@ from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Body, Scene
 from touchfield.sources.shapes import SHAPES, Shape, moved
-from touchfield.sources.simulation import FRAME_RATE_HZ, compiled, frames_of, load_mujoco, simulated
+from touchfield.sources.simulation import FRAME_RATE_HZ, SECONDS, compiled, frames_of, load_mujoco, simulated
 
-_SECONDS: Final = 2.0
 _SECONDS_NAME: Final = "touchfield_seconds"
 _HEAD_BYTES: Final = 1 << 16
 
@@ -67,7 +66,7 @@ def _open(path: Path, options: SourceOptions) -> BodyScene:
     seconds, rate = options.seconds, options.rate_hz or FRAME_RATE_HZ
     if seconds is None:
         numeric = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, _SECONDS_NAME)
-        seconds = _SECONDS if numeric < 0 else float(model.numeric_data[model.numeric_adr[numeric]])
+        seconds = SECONDS if numeric < 0 else float(model.numeric_data[model.numeric_adr[numeric]])
         if not (seconds > 0 and math.isfinite(seconds)):
             raise SourceError(f"{path}: {_SECONDS_NAME}", f"{seconds:g}", "a positive number of seconds")
     ids = sorted({body_id for _, body_id, _ in pieces})
@@ -86,11 +85,8 @@ def _recognise(path: Path) -> bool:
     """True if the root element is ``mujoco``: the first tag that is no declaration and no comment."""
     if path.suffix.lower() != ".xml" or not path.is_file():
         return False
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
-    except OSError:
-        return False
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
     while head.startswith((b"<?", b"<!")):
         end = b"-->" if head.startswith(b"<!--") else b">"
         head = head.partition(end)[2].lstrip()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 from touchfield.errors import InvalidArgument, require_positive
 
@@ -92,3 +93,20 @@ class SourceOptions:
             "source_rate_hz", "near_m", "far_m", "baseline_m",
         )  # fmt: skip
         require_positive(**{name: getattr(self, name) for name in positive if getattr(self, name) is not None})
+
+
+class WatchedOptions:
+    """Options as a source reads them, which know what was read."""
+
+    def __init__(self, options: SourceOptions) -> None:
+        self._options, self._read = options, {"kind", "allow_outside"}
+
+    def __getattr__(self, name: str) -> Any:
+        self._read.add(name)
+        return getattr(self._options, name)
+
+    def unread(self) -> list[str]:
+        """Names of the options that somebody asked for and no one has read."""
+        usual = SourceOptions()
+        asked = [f.name for f in fields(usual) if getattr(self._options, f.name) != getattr(usual, f.name)]
+        return [name for name in asked if name not in self._read]

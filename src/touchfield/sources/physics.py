@@ -58,11 +58,10 @@ from touchfield.sources.poses import quaternion_of_turns, read_pose_csv, track_a
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Body
 from touchfield.sources.shapes import SHAPES, Plane, Triple
-from touchfield.sources.simulation import FRAME_RATE_HZ, frames_of, load_mujoco, model_of, simulated
+from touchfield.sources.simulation import FRAME_RATE_HZ, SECONDS, frames_of, load_mujoco, model_of, simulated
 
 Poses = tuple[Float64s, Float64s, Float64s]
 
-_SECONDS: Final = 2.0
 _FEWEST_STEPS: Final = 7
 _KINDS: Final = (*(kind for kind in SHAPES if kind != "plane"), "mesh")
 _PLACE: Final = ("position_m", "rotation_deg")
@@ -313,16 +312,13 @@ def _frame_count(
                 raise
             found = f"poses that begin at {first_s:.6g} s"
             raise InvalidArgument(str(path), found, error.expected, "Let their times begin at 0.") from error
-    return frames_of(str(path), _SECONDS if seconds is None else seconds, rate_hz, count)
+    return frames_of(str(path), SECONDS if seconds is None else seconds, rate_hz, count)
 
 
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() != ".toml" or not path.is_file():
         return False
-    try:
-        table = read_toml(path, "")
-    except SourceError:
-        return False  # the next kind that takes .toml will say why
+    table = read_toml(path, "")  # where it cannot be read, the next kind that takes .toml will say why
     return "body" in table or "physics" in table
 
 

@@ -146,7 +146,7 @@ def opened(path: Path, formats: tuple[str, ...] | None = None, expected: str = "
         raise SourceError(str(path), "a picture that is too large", f"at most {MAX_PIXELS} pixels") from error
     except Exception as error:  # for damaged files Pillow raises almost any kind
         reason = getattr(error, "strerror", None) or error or "no picture in it"
-        found = f"a damaged picture, which cannot be read ({reason})"
+        found = f"a picture that is damaged, or of a form that is not read ({reason})"
         raise SourceError(str(path), found, expected, "Check the file.") from error
 
 

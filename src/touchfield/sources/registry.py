@@ -61,7 +61,7 @@ class SourceKind:
     ----------
     name : str; What ``--as`` takes.
     summary : str; One line for the user: what it is and which files it takes; ``--as`` takes its words, too.
-    recognise : callable; ``recognise(path) -> bool``: by names and a few bytes; never raises for a readable path.
+    recognise : callable; ``recognise(path) -> bool``: by names and a few bytes; what it cannot read is not its own.
     open : callable; ``open(path, options) -> Scene``; raises `SourceError` for data at fault.
     """
 
@@ -69,6 +69,17 @@ class SourceKind:
     summary: str
     recognise: Callable[[Path], bool]
     open: Callable[[Path, SourceOptions], Scene]
+
+    def __post_init__(self) -> None:
+        recognise = self.recognise
+
+        def is_known(path: Path) -> bool:
+            try:
+                return recognise(path)
+            except (OSError, SourceError):
+                return False
+
+        object.__setattr__(self, "recognise", is_known)
 
 
 @cache

@@ -35,13 +35,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError, require_positive
+from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.files import readable
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.sources import moving_pictures as moving
 from touchfield.sources.camera import MAX_FRAMES, Frames, require_frame
-from touchfield.sources.depth_layouts import is_known, source_rate
+from touchfield.sources.depth_layouts import source_rate
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder, list_files, with_suffix
@@ -252,10 +252,7 @@ def _recognise(path: Path) -> bool:
     if not path.is_file():
         return False
     if path.suffix.lower() in moving.VIDEO_SUFFIXES:
-        try:
-            return not moving.video_header(path).is_deep_grey
-        except MissingExtra:
-            return True  # so that the user is told which extra reads videos
+        return not moving.video_header(path).is_deep_grey  # without the extra, "depth-video" has said so before
     return path.suffix.lower() in moving.ANIMATED_SUFFIXES
 
 
@@ -263,6 +260,6 @@ KIND = SourceKind(
     "saliency",
     "ordinary video (MKV, AVI, MOV, MP4; extra: video), GIF, or with --as pictures or a folder of them: what catches "
     "the eye, for arrays of actuators",
-    is_known(_recognise),
+    _recognise,
     open_saliency,
 )

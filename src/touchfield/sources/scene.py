@@ -19,6 +19,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid, PoseTrack
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, frozen
+from touchfield.medium.grid import CORNERS
 from touchfield.parallel import for_chunks
 from touchfield.sources.laws import ForceProfile
 
@@ -29,26 +30,36 @@ UP_Z_AXES: Final = "x east, y north, z up"
 DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
 """The option that says the unit of depth, and usual sizes of its scenes, metres (`Scene.unit`)."""
 
+LOCAL: Final = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
 _BRICKS_AT_ONCE: Final = 64
 
 
-def bricks_that(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int32s:
+def bricks_that(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -> Int32s:
     """Bricks that may hold a force, int32 [n, 3] ascending: blocks of bricks, halved where one may.
 
-    ``may_hold(centres, radius_m)``, bool [n]: whether there may be a force so near to points, float64 [n, 3].
+    ``may_hold(blocks, size)``, bool [n]: whether there may be a force in blocks, int32 [n, 3] in units of their
+    `size`, bricks along each axis.
     """
     size = 1 << max(grid.brick_shape).bit_length()
-    blocks = np.zeros((1, 3), np.int64)
-    octants = np.stack([*np.indices((2, 2, 2))], axis=-1).reshape(8, 3)
+    blocks = np.zeros((1, 3), np.int32)
     while True:
+        blocks = blocks[may_hold(blocks, size)]
+        if size == 1:
+            return blocks[np.argsort(brick_keys(grid, blocks))]
+        size //= 2
+        blocks = (blocks[:, None] * 2 + CORNERS).reshape(-1, 3)
+        blocks = blocks[(blocks * size < grid.brick_shape).all(axis=1)]
+
+
+def bricks_near(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int32s:
+    """The same; ``may_hold(centres, radius_m)`` tells of a force so near to points, float64 [n, 3]."""
+
+    def in_blocks(blocks: Int32s, size: int) -> Bools:
         half = (size * BRICK - 1) / 2
         radius_m = float(np.linalg.norm(np.asarray(grid.spacing_m) * half))
-        blocks = blocks[may_hold(grid.to_m(blocks * (size * BRICK) + half), radius_m)]
-        if size == 1:
-            return blocks[np.argsort(brick_keys(grid, blocks))].astype(np.int32)
-        size //= 2
-        blocks = (blocks[:, None] * 2 + octants).reshape(-1, 3)
-        blocks = blocks[(blocks * size < grid.brick_shape).all(axis=1)]
+        return may_hold(grid.to_m(blocks.astype(np.int64) * (size * BRICK) + half), radius_m)
+
+    return bricks_that(in_blocks, grid)
 
 
 def field_of_points(
@@ -58,13 +69,12 @@ def field_of_points(
 
     Outside the bricks there is no force; those that hold none are left out.
     """
-    local = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
     forces = zero_forces(len(bricks))
 
     def fill(begin: int, end: int) -> None:
         for first in range(begin, end, _BRICKS_AT_ONCE):
             some = slice(first, min(first + _BRICKS_AT_ONCE, end))
-            index = bricks[some, None, None, None] * BRICK + local
+            index = bricks[some, None, None, None] * BRICK + LOCAL
             values = forces_n(grid.to_m(index).reshape(-1, 3)).reshape(index.shape)
             values[(index >= grid.shape).any(axis=-1)] = 0
             forces[some] = values
@@ -87,6 +97,7 @@ class Scene(ABC):
     rate_hz : float; Frames a second (any positive number for one frame).
     axes : str; One of `CAMERA_AXES`, `UP_Y_AXES`, `UP_Z_AXES`, or any other wording.
     notes : tuple of str; What the user should be told about how the source was read.
+    has_law : bool; Whether a force law makes the forces; False where they are the source's own.
     is_solid : bool; Whether everything behind the surface is solid unless a thickness is asked for.
     finest_m : (float, float, float) or None; Between samples closer than this the scene has nothing to tell; None
         for a continuous one.
@@ -104,6 +115,7 @@ class Scene(ABC):
     rate_hz: float = 30.0
     axes: str = UP_Y_AXES
     notes: tuple[str, ...] = ()
+    has_law: bool = True
     is_solid: bool = False
     finest_m: tuple[float, float, float] | None = None
     box_wording: str = "the surface"

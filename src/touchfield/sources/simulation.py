@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from touchfield.sources.physics import PhysicsTable, RigidBody
 
 FRAME_RATE_HZ: Final = 1000.0  # frames a second where none are asked for: the rate of haptic rendering
+SECONDS: Final = 2.0  # of a simulation, where none are asked for
 START: Final = "touchfield"  # name of the keyframe from which a simulation begins, where the model has it
 _MAX_POSES: Final = 1 << 22  # bodies times frames; 28 doubles of 8 bytes and their copies are kept for each
 _MAX_STEPS: Final = 20_000_000  # steps times bodies: up to half a minute of one core

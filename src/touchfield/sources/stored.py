@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from touchfield.arrays import Float64s, Int32s
+from touchfield.arrays import Float64s
 from touchfield.errors import SourceError
-from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
-from touchfield.medium.field import brick_keys, bricks_of
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.field import bricks_reached
 from touchfield.medium.npz import NpzArchive, read_npz
 from touchfield.medium.zarr_store import read_zarr
 from touchfield.sources.laws import ForceProfile
@@ -27,6 +27,8 @@ class StoredScene(Scene):
 
     ``to_the_bit()`` gives the same medium with bricks of nothing but -0.0, which are no forces; by default `medium`.
     """
+
+    has_law = False
 
     def __init__(self, medium: HapticMedium, to_the_bit: Callable[[], HapticMedium] | None = None) -> None:
         self.medium, self.to_the_bit = medium, to_the_bit or (lambda: medium)
@@ -44,32 +46,13 @@ class StoredScene(Scene):
         stored = self.medium[frame]
         if grid == stored.grid:
             return stored
-        return field_of_points(grid, _touched(stored, grid), stored.sample_n)
-
-
-def _touched(stored: ForceField, grid: Grid) -> Int32s:
-    """Bricks of `grid` that a stored brick can reach: each sample acts within one spacing around it."""
-    low = grid.to_index(stored.grid.to_m(stored.bricks * BRICK - 1.0))
-    high = grid.to_index(stored.grid.to_m(stored.bricks * BRICK + float(BRICK)))
-    last = np.array(grid.shape) - 1.0
-    met = ((high >= 0) & (low <= last)).all(axis=1)
-    first = (np.clip(np.floor(low[met]), 0, last) // BRICK).astype(np.int64)
-    count = (np.clip(np.ceil(high[met]), 0, last) // BRICK).astype(np.int64) - first + 1
-    keys = np.zeros(0, np.int64)
-    for n in np.unique(count, axis=0):  # few: neighbouring bricks reach alike
-        offset = np.indices(n).reshape(3, -1).T
-        reached = first[(count == n).all(axis=1)][:, None] + offset
-        keys = np.union1d(keys, brick_keys(grid, reached.reshape(-1, 3)))
-    return bricks_of(grid, keys)
+        return field_of_points(grid, bricks_reached(stored, grid), stored.sample_n)
 
 
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() == ".zarr":
         return path.is_dir()
-    try:
-        return path.suffix.lower() == ".npz" and "forces_n" in NpzArchive(path).names
-    except SourceError:
-        return False
+    return path.suffix.lower() == ".npz" and "forces_n" in NpzArchive(path).names
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:

@@ -6,8 +6,8 @@ import asyncio
 import hmac
 import ipaddress
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from threading import Event as Flag
 from threading import Thread
@@ -119,6 +119,18 @@ def guarded(access: Access) -> web.Application:
             busy -= 1
 
     return web.Application(middlewares=[guard], client_max_size=1 << 10)
+
+
+@asynccontextmanager
+async def left_unless_read(request: web.BaseRequest, seconds: float) -> AsyncIterator[None]:
+    """A client that is left, with ConnectionResetError, where it takes longer to read what is sent within."""
+    try:
+        async with asyncio.timeout(seconds):
+            yield
+    except TimeoutError:
+        if request.transport is not None:
+            request.transport.abort()
+        raise ConnectionResetError from None
 
 
 class Pages(NamedTuple):

@@ -37,11 +37,8 @@ _SPREAD: Final = 8
 """Messages over whose time the datagrams of one are spread; the last ones come so many messages later."""
 
 _LEAST_SYMBOL, _MOST_SYMBOL = 128, 1152
-_LEAST_TAKEN: Final = 64
-"""Of a symbol; RaptorQ's decoder has no sub-blocks for a smaller one, and ends the program."""
-
 _BLOCK: Final = 56403
-"""Symbols in a source block of RFC 6330; a block beyond those of a message ends the program too."""
+"""Symbols of a block of RFC 6330, at most; its number is the first byte of a packet."""
 
 MOST_DATAGRAM: Final = _HEAD.size + _PACKET + _MOST_SYMBOL
 MOST_OPEN: Final = 24
@@ -172,8 +169,8 @@ class Gathering:
         magic, stream, number, length, symbol, crc = _HEAD.unpack_from(datagram)
         packet = datagram[_HEAD.size :]
         is_ours = magic == _MAGIC and 0 < length <= MOST_BYTES
-        is_ours &= symbol % 8 == 0 and _LEAST_TAKEN <= symbol <= _MOST_SYMBOL and len(packet) == symbol + _PACKET
-        is_ours &= length <= symbol * 65536 and packet[0] * symbol * _BLOCK < length
+        is_ours &= symbol % 8 == 0 and _LEAST_SYMBOL <= symbol <= _MOST_SYMBOL and len(packet) == symbol + _PACKET
+        is_ours &= packet[0] * _BLOCK * symbol < length <= symbol * 65536
         if not is_ours or zlib.crc32(packet, zlib.crc32(_HEAD.pack(magic, stream, number, length, symbol, 0))) != crc:
             return None
         if self._stream is None:

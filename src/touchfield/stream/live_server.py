@@ -10,7 +10,7 @@ import asyncio
 from contextlib import suppress
 from typing import Final
 
-from touchfield.stream.access import Access, Background, Pages, add_pages, guarded, web
+from touchfield.stream.access import Access, Background, Pages, add_pages, guarded, left_unless_read, web
 from touchfield.stream.live import MEDIA_TYPE, LiveSegment, LiveSender, file_of
 
 _PATIENCE_S: Final = 10.0
@@ -127,17 +127,22 @@ class LiveServer(Background):
             self.skipped += receiver.skipped
         return socket
 
-    def _answer(self, request: web.Request, data: bytes | None) -> web.Response:
+    async def _answer(self, request: web.Request, data: bytes | None) -> web.Response:
         if data is None:
             raise web.HTTPNotFound(text="no such segment now")
-        return web.Response(body=data, content_type=MEDIA_TYPE, headers=self._access.cors(request))
+        answer = web.Response(body=data, content_type=MEDIA_TYPE, headers=self._access.cors(request))
+        with suppress(ConnectionError):
+            async with left_unless_read(request, _PATIENCE_S):
+                await answer.prepare(request)
+                await answer.write_eof()
+        return answer
 
     async def _manifest(self, request: web.Request) -> web.Response:
         headers = {**self._access.cors(request), "Cache-Control": "no-store"}
         return web.json_response(self._asked(request).manifest(), headers=headers)
 
     async def _opening(self, request: web.Request) -> web.Response:
-        return self._answer(request, self._asked(request).opening or None)
+        return await self._answer(request, self._asked(request).opening or None)
 
     async def _segment(self, request: web.Request) -> web.Response:
         """A segment's message, or with the ending a file of its own, for whoever decodes files."""
@@ -145,7 +150,7 @@ class LiveServer(Background):
         message = sender.message(int(request.match_info["number"]))
         if message is not None and request.match_info["ending"]:
             message = file_of(sender.opening, message)
-        return self._answer(request, message)
+        return await self._answer(request, message)
 
 
 async def _ended(socket: web.WebSocketResponse) -> None:

@@ -15,7 +15,7 @@ from urllib.parse import quote
 from aiohttp.abc import AbstractStreamWriter
 
 from touchfield.errors import InvalidArgument
-from touchfield.stream.access import Access, Pages, add_pages, guarded, run, web
+from touchfield.stream.access import Access, Pages, add_pages, guarded, left_unless_read, run, web
 from touchfield.stream.live import MEDIA_TYPE
 
 _TYPES: Final = {
@@ -34,13 +34,8 @@ class _Answer(web.FileResponse):
 
     async def prepare(self, request: web.BaseRequest) -> AbstractStreamWriter | None:
         """Send it; who does not read is left."""
-        try:
-            async with asyncio.timeout(_PATIENCE_S + self._path.stat().st_size / _SLOWEST):
-                return await super().prepare(request)
-        except TimeoutError:
-            if request.transport is not None:
-                request.transport.abort()
-            raise ConnectionResetError from None
+        async with left_unless_read(request, _PATIENCE_S + self._path.stat().st_size / _SLOWEST):
+            return await super().prepare(request)
 
 
 def application(folder: Path, access: Access, pages: Pages | None = None) -> web.Application:

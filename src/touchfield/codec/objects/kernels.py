@@ -2,7 +2,8 @@
 
 Both fields of a body are kept as cells in one order (`touchfield.medium.cells`). Each cell knows a bound of what its
 error is of the mask, anywhere in it: a voxel that one body alone reaches is looked at only where that bound is above
-the worst voxel found so far, and a voxel that several reach always.
+the worst voxel found so far, and a voxel that several reach always. All is compiled into one function: to hand on
+tuples of arrays took a quarter of the time.
 """
 
 from __future__ import annotations
@@ -80,10 +81,11 @@ def bound_cells(begin, end, source, decoded, rule, bounds):
     The error of a trilinear cell is at most that of its worst corner, and its force along the mean direction no less
     than that of the corner where this is least.
     """
-    corners = np.empty((8, 3))
+    corners, mean = np.empty((8, 3)), np.empty(3)
     for s in range(begin, end):
         for cell in range(512):
-            error2, mean = 0.0, np.zeros(3)
+            error2 = 0.0
+            mean[:] = 0.0
             for e in range(8):
                 o = s * CELLS + ((cell >> 6) + (e >> 2)) * 243
                 o += (((cell >> 3) & 7) + ((e >> 1) & 1)) * 27 + ((cell & 7) + (e & 1)) * 3
@@ -102,7 +104,7 @@ def bound_cells(begin, end, source, decoded, rule, bounds):
             bounds[s, cell] = _SLACK * np.sqrt(error2) / max(rule.f0_n, rule.k * least)
 
 
-@njit(**LEAN)
+@njit(**LEAN, forceinline=True)
 def _add(cells, slot, row, at, least, total):
     """Add to `total` the force of a body at a point x - t, as it is in the scene."""
     x, y, z = own(row, at[0], at[1], at[2])
@@ -114,7 +116,7 @@ def _add(cells, slot, row, at, least, total):
         total[2] += z
 
 
-@njit(**LEAN)
+@njit(**LEAN, forceinline=True)
 def _span(row, first, size, world, box):
     """Into `box` the workspace's samples about a box of a body's own, first and last; whether there are any."""
     for a in range(3):
@@ -132,7 +134,7 @@ def _span(row, first, size, world, box):
     return True
 
 
-@njit(**LEAN)
+@njit(**LEAN, forceinline=True)
 def _overlap(one, other):
     """True where two boxes of samples have one in common."""
     meets = True
@@ -141,7 +143,7 @@ def _overlap(one, other):
     return meets
 
 
-@njit(**LEAN)
+@njit(**LEAN, forceinline=True)
 def _row_within(row, brick, px, py, world, low, high):
     """The first and the last sample of a row along z within a brick of a body's own, to rounding."""
     h = world[1, 2]
@@ -159,7 +161,7 @@ def _row_within(row, brick, px, py, world, low, high):
     return (np.int64(np.ceil(first)), np.int64(np.floor(last))) if first <= last else (0, -1)
 
 
-@njit(**LEAN)
+@njit(**LEAN, forceinline=True)
 def _meets(bodies, row_of, px, py, pz, found):
     """How many bodies that are near have a part in a voxel: their numbers and slots go to `found`."""
     count = 0
@@ -174,7 +176,7 @@ def _meets(bodies, row_of, px, py, pz, found):
     return count
 
 
-@njit(**LEAN)
+@njit(**LEAN, forceinline=True)
 def _compare_voxel(bodies, rows, rule, count, px, py, pz, found):
     """Compare at one voxel, of the bodies and slots `found.here[:count]`; whether it is beyond the rule."""
     sums, least = found.sums, rule.floor_n * rule.floor_n
@@ -201,7 +203,7 @@ def _compare_voxel(bodies, rows, rule, count, px, py, pz, found):
     return ratio > 1.0
 
 
-@njit(**LEAN)
+@njit(**LEAN, forceinline=True)
 def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, found):
     """Compare at the voxels of a row that lie in one brick of body n; how many are beyond the rule."""
     beyond, brick, row = 0, bodies.bricks[slot], rows[0, n]
@@ -220,7 +222,7 @@ def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, found):
     return beyond
 
 
-@njit(**LEAN)
+@njit(**LEAN, forceinline=True)
 def _compare_brick(bodies, rows, rule, n, slot, world, found):
     """Compare at the voxels within one brick of body n; how many are beyond the rule."""
     brick, box = bodies.bricks[slot], found.box
@@ -246,7 +248,7 @@ def _compare_brick(bodies, rows, rule, n, slot, world, found):
     return beyond
 
 
-@njit(**LEAN)
+@njit(**LEAN, forceinline=True)
 def _alone(n, stays, found):
     """True where no body that moves reaches where body n does, nor did so in the frame before."""
     here = found.spans[n]

@@ -120,7 +120,7 @@ CODER = Coder(
         CoderOption("direction_jnd_deg", float, "mask-direction: greatest angle, degrees. [default: 18.4]"),
         CoderOption("step_n", float, "mode nmse: step of the lattice, newtons. [default: 0.05]"),
         CoderOption("support", str, "movable (where |F| is at most F_0), or exact. [default: movable]"),
-        CoderOption("effort", str, "default, or fast: codes 1.2 to 1.6 times as quickly, decodes nothing to check. [default: default]"),
+        CoderOption("effort", str, "default, or fast: 1.2 to 1.6 times as quick, decodes nothing to check."),
         CoderOption("masking", float, "share of the mean force around that is hidden, 0 to 1. [default: 0]"),
         CoderOption("body_site", str, "masking: where it is felt: finger, palm, belly, forearm. [default: finger]"),
         CoderOption("lossless_quantised", bool, "keep a field that is quantised already exactly."),

@@ -127,18 +127,6 @@ def pooled(stored: ForceField, asked: Grid) -> tuple[Float64s, Float64s]:
 # -- to another lattice: three passes over each output brick, which is made alone, in a fixed order of additions ---
 
 
-@entry
-def reached(spans, brick_shape, out):
-    """Into `out` the keys of the bricks of each box, `spans` int64 [n, 3, 2] being their begins and ends."""
-    count = 0
-    for n in range(spans.shape[0]):
-        for i in range(spans[n, 0, 0], spans[n, 0, 1]):
-            for j in range(spans[n, 1, 0], spans[n, 1, 1]):
-                for k in range(spans[n, 2, 0], spans[n, 2, 1]):
-                    out[count] = (i * brick_shape[1] + j) * brick_shape[2] + k
-                    count += 1
-
-
 @inlined
 def _pass_x(forces, slot, span, low, first, weights, n0, n1, tmp):
     """Add what one input brick gives to the first pass; `span` holds its sample ranges x0, x1, y0, y1, z0, z1."""
@@ -306,13 +294,3 @@ def friction(fx, fy, fz, vx, vy, vz, mu, slip_speed):
     if size < _LEAST_N:
         return 0.0, 0.0, 0.0
     return -tx / slip * size, -ty / slip * size, -tz / slip * size
-
-
-@njit(cache=True, nogil=True)
-def frictions(forces, velocities, mu, slip_speed, out):
-    """`friction` of many contacts, float64 [m, 3] of float64 [m, 3] twice."""
-    for i in range(forces.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2] = friction(
-            forces[i, 0], forces[i, 1], forces[i, 2],
-            velocities[i, 0], velocities[i, 1], velocities[i, 2], mu, slip_speed,
-        )  # fmt: skip

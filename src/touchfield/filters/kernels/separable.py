@@ -269,3 +269,38 @@ def filtered_bricks(begin, end, items, source, keys_of_passes, lattice, before, 
                 if made_y[keys_y[s] - base]:
                     _line_cleared(line, width, keys_y[s] - base)
                     made_y[keys_y[s] - base] = 0
+
+
+COLUMNS = 256
+"""Of a dense array, filtered at once: their samples along an axis stay in the cache."""
+_AT_ONCE = 1024  # sums, of columns narrower than that
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def sums_along(begin, end, source, runs, places, weights, sizes, out):
+    """Weighted sums along an axis of a dense array, whose samples are numbers `beside` each other: [a, n x beside].
+
+    `sizes` are the samples of a line that is continued beyond its ends, `beside`, and how many of these are filtered
+    at once. `runs` [n, 3] say what a line is made of: where in it, from which sample, and how many; else it is zero.
+    `places` and `weights` are of a sum from its first sample on, four and four.
+    """
+    samples, beside, width = sizes
+    blocks, count = -(-beside // width), out.shape[1] // max(1, beside)
+    line, many = np.zeros(samples * width, out.dtype), _AT_ONCE // width if blocks == 1 else 1
+    for item in range(begin, end):
+        a, first = item // blocks, item % blocks * width
+        columns = min(width, beside - first)
+        for n in range(len(runs)):
+            p, q = np.uint64(runs[n, 0] * width), np.uint64(runs[n, 1] * beside + first)
+            for i in range(np.uint64(columns * runs[n, 2])):
+                line[p + i] = source[a, q + i]
+        for row in range(0, count, many):
+            o, size = np.uint64(row * beside + first), np.uint64(columns * min(many, count - row))
+            for i in range(size):
+                out[a, o + i] = 0
+            for k in range(0, len(places), 4):
+                p, q = np.uint64((row + places[k]) * width), np.uint64((row + places[k + 1]) * width)
+                r, s = np.uint64((row + places[k + 2]) * width), np.uint64((row + places[k + 3]) * width)
+                t, u, v, w = weights[k], weights[k + 1], weights[k + 2], weights[k + 3]
+                for i in range(size):
+                    out[a, o + i] += t * line[p + i] + u * line[q + i] + v * line[r + i] + w * line[s + i]

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from touchfield.lean import entry
 from touchfield.medium.grid import Grid
 
 
@@ -23,6 +24,18 @@ def first_at_least(keys, key):
         else:
             high = middle
     return low
+
+
+@entry
+def reached(spans, brick_shape, out):
+    """Into `out` the keys of the bricks of each box, `spans` int64 [n, 3, 2] being their begins and ends."""
+    count = 0
+    for n in range(spans.shape[0]):
+        for i in range(spans[n, 0, 0], spans[n, 0, 1]):
+            for j in range(spans[n, 1, 0], spans[n, 1, 1]):
+                for k in range(spans[n, 2, 0], spans[n, 2, 1]):
+                    out[count] = (i * brick_shape[1] + j) * brick_shape[2] + k
+                    count += 1
 
 
 @njit(cache=True, nogil=True)

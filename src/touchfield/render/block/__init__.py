@@ -335,11 +335,6 @@ def statistics_of(memory: Memory) -> dict[str, Any]:
         for percent, share in (("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999)):
             counts[f"{name}_{percent}_us"] = _quantile_us(bins, share, 1e-3 * float(i8[worst]))
         counts[f"{name}_worst_us"] = 1e-3 * float(i8[worst])
-    latencies = i8[W.LATENCIES : W.LATENCIES + W.LATENCY_BINS].copy()
-    if latencies.any():
-        middle = int(np.searchsorted(np.cumsum(latencies), 0.5 * latencies.sum()))
-        counts["latency_min_s"] = 1e-9 * float(i8[W.LEAST_LATENCY_NS])
-        counts["latency_median_s"] = 1e-6 * (2.0 ** ((middle + 0.5) / W.LATENCY_STEPS) - 1)
     return counts
 
 

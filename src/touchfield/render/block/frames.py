@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_not_negative
 from touchfield.medium.cells import CellPool
-from touchfield.medium.medium import HapticScene
+from touchfield.medium.medium import HapticMedium, HapticScene
 from touchfield.render.block import Memory
 from touchfield.render.block import words as W
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from touchfield.medium.deformation import Deformation
     from touchfield.medium.field import ForceField
-    from touchfield.medium.medium import HapticMedium
 
 FieldName = tuple[int, int]
 """(object, frame); of a rigid object the frame is -1, and one field serves all frames. Voxels are object 0."""
@@ -157,6 +156,13 @@ def _check_place(memory: Memory, at: int, words: int) -> None:
         raise InvalidArgument("place in the block", f"words {at} to {at + words}", f"0 to {memory.words}")
 
 
+def require_medium(medium: object) -> None:
+    """`InvalidArgument` for what is neither a medium nor a scene."""
+    if not isinstance(medium, HapticMedium | HapticScene):
+        mend = "A stream has its own as `stream.medium`; HapticMedium.from_frames makes one of fields."
+        raise InvalidArgument("medium", f"a {type(medium).__name__}", "a HapticMedium or a HapticScene", mend)
+
+
 class FrameParts:
     """Frames of a medium or a scene as fields and poses; `words` is what a frame takes without its fields.
 
@@ -165,6 +171,7 @@ class FrameParts:
     """
 
     def __init__(self, medium: HapticMedium | HapticScene, deformation: Deformation | None = None) -> None:
+        require_medium(medium)
         self.medium, self.deformation, self.yield_at = medium, deformation, 0
         self.frame_count, self.rate_hz = medium.frame_count, medium.rate_hz
         self.words = frame_words(len(medium.objects) if isinstance(medium, HapticScene) else 1)
@@ -242,10 +249,11 @@ class FrameStore:
     def __init__(
         self, parts: FrameParts, memory_bytes: int, cells_of: Callable[[FieldName], CellPool] | None = None
     ) -> None:
+        require_not_negative(memory_bytes=memory_bytes)
         self._parts, self._cells_of = parts, cells_of or parts.cells
         self._slots = (_NOWHERE, _NOWHERE + parts.words)
         self._begin = self._top = _NOWHERE + 2 * parts.words
-        self._bound = self._begin + memory_bytes // W.WORD
+        self._bound = self._begin + int(memory_bytes) // W.WORD
         self._fields: OrderedDict[FieldName, tuple[int, int]] = OrderedDict()
         self._written = [-1, -1]
         self.memory = Memory.empty(min(self._bound, self._begin + _FIRST_WORDS))

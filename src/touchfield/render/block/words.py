@@ -49,7 +49,7 @@ NEEDS, FEED, RESTING, RELEASED, DEADLINE_NS, LOG_WRITTEN, MEDIA_S = range(48, 55
 SEQUENCE_SEEN, GENERATION_NOW, SPEED_NOW, MODE_NOW, STOP_NOW = range(64, 69)
 ANCHOR_MEDIA_S, ANCHOR_CLOCK_S, CLOCK_S, USED = range(69, 73)
 
-DIRECTORY_WORDS: Final = 4  # of one entry: generation and unrolled frame, place of the frame, when published, nothing
+DIRECTORY_WORDS: Final = 2  # of one entry: generation and unrolled frame, place of the frame
 ROW_WORDS: Final = 30  # of one row of the log (`block.COLUMNS`)
 FRAME_BITS: Final = 40  # a generation stands above so many bits of an unrolled frame, which counts on in a loop
 
@@ -100,13 +100,12 @@ TURN, FIELD_TORQUE, WANTED_TORQUE, TORQUE, TORQUE_HEAT, TORQUE_LIMIT = _rows(WRE
 WRENCH_WORDS: Final = 44
 
 # -- COUNTS: LATE by more than half a period, MISSED periods without a tick; PLAYED_TICKS: in which the medium was
-# to be played. Histograms of times in bins of 1 us, the last of which holds all above, and of latencies, 8 to a
-# doubling
+# to be played. Histograms of times in bins of 1 us, the last of which holds all above
 
 TICKS, LATE, MISSED, UNDERRUNS, STALLED_TICKS, WAITS, WAITING_TICKS, FIRST_NS, LAST_NS = range(512, 521)
-WORST_PERIOD_NS, WORST_LATENESS_NS, LEAST_LATENCY_NS, FRAMES_USED, PLAYED_TICKS = range(521, 526)
-TIME_BINS, LATENCY_BINS, LATENCY_STEPS = 3000, 256, 8
-PERIODS, LATENESSES, LATENCIES = _rows(COUNTS + 64, TIME_BINS + 1, TIME_BINS + 1, LATENCY_BINS)
+WORST_PERIOD_NS, WORST_LATENESS_NS, FRAMES_USED, PLAYED_TICKS = range(521, 525)
+TIME_BINS: Final = 3000
+PERIODS, LATENESSES = _rows(COUNTS + 64, TIME_BINS + 1, TIME_BINS + 1)
 
 # -- a field: a header and, behind it, what `medium.cells` made of it; its places count from its first word. i8:
 # bricks of cells along x, y, z, zero for a field without force; 64 - bits of the hash table; where table (int64

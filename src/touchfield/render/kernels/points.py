@@ -94,7 +94,7 @@ def gradients_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, fra
         force = frames.force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
         rows = frames.gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, force)
         for c in range(9):
-            out[p, c] = rows[c]
+            out[p, c] = rows[c] if math.isfinite(x + y + z) else 0.0
 
 
 @njit(cache=True, nogil=True)

@@ -215,13 +215,12 @@ def give_order(i8, f8, generation, start_s, speed, mode, stop):
 
 
 @njit(cache=True, nogil=True)
-def publish(i8, generation, frame, at, now_ns):
+def publish(i8, generation, frame, at):
     """Show a frame that is written: entry of an unrolled frame in the directory."""
     entry = i8[W.DIRECTORY] + W.DIRECTORY_WORDS * (frame % i8[W.SLOTS])
     i8[entry] = -1
     fence()
     i8[entry + 1] = at
-    i8[entry + 2] = now_ns
     fence()
     i8[entry] = (generation << W.FRAME_BITS) | frame
 
@@ -278,24 +277,16 @@ def _place(i8, frame):
 
 
 @njit(cache=True, nogil=True)
-def _count_use(i8, frame, now_ns):
-    """Count the first use of a frame, and the time since it was published (unknown where that is 0)."""
+def _count_use(i8, frame):
+    """Count the first use of a frame."""
     tag = (i8[W.GENERATION_NOW] << W.FRAME_BITS) | frame
-    if tag == i8[W.USED]:
-        return
-    i8[W.USED] = tag
-    i8[W.FRAMES_USED] += 1
-    published = i8[i8[W.DIRECTORY] + W.DIRECTORY_WORDS * (frame % i8[W.SLOTS]) + 2]
-    if published == 0:
-        return
-    latency = max(now_ns - published, 0)
-    if i8[W.LEAST_LATENCY_NS] == 0 or latency < i8[W.LEAST_LATENCY_NS]:
-        i8[W.LEAST_LATENCY_NS] = max(latency, 1)
-    i8[W.LATENCIES + min(int(W.LATENCY_STEPS * math.log2(1e-3 * latency + 1.0)), W.LATENCY_BINS - 1)] += 1
+    if tag != i8[W.USED]:
+        i8[W.USED] = tag
+        i8[W.FRAMES_USED] += 1
 
 
 @njit(cache=True, nogil=True)
-def frames_now(i8, f8, clock_s, now_ns, is_silent):
+def frames_now(i8, f8, clock_s, is_silent):
     """Places of the two frames of this instant, 0: no force; share of the second; first frame still to be read."""
     count, rate_hz = i8[W.FRAME_COUNT], f8[W.FRAME_RATE_HZ]
     media_s = _media_now(i8, f8, clock_s)
@@ -320,7 +311,7 @@ def frames_now(i8, f8, clock_s, now_ns, is_silent):
             f8[W.ANCHOR_MEDIA_S] = media_s
             f8[W.ANCHOR_CLOCK_S] = clock_s
             i8[W.FEED] = W.RUNNING
-        _count_use(i8, wanted, now_ns)
+        _count_use(i8, wanted)
         return frame_a, frame_b, blend, wanted
     if is_playing:
         if i8[W.FEED] == W.RUNNING:
@@ -397,7 +388,7 @@ def cycle(i8, u8, f8, f4, x, y, z, now_ns):
     adopt_order(i8, f8, clock_s)
     is_silent = i8[W.HEARTBEAT_NS] != 0 and now_ns - i8[W.HEARTBEAT_NS] > W.SILENCE_NS
     is_stopping = i8[W.STOP_NOW] != 0 or i8[W.STOP_HERE] != 0
-    frame_a, frame_b, blend, wanted = frames_now(i8, f8, clock_s, now_ns, is_silent)
+    frame_a, frame_b, blend, wanted = frames_now(i8, f8, clock_s, is_silent)
     if is_stopping:
         force = release(f8, dt_s)
     else:

@@ -13,6 +13,7 @@ from numba import njit
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s
 from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
+from touchfield.medium.grid import CORNERS
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -36,11 +37,6 @@ class Query(NamedTuple):
     pieces: Float32s  # [n, 4], the force profile
     reach: Float32s  # [2], m along the ray in front of and behind a plane
     first_m: float  # nothing pushes at less depth
-
-
-def all_nodes(shape: tuple[int, int, int]) -> Int32s:
-    """All index triples below `shape`, the last fastest, int32 [n, 3]."""
-    return np.indices(shape, np.int32).reshape(3, -1).T.copy()
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
@@ -263,7 +259,7 @@ def _fill(begin, end, nodes, query, out):
 
 def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
     """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of `span`."""
-    corners = (8 * span - 1) * (all_nodes((2, 2, 2)) @ query.lattice_m[1:])
+    corners = (8 * span - 1) * (CORNERS @ query.lattice_m[1:])
     ends = [np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())]
     view = nodes, span, np.vstack([corners, *ends]), query
     if uses_gpu():
