@@ -301,12 +301,6 @@ def rough() -> HapticMedium:
     )
 
 
-def bodies_of(prepared: Prepared) -> list[bytes]:
-    """Segments of five frames of a source that lasts five of them, coded."""
-    encoder = TouchEncoder(prepared.medium.grid, prepared.coding)
-    return [encoder.encode_segment([prepared.medium[5 * i + n] for n in range(5)]).body for i in range(5)]
-
-
 def felt_share(has_layer: bool, segments: int = 150) -> float:
     """Share of the time that a hand feels: frames from datagrams that are lost in bursts, on a clock of ours."""
     source, now, rng, is_bad = rough(), [0.0], np.random.default_rng(11), False
@@ -314,7 +308,8 @@ def felt_share(has_layer: bool, segments: int = 150) -> float:
     coarse, under = coarse_layer(source, fine)
     layers = []
     for one, own, layer in ((coarse, under, "coarse"), (fine, sender, "fine"))[not has_layer :]:
-        bodies = bodies_of(one)
+        encoder = TouchEncoder(one.medium.grid, one.coding)
+        bodies = [encoder.encode_segment([one.medium[5 * i + n] for n in range(5)]).body for i in range(5)]
         (opened,) = LiveReceiver().receive(own.opening)
         assert isinstance(opened, Opened)
         frames = LiveFrames(opened, clock_s=lambda: now[0], under=layers[0][0] if layers else None)
@@ -398,33 +393,6 @@ class OnAir:
         self._is_over.set()
         self._thread.join(10)
         self.server.__exit__()
-
-
-@contextmanager
-def sending(port: int, fine_segments: int) -> Iterator[None]:
-    """Datagrams of both layers at two ports, ten segments a second, coded before; few of the fine one."""
-    fine, sender = opened_sender(rough(), EncodeSpec())
-    coarse, under = coarse_layer(rough(), fine)
-    bodies, is_over = [bodies_of(fine), bodies_of(coarse)], threading.Event()
-
-    def run() -> None:
-        to = f"127.0.0.1:{port}"
-        with UdpSender(sender, to, "fine") as above, UdpSender(under, to, "coarse") as below:
-            began, number = time.monotonic(), 0
-            while not is_over.wait(max(0.0, began + 0.1 * (number + 1) - time.monotonic())):
-                segments = [LiveSegment(5 * number, 5, own[number % 5]) for own in bodies]
-                if number < fine_segments:
-                    above.add(sender.add(segments[0]))
-                below.add(under.add(segments[1]))
-                number += 1
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        is_over.set()
-        thread.join(10)
 
 
 @pytest.mark.parametrize("form", ["ws://{}/coarse/live", "http://{}/coarse/live.json"])

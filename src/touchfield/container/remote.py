@@ -10,7 +10,7 @@ from __future__ import annotations
 import http.client
 import io
 import re
-import socket
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -162,8 +162,6 @@ class _Http:
     def __init__(self, url: str, name: str) -> None:
         self._url, self._name = url, name
         self._link: http.client.HTTPConnection | None = None
-        self._socket: socket.socket | None = None
-        self._is_late = False
 
     def get(self, offset: int, size: int) -> _Part:
         """At most `size` bytes from `offset` on."""
@@ -174,18 +172,10 @@ class _Http:
                     return self._part(answer, offset, size)
                 self._url = urljoin(self._url, answer.getheader("Location") or "")
                 self.close()
-        except (OSError, http.client.HTTPException, ValueError) as error:
-            raise self._failed(str(error) or type(error).__name__) from None
-        finally:
-            watch.cancel()
+            except (OSError, http.client.HTTPException, ValueError) as error:
+                self.close()
+                raise self._failed(str(error) or type(error).__name__) from None
         raise self._failed(f"more than {_MOST_REDIRECTS} redirections")
-
-    def _leave(self) -> None:
-        """End an answer that takes too long, in its head or wherever it is being read."""
-        self._is_late = True
-        if self._socket is not None:
-            with suppress(OSError):
-                socket.socket.shutdown(self._socket, socket.SHUT_RDWR)  # of the connection below TLS, too
 
     def close(self) -> None:
         """Close the connection."""
@@ -209,11 +199,10 @@ class _Http:
             self._link.response_class = partial(_Answer, deadline)  # type: ignore[assignment]
             try:
                 self._link.request("GET", path, headers=headers)
-                self._socket = self._link.sock
                 return self._link.getresponse()
             except (ConnectionError, http.client.CannotSendRequest):
                 self.close()
-                if is_new or self._is_late:
+                if is_new:
                     raise
 
     def _part(self, answer: http.client.HTTPResponse, offset: int, size: int) -> _Part:
@@ -233,8 +222,6 @@ class _Http:
             if not more:
                 break
             data += more
-        if self._is_late:
-            raise self._failed("too late")
         if answer.length == 0:
             answer.close()  # the connection stays
         else:  # what was not asked for is not read
@@ -243,7 +230,6 @@ class _Http:
 
     def _failed(self, found: str, mend: str = "") -> SourceError:
         self.close()
-        found = "an answer that takes too long" if self._is_late else found
         return SourceError(self._name, found, "a .touch file on a server that answers ranges", mend)
 
 
