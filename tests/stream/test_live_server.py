@@ -28,7 +28,7 @@ from touchfield.stream.live import (
     Refused,
     file_of,
 )  # fmt: skip
-from touchfield.stream.live_client import open_live
+from touchfield.stream.live_client import _manifest, open_live
 from touchfield.stream.live_server import LiveServer
 from touchfield.stream.opened import open_stream
 
@@ -80,6 +80,11 @@ def on_air(access: Access = Access(port=0), segments: int = 10**6) -> Iterator[L
         yield server
         done.set()
         thread.join()
+
+
+def test_a_manifest_whose_numbers_have_no_end_is_told() -> None:
+    with pytest.raises(InvalidArgument, match="a manifest that is none"):
+        _manifest(b'{"is_ended": false, "segments": [{"number": 1e999}]}', "live.json")
 
 
 @pytest.mark.parametrize("form", ["ws://{}/live", "http://{}/live.json"])

@@ -64,8 +64,8 @@ class ByteSource:
     def read_at(self, offset: int, size: int) -> bytes:
         """`size` bytes from `offset` on; TruncatedFile if the file ends before.
 
-        The size is compared with the file's and with `memory_budget_bytes` before anything is allocated: a file may
-        have holes, and a server that sends zeros for ever.
+        The size is compared with the file's, which may have holes, and with `memory_budget_bytes` before anything is
+        allocated.
         """
         if offset + size > self.size:
             found = f"{max(0, self.size - offset)} bytes at byte {offset}, then the end of the file"

@@ -199,7 +199,7 @@ def _manifest(data: bytes, name: str) -> tuple[bool, list[int]]:
         manifest = json.loads(data)
         numbers = [int(one["number"]) for one in manifest["segments"]]
         is_over = bool(manifest["is_ended"])
-    except (ValueError, TypeError, KeyError, RecursionError):
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         raise InvalidArgument(name, "a manifest that is none", "one of a live stream") from None
     if sorted(set(numbers)) != numbers or (numbers and numbers[0] < 0):
         raise InvalidArgument(name, "numbers that do not ascend", "those of a live stream")

@@ -12,6 +12,7 @@ import numpy as np
 
 from touchfield.arrays import Int64s
 from touchfield.codec.kernels import READING, TASK, code, even, gamma, mix
+from touchfield.codec.touch.kernels.workspace import LIMIT
 from touchfield.lean import entry, inlined, lean
 
 REACH: Final = 1 << 23  # no coefficient is beyond it, units
@@ -74,7 +75,6 @@ def code_nodes(bits, at, before, step, values, sizes):
         values[n] = min(max(expected + r * step, np.int64(-REACH)), np.int64(REACH))
 
 
-LIMIT: Final = (1 << 17) - 1  # no component of a force is beyond it, units
 TOP, RAMP, RATIO_A, RATIO_B, XY_STEP, Z_STEP, A_STEP = range(7)  # whole numbers that all columns share
 HEADS: Final = (1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16)  # what they are below
 X, Y, Z, A, U, NUMBERS = 0, 1, 2, 3, 4, 11
