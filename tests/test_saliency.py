@@ -358,7 +358,7 @@ def test_files_at_fault(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="8 bits a colour"):
         open_source(tmp_path / "deep.png", AS)
     (tmp_path / "text.gif").write_text("no picture")
-    with pytest.raises(SourceError, match="cannot be read"):
+    with pytest.raises(SourceError, match="of a form that is not read"):
         open_source(tmp_path / "text.gif")
     whole = gif(tmp_path / "a.gif").read_bytes()
     for share in (0.002, 0.1, 0.5, 0.9):
