@@ -141,6 +141,7 @@ def _bad_inputs(folder: Path) -> dict[str, tuple[list[str], int]]:
         "unknown ending": (["field", str(sphere), str(folder / "field.xyz"), "--nw", "3"], 2),
         "ending of a field": (["encode", str(sphere), str(folder / "field.npz"), "--nw", "3"], 2),
         "unknown sample": (["encode", "sample:moon", out], 2),
+        "a stream without an ending": (["encode", str(sphere), str(folder / "out"), "--nw", "3"], 2),
         "a scene is no medium": (["edit", "sample:shapes", out, "--operator", "erase"], 2),
         "an effect of another ending": (["import", str(sphere), str(folder / "out.npz")], 2),
         "no recording": (["texture", str(folder / "none.wav"), "-o", str(folder / "none.json")], 1),
@@ -286,7 +287,7 @@ def test_bits_of_a_supported_voxel_are_the_same_in_info_and_compare(
         forces[frame, :, :, :height] = 0, 0, 1.0
     grid = tf.Grid.over_box((0, 0, 0), (0.08, 0.08, 0.08), (8, 8, 8))
     write_npz(field, tf.HapticMedium.from_array(forces, grid))
-    assert _exit_code(["encode", str(field), str(stream)]) == 0
+    assert _exit_code(["encode", str(field), str(stream), "--nw", "5"]) == 0
     capsys.readouterr()
     assert _exit_code(["info", str(stream), "--voxels", "--json"]) == 0
     info = json.loads(capsys.readouterr().out)

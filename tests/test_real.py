@@ -47,7 +47,8 @@ def test_every_sequence(shared_data: Path, tmp_path: Path, name: str, reading: s
 
 @pytest.mark.parametrize("name", MESHES)
 def test_every_mesh(shared_data: Path, tmp_path: Path, name: str) -> None:
-    round_trip(shared_data / "meshes" / name, tmp_path / "m.touch", EncodeSpec(nw=6))
+    frames = (100, 220) if "Morph" in name else None  # of 560
+    round_trip(shared_data / "meshes" / name, tmp_path / "m.touch", EncodeSpec(nw=6, frames=frames))
 
 
 def test_trends_of_the_paper_on_a_real_sequence(shared_data: Path, tmp_path: Path) -> None:
