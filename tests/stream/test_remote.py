@@ -241,6 +241,7 @@ OPENING = b"\x89TOUCH\r\n\x1a\n\x01\x00\x00\x00"
         ((_drip,), "hardly more"),
         ((_drip_head,), "hardly more"),
         ((_go_on,), "hardly more"),
+        ((b"HTTP/1.1 404 \x1b[2J\x07\r\nContent-Length: 0\r\n\r\n",), r"404 \\x1b\[2J\\x07"),
         ((_flood,), "bytes 0 to 4095|HEAD"),
     ],
     ids=lambda value: value[:20] if isinstance(value, str) else "x",
