@@ -25,6 +25,7 @@ from touchfield.medium.trace import read_trace
 from touchfield.render.material import BANDS_HZ, stored_materials
 from touchfield.render.spec import stated_n_per_m
 from touchfield.sources import moving_pictures
+from touchfield.sources.analytic_scene import read_toml
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics import open_physics
 from touchfield.sources.registry import open_source
@@ -355,3 +356,10 @@ def test_a_fault_within_mujoco_is_a_source_error(tmp_path: Path, monkeypatch: py
     path.write_text(PHYSICS.format(physics="", kind="sphere", body="radius_m = 0.1"))
     with pytest.raises(SourceError, match="xaxis of contact frame"):
         open_physics(path, SourceOptions())
+
+
+def test_a_toml_of_more_than_16_mib_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "long.toml"
+    path.write_bytes(b"#" * ((1 << 24) + 1))
+    with pytest.raises(SourceError, match="up to 16777216 bytes"):
+        read_toml(path, "a TOML file")

@@ -20,7 +20,7 @@ from touchfield.filters.resample import interpolated
 from touchfield.medium import BRICK, ForceField, HapticMedium
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import bricks_of, keys_of_both
-from touchfield.sources.scene import LOCAL
+from touchfield.medium.grid import LOCAL
 
 _BRICKS_AT_ONCE: Final = 512
 COMPOSITIONS: Final = ("replace", "over", "add", "max")

@@ -47,9 +47,16 @@ from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.region import RigidMotion
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import blocks_around, brick_keys, bricks_of, bricks_reached, bricks_within, dilated
+from touchfield.medium.field import (
+    blocks_around,
+    brick_keys,
+    bricks_of,
+    bricks_reached,
+    bricks_within,
+    dilated,
+    field_of_points,
+)
 from touchfield.medium.grid import CORNERS, ON_A_SAMPLE
-from touchfield.sources.scene import field_of_points
 
 MAX_WEIGHTS: Final = 1 << 24
 _BATCH: Final = 1 << 14

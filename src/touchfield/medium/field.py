@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from touchfield.arrays import Bools, EqualByValue, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.grid import BRICK, CORNERS, ON_A_SAMPLE, Grid
+from touchfield.medium.grid import BRICK, CORNERS, LOCAL, ON_A_SAMPLE, Grid
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 _MAX_PAIRS, _MAX_REACHED = 1 << 27, 1 << 26
 _BLOCK_VALUES = 1 << 21
+_BRICKS_AT_ONCE = 64
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -430,3 +432,30 @@ class ForceField(EqualByValue):
         if grid.shape != self.grid.shape:
             raise InvalidArgument("grid", f"shape {grid.shape}", f"shape {self.grid.shape}")
         return ForceField(grid, self.bricks, self.forces_n)
+
+
+def field_of_points(
+    grid: Grid, bricks: Int32s, forces_n: Callable[[Float64s], NDArray[np.floating[Any]]]
+) -> ForceField:
+    """The forces of a function of points in metres, float64 [n, 3], at the samples of bricks, int32 [m, 3] ascending.
+
+    Outside the bricks there is no force; those that hold none are left out.
+    """
+    forces = zero_forces(len(bricks))
+
+    def fill(begin: int, end: int) -> None:
+        for first in range(begin, end, _BRICKS_AT_ONCE):
+            some = slice(first, min(first + _BRICKS_AT_ONCE, end))
+            index = bricks[some, None, None, None] * BRICK + LOCAL
+            values = forces_n(grid.to_m(index).reshape(-1, 3)).reshape(index.shape)
+            values[(index >= grid.shape).any(axis=-1)] = 0
+            forces[some] = values
+
+    for_chunks(fill, len(bricks), chunk=_BRICKS_AT_ONCE)
+    return field_that_holds(grid, bricks, forces)
+
+
+def field_that_holds(grid: Grid, bricks: Int32s, forces_n: Float32s) -> ForceField:
+    """The field of bricks, int32 [n, 3] ascending, without those that hold no force."""
+    holds = forces_n.any(axis=(1, 2, 3, 4))
+    return ForceField(grid, bricks, forces_n) if holds.all() else ForceField(grid, bricks[holds], forces_n[holds])

@@ -25,6 +25,9 @@ ON_A_SAMPLE: Final = 1e-6  # of the spacing: as near to a sample a point lies on
 CORNERS: Final = np.indices((2, 2, 2), np.int32).reshape(3, 8).T.copy()
 """The corners of a cube of edge 1, z fastest, int32 [8, 3]."""
 
+LOCAL: Final = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
+"""Places of the samples within a brick, int64 [8, 8, 8, 3]."""
+
 MAX_SAMPLES_PER_AXIS = 1 << 20
 
 

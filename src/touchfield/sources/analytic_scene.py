@@ -31,11 +31,14 @@ import numpy as np
 from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_positive
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.field import field_of_points
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.poses import read_text
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_near, field_of_points
+from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_near
 from touchfield.sources.shapes import SHAPES, Plane, Shape, moved
+
+_MAX_BYTES: Final = 1 << 24
 
 COMBINATIONS: Final = ("sum", "union")
 
@@ -102,9 +105,9 @@ class AnalyticScene(Scene):
 
 # -- from a file ---------------------------------------------------------------------------------------------
 def read_toml(path: Path, expected: str) -> dict[str, Any]:
-    """The table of a TOML file; `SourceError` if it cannot be read (`read_text`), or is no TOML."""
+    """The table of a TOML file of up to 16 MiB; `SourceError` if it cannot be read, is longer, or is no TOML."""
     try:
-        return tomllib.loads(read_text(path))
+        return tomllib.loads(read_text(path, _MAX_BYTES))
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), f"no TOML ({error})", expected) from error
 

@@ -12,13 +12,13 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, require_positive
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import brick_keys, bricks_of
+from touchfield.medium.field import brick_keys, bricks_of, field_that_holds
 from touchfield.parallel import for_chunks
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.camera import require_frame
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene, field_that_holds
+from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
 from touchfield.sources.shapes import Plane
 
 _AT_REST = (0.0,) * 9

@@ -26,12 +26,13 @@ from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import readable, require_plain
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.field import field_of_points
 from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_contacts
 from touchfield.parallel import for_chunks
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Z_AXES, Scene, bricks_near, field_of_points
+from touchfield.sources.scene import UP_Z_AXES, Scene, bricks_near
 
 Triple = tuple[float, float, float]
 

@@ -59,13 +59,13 @@ class PoseList(NamedTuple):
 
 
 # -- numbers and matrices ------------------------------------------------------------------------------------
-def read_text(path: Path) -> str:
-    """A text file; `SourceError` if it cannot be read, is longer than 64 MiB or is not text."""
+def read_text(path: Path, most_bytes: int = _MAX_TEXT_BYTES) -> str:
+    """A text file; `SourceError` if it cannot be read, is longer (than 64 MiB) or is not text."""
     try:
         with readable(path, "a text file", "Check path and rights."):
             size = plain_size(path, "a text file")
-            if size > _MAX_TEXT_BYTES:
-                raise SourceError(str(path), f"{size} bytes", f"a text file up to {_MAX_TEXT_BYTES} bytes")
+            if size > most_bytes:
+                raise SourceError(str(path), f"{size} bytes", f"a text file up to {most_bytes} bytes")
             return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SourceError(str(path), f"bytes that are no text at offset {error.start}", "a text file") from error

@@ -14,13 +14,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int32s
+from touchfield.arrays import Bools, Float64s, Int32s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid, PoseTrack
-from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, frozen
 from touchfield.medium.grid import CORNERS
-from touchfield.parallel import for_chunks
 from touchfield.sources.laws import ForceProfile
 
 CAMERA_AXES: Final = "x right, y down, z forward"
@@ -29,9 +27,6 @@ UP_Z_AXES: Final = "x east, y north, z up"
 
 DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
 """The option that says the unit of depth, and usual sizes of its scenes, metres (`Scene.unit`)."""
-
-LOCAL: Final = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
-_BRICKS_AT_ONCE: Final = 64
 
 
 def bricks_that(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -> Int32s:
@@ -60,33 +55,6 @@ def bricks_near(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int
         return may_hold(grid.to_m(blocks.astype(np.int64) * (size * BRICK) + half), radius_m)
 
     return bricks_that(in_blocks, grid)
-
-
-def field_of_points(
-    grid: Grid, bricks: Int32s, forces_n: Callable[[Float64s], NDArray[np.floating[Any]]]
-) -> ForceField:
-    """The forces of a function of points in metres, float64 [n, 3], at the samples of bricks, int32 [m, 3] ascending.
-
-    Outside the bricks there is no force; those that hold none are left out.
-    """
-    forces = zero_forces(len(bricks))
-
-    def fill(begin: int, end: int) -> None:
-        for first in range(begin, end, _BRICKS_AT_ONCE):
-            some = slice(first, min(first + _BRICKS_AT_ONCE, end))
-            index = bricks[some, None, None, None] * BRICK + LOCAL
-            values = forces_n(grid.to_m(index).reshape(-1, 3)).reshape(index.shape)
-            values[(index >= grid.shape).any(axis=-1)] = 0
-            forces[some] = values
-
-    for_chunks(fill, len(bricks), chunk=_BRICKS_AT_ONCE)
-    return field_that_holds(grid, bricks, forces)
-
-
-def field_that_holds(grid: Grid, bricks: Int32s, forces_n: Float32s) -> ForceField:
-    """The field of bricks, int32 [n, 3] ascending, without those that hold no force."""
-    holds = forces_n.any(axis=(1, 2, 3, 4))
-    return ForceField(grid, bricks, forces_n) if holds.all() else ForceField(grid, bricks[holds], forces_n[holds])
 
 
 class Scene(ABC):
