@@ -25,7 +25,6 @@ from touchfield.measure.descriptors import (
     descriptor,
     icosahedral_directions,
     octree_levels,
-    real_harmonics,
 )
 from touchfield.medium import ForceField, Grid, HapticMedium
 
@@ -38,6 +37,12 @@ def direction_power(vectors_n: NDArray[np.float64], degree: int = 8) -> NDArray[
     sums = DirectionSums(degree)
     sums.add(vectors_n)
     return sums.power()
+
+
+def harmonics(unit: Float64s, degree: int = 8) -> Float64s:
+    sums = DirectionSums(degree)
+    sums.add(unit[None])
+    return sums.coefficients
 
 
 def vectors(seed: int, count: int = 30) -> Float64s:
@@ -57,7 +62,7 @@ def test_addition_theorem_and_power_as_a_sum_over_pairs(seed: int) -> None:
     f = vectors(seed)
     w = np.linalg.norm(f, axis=1)
     cosines = np.clip((f / w[:, None]) @ (f / w[:, None]).T, -1, 1)
-    y = real_harmonics(f / w[:, None], 8)
+    y = np.array([harmonics(unit) for unit in f / w[:, None]])
     for degree, found in zip(DEGREES, direction_power(f), strict=True):
         legendre = special.eval_legendre(degree, cosines)
         part = y[:, degree**2 : (degree + 1) ** 2]

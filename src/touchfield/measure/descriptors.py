@@ -61,8 +61,6 @@ if TYPE_CHECKING:
 SPREAD: Final = 0.3
 """Radians: about half the angle between neighbouring directions."""
 
-_AT_ONCE = 1 << 15
-
 
 class DirectionSums:
     """Adds up forces by direction: around 42 icosahedral directions, and harmonics up to a degree.
@@ -70,7 +68,7 @@ class DirectionSums:
     `degree`: the highest, 1 or more. `by_direction` float64 [42]: sum of the amplitudes around each of
     `icosahedral_directions`, newtons. A force is shared between them in proportion to exp(cos(angle) / `SPREAD`^2),
     so that a small turn moves a small part of it. `coefficients` float64 [(degree + 1)^2]: a_lm, newtons; a_lm at l
-    (l + 1) + m.
+    (l + 1) + m, with cos(m phi), and with sin(|m| phi) for m < 0.
     """
 
     def __init__(self, degree: int) -> None:
@@ -82,15 +80,12 @@ class DirectionSums:
 
     def add(self, vectors_n: ArrayLike) -> None:
         """Count force vectors, newtons, float [n, 3]; those of length 0 tell nothing."""
-        forces = np.asarray(vectors_n, np.float64)
-        for begin in range(0, len(forces), _AT_ONCE):
-            some = forces[begin : begin + _AT_ONCE]
-            lengths = np.linalg.norm(some, axis=1)
-            some, lengths = some[lengths > 0], lengths[lengths > 0]
-            unit = some / lengths[:, None]
-            near = np.exp((unit @ icosahedral_directions().T - 1) / SPREAD**2)
-            self.by_direction += lengths @ (near / near.sum(axis=1, keepdims=True))
-            self.coefficients += lengths @ real_harmonics(unit, self.degree)
+        from touchfield.measure.kernels import sums_by_direction
+
+        forces, around = np.ascontiguousarray(vectors_n, np.float64), icosahedral_directions()
+        by_direction, coefficients = sums_by_direction(forces, around, 1 / SPREAD**2, _harmonic_norms(self.degree))
+        self.by_direction += by_direction
+        self.coefficients += coefficients
 
     def power(self) -> Float64s:
         """P_1 .. P_degree, float64 [degree], 0 to 1; all 0 where there was no force."""
@@ -103,27 +98,15 @@ class DirectionSums:
         return power
 
 
-def real_harmonics(unit: Float64s, degree: int) -> Float64s:
-    """Y_lm of unit vectors [n, 3], orthonormal over the sphere, float64 [n, (degree + 1)^2], at l (l + 1) + m.
-
-    Y_l,-m goes with sin(m phi) and Y_lm with cos(m phi), m > 0.
-    """
-    x, y, z = unit.T
-    out = np.empty(((degree + 1) ** 2, len(unit)))
-    around = np.ones(len(unit), np.complex128)  # (x + i y)^m: sin^m of the polar angle times exp(i m phi)
-    for m in range(degree + 1):
-        before, legendre = np.zeros(len(unit)), np.full(len(unit), (-1.0) ** m * math.prod(range(1, 2 * m, 2)))
-        for order in range(m, degree + 1):
+@cache
+def _harmonic_norms(degree: int) -> Float64s:
+    """Norms of the real spherical harmonics up to a degree, float64 [degree + 1, degree + 1] by l and m."""
+    norms = np.zeros((degree + 1, degree + 1))
+    for order in range(degree + 1):
+        for m in range(order + 1):
             ratio = math.factorial(order - m) / math.factorial(order + m)
-            norm = math.sqrt((2 * order + 1) / (4 * math.pi) * ratio * (2 if m else 1))
-            centre = order * (order + 1)
-            np.multiply(norm * legendre, around.real, out=out[centre + m])
-            if m:
-                np.multiply(norm * legendre, around.imag, out=out[centre - m])
-            above = ((2 * order + 1) * z * legendre - (order + m) * before) / (order + 1 - m)
-            before, legendre = legendre, above
-        around *= x + 1j * y
-    return out.T
+            norms[order, m] = math.sqrt((2 * order + 1) / (4 * math.pi) * ratio * (2 if m else 1))
+    return norms
 
 
 @cache

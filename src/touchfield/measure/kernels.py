@@ -1,10 +1,11 @@
-"""Compiled loops: counting symbols in tables, causal neighbours as packed rows, curl and the work around squares.
+"""Compiled loops: counting symbols in tables, causal neighbours as packed rows, curl and loops, sums by direction.
 
 Imported only when first needed, because it imports numba.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -274,3 +275,39 @@ def curl_and_loops(grid: Grid, slots: Int32s, forces_n: Float32s) -> Float64s:
     sums = np.zeros((len(slots), len(COLUMNS)))
     for_chunks(_curl_and_loops, len(slots), slots, np.array(grid.spacing_m), forces_n, sums, chunk=32)
     return sums
+
+
+# -- directions: what a descriptor sums up of each force
+
+
+@njit(cache=True, nogil=True)
+def sums_by_direction(forces, around, sharpness, norms):
+    """Sums of the lengths of forces [n, 3] around directions [k, 3], float64 [k], and times each harmonic.
+
+    A force is shared between the directions by exp(`sharpness` cos(angle)). A harmonic is (sin(theta) exp(i phi))^m
+    times the m-th derivative of the Legendre polynomial of degree l, which rises in l by the three-term recurrence.
+    """
+    by_direction, coefficients = np.zeros(len(around)), np.zeros(len(norms) ** 2)
+    near = np.empty(len(around))
+    for n in range(len(forces)):
+        length = math.sqrt(forces[n, 0] ** 2 + forces[n, 1] ** 2 + forces[n, 2] ** 2)
+        if length == 0:
+            continue
+        x, y, z = forces[n, 0] / length, forces[n, 1] / length, forces[n, 2] / length
+        for k in range(len(around)):
+            cosine = x * around[k, 0] + y * around[k, 1] + z * around[k, 2]
+            near[k] = math.exp((cosine - 1) * sharpness)
+        by_direction += near * (length / near.sum())
+        real, imaginary, of_m = 1.0, 0.0, length  # of_m: length (-1)^m 1 3 .. (2 m - 1)
+        for m in range(len(norms)):
+            before, legendre = 0.0, of_m
+            for order in range(m, len(norms)):
+                middle, share = order * (order + 1), norms[order, m] * legendre
+                coefficients[middle + m] += share * real
+                if m > 0:
+                    coefficients[middle - m] += share * imaginary
+                above = ((2 * order + 1) * z * legendre - (order + m) * before) / (order + 1 - m)
+                before, legendre = legendre, above
+            real, imaginary = real * x - imaginary * y, real * y + imaginary * x
+            of_m *= -(2 * m + 1)
+    return by_direction, coefficients
