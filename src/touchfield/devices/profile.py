@@ -31,7 +31,7 @@ from typing import Any, Final, NamedTuple
 
 from touchfield.arrays import Travels
 from touchfield.errors import DeviceError, InvalidArgument, SourceError
-from touchfield.files import require_plain
+from touchfield.files import read_bytes
 
 MAX_SAMPLES_PER_AXIS: Final = 1 << 20
 LARGEST: Final = 1e6
@@ -59,17 +59,20 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Device(Travels):
-    """A haptic display; a value that is not known is None. A field with a rule is a key of a profile."""
+    """A haptic display; a value that is not known is None. A field with a rule is a key of a profile.
+
+    Units stand in the names. Boxes lie along x right, y up, z towards the user, whatever `axes` the own driver
+    has; `lattice` are samples along the nominal one. Of an array `force_max_n` is what drives an actuator fully.
+    """
 
     name: str  # what ``--device`` takes
     title: str  # maker and model
     type: int  # 1 (point) or 2 (array)
-    axes: str = field(metadata={"rule": _Rule((1, 2), text=True)})  # of its own driver; boxes lie as told below
-    # nominal box along x right, y up, z towards the user, mm; of an array columns * pitch, rows * pitch, depth that
-    # is pooled
+    axes: str = field(metadata={"rule": _Rule((1, 2), text=True)})  # of its own driver
+    # the nominal box; of an array columns * pitch, rows * pitch, depth that is pooled
     workspace_mm: Triple = field(metadata={"rule": _Rule((1,), (1,), size=3)})
-    lattice: tuple[int, int, int]  # samples along the box; of an array (columns, rows, 1)
-    force_max_n: float = field(metadata={"rule": _Rule((1, 2))})  # peak; of an array what drives an actuator fully
+    lattice: tuple[int, int, int]  # of an array (columns, rows, 1)
+    force_max_n: float = field(metadata={"rule": _Rule((1, 2))})  # peak
     force_continuous_n: float | None = field(default=None, metadata=_POINT)  # in the long run
     rate_hz: float | None = field(default=None, metadata={"rule": _Rule((1,))})  # of updates
     resolution_mm: float | None = field(default=None, metadata=_POINT_NEEDS)  # of the position
@@ -213,16 +216,9 @@ def _shipped(name: str) -> Device:
 
 def _file_bytes(path: Path) -> bytes:
     try:
-        require_plain(path, "a TOML profile")
-        with path.open("rb") as file:
-            data = file.read(MAX_PROFILE_BYTES + 1)
+        return read_bytes(path, MAX_PROFILE_BYTES, "a TOML profile")
     except SourceError as error:
-        raise DeviceError(error.where, error.found, error.expected) from error
-    except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
-        raise DeviceError(str(path), f"a file that cannot be read ({error})", "a TOML profile") from error
-    if len(data) > MAX_PROFILE_BYTES:
-        raise DeviceError(str(path), f"more than {MAX_PROFILE_BYTES} bytes", "a TOML profile of a few kilobytes")
-    return data
+        raise DeviceError(error.where, error.found, error.expected, error.mend) from error
 
 
 def _parsed(data: bytes, where: str) -> Device:
