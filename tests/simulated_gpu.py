@@ -53,14 +53,15 @@ def fields() -> dict[str, Any]:
 
 
 def queries() -> dict[str, Any]:
-    """Between two frames of voxels, at points inside and outside."""
+    """Between two frames of voxels and between two others, at points inside and outside."""
     rng = np.random.default_rng(4)
     grid = Grid((20, 18, 16), (0.001, 0.002, 0.003), (0.0, 0.0, 0.0))
-    fields = [ForceField.from_dense(grid, rng.normal(0, 1, (*grid.shape, 3)).astype(np.float32)) for _ in range(2)]
+    fields = [ForceField.from_dense(grid, rng.normal(0, 1, (*grid.shape, 3)).astype(np.float32)) for _ in range(4)]
     medium = HapticMedium.from_frames(fields, 30.0)
     points = rng.uniform(-0.002, 0.05, (100, 3))
-    own = FieldSampler(medium).force_n(0.02, points)
-    other = on_host(DeviceSampler(medium).force_n(0.02, points))
+    sampler, there = FieldSampler(medium), DeviceSampler(medium)
+    own = np.stack([sampler.force_n(time_s, points) for time_s in (0.02, 0.09)])
+    other = np.stack([on_host(there.force_n(time_s, points)) for time_s in (0.02, 0.09)])
     return {"query": {"force_n": float(np.abs(own).max()), "difference_n": float(np.abs(own - other).max())}}
 
 

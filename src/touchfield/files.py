@@ -47,6 +47,23 @@ def plain_size(path: Path, expected: str) -> int:
     return path.stat().st_size
 
 
+def read_bytes(path: str | os.PathLike[str], most_bytes: int, what: str) -> bytes:
+    """The bytes of a plain file of at most so many.
+
+    Raises SourceError, which says `what` the file should be, if it cannot be read or is longer.
+    """
+    require_plain(path, what)
+    try:
+        with open(path, "rb") as file:
+            data = file.read(most_bytes + 1)
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
+        words = error.strerror if isinstance(error, OSError) else None
+        raise SourceError(str(path), words or str(error), what, "Check path and rights.") from error
+    if len(data) > most_bytes:
+        raise SourceError(str(path), f"more than {most_bytes} bytes", f"{what} up to that")
+    return data
+
+
 def require_beside(folder: Path, name: str | os.PathLike[str], where: str, *, anywhere: bool = False) -> Path:
     """The path of a file that a scene file in `folder` names, relative to it or absolute; `where` names file and key.
 

@@ -158,7 +158,7 @@ def test_whatever_the_drives_intensities_are_whole_and_bounded(values: list[floa
             raise TimeoutError
 
     vest, fake = BHaptics(profile), Player()
-    vest._socket = told = Told()
+    vest._line = told = Told()
     vest.put_drives(np.array(values, np.float32).reshape(2, 5, 4), None, float("nan"))
     fake.check(told.sent)
     expected = [0 if not v > 0 else 100 if v >= 1 else int(np.floor(v * 100 + 0.5)) for v in values]

@@ -81,7 +81,7 @@ def test_any_array_in_datagrams_that_fit(
         def close(self) -> None:
             pass
 
-    array._socket = Sent()
+    array._line = Sent()
     array.put_drives(drives, drives if vibrates and np.isfinite(value) else None, 0.05)
     shown = listener.frames[0]["drives"]
     expected = min(max(value, 0.0), 1.0) if value == value else 0.0

@@ -189,6 +189,9 @@ def test_whatever_the_drives_the_line_keeps_the_grammar(
     columns: int, rows: int, levels: int | None, values: list[float]
 ) -> None:
     class Told(links.Line):
+        def __init__(self) -> None:
+            pass
+
         def write(self, data: bytes) -> None:
             assert data.endswith(b"\n") and data.count(b"\n") == 1
             self.waiting = display.take(data[:-1])

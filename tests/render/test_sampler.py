@@ -177,7 +177,8 @@ def test_few_frames_are_kept_and_the_rest_made_again() -> None:
             atol=2e-6,
             rtol=0,
         )
-        assert tight._store.memory.words * 8 < 1_500_000
+        assert tight._pairs.take(0, 1).memory.words * 8 < 1_000_000
+        assert tight._pairs._words * 8 <= 1_400_000
 
 
 def test_what_does_not_fit_is_told() -> None:
@@ -285,7 +286,7 @@ def test_the_pair_that_follows_is_made_before_it_is_asked_for() -> None:
     import threading
 
     from touchfield.render.block.frames import FrameParts
-    from touchfield.render.sampler import PairsAhead
+    from touchfield.render.sampler import Pairs
 
     made = {n: threading.Event() for n in range(4)}
     grid = Grid((4, 4, 4), (0.01,) * 3, (0.0,) * 3)
@@ -294,16 +295,18 @@ def test_the_pair_that_follows_is_made_before_it_is_asked_for() -> None:
         made[frame].set()
         return ForceField.from_dense(grid, np.full((4, 4, 4, 3), 1.0 + frame, np.float32))
 
-    ahead = PairsAhead(FrameParts(HapticMedium(grid, 30.0, 4, make)), 1 << 24)
+    ahead = Pairs(FrameParts(HapticMedium(grid, 30.0, 4, make)), 1 << 24)
     ahead.take(0, 1)
+    ahead.begin(1, 2)
     assert made[2].wait(20) and not made[3].is_set()
     ahead.take(1, 2)
+    ahead.begin(2, 3)
     assert made[3].wait(20)
 
 
-def test_pairs_ahead_make_each_frame_once_and_keep_no_old_one() -> None:
+def test_pairs_that_follow_make_each_frame_once_and_have_room_for_two() -> None:
     from touchfield.render.block.frames import FrameParts
-    from touchfield.render.sampler import PairsAhead
+    from touchfield.render.sampler import Pairs
 
     grid = Grid((16, 16, 16), (0.01,) * 3, (0.0,) * 3)
     made: list[int] = []
@@ -312,7 +315,10 @@ def test_pairs_ahead_make_each_frame_once_and_keep_no_old_one() -> None:
         made.append(frame)
         return ForceField.from_dense(grid, np.full((16, 16, 16, 3), 1.0 + frame, np.float32))
 
-    ahead = PairsAhead(FrameParts(HapticMedium(grid, 30.0, 60, make)), 1 << 28)
-    words = [ahead.take(a, a + 1)[0].words for a in range(59)]
+    ahead = Pairs(FrameParts(HapticMedium(grid, 30.0, 60, make)), 1 << 28)
+    words = []
+    for a in range(59):
+        words.append(ahead.take(a, a + 1).memory.words)
+        ahead.begin(a + 1, a + 2)
     assert made == list(range(60))
     assert max(words) == words[0]  # room for two frames, at the end as at first

@@ -55,32 +55,28 @@ _SOUNDS: Final = ("AudioContinuous", "AudioCustom")
 
 @dataclass(frozen=True)
 class _Event:
+    is_transient: bool
     start_s: float
     length_s: float
-    intensity: float
-    sharpness: float
-    attack_s: float
-    release_s: float
-    is_sustained: bool
-    is_transient: bool
+    values: dict[str, float]  # of `_DEFAULTS`
 
     @property
     def end_s(self) -> float:
         if self.is_transient:
             return self.start_s + TRANSIENT_S
-        return self.start_s + self.length_s + (self.release_s if self.is_sustained else 0.0)
+        return self.start_s + self.length_s + (self.values["ReleaseTime"] if self.values["Sustained"] > 0 else 0.0)
 
     def envelope(self, after_s: Float64s) -> Float64s:
         """The share of its intensity, so many seconds after its start."""
         if self.is_transient:
             return np.clip(1 - after_s / TRANSIENT_S, 0, 1)
-        share = np.ones(len(after_s))
-        if self.attack_s > 0:
-            share = np.minimum(share, after_s / self.attack_s)
-        behind = after_s - self.length_s
-        if self.is_sustained and self.release_s > 0:
-            share = np.minimum(share, 1 - behind / self.release_s)
-        elif not self.is_sustained and self.length_s > 0:
+        attack_s, release_s = self.values["AttackTime"], self.values["ReleaseTime"]
+        share, behind = np.ones(len(after_s)), after_s - self.length_s
+        if attack_s > 0:
+            share = np.minimum(share, after_s / attack_s)
+        if self.values["Sustained"] > 0:
+            share = np.minimum(share, 1 - behind / release_s) if release_s > 0 else share
+        elif self.length_s > 0:
             share = np.minimum(share, -behind / self.length_s)
         return np.clip(share, 0, 1)
 
@@ -143,8 +139,8 @@ def _sampled(pattern: JsonValue, events: list[_Event], curves: list[_Curve], rat
         start_s = times[first] if one.is_transient else one.start_s
         where = slice(first, stop)
         share = one.envelope(np.maximum(times[where] - start_s, 0))
-        sharpness = np.clip(one.sharpness + controls["HapticSharpnessControl"][where], 0, 1)
-        total.add(Drive(share * one.intensity, low + (high - low) * sharpness), where)
+        sharpness = np.clip(one.values["HapticSharpness"] + controls["HapticSharpnessControl"][where], 0, 1)
+        total.add(Drive(share * one.values["HapticIntensity"], low + (high - low) * sharpness), where)
     drives = np.clip(total.amplitudes * controls["HapticIntensityControl"], 0, 1).astype(np.float32)
     hertz = np.where(drives > 0, total.frequencies_hz, 0).astype(np.float32)
     return ArrayEffect(float(rate_hz), drives.reshape(-1, 1, 1), hertz.reshape(-1, 1, 1))
@@ -160,16 +156,7 @@ def _event(one: JsonValue) -> _Event | None:
         name, value = entry.at("ParameterID").text(), entry.at("ParameterValue")
         if name in values:
             values[name] = float(value.value) if isinstance(value.value, bool) else min(max(value.number(), 0), 1)
-    return _Event(
-        start_s=_seconds(one, "Time"),
-        length_s=_seconds(one, "EventDuration"),
-        intensity=values["HapticIntensity"],
-        sharpness=values["HapticSharpness"],
-        attack_s=values["AttackTime"],
-        release_s=values["ReleaseTime"],
-        is_sustained=values["Sustained"] > 0,
-        is_transient=kind == "HapticTransient",
-    )
+    return _Event(kind == "HapticTransient", _seconds(one, "Time"), _seconds(one, "EventDuration"), values)
 
 
 def _seconds(one: JsonValue, key: str) -> float:

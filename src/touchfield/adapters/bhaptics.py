@@ -15,8 +15,7 @@ from __future__ import annotations
 
 import json
 import math
-from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -69,12 +68,11 @@ class BHaptics(ArrayDevice):
             raise InvalidArgument("bhaptics", found, "one or two panels of 4 x 5, 4 x 4 or 4 x 2 motors")
         self.profile, self._player = profile, player
         self._rows = np.array(ROWS_OF[rows])
-        self._socket: Any = None
 
     def open(self) -> None:
         """See `ArrayDevice`."""
         path = "v2/feedbacks?app_id=touchfield&app_name=touchfield"
-        self._socket = web_socket(
+        self._line = web_socket(
             self._player, path, _NAME, _MEND, _PATIENCE_S, _PATIENCE_S,
             close_timeout=_PATIENCE_S / 2, max_queue=_MOST_WAITING,
         )  # fmt: skip
@@ -85,27 +83,16 @@ class BHaptics(ArrayDevice):
         steps = steps_of(self.profile, drives, levels)
         intensities = np.floor(steps * (_FULL / max(levels - 1, 1)) + 0.5).astype(np.int64)
         lasts = math.ceil(1000 * _LASTS * seconds) if math.isfinite(seconds) else _LONGEST_MS
-        if self._socket is None:
+        if self._line is None:
             raise DeviceError(_NAME, "no connection", "one that was opened")
         try:
-            self._socket.send(self._message(intensities, min(max(lasts, _SHORTEST_MS), _LONGEST_MS)))
+            self._line.send(self._message(intensities, min(max(lasts, _SHORTEST_MS), _LONGEST_MS)))
             for _ in range(_MOST_ANSWERS):
-                self._socket.recv(timeout=0)
+                self._line.recv(timeout=0)
         except TimeoutError:
             return  # nothing more to read
         except Exception as error:  # closed, broken, or nobody reads what is sent
             raise DeviceError(_NAME, f"that it is gone ({reason(error)})", mend=_MEND) from error
-
-    def close(self) -> None:
-        """See `ArrayDevice`."""
-        line, self._socket = self._socket, None
-        if line is None:
-            return
-        with suppress(Exception):
-            columns, rows, _ = self.profile.lattice
-            line.send(self._message(np.zeros((self.profile.panels, rows, columns), np.int64), _SHORTEST_MS))
-        with suppress(Exception):
-            line.close()
 
     def _message(self, intensities: Int64s, lasts_ms: int) -> str:
         submissions = []

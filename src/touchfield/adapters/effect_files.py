@@ -204,24 +204,13 @@ _HALF_STEP: Final = 0.5 * 10.0**-DIGITS
 
 @dataclass(frozen=True)
 class OneTrack:
-    """Envelopes and taps.
-
-    Attributes
-    ----------
-    seconds : float
-    amplitudes, sharpness : tuple of (seconds, share)
-        Points of lines, at least two, the first at 0; shares 0 to 1.
-    taps : tuple of (seconds, amplitude, sharpness)
-        Ascending.
-    notes : tuple of str
-        What is lost on the way.
-    """
+    """Envelopes and taps; shares are 0 to 1."""
 
     seconds: float
-    amplitudes: Points
-    sharpness: Points
-    taps: tuple[tuple[float, float, float], ...]
-    notes: tuple[str, ...]
+    amplitudes: Points  # (seconds, share) of lines, at least two, the first at 0
+    sharpness: Points  # likewise
+    taps: tuple[tuple[float, float, float], ...]  # (seconds, amplitude, sharpness), ascending
+    notes: tuple[str, ...]  # on what is lost on the way
 
     @classmethod
     def of(cls, effect: ArrayEffect, has_taps: bool = True) -> OneTrack:

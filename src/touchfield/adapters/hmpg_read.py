@@ -14,8 +14,9 @@ import base64
 from pathlib import Path
 from typing import Any, Final
 
-from touchfield.adapters.json_values import JsonValue, read_bytes
+from touchfield.adapters.json_values import JsonValue
 from touchfield.errors import SourceError
+from touchfield.files import read_bytes
 
 _WHAT: Final = "an HMPG file (ISO/IEC 23090-31, binary)"
 _MOST_BYTES: Final = 1 << 22

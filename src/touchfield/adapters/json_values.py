@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from touchfield.errors import SourceError
-from touchfield.files import require_plain
+from touchfield.files import read_bytes
 
 _SHOWN: Final = 60
 _MISSING: Final = object()
@@ -90,23 +90,6 @@ class JsonValue:
             bounds = f"from {low:g} to {high:g}" if math.isfinite(high) else f"of at least {low:g}"
             raise self.refused(f"a number {bounds}" if math.isfinite(low) else "a finite number")
         return float(self.value)
-
-
-def read_bytes(path: str | Path, most_bytes: int, what: str) -> bytes:
-    """The bytes of a plain file of at most so many.
-
-    Raises SourceError, which says `what` the file should be, if it cannot be read or is longer.
-    """
-    require_plain(path, what)
-    try:
-        with Path(path).open("rb") as file:
-            data = file.read(most_bytes + 1)
-    except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
-        words = error.strerror if isinstance(error, OSError) else None
-        raise SourceError(str(path), words or str(error), what, "Check path and rights.") from error
-    if len(data) > most_bytes:
-        raise SourceError(str(path), f"more than {most_bytes} bytes", f"{what} up to that")
-    return data
 
 
 def read_json(path: str | Path, most_bytes: int, what: str) -> JsonValue:

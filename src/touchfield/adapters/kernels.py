@@ -59,7 +59,8 @@ def _typed(address: int | None, *arguments: Any, result: Any = None) -> Any:
     return ctypes.CFUNCTYPE(result, *arguments)(address or 0)
 
 
-def _address(function: Any) -> int | None:
+def address_of(function: Any) -> int | None:
+    """Where a function of ctypes lies."""
     return ctypes.cast(function, ctypes.c_void_p).value
 
 
@@ -68,7 +69,7 @@ def clock() -> Any:
     if sys.platform == "win32":
         kernel, frequency = ctypes.WinDLL("kernel32"), ctypes.c_int64()
         kernel.QueryPerformanceFrequency(ctypes.byref(frequency))
-        read, ticks = _typed(_address(kernel.QueryPerformanceCounter), ctypes.c_size_t), frequency.value
+        read, ticks = _typed(address_of(kernel.QueryPerformanceCounter), ctypes.c_size_t), frequency.value
 
         @njit(nogil=True)
         def now_of_ticks(box):
@@ -77,7 +78,7 @@ def clock() -> Any:
             return seconds * 1000000000 + rest * 1000000000 // ticks
 
         return now_of_ticks
-    read = _typed(_address(ctypes.CDLL(None).clock_gettime), ctypes.c_int32, ctypes.c_size_t)
+    read = _typed(address_of(ctypes.CDLL(None).clock_gettime), ctypes.c_int32, ctypes.c_size_t)
     kind = np.int32(8 if sys.platform == "darwin" else 1)  # CLOCK_UPTIME_RAW, CLOCK_MONOTONIC
 
     @njit(nogil=True)
@@ -112,25 +113,16 @@ def _latest_error(get_error: int | None) -> Any:
     return told
 
 
+@cache
 def compiled_callback(
-    cycle: Any, begin_frame: Any, end_frame: Any, get_doubles: Any, set_doubles: Any, get_error: Any
+    cycle: Any, begin: int | None, end: int | None, get: int | None, put: int | None, error: int | None
 ) -> Any:
     """The callback, HDCallbackCode (void *), as a numba cfunc; its `address` is what the driver gets.
 
-    Parameters
-    ----------
-    cycle : compiled function
-        ``cycle(i8, u8, f8, f4, x, y, z, now_ns) -> (fx, fy, fz)``, metres and newtons in the device's axes.
-    begin_frame, end_frame, get_doubles, set_doubles, get_error : ctypes functions
-        Of the vendor's library, which stays loaded.
+    ``cycle(i8, u8, f8, f4, x, y, z, now_ns) -> (fx, fy, fz)`` is compiled, metres and newtons in the device's axes;
+    the rest are `address_of` hdBeginFrame, hdEndFrame, hdGetDoublev, hdSetDoublev and hdGetError of the vendor's
+    library, which stays loaded.
     """
-    return _compiled(cycle, *map(_address, (begin_frame, end_frame, get_doubles, set_doubles, get_error)))
-
-
-@cache
-def _compiled(
-    cycle: Any, begin: int | None, end: int | None, get: int | None, put: int | None, error: int | None
-) -> Any:
     begin_frame, end_frame = _typed(begin, ctypes.c_uint32), _typed(end, ctypes.c_uint32)
     get_doubles = _typed(get, ctypes.c_uint32, ctypes.c_size_t)
     set_doubles = _typed(put, ctypes.c_uint32, ctypes.c_size_t)

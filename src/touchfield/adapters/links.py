@@ -11,7 +11,6 @@ import os
 import socket
 import struct
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -109,22 +108,32 @@ def service_check(what: str, to: Address, mend: str) -> Check:
     return Check(f"{what} on {to[0]}:{to[1]}", True, "it listens")
 
 
-class Line(ABC):
-    """A connection that carries lines."""
+class Line:
+    """A connection that carries lines, over TCP."""
 
     _rest: bytes = b""
 
-    @abstractmethod
+    def __init__(self, to: Address, where: str, patience_s: float, mend: str) -> None:
+        self._socket = connected(to, where, patience_s, mend)
+        self._patience_s = patience_s
+
     def write(self, data: bytes) -> None:
         """Send bytes; raises `TimeoutError` or another `OSError`."""
+        self._socket.settimeout(self._patience_s)
+        self._socket.sendall(data)
 
-    @abstractmethod
-    def _read(self, seconds: float) -> bytes:
-        """Some bytes that came within so many seconds, b"" if none; raises `EOFError` or `OSError`."""
-
-    @abstractmethod
     def close(self) -> None:
         """Let it go."""
+        with suppress(OSError):
+            self._socket.close()
+
+    def _read(self, seconds: float) -> bytes:
+        """Some bytes that came within so many seconds, b"" if none; raises `EOFError` or `OSError`."""
+        self._socket.settimeout(seconds)
+        data = self._socket.recv(4096)
+        if not data:
+            raise EOFError("it was closed")
+        return data
 
     def read_line(self, deadline_s: float, most_bytes: int) -> bytes:
         """The next line, without its line feed and blanks around it; a longer one is cut at `most_bytes`.
@@ -141,33 +150,8 @@ class Line(ABC):
         return line[:most_bytes].strip()
 
 
-class TcpLine(Line):
-    """Over TCP."""
-
-    def __init__(self, to: Address, where: str, patience_s: float, mend: str) -> None:
-        self._socket = connected(to, where, patience_s, mend)
-        self._patience_s = patience_s
-
-    def write(self, data: bytes) -> None:
-        """See `Line`."""
-        self._socket.settimeout(self._patience_s)
-        self._socket.sendall(data)
-
-    def _read(self, seconds: float) -> bytes:
-        self._socket.settimeout(seconds)
-        data = self._socket.recv(4096)
-        if not data:
-            raise EOFError("it was closed")
-        return data
-
-    def close(self) -> None:
-        """See `Line`."""
-        with suppress(OSError):
-            self._socket.close()
-
-
 class SerialLine(Line):
-    """Over a serial port, 8 bits, no parity, one stop bit."""
+    """The same over a serial port, 8 bits, no parity, one stop bit."""
 
     def __init__(self, name: str, baud: int, where: str, patience_s: float, mend: str) -> None:
         try:

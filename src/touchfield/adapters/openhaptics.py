@@ -56,6 +56,9 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "hdStartScheduler": (None, ()),
     "hdStopScheduler": (None, ()),
 }
+_CALLED: Final = ("hdBeginFrame", "hdEndFrame", "hdGetDoublev", "hdSetDoublev", "hdGetError")
+"""By the compiled callback."""
+
 _FORCE_OUTPUT: Final = 0x4000
 _INVALID_HANDLE: Final = 0xFFFFFFFF
 _HIGHEST_PRIORITY: Final = 0xFFFF
@@ -97,10 +100,9 @@ class OpenHaptics(PointDevice):
         self.close()
         library = self._library = DRIVER.load(_FUNCTIONS)
         cycle = self._cycle or import_module("touchfield.render.kernels.tick").cycle
-        self._callback = import_module("touchfield.adapters.kernels").compiled_callback(
-            cycle, library.hdBeginFrame, library.hdEndFrame, library.hdGetDoublev, library.hdSetDoublev,
-            library.hdGetError,
-        )  # fmt: skip
+        kernel = import_module("touchfield.adapters.kernels")
+        called = (getattr(library, name) for name in _CALLED)
+        self._callback = kernel.compiled_callback(cycle, *map(kernel.address_of, called))
         device = library.hdInitDevice(None if self._name is None else self._name.encode())
         error = self._error("find the device", "Is it plugged in, and set up with the maker's own tool?")
         if error is None and device == _INVALID_HANDLE:

@@ -54,7 +54,6 @@ class Osc(ArrayDevice):
     def __init__(self, profile: Device, to: Address) -> None:
         self.profile, self._to = profile, to
         self._where = f"osc:{to[0]}:{to[1]}"
-        self._socket: socket.socket | None = None
         self._number, self._began_s = 0, 0.0
 
     def open(self) -> None:
@@ -70,7 +69,7 @@ class Osc(ArrayDevice):
             line.close()
             raise DeviceError(self._where, f"no way there ({reason(error)})", "a host that can be reached") from error
         line.settimeout(1.0)
-        self._socket, self._number, self._began_s = line, 0, monotonic()
+        self._line, self._number, self._began_s = line, 0, monotonic()
 
     def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
         """See `ArrayDevice`."""
@@ -79,31 +78,20 @@ class Osc(ArrayDevice):
             shown = drives_of(self.profile, drives)
         else:
             shown = steps_of(self.profile, drives, levels) / max(levels - 1, 1)
-        if self._socket is None:
+        if self._line is None:
             raise DeviceError(self._where, "no connection", "one that was opened")
         try:
             for datagram in self._datagrams(shown, frequencies_hz):
-                self._socket.send(datagram)
+                self._line.send(datagram)
         except OSError as error:
             mend = "Start what listens there first"
             raise DeviceError(self._where, f"that nothing listens ({reason(error)})", mend=mend) from error
         self._number += 1
 
-    def close(self) -> None:
-        """See `ArrayDevice`."""
-        line, self._socket = self._socket, None
-        if line is None:
-            return
-        columns, rows, _ = self.profile.lattice
-        off = np.zeros((self.profile.panels, rows, columns))
-        with suppress(Exception):
-            datagrams = list(self._datagrams(off, None))
-            for _ in range(_GOODBYES):
-                for datagram in datagrams:
-                    with suppress(OSError):
-                        line.send(datagram)
-        with suppress(Exception):
-            line.close()
+    def _put_off(self, off: Float32s) -> None:
+        for datagram in _GOODBYES * list(self._datagrams(off.astype(np.float64), None)):
+            with suppress(OSError):
+                self._line.send(datagram)
 
     def _datagrams(self, drives: Float64s, frequencies_hz: Float32s | None) -> Iterator[bytes]:
         """The bundles of one frame."""

@@ -22,13 +22,12 @@ is not sent: pins stay where they are. `close` lets all pins down.
 from __future__ import annotations
 
 import binascii
-from contextlib import suppress
 from time import monotonic
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.links import SerialLine, TcpLine, address, serial_ports
+from touchfield.adapters.links import Line, SerialLine, address, serial_ports
 from touchfield.adapters.registry import Check, DeviceKind, library_check, steps_of
 from touchfield.arrays import Float32s, Int64s
 from touchfield.errors import DeviceError, InvalidArgument
@@ -37,7 +36,6 @@ from touchfield.render.array_player import ArrayDevice
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from touchfield.adapters.links import Line
     from touchfield.devices import Device
 
 
@@ -73,7 +71,6 @@ class Pins(ArrayDevice):
         self.profile, self._where, self._connect, self._patience_s = profile, where, connect, PATIENCE_S
         self._levels = min(profile.levels or len(DIGITS), len(DIGITS))
         self._digits = np.frombuffer(DIGITS, np.uint8)
-        self._line: Line | None = None
         self._number = 0
         self._shown = b""
 
@@ -93,16 +90,8 @@ class Pins(ArrayDevice):
         """See `ArrayDevice`: a drive is a height; pins do not vibrate."""
         self._show(steps_of(self.profile, drives, self._levels), self._patience_s)
 
-    def close(self) -> None:
-        """See `ArrayDevice`."""
-        if self._line is None:
-            return
-        with suppress(Exception):
-            columns, rows, _ = self.profile.lattice
-            self._show(np.zeros((1, rows, columns), np.int64), _LAST_PATIENCE_S)
-        line, self._line = self._line, None
-        with suppress(Exception):
-            line.close()
+    def _put_off(self, off: Float32s) -> None:
+        self._show(steps_of(self.profile, off, self._levels), _LAST_PATIENCE_S)
 
     def _show(self, steps: Int64s, patience_s: float) -> None:
         heights = self._digits[steps.reshape(-1)].tobytes()
@@ -138,7 +127,7 @@ def _make(words: str, profile: Device) -> ArrayDevice:
     host, _, port = words.rpartition(":")
     if host and port.isdigit() and not words.startswith(("/", "\\")):
         to = address(words, _FORM)
-        return Pins(profile, where, lambda: TcpLine(to, where, PATIENCE_S, _MEND))
+        return Pins(profile, where, lambda: Line(to, where, PATIENCE_S, _MEND))
     name, at, baud = words.partition("@")
     is_baud = baud.isascii() and baud.isdigit() and len(baud) <= 8 and int(baud) > 0
     if not name or not name.isprintable() or (at and not is_baud):

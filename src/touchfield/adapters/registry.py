@@ -73,32 +73,17 @@ def library_check(name: str, extra: str = "", module: str = "", purpose: str = "
 class DeviceKind:
     """One kind of device.
 
-    Parameters
-    ----------
-    name : str
-        For ``--device``, before the colon.
-    form : str
-        The same as a user may write it, such as "bhaptics[:HOST:PORT]".
-    summary : str
-        One line for the user.
-    profile : str or None
-        Name of the profile in `touchfield.devices` that holds unless another is named; None for that of the stream.
-    make : callable
-        Of a point ``make(rest, trajectory) -> Opener``, of an array ``make(rest, profile) -> ArrayDevice``; `rest`
-        stands behind the colon, or is "". Raises `InvalidArgument`.
-    checks : callable
-        ``checks() -> list[Check]``: what is there of what it needs; quick, and never raises.
-    is_simulated : bool
-        A point that takes a trajectory, and whose axes and metres are the field's.
+    Of a point ``make(rest, trajectory)`` gives an `Opener`, of an array ``make(rest, profile)`` an `ArrayDevice`;
+    `rest` stands behind the colon, or is "". Raises `InvalidArgument`.
     """
 
-    name: str
-    form: str
-    summary: str
-    profile: str | None
+    name: str  # for ``--device``, before the colon
+    form: str  # the same as a user may write it, such as "bhaptics[:HOST:PORT]"
+    summary: str  # one line for the user
+    profile: str | None  # name of the one that holds unless another is named; None for that of the stream
     make: Callable[[str, Any], Any]
-    checks: Callable[[], list[Check]]
-    is_simulated: bool = False
+    checks: Callable[[], list[Check]]  # what is there of what it needs; quick, and never raises
+    is_simulated: bool = False  # a point that takes a trajectory, and whose axes and metres are the field's
 
 
 class PointChoice(NamedTuple):

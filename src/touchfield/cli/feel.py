@@ -24,7 +24,6 @@ RENDER: Final[tuple[Row, ...]] = (
     ("friction", float | None, None, "mu; default: the stream's."),
     ("damping-n-s-per-m", float | None, None, "b everywhere; default: the stream's, and in contact what is stable."),
     ("coupling-n-per-m", float | None, None, "Stiffness of a virtual coupling; 0: none; default: what is stable."),
-    ("passivity", bool, False, "Take out the energy that the loop makes (time-domain passivity control)."),
     ("scale", float, 1.0, "Metres of the field for one metre of the device."),
     ("clutch-mm", str | None, None, "Point of the field at the device's origin, X,Y,Z in millimetres."),
     ("force-scale", float, 1.0, "Newtons of the device for one of the field."),

@@ -22,74 +22,74 @@ import difflib
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from touchfield.arrays import Travels
 from touchfield.errors import DeviceError, InvalidArgument, SourceError
-from touchfield.files import require_plain
+from touchfield.files import read_bytes
 
 MAX_SAMPLES_PER_AXIS: Final = 1 << 20
 LARGEST: Final = 1e6
 MAX_PROFILE_BYTES: Final = 1 << 16
 
 
+class _Rule(NamedTuple):
+    """Form of one value of a profile: for which types it is needed, for which it may be there, and how it is told."""
+
+    needed: tuple[int, ...] = ()
+    allowed: tuple[int, ...] = (1, 2)
+    size: int = 1
+    whole: bool = False
+    text: bool = False
+
+
+_POINT: Final = {"rule": _Rule(allowed=(1,))}
+_POINT_NEEDS: Final = {"rule": _Rule((1,), (1,))}
+_POINT_BOX: Final = {"rule": _Rule(allowed=(1,), size=3)}
+_ARRAY_COUNT: Final = {"rule": _Rule(allowed=(2,), whole=True)}
+_ARRAY_NEEDS: Final = {"rule": _Rule((2,), (2,))}
+
+Triple = tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class Device(Travels):
-    """A haptic display; a value that is not known is None.
+    """A haptic display; a value that is not known is None. A field with a rule is a key of a profile.
 
-    Attributes
-    ----------
-    name, title : str
-        What ``--device`` takes; maker and model.
-    type : int
-        1 (point) or 2 (array).
-    axes : str
-        Axes of the device's own driver; the boxes below always lie along x right, y up, z towards the user.
-    workspace_mm, physical_mm : (float, float, float)
-        Nominal box, of an array (columns * pitch, rows * pitch, depth that is pooled); the box that is reached.
-    lattice : (int, int, int)
-        Samples along the box; of an array (columns, rows, 1).
-    force_max_n, force_continuous_n, torque_max_nm, torque_continuous_nm : float
-        Peak and continuous force (of an array the force that drives an actuator fully) and torque.
-    rate_hz, resolution_mm, stiffness_n_per_m
-        Update rate, position resolution, and the stiffness that it can show along x, y, z.
-    pitch_mm, levels, panels
-        Of an array: distance between neighbours, steps of one actuator, zero included, and how many such arrays there
-        are, as front and back of a vest; the filter fills one.
-    inertia_kg, damping_n_s_per_m, friction_n, delay_ms : float
-        Apparent mass at the tip, viscous damping, friction, and the time from a place that is told to a force that
-        acts, beside sampling and holding; `render.walls` assumes the worst of what is not known.
-    sources : mapping of str to str
-        Where each value comes from.
+    Units stand in the names. Boxes lie along x right, y up, z towards the user, whatever `axes` the own driver
+    has; `lattice` are samples along the nominal one. Of an array `force_max_n` is what drives an actuator fully.
     """
 
-    name: str
-    title: str
-    type: int
-    axes: str
-    workspace_mm: tuple[float, float, float]
-    lattice: tuple[int, int, int]
-    force_max_n: float
-    force_continuous_n: float | None = None
-    rate_hz: float | None = None
-    resolution_mm: float | None = None
-    physical_mm: tuple[float, float, float] | None = None
-    stiffness_n_per_m: tuple[float, float, float] | None = None
-    pitch_mm: float | None = None
-    levels: int | None = None
-    panels: int = 1
-    torque_max_nm: float | None = None
-    torque_continuous_nm: float | None = None
-    inertia_kg: float | None = None
-    damping_n_s_per_m: float | None = None
-    friction_n: float | None = None
-    delay_ms: float | None = None
-    sources: Mapping[str, str] = field(default_factory=dict, repr=False, hash=False)
+    name: str  # what ``--device`` takes
+    title: str  # maker and model
+    type: int  # 1 (point) or 2 (array)
+    axes: str = field(metadata={"rule": _Rule((1, 2), text=True)})  # of its own driver
+    # the nominal box; of an array columns * pitch, rows * pitch, depth that is pooled
+    workspace_mm: Triple = field(metadata={"rule": _Rule((1,), (1,), size=3)})
+    lattice: tuple[int, int, int]  # of an array (columns, rows, 1)
+    force_max_n: float = field(metadata={"rule": _Rule((1, 2))})  # peak
+    force_continuous_n: float | None = field(default=None, metadata=_POINT)  # in the long run
+    rate_hz: float | None = field(default=None, metadata={"rule": _Rule((1,))})  # of updates
+    resolution_mm: float | None = field(default=None, metadata=_POINT_NEEDS)  # of the position
+    physical_mm: Triple | None = field(default=None, metadata=_POINT_BOX)  # the box that the arm can reach
+    stiffness_n_per_m: Triple | None = field(default=None, metadata=_POINT_BOX)  # that it can show along x, y, z
+    pitch_mm: float | None = field(default=None, metadata=_ARRAY_NEEDS)  # between neighbours of an array
+    levels: int | None = field(default=None, metadata=_ARRAY_COUNT)  # steps of one actuator, zero included
+    panels: int = field(default=1, metadata=_ARRAY_COUNT)  # such arrays, as front and back; the filter fills one
+    torque_max_nm: float | None = field(default=None, metadata=_POINT)
+    torque_continuous_nm: float | None = field(default=None, metadata=_POINT)
+    # of what is not known of these four `render.spec` assumes the worst
+    inertia_kg: float | None = field(default=None, metadata=_POINT)  # apparent mass at the tip
+    damping_n_s_per_m: float | None = field(default=None, metadata=_POINT)  # viscous
+    friction_n: float | None = field(default=None, metadata=_POINT)
+    delay_ms: float | None = field(default=None, metadata=_POINT)  # from a place told to a force that acts, beside
+    # sampling and holding
+    sources: Mapping[str, str] = field(default_factory=dict, repr=False, hash=False)  # where each value comes from
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
@@ -106,32 +106,11 @@ class Device(Travels):
         return (x / 1000, y / 1000, z / 1000)
 
 
-@dataclass(frozen=True)
-class _Field:
-    """Form of one field of a profile: whole numbers or not, how many, and for which types."""
-
-    count: int = 1
-    whole: bool = False
-    needed: tuple[int, ...] = ()
-    allowed: tuple[int, ...] = (1, 2)
-    text: bool = False
-
-
-_FIELDS: Final[Mapping[str, _Field]] = {
-    "axes": _Field(text=True, needed=(1, 2)),
-    "workspace_mm": _Field(count=3, needed=(1,), allowed=(1,)),
-    "physical_mm": _Field(count=3, allowed=(1,)),
-    "resolution_mm": _Field(needed=(1,), allowed=(1,)),
-    "nominal_lattice": _Field(count=3, whole=True, needed=(1,), allowed=(1,)),
-    "force_max_n": _Field(needed=(1, 2)),
-    "force_continuous_n": _Field(allowed=(1,)),
-    "stiffness_n_per_m": _Field(count=3, allowed=(1,)),
-    "rate_hz": _Field(needed=(1,)),
-    **dict.fromkeys(("columns", "rows"), _Field(whole=True, needed=(2,), allowed=(2,))),
-    **dict.fromkeys(("pitch_mm", "depth_mm"), _Field(needed=(2,), allowed=(2,))),
-    **dict.fromkeys(("levels", "panels"), _Field(whole=True, allowed=(2,))),
-    **dict.fromkeys(("torque_max_nm", "torque_continuous_nm", "inertia_kg"), _Field(allowed=(1,))),
-    **dict.fromkeys(("damping_n_s_per_m", "friction_n", "delay_ms"), _Field(allowed=(1,))),
+_RULES: Final[Mapping[str, _Rule]] = {
+    **{one.name: one.metadata["rule"] for one in fields(Device) if "rule" in one.metadata},
+    "nominal_lattice": _Rule((1,), (1,), size=3, whole=True),
+    **dict.fromkeys(("columns", "rows"), _Rule((2,), (2,), whole=True)),
+    "depth_mm": _Rule((2,), (2,)),
 }
 
 
@@ -144,13 +123,13 @@ def device_of_table(table: Mapping[str, Any], where: str) -> Device:
     kind = table.get("type")
     if isinstance(kind, bool) or kind not in (1, 2):
         raise DeviceError(f"{where}: type", repr(kind), "1 (point) or 2 (array)")
-    known = {"name", "title", "type", *(key for key, f in _FIELDS.items() if kind in f.allowed)}
+    known = {"name", "title", "type", *(key for key, f in _RULES.items() if kind in f.allowed)}
     for key in table:
         if key not in known:
             raise DeviceError(f"{where}: {key}", "an unknown key", f"one of {', '.join(sorted(known))}")
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
-    for key, rule in _FIELDS.items():
+    for key, rule in _RULES.items():
         if key in table:
             values[key], sources[key] = _value(table[key], rule, f"{where}: {key}")
         elif kind in rule.needed:
@@ -175,7 +154,7 @@ def _text(value: object, where: str) -> str:
     return value.strip()
 
 
-def _value(entry: object, rule: _Field, where: str) -> tuple[Any, str]:
+def _value(entry: object, rule: _Rule, where: str) -> tuple[Any, str]:
     """The checked value of one entry, and its source."""
     if not isinstance(entry, dict):
         raise DeviceError(where, repr(entry)[:80], "a table with value and source")
@@ -187,9 +166,9 @@ def _value(entry: object, rule: _Field, where: str) -> tuple[Any, str]:
     where += ".value"
     if rule.text:
         return _text(value, where), source
-    numbers = value if isinstance(value, list) and rule.count > 1 else [value]
-    if len(numbers) != rule.count:
-        raise DeviceError(where, repr(value)[:80], f"a list of {rule.count} numbers")
+    numbers = value if isinstance(value, list) and rule.size > 1 else [value]
+    if len(numbers) != rule.size:
+        raise DeviceError(where, repr(value)[:80], f"a list of {rule.size} numbers")
     kinds, limit = (int, MAX_SAMPLES_PER_AXIS) if rule.whole else ((int, float), LARGEST)
     for number in numbers:
         is_number = isinstance(number, kinds) and not isinstance(number, bool)
@@ -197,7 +176,7 @@ def _value(entry: object, rule: _Field, where: str) -> tuple[Any, str]:
             expected = f"a positive {'whole ' if rule.whole else ''}number up to {limit:.0f}"
             raise DeviceError(where, repr(number)[:80], expected)
     checked = tuple(int(number) if rule.whole else float(number) for number in numbers)
-    return (checked if rule.count > 1 else checked[0]), source
+    return (checked if rule.size > 1 else checked[0]), source
 
 
 @cache
@@ -237,16 +216,9 @@ def _shipped(name: str) -> Device:
 
 def _file_bytes(path: Path) -> bytes:
     try:
-        require_plain(path, "a TOML profile")
-        with path.open("rb") as file:
-            data = file.read(MAX_PROFILE_BYTES + 1)
+        return read_bytes(path, MAX_PROFILE_BYTES, "a TOML profile")
     except SourceError as error:
-        raise DeviceError(error.where, error.found, error.expected) from error
-    except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
-        raise DeviceError(str(path), f"a file that cannot be read ({error})", "a TOML profile") from error
-    if len(data) > MAX_PROFILE_BYTES:
-        raise DeviceError(str(path), f"more than {MAX_PROFILE_BYTES} bytes", "a TOML profile of a few kilobytes")
-    return data
+        raise DeviceError(error.where, error.found, error.expected, error.mend) from error
 
 
 def _parsed(data: bytes, where: str) -> Device:

@@ -18,7 +18,7 @@ from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -319,6 +319,7 @@ class ArrayDevice(ABC):
     """A fixed array of actuators; its `profile` has columns, rows, panels and levels."""
 
     profile: Device
+    _line: Any = None  # what `open` made, with a `close` of its own
 
     @abstractmethod
     def open(self) -> None:
@@ -332,6 +333,17 @@ class ArrayDevice(ABC):
         of the vibration band have the same shape; None where the medium has none. `DeviceError` if it is gone.
         """
 
-    @abstractmethod
     def close(self) -> None:
         """All actuators off, then let it go; must not raise, and may be called twice, or after a failed `open`."""
+        if self._line is None:
+            return
+        columns, rows, _ = self.profile.lattice
+        with suppress(Exception):
+            self._put_off(np.zeros((self.profile.panels, rows, columns), np.float32))
+        line, self._line = self._line, None
+        with suppress(Exception):
+            line.close()
+
+    def _put_off(self, off: Float32s) -> None:
+        """Show the last frame, all off."""
+        self.put_drives(off, None, 0.0)

@@ -25,7 +25,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on
-from touchfield.files import json_of, plain_size, readable
+from touchfield.files import json_of, read_bytes
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import numbers_of
 from touchfield.perception.vibrotactile import BANDS_HZ
@@ -149,14 +149,11 @@ def _plain(value: Any) -> Any:
 
 def read_materials(path: str | Path) -> tuple[Material, ...]:
     """Read a table of materials, JSON as above; `SourceError` that names file and field if it is none."""
-    where = Path(path)
-    with readable(where, "a table of materials, JSON", "touchfield texture makes one of a recording."):
-        if plain_size(where, "a table of materials, JSON") > _MOST_BYTES:
-            raise SourceError(str(where), "more than 4 MiB", "a table of materials, JSON")
-        try:
-            return _materials_of(where.read_text("utf-8-sig"), str(where))
-        except UnicodeDecodeError:
-            raise SourceError(str(where), "what is no text", "a table of materials, JSON") from None
+    what = "a table of materials, JSON, as touchfield texture makes one of a recording"
+    try:
+        return _materials_of(read_bytes(path, _MOST_BYTES, what).decode("utf-8-sig"), str(path))
+    except UnicodeDecodeError:
+        raise SourceError(str(path), "what is no text", what) from None
 
 
 def write_table(path: str | Path, materials: Iterable[Material]) -> None:

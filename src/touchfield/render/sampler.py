@@ -11,31 +11,32 @@ import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_not_negative
 from touchfield.medium.field import numbers_of
 from touchfield.medium.medium import HapticScene
 from touchfield.parallel import for_chunks
+from touchfield.render.block import Memory
 from touchfield.render.block import words as W
-from touchfield.render.block.frames import FieldName, FrameParts, FrameStore
+from touchfield.render.block.frames import FieldName, FrameParts, field_words, write_fields
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Container
 
     from touchfield.medium import HapticMedium
     from touchfield.medium.cells import CellPool
     from touchfield.medium.deformation import Deformation
-    from touchfield.render.block import Memory
 
 
 _POINTS_AT_ONCE: Final = 8192
 _ALWAYS: Final = sys.float_info.max
 _NEVER: Final = (1.0, -1.0, 0.0)
+_NOWHERE: Final = 8  # words in front that nothing takes: place 0 means none
 
 
 class FieldSampler:
@@ -45,9 +46,9 @@ class FieldSampler:
     last; with `loop` the last frame is followed by the first one, so that a round takes frame_count / rate_hz. One
     thread at a time; a batch itself runs on all cores.
 
-    `memory_bytes` are for the latest frames, which are kept, and as much twice more for those of `at`; a
-    `deformation` bends a medium of voxels by its tracks. A query raises `InvalidArgument` if a time is not finite,
-    shapes do not fit, or two frames do not fit into the memory allowed.
+    `memory_bytes` are for the latest fields, which are kept; blocks of two frames, one for `at`, one that it begins
+    and one for all other queries, take as much each at most. A `deformation` bends a medium of voxels by its tracks.
+    A query raises `InvalidArgument` if a time is not finite, shapes do not fit, or two frames do not fit there.
     """
 
     def __init__(
@@ -57,14 +58,12 @@ class FieldSampler:
         deformation: Deformation | None = None,
     ) -> None:
         self._parts = FrameParts(medium, deformation)
-        self._store = FrameStore(self._parts, memory_bytes)
+        self._pairs = Pairs(self._parts, memory_bytes)
         self._is_voxels = not isinstance(medium, HapticScene) and deformation is None
         self._rate_hz = self._parts.rate_hz
-        self._pair: tuple[int, int] | None = None
-        self._places = 0, 0
-        self._ahead = PairsAhead(self._parts, memory_bytes)
+        self._latest: Pair | None = None
         self._at = 0, 0
-        self._words = self._store.memory.u8
+        self._words: Any = None
         self._low, self._high, self._base = _NEVER  # between which instants, in frames, `at` has all that it needs
         self._point: Any = None
 
@@ -119,8 +118,7 @@ class FieldSampler:
     def frames_at(self, time_s: float, loop: bool = False) -> tuple[Memory, int, int, float]:
         """Block, words of two frames and blend of an instant, for compiled callers; valid until the next query."""
         a, b, blend = self._instant(time_s, loop)
-        first, second = self._take(a, b)
-        return self._store.memory, first, second, blend
+        return *self._take(a, b)[:3], blend
 
     def _prepare(self, time_s: float) -> None:
         """Make `at` ready for the frames about an instant."""
@@ -129,7 +127,8 @@ class FieldSampler:
         a, _, _ = self._instant(time_s, False)
         b = min(a + 1, self._parts.frame_count - 1)
         self._low, self._high, self._base = _NEVER
-        memory, first, second = self._ahead.take(a, b)
+        memory, first, second = self._pairs.take(a, b)[:3]
+        self._pairs.begin(b, b + 1)
         if not force_at_once.signatures:
             force_at_once(memory.u8, first, second, 0.0, 0.0, 0.0, 0.0)
             force_at_once.disable_compile()  # a whole number becomes a float, and takes no compiled code of its own
@@ -160,22 +159,19 @@ class FieldSampler:
         blends[blends <= W.AT_A_FRAME] = 0.0
         return firsts % count, blends
 
-    def _take(self, a: int, b: int) -> tuple[int, int]:
-        """Places of two frames; those of the latest two are kept."""
-        if (a, b) != self._pair:
-            self._pair = None
-            self._ahead.settle()  # a medium is asked by one thread at a time
-            self._places = self._store.places(a, b)
-            self._pair = a, b
-        return self._places
+    def _take(self, a: int, b: int) -> Pair:
+        """Two frames for all queries but `at`; the latest are kept."""
+        if self._latest is None or self._latest.frames != (a, b):
+            self._latest = self._pairs.take(a, b, self._latest)
+        return self._latest
 
     def _voxels_n(self, time_s: float, points: NDArray[Any], loop: bool) -> Float32s:
         """One field, or two that are blended, at many points of one instant."""
         from touchfield.render.kernels import points as kernels
 
         a, b, blend = self._instant(time_s, loop)
-        frames = self._take(a, b)
-        views = self._store.memory.views
+        memory, *frames = self._take(a, b)[:3]
+        views = memory.views
         out = np.empty(points.shape, np.float32)
         flat, forces = points.reshape(-1, 3), out.reshape(-1, 3)
         shares = ((frames[0], 1.0 - blend), (frames[1], blend)) if blend else ((frames[0], 1.0),)
@@ -199,8 +195,8 @@ class FieldSampler:
             groups = np.split(order, np.flatnonzero(np.diff(firsts[order])) + 1) if len(order) else []
         for which in groups:
             a, shares, part = int(firsts[which][0]), blends[which], out[which]
-            frames = self._take(a, (a + 1) % self._parts.frame_count if shares.any() else a)
-            arguments = (flat[which], shares, *self._store.memory.views, *frames, part)
+            memory, *frames = self._take(a, (a + 1) % self._parts.frame_count if shares.any() else a)[:3]
+            arguments = (flat[which], shares, *memory.views, *frames, part)
             for_chunks(kernel, len(part), *arguments, chunk=_POINTS_AT_ONCE // 4)
             out[which] = part
         return out.reshape(*points.shape[:-1], columns)
@@ -215,47 +211,80 @@ def _points(points_m: ArrayLike, *others: type[np.float32]) -> NDArray[Any]:
     return points if points.flags.writeable else points.copy()  # to the compiler read-only arrays are another type
 
 
-Place = tuple["Memory", int, int]  # block of a pair, and where its two frames lie in it
+class Pair(NamedTuple):
+    """Two frames, perhaps the same: their block and their places in it, as the kernels take them; and its fields."""
+
+    memory: Memory
+    first: int
+    second: int
+    frames: tuple[int, int]
+    fields: dict[FieldName, int]
 
 
-class PairsAhead:
-    """Pairs (a, b) of frames that `FieldSampler.at` looks between: while one is asked for, the next is being made.
+class Pairs:
+    """Pairs (a, b) of frames, each in a block of its own, made when asked for or begun before.
 
-    Each pair has a block of its own, with what one instant needs. Cells of a frame are made once and copied into both
-    of its pairs. Frames are made by one thread at a time, the caller's or a background one.
+    Cells of the latest fields are kept in `memory_bytes`, about twice those of their bricks, and copied into the
+    pairs that need them. Frames are made by one thread at a time, the caller's or a background one.
     """
 
     def __init__(self, parts: FrameParts, memory_bytes: int) -> None:
-        self._parts, self._memory_bytes = parts, memory_bytes
-        self._cells: dict[FieldName, CellPool] = {}  # of the pair made last
-        self._coming: tuple[tuple[int, int], Future[Place]] | None = None
+        require_not_negative(memory_bytes=memory_bytes)
+        self._parts, self._most_words = parts, int(memory_bytes) // W.WORD
+        self._cells: dict[FieldName, CellPool] = {}  # in the order of use
+        self._words = 0  # of them
+        self._coming: Future[Pair] | None = None
+        self._coming_frames = -1, -1
 
-    def take(self, a: int, b: int) -> Place:
-        """The pair; the one that follows is begun, and its error comes in its turn."""
+    def take(self, a: int, b: int, before: Pair | None = None) -> Pair:
+        """The pair; written over the one `before`, which is given up, where that has all fields.
+
+        InvalidArgument where it does not fit into the memory allowed.
+        """
         coming, self._coming = self._coming, None
-        if coming is not None and coming[0] == (a, b):
-            place = coming[1].result()
-        else:
-            if coming is not None and not coming[1].cancel():
-                coming[1].exception()  # both would make frames at once
-            place = self._make(a, b)
-        after = (b, b + 1) if b > a else (a, a + 1)
-        if after[1] < self._parts.frame_count:
-            self._coming = after, _pool().submit(self._make, *after)
-        return place
+        if coming is not None and self._coming_frames == (a, b):
+            return coming.result()
+        if coming is not None and not coming.cancel():
+            coming.exception()  # both would make frames at once
+        return self._make(a, b, before)
 
-    def _make(self, a: int, b: int) -> Place:
-        before = self._cells
+    def begin(self, a: int, b: int) -> None:
+        """Make a pair in the background for the next `take`, where there is one; its error comes then."""
+        if b < self._parts.frame_count:
+            self._coming_frames, self._coming = (a, b), _pool().submit(self._make, a, b)
+
+    def _make(self, a: int, b: int, before: Pair | None = None) -> Pair:
         names = dict.fromkeys(name for frame in (a, b) for name in self._parts.names(frame))
-        self._cells = {name: before[name] if name in before else self._parts.cells(name) for name in names}
-        store = FrameStore(self._parts, self._memory_bytes, self._cells.__getitem__)
-        first, second = store.places(a, b)
-        return store.memory, first, second
+        first, second = _NOWHERE, _NOWHERE + self._parts.words * (a != b)
+        if before is not None and names.keys() <= before.fields.keys():
+            memory, fields = before.memory, before.fields
+        else:
+            pools = {name: self._cells_of(name) for name in names}
+            self._let_go(names)
+            begin, fields = _NOWHERE + 2 * self._parts.words, dict[FieldName, int]()
+            memory = Memory.empty(begin + sum(map(field_words, pools.values())))
+            write_fields(memory, begin, pools, fields)
+        for at, frame in {first: a, second: b}.items():
+            self._parts.write(memory, at, frame, fields)
+        return Pair(memory, first, second, (a, b), fields)
 
-    def settle(self) -> None:
-        """Wait until nothing is made in the background."""
-        if self._coming is not None:
-            self._coming[1].exception()
+    def _cells_of(self, name: FieldName) -> CellPool:
+        pool = self._cells.pop(name, None)
+        if pool is None:
+            pool = self._parts.cells(name)
+            self._words += field_words(pool)
+        self._cells[name] = pool
+        return pool
+
+    def _let_go(self, needed: Container[FieldName]) -> None:
+        """Drop what was not asked for since longest until the rest has room."""
+        while self._words > self._most_words:
+            oldest = next(iter(self._cells))
+            if oldest in needed:
+                found = f"{self._words * W.WORD / 2**20:.1f} MiB for the fields of one instant"
+                allowed = f"at most {self._most_words * W.WORD / 2**20:.1f} MiB"
+                raise InvalidArgument("memory_bytes", found, allowed, "Allow more memory, or take a coarser grid.")
+            self._words -= field_words(self._cells.pop(oldest))
 
 
 @cache
@@ -278,7 +307,7 @@ class DeviceSampler:
 
     def __init__(self, medium: HapticMedium | HapticScene, memory_bytes: int = 256 << 20) -> None:
         self._sampler = FieldSampler(medium, memory_bytes)
-        self._places: tuple[int, int] | None = None
+        self._latest: Pair | None = None
         self._views: tuple[Any, ...] = ()
 
     def force_n(self, time_s: float, points_m: Any, loop: bool = False) -> Any:
@@ -293,11 +322,12 @@ class DeviceSampler:
         if len(points_m.shape) != 2 or points_m.shape[1] != 3 or points_m.dtype != np.float64:
             found = f"{points_m.dtype}, shape {tuple(points_m.shape)}"
             raise InvalidArgument("points_m", found, "float64 [n, 3], metres")
-        memory, first, second, blend = self._sampler.frames_at(time_s, loop)
-        if self._places != (first, second):
-            self._views, self._places = on_device(tuple(memory.views)), (first, second)
+        a, b, blend = self._sampler._instant(time_s, loop)
+        pair = self._sampler._take(a, b)
+        if self._latest is not pair:
+            self._views, self._latest = on_device(tuple(pair.memory.views)), pair
         out = empty((points_m.shape[0], 3), np.float32)
         blends = on_device(np.array([blend]))
         points = on_device(points_m)
-        for_each(forces_at_points, len(out), points, blends, *self._views, first, second, out)
+        for_each(forces_at_points, len(out), points, blends, *self._views, pair.first, pair.second, out)
         return out

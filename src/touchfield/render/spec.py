@@ -63,7 +63,6 @@ class RenderSpec:
     damping_n_s_per_m: float | None = None  # where it is given there is no other damping
     slip_speed_m_s: float = 0.001  # v_s of `touchfield.filters.contact`
     coupling_n_per_m: float | None = None  # between hand and field; 0: none; None: what is needed to be stable
-    passivity: bool = False  # whether the controller in the time domain takes out what energy the loop made
     scale: float = 1.0  # metres of the field for one metre of the device
     clutch_m: Triple = (0.0, 0.0, 0.0)  # point of the field that lies at the device's origin, the field's axes
     force_scale: float = 1.0  # newtons of the device for one newton of the field
@@ -128,7 +127,6 @@ def write_parameters(
         (W.FRICTION, _coefficient("friction of the medium", spec.friction, medium_friction)),
         (W.DAMPING, _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)),
         (W.SLIP_SPEED, spec.slip_speed_m_s),
-        (W.PASSIVITY, float(spec.passivity)),
         (W.SCALE, spec.scale),
         (W.FORCE_SCALE, spec.force_scale),
         (W.THERMAL_S, spec.thermal_s),
@@ -136,7 +134,6 @@ def write_parameters(
         (W.CUTOFF, 2 * math.pi * spec.velocity_cutoff_hz),
         (W.COUPLING, spec.coupling_n_per_m or 0.0),
         (W.BRAKE, 0.0),
-        (W.DELAY, min(delay_s(device) * spec.rate_hz, W.MOST_DELAY)),
         (W.ORIENTATION, 1.0),
     ):
         words[place] = value

@@ -8,21 +8,20 @@ hold a force, the samples. Its own places count from its first word, so that a f
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, require_not_negative
+from touchfield.errors import InvalidArgument
 from touchfield.medium.cells import CellPool
 from touchfield.medium.medium import HapticMedium, HapticScene
 from touchfield.render.block import Memory
 from touchfield.render.block import words as W
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from touchfield.medium.deformation import Deformation
     from touchfield.medium.field import ForceField
@@ -35,9 +34,6 @@ _EVERY: Final = -1
 
 _FLOOR_SHARE: Final = 1e-9
 """As in `medium.placed`: an object's own force below this share of F_max is the rounding of a place on the edge."""
-
-_NOWHERE: Final = 8  # words in front that nothing takes: place 0 means none
-_FIRST_WORDS: Final = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -236,76 +232,3 @@ class FrameParts:
             for one, name, motion in zip(self.medium.objects, self.names(frame), self._motions, strict=True)
         ]
         write_frame(memory, at, parts, self.medium.force_max_n)
-
-
-class FrameStore:
-    """The latest frames of a medium in one block of this process, made when asked for and kept while there is room.
-
-    Two frames, between which a query lies, and behind them fields of `memory_bytes`, about twice those of their
-    bricks; when it is full, the older half goes and the rest moves forward. `cells_of` makes cells, by default as
-    `parts` do. `memory` is another one when it had to grow.
-    """
-
-    def __init__(
-        self, parts: FrameParts, memory_bytes: int, cells_of: Callable[[FieldName], CellPool] | None = None
-    ) -> None:
-        require_not_negative(memory_bytes=memory_bytes)
-        self._parts, self._cells_of = parts, cells_of or parts.cells
-        self._slots = (_NOWHERE, _NOWHERE + parts.words)
-        self._begin = self._top = _NOWHERE + 2 * parts.words
-        self._bound = self._begin + int(memory_bytes) // W.WORD
-        self._fields: OrderedDict[FieldName, tuple[int, int]] = OrderedDict()
-        self._written = [-1, -1]
-        self.memory = Memory.empty(min(self._bound, self._begin + _FIRST_WORDS))
-
-    def places(self, a: int, b: int) -> tuple[int, int]:
-        """Words of two frames, perhaps the same, valid until the next call; an error where there is no room."""
-        names = {name: None for frame in (a, b) for name in self._parts.names(frame)}
-        missing = [name for name in names if name not in self._fields]
-        for name in names:
-            if name in self._fields:
-                self._fields.move_to_end(name)
-        for name in missing:
-            pool = self._cells_of(name)
-            words = field_words(pool)
-            at = self._room(words, names)
-            write_field(self.memory, at, pool)
-            self._fields[name] = at, words
-            self._top = at + words
-        first = self._written.index(a) if a in self._written else int(self._written[0] == b != a)
-        second = first if a == b else 1 - first
-        for slot, frame in ((first, a), (second, b)):
-            if self._written[slot] != frame:
-                places = {name: self._fields[name][0] for name in self._parts.names(frame)}
-                self._parts.write(self.memory, self._slots[slot], frame, places)
-                self._written[slot] = frame
-        return self._slots[first], self._slots[second]
-
-    def _room(self, words: int, needed: dict[FieldName, None]) -> int:
-        """A place for so many words: free, or made by growing, or by letting older fields go."""
-        if self._top + words > self.memory.words < self._bound:
-            grown = Memory.empty(min(self._bound, max(2 * self.memory.words, self._top + words)))
-            grown.i8[: self._top] = self.memory.i8[: self._top]
-            self.memory = grown
-        if self._top + words > self.memory.words:
-            self._let_go(words, needed)
-        return self._top
-
-    def _let_go(self, words: int, needed: dict[FieldName, None]) -> None:
-        """Drop old fields until half of the room is free and `words` fit, and move what is kept to the front."""
-        in_use = self._top - self._begin
-        half = max((self._bound - self._begin) // 2, words)
-        for name in [name for name in self._fields if name not in needed]:
-            if self._bound - self._begin - in_use >= half:
-                break
-            in_use -= self._fields.pop(name)[1]
-        if self._begin + in_use + words > self._bound:
-            needed_now = f"{(in_use + words) * W.WORD / 2**20:.1f} MiB for the fields of one instant"
-            allowed = f"at most {(self._bound - self._begin) * W.WORD / 2**20:.1f} MiB"
-            raise InvalidArgument("memory_bytes", needed_now, allowed, "Allow more memory, or take a coarser grid.")
-        self._top = self._begin
-        for name, (at, size) in sorted(self._fields.items(), key=lambda item: item[1][0]):
-            self.memory.i8[self._top : self._top + size] = self.memory.i8[at : at + size]
-            self._fields[name] = self._top, size  # in its place in the order of use
-            self._top += size
-        self._written = [-1, -1]
