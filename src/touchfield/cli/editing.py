@@ -18,7 +18,7 @@ from touchfield.sources.recording import STANDARD_GRAVITY_M_S2
 if TYPE_CHECKING:
     from touchfield.render.material import Material
 
-RUBBED = tuple(row for row in BESIDE if row[0] != "vibration")
+RUBBED = tuple(row for row in BESIDE if row.name != "vibration")
 
 Medium = Annotated[str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti).", metavar="MEDIUM")]
 Out = Annotated[Path, typer.Argument(help="OUT.touch, or a field: FIELD.npz, FIELD.vti.")]

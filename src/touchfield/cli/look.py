@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 import typer
 
 from touchfield.cli.main import Asked, Json, Source, Stream, command
-from touchfield.cli.options import ALLOW_OUTSIDE, SCENE, asks, encode_spec
+from touchfield.cli.options import SCENE, asks, encode_spec
 from touchfield.cli.show import (
     check_results,
     is_same_file,
@@ -70,7 +70,7 @@ def compare(
     frame: Annotated[int | None, "Frame to draw; default: the middle one."] = None,
     k: Annotated[float | None, "Weber fraction of the mask; default: the stream's."] = None,
     f0_n: Annotated[float | None, "F_0 of the mask, newtons."] = None,
-    allow_outside: Annotated[bool, typer.Option("--allow-outside", help=ALLOW_OUTSIDE)] = False,
+    allow_outside: Annotated[bool, "Models and scene files may name files outside their own folder."] = False,
 ) -> None:
     """Measure a stream against its source, and draw both."""
     from touchfield import job
@@ -105,7 +105,7 @@ def _free_name(source: str, stream: str) -> Path:
 
 
 @command("Study", "measure room.touch", "measure scan.ply --device phantom-omni --device tshirt-32x32")
-@asks(tuple(row for row in SCENE if row[0] != "device"))
+@asks(tuple(row for row in SCENE if row.name != "device"))
 def measure(
     asked: Asked,
     medium: Annotated[str, typer.Argument(help="A .touch file, or any SOURCE.", metavar="MEDIUM")],

@@ -114,9 +114,9 @@ def filter_(
     from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 
     spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
-    beside = {row[0]: getattr(spec, row[0].replace("-", "_")) for row in BESIDE}
+    beside = {row.name: getattr(spec, row.name.replace("-", "_")) for row in BESIDE}
     if not spec.filters and all(words is None for words in beside.values()):
-        names = ", ".join(f"--{row[0]}" for row in (*filter_rows(), *BESIDE))
+        names = ", ".join(f"--{row.name}" for row in (*filter_rows(), *BESIDE))
         raise InvalidArgument(f"touchfield filter has no filter to apply: name at least one of {names}")
     if out.suffix not in (".touch", ".npz", ".vti"):
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, or FIELD.npz or FIELD.vti")
@@ -213,10 +213,10 @@ def _options(plan: Plan, asked: dict[str, Any]) -> list[str]:
     words = [*plan.chosen.options.split(), "--representation", "voxel"]
     if plan.chosen.spec.coder == "touch":
         words += ["--effort", plan.chosen.spec.touch.effort]
-    for name, _, usual, _ in SCENE:
-        value = asked[name.replace("-", "_")]
-        if value != usual and name not in ("nw", "representation"):
-            words += [f"--{name}"] if value is True else [f"--{name}", str(value)]
+    for row in SCENE:
+        value = asked[row.name.replace("-", "_")]
+        if value != row.default and row.name not in ("nw", "representation"):
+            words += [f"--{row.name}"] if value is True else [f"--{row.name}", str(value)]
     return words
 
 
