@@ -34,7 +34,7 @@ def measured() -> Measurement:
 
 def _printed(found: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setenv("COLUMNS", "80")
-    show_measurement(found, False, ("the picture is x.png",))
+    show_measurement(found, ("the picture is x.png",))
     return capsys.readouterr().out
 
 

@@ -13,7 +13,7 @@ from touchfield.cli.main import Asked, Json, Stream, command
 from touchfield.cli.options import asks, fields_of, numbers_of, rows, rows_of
 from touchfield.cli.show import check_results, progress, show
 from touchfield.errors import InvalidArgument
-from touchfield.job.play import PlaySpec, check_play
+from touchfield.job.play import PlaySpec
 from touchfield.medium.deformation import read_deformation
 from touchfield.render.material import read_materials
 from touchfield.render.spec import RenderSpec
@@ -51,6 +51,7 @@ def play(
     as_json: Json = False,
 ) -> None:
     """Feel STREAM on a device, or on a simulated hand."""
+    from touchfield.job.play import check_play
     from touchfield.job.play import play as run
 
     if check:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from touchfield import job
-from touchfield.cli.main import Asked, Json, Source, Stream, Trajectory, command
+from touchfield.cli.main import Asked, Source, Stream, Trajectory, command
 from touchfield.cli.options import (
     BESIDE,
     CODER,
@@ -25,14 +25,13 @@ from touchfield.cli.options import (
     workers_of,
 )
 from touchfield.cli.show import (
+    MOTION,
+    Answer,
     check_results,
     keep_source,
     literal_console,
     progress,
-    show,
-    show_motion,
     show_notes,
-    show_rows,
     show_table,
 )
 from touchfield.container.remote import is_remote
@@ -58,14 +57,13 @@ def encode(
         str,
         typer.Argument(metavar="OUT", help="The .touch file, also s3://...; or OUT.zarr, tiles of a huge lattice."),
     ],
-    as_json: Json = False,
     with_report: Annotated[
         bool,
         typer.Option("--report", help="Also measure what a hand feels of the coding that moves, or holds still."),
     ] = False,
     workers: Workers = None,
     device_compute: DeviceCompute = "cpu",
-) -> None:
+) -> Answer:
     """Turn SOURCE into a .touch file."""
     out = Path(to)
     keep_source(source, out)
@@ -83,8 +81,7 @@ def encode(
     with computing(device_compute), progress("encode", later=later) as report, workers_of(workers) as executor:
         if out.suffix == ".zarr":
             tiled = job.encode_tiles(source, out, spec, report, executor)
-            show(tiled.summary(), str(out), as_json, tiled.notes)
-            return
+            return Answer(tiled.summary(), str(out), tiled.notes)
         if target is None:
             done = job.encode(source, to, spec, report, executor=executor)
         else:
@@ -93,7 +90,7 @@ def encode(
     if with_report:
         with progress("report") as report:
             shown |= job.hand_motion(done.prepared, out, report=report).summary()
-    show_motion(shown, to, as_json, done.notes)
+    return Answer(shown, to, done.notes, MOTION)
 
 
 @command("Make", "filter room.touch soft.touch --gaussian sigma=2mm --report", name="filter")
@@ -102,14 +99,13 @@ def filter_(
     asked: Asked,
     source: Source,
     out: Annotated[Path, "OUT.touch, or the filtered field: FIELD.npz, FIELD.vti."],
-    as_json: Json = False,
     with_report: Annotated[
         bool, typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels.")
     ] = False,
     quantiser: Annotated[str, "Q of the report's entropies."] = "weber:0.1",
     plot: Annotated[Path | None, "PNG to draw: the middle frame before and after."] = None,
     workers: Workers = None,
-) -> None:
+) -> Answer:
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
     from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 
@@ -120,20 +116,17 @@ def filter_(
         raise InvalidArgument(f"touchfield filter has no filter to apply: name at least one of {names}")
     if out.suffix not in (".touch", ".npz", ".vti"):
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, or FIELD.npz or FIELD.vti")
-    for name, words in beside.items():
-        if words is not None and out.suffix != ".touch":
-            raise InvalidArgument(
-                f"--{name} works with OUT.touch, not with {out.suffix}: a field file has no place for it"
-            )
-    if workers is not None and out.suffix != ".touch":
-        raise InvalidArgument(f"--workers works with OUT.touch, not with {out.suffix}")
+    is_stream = out.suffix == ".touch"
+    stray = [name for name, words in {**beside, "workers": workers}.items() if words is not None]
+    if stray and not is_stream:
+        raise InvalidArgument(f"--{stray[0]} works with OUT.touch, not with {out.suffix}, a field file")
     check_results((source,), out, plot)
     measured = None
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
             measured = job.filter_report(source, spec, parsed, report).summary()
-    with progress("filter", later=LATER.get(spec.coder, ()) if out.suffix == ".touch" else ()) as report:
-        if out.suffix == ".touch":
+    with progress("filter", later=LATER.get(spec.coder, ()) if is_stream else ()) as report:
+        if is_stream:
             with workers_of(workers) as executor:
                 done = job.encode(source, out, spec, report, executor=executor)
             shown, notes = done.summary(), done.notes
@@ -145,12 +138,14 @@ def filter_(
         job.draw_filtered(source, spec, plot)
         notes = (*notes, f"the picture is {plot}")
     shown["filters"] = "; ".join(f"{step.name} {step.words}" for step in spec.chain) or "none"
-    if as_json:
-        show({**shown, "report": measured} if measured else shown, str(out), True, notes)
-        return
-    show(shown, str(out), False, notes)
-    if measured:
-        show_rows(measured["stages"], f"before and after each filter (Q {measured['quantiser']})")
+    if not measured:
+        return Answer(shown, str(out), notes)
+
+    def people() -> None:
+        title = f"before and after each filter (Q {measured['quantiser']})"
+        Answer({**shown, "stages": measured["stages"]}, str(out), notes, {"stages": title}).show(False)
+
+    return Answer({**shown, "report": measured}, str(out), notes, people=people)
 
 
 @command("Make", "field scan.ply --preview look.png", "field scan.ply field.npz --nw 6")
@@ -160,9 +155,8 @@ def field(
     source: Source,
     out: Annotated[Path | None, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")] = None,
     preview: Annotated[Path | None, "PNG to draw: where the scene lies in the workspace."] = None,
-    as_json: Json = False,
     device_compute: DeviceCompute = "cpu",
-) -> None:
+) -> Answer:
     """Write the device-filtered force field before coding, what `encode` starts from; or draw it, with --preview."""
     if out is None and preview is None:
         raise InvalidArgument("touchfield field makes FIELD.npz or FIELD.vti, or draws --preview PNG: name one")
@@ -175,7 +169,7 @@ def field(
             shown["preview"] = str(preview)
         if out is not None:
             shown["file"] = str(job.write_field(out, prepared.medium, report, prepared.placement))
-    show({**shown, **prepared.summary()}, str(out or preview), as_json, (*prepared.notes, *prepared.learnt))
+    return Answer({**shown, **prepared.summary()}, str(out or preview), (*prepared.notes, *prepared.learnt))
 
 
 @command("Make", "plan depth-folder --budget 64kbit/s --plot plan.png", "plan scan.ply --budget 60kB")
@@ -192,8 +186,7 @@ def plan(
         Path | None, typer.Option("--plot", "--out", help="PNG to draw: the frontier and the choice.")
     ] = None,
     workers: Workers = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Find the lattice and the settings that spend a budget best; --nw is the finest of three lattices."""
     amount, search, spec = job.parse_budget(budget), job.PlanGrid(), encode_spec(asked)
     if spec.nw is None:
@@ -205,7 +198,9 @@ def plan(
         chosen = job.plan(source, amount, spec, search, report, executor)
     if out is not None:
         chosen.draw(out)
-    _show_plan(chosen, _options(chosen, asked), as_json, (f"the picture is {out}",) if out else ())
+    options, notes = _options(chosen, asked), (f"the picture is {out}",) if out else ()
+    values = {**chosen.summary(), "encode_options": shlex.join(options)}
+    return Answer(values, "", (*chosen.notes, *notes), people=lambda: _show_plan(chosen, options, notes))
 
 
 def _options(plan: Plan, asked: dict[str, Any]) -> list[str]:
@@ -220,11 +215,8 @@ def _options(plan: Plan, asked: dict[str, Any]) -> list[str]:
     return words
 
 
-def _show_plan(plan: Plan, options: list[str], as_json: bool, notes: tuple[str, ...]) -> None:
-    """Print a plan as one JSON object, or as a table with its notes."""
-    if as_json:
-        show({**plan.summary(), "encode_options": shlex.join(options)}, "", True, (*plan.notes, *notes))
-        return
+def _show_plan(plan: Plan, options: list[str], notes: tuple[str, ...]) -> None:
+    """Print a plan as a table with its notes."""
     frames = f"{plan.frames_tried} frame{'s' * (plan.frames_tried > 1)}"
     title = f"{plan.source}: {frames} under {len(plan.trials)} settings; the frontier"
     literal_console().print(title, style="bold", soft_wrap=True)
@@ -271,15 +263,14 @@ def export(
     panel: Annotated[str, "Of an array with two panels: front or back."] = "front",
     full_scale_n: Annotated[float, "A force as .hjif: newtons told as 1, for readers that clip there."] = 1.0,
     source: Annotated[str | None, "SOURCE of the file: the page shows it, and the difference, too."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Write STREAM in another format: drives of an array, the force along --trajectory, or a page for any browser."""
     from touchfield.job.exchange import export as run
 
     check_results((stream, trajectory, source), out)
     with progress("export") as report:
         done = run(stream, out, device, trajectory, panel, report, full_scale_n, source)
-    show(done.summary(), str(out), as_json, done.notes)
+    return Answer(done.summary(), str(out), done.notes)
 
 
 @command("Make", "import effect.hjif effect.touch", name="import")
@@ -288,8 +279,7 @@ def import_(
     out: Annotated[Path, "The .touch file to write."],
     rate_hz: Annotated[float, "Frames a second of the medium."] = 100.0,
     force_max_n: Annotated[float | None, "Force of a full drive; default: the file's, or 3.3."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Turn an effect into a .touch file: a symbolic medium for an array of actuators."""
     from touchfield.job.exchange import import_effect
 
@@ -298,4 +288,4 @@ def import_(
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch")
     with progress("import") as report:
         done = import_effect(effect, out, None, rate_hz, force_max_n, report)
-    show(done.summary(), str(out), as_json, done.notes)
+    return Answer(done.summary(), str(out), done.notes)

@@ -10,12 +10,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
-from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
 
 import typer
 
+from touchfield.cli.main import BY_NAME
 from touchfield.codec.registry import field_coders
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import field_filters
@@ -135,33 +135,22 @@ def filter_rows() -> tuple[Row, ...]:
 
 
 def asks(*groups: Sequence[Row]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Give a command the options of `groups`; it gets `asked`."""
+    """Give a command the options of `groups`; it gets `asked`, in the order of the command line."""
+    every = sorted((row for group in groups for row in group), key=lambda row: row.name not in _FIRST)
 
-    def give(command: Callable[..., Any]) -> Callable[..., Any]:
-        own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "asked"]
-        more = []
-        every = sorted((row for group in groups for row in group), key=lambda row: row.name not in _FIRST)
-        for name, kind, default, text, panel in every:
-            words = text.replace("[", r"\[")  # what stands in brackets is no markup
-            group = "What most people need" if panel and name in _FIRST else panel
-            option = typer.Option(f"--{name}", help=words, rich_help_panel=group)
-            key, of = "as_" if name == "as" else name.replace("-", "_"), Annotated[kind, option]
-            more.append(inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=of))
-        names = {p.name for p in more}
-
-        @wraps(command)
-        def call(**given: Any) -> Any:
-            order = given.pop("context").params  # as on the command line; what is not there follows
-            asked = {name.rstrip("_"): given.pop(name) for name in order if name in names}
-            return command(**given, asked=asked)
-
-        own.append(inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context))
-        kept = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
-        call.__signature__ = inspect.Signature([*kept, *more])  # type: ignore[attr-defined]
-        call.__annotations__ = {p.name: p.annotation for p in (*kept, *more)}
-        return call
+    def give(command: Any) -> Any:
+        command.options = [_parameter(row) for row in every]
+        return command
 
     return give
+
+
+def _parameter(row: Row) -> inspect.Parameter:
+    words = row.words.replace("[", r"\[")  # what stands in brackets is no markup
+    group = "What most people need" if row.panel and row.name in _FIRST else row.panel
+    option = typer.Option(f"--{row.name}", help=words, rich_help_panel=group)
+    key = "as_" if row.name == "as" else row.name.replace("-", "_")
+    return inspect.Parameter(key, BY_NAME, default=row.default, annotation=Annotated[row.kind, option])
 
 
 def frames_of(option: str, text: str | None) -> Frames | None:
@@ -215,10 +204,6 @@ def _coder(asked: dict[str, Any]) -> dict[str, Any]:
 def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
     """The options as the job takes them."""
     source = SourceOptions(kind=asked["as"], **fields_of(SourceOptions, asked))
-    if source.intrinsics and Path(source.intrinsics).suffix and not Path(source.intrinsics).exists():
-        looks_like_numbers = all(c in "0123456789.,+-eE " for c in source.intrinsics)
-        if not looks_like_numbers:
-            raise InvalidArgument("--intrinsics", repr(source.intrinsics), "fx,fy,cx,cy or a file that exists")
     as_given = {name: value for name, value in fields_of(EncodeSpec, asked).items() if name != "coder"}
     chain = []
     for name, words in ((dashed(key), asked[key]) for key in asked):

@@ -13,7 +13,7 @@ scene -> a huge lattice, as tiles of a zarr store                        encode_
 scene, budget -> lattice and settings that spend it best                plan
 """
 
-from touchfield.job.compare import Comparison, FilterReport, compare, draw_filtered, filter_report, hand_motion
+from touchfield.job.compare import Comparison, compare, draw_filtered, filter_report, hand_motion
 from touchfield.job.encode import Encoded, encode
 from touchfield.job.mapping import partition_workspace
 from touchfield.job.measure import Measurement, MeasureSpec, measure_medium
@@ -31,7 +31,6 @@ __all__ = [
     "Comparison",
     "EncodeSpec",
     "Encoded",
-    "FilterReport",
     "MeasureSpec",
     "Measurement",
     "OpenStream",

@@ -19,6 +19,7 @@ from touchfield.filters.registry import FieldFilter
 from touchfield.job.editing import spread
 from touchfield.job.placing import felt_objects, stored_medium
 from touchfield.job.prepare import Prepared, Source, open_scene, prepare
+from touchfield.job.result import Result
 from touchfield.job.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec
 from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
@@ -255,29 +256,15 @@ def hand_motion(
     return meter.motion()
 
 
-@dataclass(frozen=True)
-class FilterReport:
-    """The medium before the chain and after each filter of it; `quantiser` is the Q of the entropies.
-
-    Each of `stages` tells its name, support, greatest and root-mean-square force, entropies, and what changed against
-    the medium before the chain: NMSE in dB, and the share of voxels beyond the mask.
-    """
-
-    quantiser: str
-    stages: tuple[dict[str, Any], ...]
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        return {"quantiser": self.quantiser, "stages": list(self.stages)}
-
-
 def filter_report(
     source: str | Path | Scene, spec: EncodeSpec, quantiser: FieldQuantiserSpec | None = None, report: Report = silent
-) -> FilterReport:
+) -> Result:
     """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
 
     ``spec.paper.k`` is the Weber fraction of the mask; `quantiser`, the Q of the entropies, is by default fitted to
-    the device's F_max and kept for all stages.
+    the device's F_max and kept for all stages. Each of ``stages`` tells its name, support, greatest and
+    root-mean-square force, entropies, and what changed against the medium before the chain: NMSE in dB, and the share
+    of voxels beyond the mask.
     """
     prepared = prepare(source, replace(spec, filters=()))
     medium = prepared.medium
@@ -293,7 +280,7 @@ def filter_report(
         for gauge, field in zip(gauges, stages, strict=True):
             gauge.add(stages[0], field, quantise(field).object_symbols)
         report(i + 1, len(medium))
-    return FilterReport(quantise.words, tuple(gauge.row() for gauge in gauges))
+    return Result({"quantiser": quantise.words, "stages": [gauge.row() for gauge in gauges]})
 
 
 def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int], list[ForceField]]:

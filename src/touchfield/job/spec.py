@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
 from typing import Any, Final
 
 from touchfield.asked import option
@@ -170,3 +171,24 @@ class EncodeSpec:
             return cls(**values)
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
             raise CorruptFile("PROV spec", f"a spec that cannot be read ({error})", "what encode wrote") from None
+
+
+@dataclass(frozen=True)
+class ReductionSpec:
+    """Wishes of `touchfield.job.reduction.reduce_medium`: its modes, and the hand.
+
+    By default the hand pushes with the continuous force of `device`, has its mass with a light hand's, and 0.2 m/s.
+    """
+
+    modes: str = option("global", "global: of whole frames; bricks: of bricks of 8^3 samples.")
+    rank: int | None = option(None, "Modes to keep; default: as many as --nmse-db needs.")
+    nmse_db: float = option(-30.0, "Error that modes are counted for.")
+    push_n: float | None = option(None, "Of the hand, at most; default: the device's.")
+    mass_kg: float | None = option(None, "Of hand and device; default: 50 g and its own.")
+    speed_m_s: float | None = option(None, "Of the hand, at most; default: 0.2.")
+    device: str | None = option(None, "Device in the hand; default: that of MEDIUM.")
+    trace: Path | None = option(None, "Where a hand was: t_s,x_m,y_m,z_m, as a play's --log.")
+
+    def __post_init__(self) -> None:
+        if not -200 <= self.nmse_db < 0:
+            raise InvalidArgument("--nmse-db", repr(self.nmse_db), "decibels below 0, such as -30")

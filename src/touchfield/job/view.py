@@ -89,13 +89,13 @@ def view(
     if isinstance(medium, HapticMedium):
         return page_of_medium(medium, devices)
     movie = Path(str(medium))
-    if movie.suffix.lower() in _MOVIES:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"{movie.stem}.touch"
-            at_s = demux(movie, path).at_s
-            film = movie.read_bytes(), _MOVIES[movie.suffix.lower()], at_s
-            return _page(path, against, report, devices, film)
-    return _page(medium, against, report, devices)
+    kind = _MOVIES.get(movie.suffix.lower())
+    if kind is None:
+        return _page(medium, against, report, devices)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{movie.stem}.touch"
+        at_s = demux(movie, path).at_s
+        return _page(path, against, report, devices, (movie.read_bytes(), kind, at_s))
 
 
 def _page(
