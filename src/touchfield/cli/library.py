@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from touchfield.cli.main import Asked, Stream, command
-from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, encode_spec, numbers_of, workers_of
+from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, encode_spec, numbers_of
 from touchfield.cli.show import Answer, check_results, progress, show, show_notes
 from touchfield.errors import InvalidArgument
+from touchfield.job.executors import executor_of
 
 Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
 IndexFile = Annotated[
@@ -27,7 +28,7 @@ def index(folder: Folder, index_file: IndexFile = None, workers: Workers = None)
 
     if index_file is not None and index_file.suffix == ".touch":
         raise InvalidArgument("--index", str(index_file), "a name that ends in .npz")
-    with progress("index", "file") as report, workers_of(workers) as executor:
+    with progress("index", "file") as report, executor_of(workers) as executor:
         done = index_folder(folder, index_file, report, executor)
     faults = done.faults
     left_out = [f"left out: {name}: {fault}" for name, fault in list(faults.items())[:_TOLD]]

@@ -22,7 +22,6 @@ from touchfield.cli.options import (
     encode_spec,
     filter_rows,
     target_of,
-    workers_of,
 )
 from touchfield.cli.show import (
     MOTION,
@@ -38,6 +37,7 @@ from touchfield.container.remote import is_remote
 from touchfield.cuda import computing
 from touchfield.errors import InvalidArgument
 from touchfield.job import Plan, Trial
+from touchfield.job.executors import executor_of
 
 LATER = {"touch": ("passes", "columns")}
 """Of a coder, what is compiled last, and longest, before a first field is coded."""
@@ -78,7 +78,7 @@ def encode(
     if out.suffix == ".zarr" and (target is not None or with_report):
         raise InvalidArgument("--report and targets work with OUT.touch, not with .zarr")
     later = LATER.get(spec.coder, ())
-    with computing(device_compute), progress("encode", later=later) as report, workers_of(workers) as executor:
+    with computing(device_compute), progress("encode", later=later) as report, executor_of(workers) as executor:
         if out.suffix == ".zarr":
             tiled = job.encode_tiles(source, out, spec, report, executor)
             return Answer(tiled.summary(), str(out), tiled.notes)
@@ -127,7 +127,7 @@ def filter_(
             measured = job.filter_report(source, spec, parsed, report).summary()
     with progress("filter", later=LATER.get(spec.coder, ()) if is_stream else ()) as report:
         if is_stream:
-            with workers_of(workers) as executor:
+            with executor_of(workers) as executor:
                 done = job.encode(source, out, spec, report, executor=executor)
             shown, notes = done.summary(), done.notes
         else:
@@ -194,7 +194,7 @@ def plan(
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
     check_results((source,), out)
     spec = replace(spec, touch=replace(spec.touch, effort=effort))
-    with progress("plan", "setting") as report, workers_of(workers) as executor:
+    with progress("plan", "setting") as report, executor_of(workers) as executor:
         chosen = job.plan(source, amount, spec, search, report, executor)
     if out is not None:
         chosen.draw(out)

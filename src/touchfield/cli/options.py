@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
@@ -232,12 +230,3 @@ def target_of(asked: dict[str, Any]) -> Target | None:
     if asked["target_bytes"] is None and asked["target_nmse_db"] is None:
         return None
     return Target(asked["target_bytes"], asked["target_nmse_db"])
-
-
-def workers_of(words: str | None) -> AbstractContextManager[Executor | None]:
-    """The executor of --workers, for the length of a block; None where nobody asked for one."""
-    if words is None:
-        return nullcontext()
-    from touchfield.job.executors import executor_of
-
-    return executor_of(words)
