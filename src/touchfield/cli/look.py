@@ -13,7 +13,6 @@ from touchfield import job
 from touchfield.cli.main import Asked, Source, Stream, command
 from touchfield.cli.options import SCENE, asks, encode_spec, fields_of, rows_of
 from touchfield.cli.show import (
-    MOTION,
     Answer,
     check_results,
     is_same_file,
@@ -89,7 +88,11 @@ def compare(
             if picture is not None:
                 raise
             notes = (*notes, f"no picture: {missing}")
-    return Answer(compared.summary(), f"{stream} against {source}", notes, MOTION)
+    tables = {
+        "slides": "a hand that slides at |F| = 1 N, 40 to 400 Hz",
+        "hold": "a hand that holds still, frame to frame and 40 to 400 Hz",
+    }
+    return Answer(compared.summary(), f"{stream} against {source}", notes, tables)
 
 
 def _free_name(source: str, stream: str) -> Path:

@@ -24,7 +24,6 @@ from touchfield.cli.options import (
     target_of,
 )
 from touchfield.cli.show import (
-    MOTION,
     Answer,
     check_results,
     keep_source,
@@ -57,10 +56,6 @@ def encode(
         str,
         typer.Argument(metavar="OUT", help="The .touch file, also s3://...; or OUT.zarr, tiles of a huge lattice."),
     ],
-    with_report: Annotated[
-        bool,
-        typer.Option("--report", help="Also measure what a hand feels of the coding that moves, or holds still."),
-    ] = False,
     workers: Workers = None,
     device_compute: DeviceCompute = "cpu",
 ) -> Answer:
@@ -71,12 +66,12 @@ def encode(
         mend = "For a field take: touchfield field."
         raise InvalidArgument(to, f"the ending {out.suffix!r}", "OUT.touch or OUT.zarr", mend)
     spec, target = encode_spec(asked), target_of(asked)
-    if is_remote(to) and (target is not None or with_report or out.suffix == ".zarr"):
-        raise InvalidArgument("--report, targets and .zarr work with a path, not with an address")
+    if is_remote(to) and (target is not None or out.suffix == ".zarr"):
+        raise InvalidArgument("targets and .zarr work with a path, not with an address")
     if target is not None and workers is not None:
         raise InvalidArgument(f"--workers works without {target.option}: one encoding after another finds a target")
-    if out.suffix == ".zarr" and (target is not None or with_report):
-        raise InvalidArgument("--report and targets work with OUT.touch, not with .zarr")
+    if target is not None and out.suffix == ".zarr":
+        raise InvalidArgument(f"{target.option} works with OUT.touch, not with .zarr")
     later = LATER.get(spec.coder, ())
     with computing(device_compute), progress("encode", later=later) as report, executor_of(workers) as executor:
         if out.suffix == ".zarr":
@@ -86,11 +81,7 @@ def encode(
             done = job.encode(source, to, spec, report, executor=executor)
         else:
             done = job.encode_to_target(source, out, spec, target, report)
-    shown = done.summary()
-    if with_report:
-        with progress("report") as report:
-            shown |= job.hand_motion(done.prepared, out, report=report).summary()
-    return Answer(shown, to, done.notes, MOTION)
+    return Answer(done.summary(), to, done.notes)
 
 
 @command("Make", "filter room.touch soft.touch --gaussian sigma=2mm --report", name="filter")

@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from touchfield.errors import InvalidArgument
 
@@ -171,13 +171,6 @@ def _text(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
     return "-" if value is None else str(value)
-
-
-MOTION: Final = {
-    "slides": "a hand that slides at |F| = 1 N, 40 to 400 Hz",
-    "hold": "a hand that holds still, frame to frame and 40 to 400 Hz",
-}
-"""Tables of what a hand feels of a coding."""
 
 
 @contextmanager

@@ -116,13 +116,15 @@ def compare(
     f0_n: float | None = None,
     frame: int | None = None,
     allow_outside: bool = False,
+    slides: SlideSpec | None = None,
     report: Report = silent,
 ) -> Comparison:
     """Measure a stream against its source, filtered again as the stream's provenance says.
 
     `source` is what was encoded, a path, scene, medium or field; or its field, as the command `field` writes it. The
     mask max(F_0, k |F|) is by default the stream's, with its spatial masking; `frame`, which `Comparison.draw` shows,
-    is the middle one. `allow_outside` lets the source name files outside its own folder.
+    is the middle one. `allow_outside` lets the source name files outside its own folder; `slides` are other ways of
+    the hand.
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
@@ -135,7 +137,7 @@ def compare(
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         masking = opened.masking if k is None and f0_n is None else None
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
-        hand, counter, supported = HandMeter(opened, scene, original.exact), SymbolCounter(), 0
+        hand, counter, supported = HandMeter(opened, scene, original.exact, slides), SymbolCounter(), 0
         quantise = opened.quantiser()  # the entropies are of one random variable
         for i in range(len(decoded)):
             x, y = original.medium[i], decoded[i]
@@ -242,18 +244,6 @@ class HandMeter:
         """Slides and holds of the frames so far."""
         hold = None if self._hold is None else self._hold.hold()
         return HandMotion(self._slides.slides(), hold, vibration_threshold())
-
-
-def hand_motion(
-    prepared: Prepared, stream: str | Path, spec: SlideSpec | None = None, report: Report = silent
-) -> HandMotion:
-    """A stream beside its source, as a hand feels it; `prepared` is what was encoded."""
-    with open_stream(stream) as opened:
-        meter, decoded = HandMeter(opened, prepared.scene, prepared.exact, spec), opened.medium
-        for i in range(len(decoded)):
-            meter.add(i, prepared.medium[i], decoded[i])
-            report(i + 1, len(decoded))
-    return meter.motion()
 
 
 def filter_report(
