@@ -94,7 +94,6 @@ def filter_(
         bool, typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels.")
     ] = False,
     quantiser: Annotated[str, "Q of the report's entropies."] = "weber:0.1",
-    plot: Annotated[Path | None, "PNG to draw: the middle frame before and after."] = None,
     workers: Workers = None,
 ) -> Answer:
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
@@ -111,7 +110,7 @@ def filter_(
     stray = [name for name, words in {**beside, "workers": workers}.items() if words is not None]
     if stray and not is_stream:
         raise InvalidArgument(f"--{stray[0]} works with OUT.touch, not with {out.suffix}, a field file")
-    check_results((source,), out, plot)
+    check_results((source,), out)
     measured = None
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
@@ -125,9 +124,6 @@ def filter_(
             prepared = job.prepare(source, spec)
             shown, notes = prepared.summary(), prepared.notes
             out = job.write_field(out, prepared.medium, report, prepared.placement)
-    if plot is not None:
-        job.draw_filtered(source, spec, plot)
-        notes = (*notes, f"the picture is {plot}")
     shown["filters"] = "; ".join(f"{step.name} {step.words}" for step in spec.chain) or "none"
     if not measured:
         return Answer(shown, str(out), notes)

@@ -12,7 +12,7 @@ scene -> a huge lattice, as tiles of a zarr store                        encode_
 scene, budget -> lattice and settings that spend it best                plan
 """
 
-from touchfield.job.compare import Comparison, compare, draw_filtered, filter_report
+from touchfield.job.compare import Comparison, compare, filter_report
 from touchfield.job.encode import Encoded, encode
 from touchfield.job.mapping import partition_workspace
 from touchfield.job.measure import Measurement, MeasureSpec, measure_medium
@@ -40,7 +40,6 @@ __all__ = [
     "Tiled",
     "Trial",
     "compare",
-    "draw_filtered",
     "draw_preview",
     "encode",
     "encode_tiles",

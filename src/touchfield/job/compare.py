@@ -291,24 +291,6 @@ def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int
     return of_voxels
 
 
-def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path) -> None:
-    """Write the picture of the middle frame before and after the chain of ``spec.filters``, PNG.
-
-    MissingExtra if matplotlib is not installed.
-    """
-    before = prepare(source, replace(spec, filters=()))
-    middle = len(before.medium) // 2
-    stages = _stages(before, spec.chain)(middle)
-    x, y = stages[0], stages[-1]
-    meter = FidelityMeter(spec.paper.k, DEFAULT_F0_N)
-    meter.add(x, y)
-    chain = ", ".join(step.name for step in spec.chain)
-    title = f"frame {middle + 1} of {len(before.medium)} for {before.device.name}, before and after {chain}"
-    changed = f"{100 * meter.mask_violation_share:.1f} % of voxels changed by more than a hand can feel"
-    view = PictureSpec(title, changed, before.medium.axes, meter.k, meter.f0_n, ("before", "after"))
-    draw_comparison(Path(path), x, y, view)
-
-
 class _Gauge:
     """Adds up one stage over the frames."""
 
