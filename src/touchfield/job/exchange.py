@@ -52,7 +52,7 @@ from touchfield.job.view import view
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace, read_trace
 from touchfield.parallel import Report, silent
 from touchfield.render.sampler import FieldSampler
-from touchfield.stream.opened import OpenStream, open_stream
+from touchfield.stream.opened import FILTERED, OpenStream, open_stream
 
 EXPORTS: Final = (".hjif", ".tact", ".wav", ".haptic", ".ahap", ".html")
 _FORCES: Final = (".hjif", ".wav")  # of these, what holds a force over time
@@ -133,6 +133,7 @@ def import_effect(
     own = effect_device(pattern.effect.lattice, pattern.device_name, full_n)
     symbolic = effect_medium(pattern.effect, device_grid(own), own.force_max_n, {"format": kind[1:]})
     prepared = prepare(KeptScene(symbolic, own, pattern.notes), replace(asked, device=own.name, nw=None))
+    prepared = replace(prepared, reference=FILTERED)
     return encode_prepared(prepared, out, provenance_of(source, prepared), report)
 
 
