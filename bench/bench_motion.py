@@ -19,7 +19,7 @@ import numpy as np
 
 from machine import SHARED, Bar, Figures, at_least, at_most, bench
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job import Encoded, EncodeSpec, encode, hand_motion, open_stream
+from touchfield.job import Encoded, EncodeSpec, compare, encode, open_stream
 from touchfield.perception.hand_motion import HandMotion, SlideSpec, in_band, margin_of
 from touchfield.perception.human import vibration_threshold
 from touchfield.sources.analytic_scene import AnalyticScene
@@ -51,7 +51,7 @@ def measured(source: str | Scene, spec: EncodeSpec, slides: SlideSpec | None = N
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "it.touch"
         done = encode(source, path, spec)
-        return hand_motion(done.prepared, path, slides), done
+        return compare(source, path, slides=slides).hand, done
 
 
 def inside_ball(nw: int, touch: TouchSpec) -> Figures:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,7 +33,7 @@ def measured() -> Measurement:
 
 def _printed(found: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setenv("COLUMNS", "80")
-    show_measurement(found, False, ("the picture is x.png",))
+    show_measurement(found, ("the picture is x.png",))
     return capsys.readouterr().out
 
 
@@ -164,19 +163,6 @@ def test_report_of_filters_on_a_narrow_page(tmp_path: Path, capsys: Capture, mon
     assert "\u2026" not in printed and "limit" in printed
     shown = printed.split("before and after")[1]
     assert max(map(len, shown.splitlines())) <= 60 and "multiresolution" in shown
-
-
-def test_the_picture_of_a_filter_shows_what_the_filtered_medium_holds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    spec = EncodeSpec(nw=5, filters=(("gaussian", "5mm"), ("gaussian", "2mm")))
-    drawn: list[ForceField] = []
-    module = sys.modules["touchfield.job.compare"]
-    monkeypatch.setattr(module, "draw_comparison", lambda path, x, y, view: drawn.extend((x, y)))
-    job.draw_filtered(tiny_scenes()[0], spec, tmp_path / "x.png")
-    before, after = (job.prepare(tiny_scenes()[0], s).medium for s in (replace(spec, filters=()), spec))
-    middle = len(before) // 2
-    assert drawn == [before[middle], after[middle]] and drawn[0] != drawn[1]
 
 
 def test_the_slices_go_through_where_the_most_force_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

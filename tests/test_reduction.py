@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
-from touchfield.job.reduction import ReductionSpec, culled, reduce_medium
+from touchfield.job.reduction import culled, reduce_medium
+from touchfield.job.spec import ReductionSpec
 from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach_of, reduced
 
 HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
@@ -83,7 +84,7 @@ def test_short_snapshots_give_the_same_modes() -> None:
         lambda: reduced(floor(), "columns"),
         lambda: held_out(floor(), "global"),
         lambda: Hand(-1.0, 0.1, 0.2),
-        lambda: ReductionSpec(decibels=3.0),
+        lambda: ReductionSpec(nmse_db=3.0),
     ],
 )
 def test_what_makes_no_sense_is_refused(wrong: Any) -> None:

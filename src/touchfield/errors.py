@@ -17,7 +17,7 @@ A message is one line: where, what was found, what was expected, how to mend it.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
@@ -114,32 +114,30 @@ def is_finite(value: Any) -> bool:
         return False
 
 
+def _require(expected: str, values: dict[str, float], fits: Callable[[float], bool]) -> None:
+    for name, value in values.items():
+        if not (is_finite(value) and fits(value)):
+            raise InvalidArgument(name, repr(value), expected)
+
+
 def require_positive(**values: float) -> None:
     """`InvalidArgument` for a value, by its name, that is not a finite number above 0."""
-    for name, value in values.items():
-        if not (is_finite(value) and value > 0):
-            raise InvalidArgument(name, repr(value), "a positive number")
+    _require("a positive number", values, lambda value: value > 0)
 
 
 def require_not_negative(**values: float) -> None:
     """`InvalidArgument` for a value, by its name, that is not a finite number of at least 0."""
-    for name, value in values.items():
-        if not (is_finite(value) and value >= 0):
-            raise InvalidArgument(name, repr(value), "a finite number, 0 or more")
+    _require("a finite number, 0 or more", values, lambda value: value >= 0)
 
 
 def require_between(low: float, high: float, **values: float) -> None:
     """`InvalidArgument` for a value, by its name, that is not a number from `low` to `high`."""
-    for name, value in values.items():
-        if not (is_finite(value) and low <= value <= high):
-            raise InvalidArgument(name, repr(value), f"{low:.9g} to {high:.9g}")
+    _require(f"{low:.9g} to {high:.9g}", values, lambda value: low <= value <= high)
 
 
 def require_up_to(high: float, **values: float) -> None:
     """`InvalidArgument` for a value, by its name, that is not a number above 0, at most `high`."""
-    for name, value in values.items():
-        if not (is_finite(value) and 0 < value <= high):
-            raise InvalidArgument(name, repr(value), f"above 0, up to {high:.9g}")
+    _require(f"above 0, up to {high:.9g}", values, lambda value: 0 < value <= high)
 
 
 def require_one_of(where: str, value: object, choices: Collection[str]) -> None:

@@ -219,7 +219,7 @@ def test_a_filter_wider_than_a_body_finds_room_and_loses_no_force() -> None:
 
 def test_the_report_of_a_filter_is_of_the_objects_that_are_coded(tmp_path: Path) -> None:
     spec = replace(SPEC, filters=(("gaussian", "3mm"),))
-    report = job.filter_report(falling(), spec).stages
+    report = job.filter_report(falling(), spec).shown["stages"]
     coded = job.prepare(falling(), spec).medium
     assert report[0]["supported_voxels"] == sum(f.support_count for f in job.prepare(falling(), SPEC).medium)
     assert report[1]["supported_voxels"] == sum(f.support_count for f in coded)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from touchfield.cli.main import Asked, Json, Stream, command
+from touchfield.cli.main import Asked, Stream, command
 from touchfield.cli.options import SCENE, address_rows, asks, encode_spec
-from touchfield.cli.show import progress, show
+from touchfield.cli.show import Answer, progress
 
 if TYPE_CHECKING:
     from touchfield.stream.access import Access
@@ -58,8 +58,7 @@ def live(
     udp: Annotated[str | None, "HOST:PORT that gets datagrams with parity, too."] = None,
     coarse: Annotated[bool, "A coarse layer beside it, at /coarse/live and at the next port of --udp."] = False,
     on_air_s: Annotated[float | None, "How long; default: to the end."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer | None:
     """Send SOURCE live: coded as its frames come, for any number of receivers (touchfield play ws://...)."""
     from touchfield.errors import InvalidArgument
     from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
@@ -83,7 +82,7 @@ def live(
         sent = broadcast(prepared, lambda segment: write_message(pipe, sender.add(segment)), spec, say)
         write_message(pipe, END)
         say(", ".join(f"{value:,} {name}" for name, value in sent.summary().items()))
-        return
+        return None
     layer = coarse_layer(source, prepared) if coarse else None
     under = layer[1] if layer else None
     pages = Pages(served_page(), empty_page())
@@ -101,7 +100,7 @@ def live(
         finally:
             server.end()
     sums = {**sent.summary(), "most_receivers": server.most_receivers, "skipped": server.skipped, "left": server.left}
-    show(sums, source, as_json, prepared.notes)
+    return Answer(sums, source, prepared.notes)
 
 
 def _sending(
@@ -128,23 +127,21 @@ def mux(
     stream: Stream,
     out: Annotated[Path, "The movie with touch: .mp4, .mov or .ts; or .mpd, a DASH manifest."],
     at_s: Annotated[float, "Second of the movie at which the touch begins."] = 0.0,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Put STREAM beside sound and picture, as a timed track that other players pass over."""
     from touchfield.stream.mux import mux as run
 
     with progress("mux", "segment") as report:
         done = run(movie, stream, out, at_s, report)
-    show(done.summary(), str(out), as_json)
+    return Answer(done.summary(), str(out))
 
 
 @command("Broadcast", "demux with-touch.mp4 room.touch")
 def demux(
     movie: Annotated[Path, "A movie that `mux` made."],
     out: Annotated[Path, "The .touch file to write."],
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Take the touch out of a movie: the file that was put in, byte for byte."""
     from touchfield.stream.mux import demux as run
 
-    show(run(movie, out).summary(), str(out), as_json)
+    return Answer(run(movie, out).summary(), str(out))

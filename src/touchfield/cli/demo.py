@@ -50,8 +50,7 @@ def run_demo(folder: Path, as_json: bool) -> None:
             missing.append(error)
             continue
         if not as_json:
-            show(results[name], f"{name}: {what}", False)
-            _point_at(folder / name, draws)
+            show(results[name], f"{name}: {what}", notes=_made(folder / name, draws))
     if as_json:
         show(results, "demo", True, tuple(str(error) for error in missing))
         return
@@ -59,15 +58,11 @@ def run_demo(folder: Path, as_json: bool) -> None:
         sys.stdout.write(f"left out: {fault}\n")
 
 
-def _point_at(stem: Path, draws: bool) -> None:
-    """Say what there is to look at."""
-    sys.stdout.write(f"stream: {stem}.touch, report: {stem}.json\n")
-    if draws:
-        sys.stdout.write(f"look at {stem}.png\n")
-    sys.stdout.write(f"open {stem}.html in a browser: see it, cut it open, probe it, hear it\n")
-    if draws:
-        sys.stdout.write(f"and at {stem}.forces.png: a simulated hand comes, presses, slides and leaves\n")
-    sys.stdout.write("\n")
+def _made(stem: Path, draws: bool) -> list[str]:
+    """What there is to look at."""
+    pictures = f"look at {stem}.png, and at {stem}.forces.png: a simulated hand comes, presses, slides and leaves"
+    page = f"open {stem}.html in a browser: see it, cut it open, probe it, hear it"
+    return [f"stream: {stem}.touch, report: {stem}.json", page, *([pictures] if draws else [])]
 
 
 def _one(stem: Path, source: str, spec: EncodeSpec, draws: bool) -> dict[str, Any]:

@@ -7,18 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from touchfield.cli.main import Asked, Json, command
-from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, frames_of, numbers_of
-from touchfield.cli.show import check_results, progress, show, show_notes, show_rows
+from touchfield.cli.main import Asked, command
+from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, fields_of, frames_of, numbers_of, rows_of
+from touchfield.cli.show import Answer, check_results, progress
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import length_m
 from touchfield.job import editing
+from touchfield.job.deformation import Motion, tracks_of
+from touchfield.job.spec import ReductionSpec
 from touchfield.sources.recording import STANDARD_GRAVITY_M_S2
 
 if TYPE_CHECKING:
     from touchfield.render.material import Material
 
-RUBBED = tuple(row for row in BESIDE if row[0] != "vibration")
+RUBBED = tuple(row for row in BESIDE if row.name != "vibration")
 
 Medium = Annotated[str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti).", metavar="MEDIUM")]
 Out = Annotated[Path, typer.Argument(help="OUT.touch, or a field: FIELD.npz, FIELD.vti.")]
@@ -48,8 +50,7 @@ def edit(
     ] = "everywhere",
     feather: Annotated[str, "Width of the transition outside the region, such as 2mm."] = "0mm",
     frames: Annotated[str | None, "Frames to edit, START:STOP; default: all."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Change MEDIUM within a region; outside it every sample stays as it was."""
     if frames is not None and ":" not in frames:
         raise InvalidArgument("--frames", repr(frames), "START:STOP, such as 0:24")
@@ -58,7 +59,7 @@ def edit(
         done = editing.edit(
             medium, out, region, operator, length_m(feather, "--feather"), span, coder_spec(asked), report
         )
-    show(done.summary(), str(done.path), as_json, done.notes)
+    return Answer(done.summary(), str(done.path), done.notes)
 
 
 @command("Make", "splice first.touch second.touch both.touch")
@@ -68,14 +69,13 @@ def splice(
     media: Annotated[list[str], "FILE or FILE@START:STOP, in order; the last one is OUT.touch."],
     fade_s: Annotated[float, "Seconds in which one fades into the next."] = 0.0,
     kernel: Kernel = "spline",
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Join media one after the other, all on the lattice and at the rate of the first."""
     if len(media) < 2:
         raise InvalidArgument("touchfield splice", f"{len(media)} file", "media to join, and OUT.touch behind them")
     with progress("splice") as report:
         done = editing.splice(media[:-1], Path(media[-1]), fade_s, kernel, coder_spec(asked), report)
-    show(done.summary(), str(done.path), as_json, done.notes)
+    return Answer(done.summary(), str(done.path), done.notes)
 
 
 @command("Make", "resample room.touch small.touch --nw 5", "resample room.touch slow.touch --rate-hz 15")
@@ -89,14 +89,13 @@ def resample(
     spacing: Annotated[str | None, "Distance between samples, such as 1.5mm."] = None,
     rate_hz: Annotated[float | None, "Frames a second."] = None,
     kernel: Kernel = "spline",
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Bring MEDIUM onto another lattice or to another rate, and tell what a receiver then lacks."""
     samples = None if shape is None else numbers_of("--shape", shape, (3,), _COUNTS, int)
     lattice = nw, samples, None if spacing is None else length_m(spacing, "--spacing")
     with progress("resample") as report:
         done = editing.resample_file(medium, out, lattice, rate_hz, kernel, coder_spec(asked), report)
-    show(done.summary(), str(done.path), as_json, done.notes)
+    return Answer(done.summary(), str(done.path), done.notes)
 
 
 @command("Make", "lod room.touch levels --most-bytes 20000")
@@ -110,18 +109,11 @@ def lod(
     ] = None,
     levels: Annotated[int | None, "How often the lattice is halved; default: to 8 samples."] = None,
     most_bytes: Annotated[int | None, "Name the finest level that takes no more."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Make levels of detail of MEDIUM, each a file with its bytes and its error."""
     with progress("lod", "level") as report:
         done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(asked), report)
-    if as_json:
-        show(done.summary(), medium, True, done.notes)
-        return
-    show_rows(done.shown["levels"], f"levels of detail of {medium}")
-    level = done.shown["level"]
-    best = () if level is None or most_bytes is None else (f"level {level} is the finest that fits",)
-    show_notes((*best, *done.notes))
+    return Answer(done.summary(), f"levels of detail of {medium}", done.notes, {"levels": ""})
 
 
 @command("Make", "partition room.touch --depth 1 --penalty-bits 100")
@@ -131,8 +123,7 @@ def partition(
     shape: Annotated[str | None, "Samples of the device, NX,NY,NZ, in place of --depth."] = None,
     penalty_bits: Annotated[float, "lambda: bits a frame that another box must save."] = 1000.0,
     quantiser: Annotated[str, "Q of the losses."] = "weber:0.25/ico1",
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Divide the workspace of MEDIUM into boxes that each fill a coarse device, with the least loss."""
     from touchfield.job.editing import read_medium
     from touchfield.job.mapping import partition_workspace
@@ -149,7 +140,7 @@ def partition(
         low, high = ((1e3 * corner).round(6).tolist() for corner in done.grid(box).box_m)
         rows.append({"depth": box.depth, "low_mm": low, "high_mm": high, "lost_bits": box.lost_bits})
     figures = {name: value for name, value in done.summary().items() if name != "boxes"}
-    show({"box_count": len(rows), **figures, "boxes": rows}, medium, as_json)
+    return Answer({"box_count": len(rows), **figures, "boxes": rows}, medium)
 
 
 @command(
@@ -168,8 +159,7 @@ def texture(
     full_scale_m_s2: Annotated[float, "Of a .wav: acceleration of its full scale."] = STANDARD_GRAVITY_M_S2,
     into: Annotated[Path | None, "Stream that is written anew with the materials in it."] = None,
     plot: Annotated[Path | None, "PNG to draw: the spectra, and what a hand feels."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Make a material of recorded accelerations; put materials into a stream."""
     from touchfield.job.texture import merged, store_materials, texture_of
     from touchfield.render.material import read_materials, write_table
@@ -198,7 +188,7 @@ def texture(
     if plot is not None:
         _draw(plot, materials)
     names = [material.name for material in materials]
-    show({"file": str(out), "file_bytes": out.stat().st_size, "materials": names}, str(out), as_json)
+    return Answer({"file": str(out), "file_bytes": out.stat().st_size, "materials": names}, str(out))
 
 
 def _draw(path: Path, materials: tuple[Material, ...]) -> None:
@@ -222,29 +212,25 @@ def _draw(path: Path, materials: tuple[Material, ...]) -> None:
     "play fox.touch --deformation walk.npz --offline --seconds 2",
     "deform fox.touch -o soft.npz --yield-m-per-n 0.002 --relax-s 0.1",
 )
+@asks(rows_of(Motion))
 def deform(
+    asked: Asked,
     stream: Annotated[Path, "Stream of voxels, .touch."],
     model: Annotated[Path | None, typer.Argument(help="Animated glTF that STREAM shows at rest.")] = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="Deformation to write, .npz.")] = Path("deformation.npz"),
     controls: Annotated[int, "Control points along each axis, 4 to 32."] = 8,
-    animation: Annotated[str | None, "Name or number of MODEL's animation; default: the first."] = None,
-    frames: Annotated[str | None, "Frames of the animation to take, START:STOP."] = None,
-    rest_frame: Annotated[int | None, "Frame of MODEL that STREAM shows; default: the first that is taken."] = None,
-    rate_hz: Annotated[float, "Frames a second of the tracks."] = 60.0,
     yield_m_per_n: Annotated[float, "Metres that the medium gives way for a newton."] = 0.0,
     relax_s: Annotated[float, "Time constant with which it does, seconds."] = 0.05,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Bend STREAM at the receiver: by the motion of a model, or under the finger."""
-    from touchfield.job.deformation import Motion, tracks_of
-
     check_results((stream, model), out)
-    motion = Motion(model, animation, frames_of("--frames", frames), rest_frame, rate_hz) if model else None
+    moved = fields_of(Motion, asked) | {"frames": frames_of("--frames", asked["frames"])}
+    motion = Motion(model, **moved) if model else None
     with progress("deform", "frame") as report:
         done = tracks_of(
             stream, out, motion, controls=controls, compliance_m_per_n=yield_m_per_n, relax_s=relax_s, report=report
         )
-    show(done.summary(), str(out), as_json)
+    return Answer(done.summary(), str(out))
 
 
 @command(
@@ -253,34 +239,23 @@ def deform(
     "reduce ground.touch --cull shell.touch --mode lossless --plot reduced.png",
     "reduce fox.touch few-modes.touch --rank 20 --trace log.csv",
 )
-@asks(CODER)
+@asks(rows_of(ReductionSpec), CODER)
 def reduce(
     asked: Asked,
     medium: Medium,
     out: Annotated[Path | None, typer.Argument(help="OUT.touch of the modes that are kept; none without it.")] = None,
-    modes: Annotated[str, "global: of whole frames; bricks: of bricks of 8^3 samples."] = "global",
-    rank: Annotated[int | None, "Modes to keep; default: as many as --nmse-db needs."] = None,
-    nmse_db: Annotated[float, "Error that modes are counted for."] = -30.0,
     cull: Annotated[Path | None, "OUT.touch without what the hand can never feel."] = None,
-    push_n: Annotated[float | None, "Of the hand, at most; default: the device's."] = None,
-    mass_kg: Annotated[float | None, "Of hand and device; default: 50 g and its own."] = None,
-    speed_m_s: Annotated[float | None, "Of the hand, at most; default: 0.2."] = None,
-    device: Annotated[str | None, "Device in the hand; default: that of MEDIUM."] = None,
-    trace: Annotated[Path | None, "Where a hand was: t_s,x_m,y_m,z_m, as a play's --log."] = None,
     plot: Annotated[Path | None, "PNG to draw: the spectrum, and a section."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Tell in how few numbers MEDIUM varies, how many bits a degree of freedom has, and what no hand can feel."""
-    from touchfield.job.reduction import ReductionSpec, reduce_medium
+    from touchfield.job.reduction import reduce_medium
 
     check_results((medium,), plot, out, cull)
-    spec = ReductionSpec(modes, rank, nmse_db, device, push_n, mass_kg, speed_m_s, trace)
+    spec = ReductionSpec(**fields_of(ReductionSpec, asked))
     with progress("reduce") as report:
         done = reduce_medium(medium, out, cull, spec, coder_spec(asked), report)
     if plot is not None:
         from touchfield.viewer.plots import draw_reduction
 
         draw_reduction(plot, done.values, done.field, done.felt, done.shown["hand"])
-    figures = dict(done.shown)
-    held_out = {} if as_json else figures.pop("held_out", {})
-    show({**figures, **{f"held_out_{name}": value for name, value in held_out.items()}}, medium, as_json, done.notes)
+    return Answer(done.summary(), medium, done.notes, {"held_out": "frames that were not learnt"})

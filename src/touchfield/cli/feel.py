@@ -10,60 +10,25 @@ from typing import Annotated, Any, Final
 import typer
 
 from touchfield.cli.main import Asked, Json, Stream, command
-from touchfield.cli.options import Row, asks, fields_of, numbers_of
+from touchfield.cli.options import asks, fields_of, numbers_of, rows, rows_of
 from touchfield.cli.show import check_results, progress, show
 from touchfield.errors import InvalidArgument
+from touchfield.job.play import PlaySpec
 from touchfield.medium.deformation import read_deformation
 from touchfield.render.material import read_materials
 from touchfield.render.spec import RenderSpec
 from touchfield.render.tool import SPHERE_POINTS, Tool
 from touchfield.sources.mesh import read_triangles
 
-RENDER: Final[tuple[Row, ...]] = (
-    ("rate-hz", float, 1000.0, "Ticks of the servo a second."),
-    ("friction", float | None, None, "mu; default: the stream's."),
-    ("damping-n-s-per-m", float | None, None, "b everywhere; default: the stream's, and in contact what is stable."),
-    ("coupling-n-per-m", float | None, None, "Stiffness of a virtual coupling; 0: none; default: what is stable."),
-    ("scale", float, 1.0, "Metres of the field for one metre of the device."),
+RENDER: Final = rows_of(RenderSpec, "Renderer") + rows(
+    "Renderer",
     ("clutch-mm", str | None, None, "Point of the field at the device's origin, X,Y,Z in millimetres."),
-    ("force-scale", float, 1.0, "Newtons of the device for one of the field."),
     ("gravity-n", str | None, None, "A steady force for the weight of the handle, X,Y,Z in newtons."),
-    ("peak-n", float | None, None, "Limit of |F|; default: the device's, which it cannot pass."),
-    ("continuous-n", float | None, None, "Limit of |F| in the long run; default: the device's."),
-    ("slew-n-per-s", float | None, None, "Limit of |dF/dt|; default: to the peak in 5 ms."),
-    ("render", str, "auto", "proxy (thin walls hold), field (the stored force) or auto (proxy where walls are)."),
-    ("wall-n-per-m", float | None, None, "Stiffness of the proxy's spring; default: the field's own."),
     ("no-blend", bool, False, "Play every frame as it was decoded, with the steps where a segment starts."),
     ("tool", str, "point", "In the hand: point, sphere:RADIUS_M, or MESH.obj in metres; ,points=N behind it."),
-    ("peak-nm", float | None, None, "Limit of the torque, N m; default: the device's, which it cannot pass."),
-    ("continuous-nm", float | None, None, "Limit of the torque in the long run; default: the device's."),
-    ("slew-nm-per-s", float | None, None, "Limit of its change; default: to the peak in 5 ms."),
     ("materials", Path | None, None, "What surfaces are made of, JSON (touchfield texture); default: the stream's."),
     ("deformation", Path | None, None, "What bends the medium: tracks, or a body that yields (touchfield deform)."),
-    ("up", str, "auto", "Up for the hand: x to -z; auto: as the stream says; lattice: y or -y, as it was laid."),
 )
-
-_RENDERER: Final = frozenset(row[0] for row in RENDER)
-
-PLAY: Final[tuple[Row, ...]] = (
-    (
-        "device",
-        str,
-        "sim",
-        "sim, sim:spring, haply, openhaptics, forcedimension, bhaptics, osc:HOST:PORT, pins:PORT.",
-    ),
-    ("profile", str | None, None, "Profile whose limits and actuators hold; default: the device's own."),
-    ("trajectory", Path | None, None, "Where the probe goes: CSV of t_s,x_m,y_m,z_m."),
-    ("trace", Path | None, None, "As --trajectory, but in the metres and axes of the scene: a recording."),
-    ("seconds", float | None, None, "How long; default: the trajectory, or the medium."),
-    ("start-s", float, 0.0, "Where the medium begins."),
-    ("speed", float, 1.0, "Seconds of the medium in one of yours."),
-    ("loop", bool, False, "Begin again at the end."),
-    ("panel", str, "front", "Of an array with two panels: front or back."),
-    ("coarse", str | None, None, "Address of a live stream's coarse layer, for what is lost or late."),
-    ("offline", bool, False, "sim: no clock, as fast as it goes; the same forces."),
-)
-"""Fields of `touchfield.job.play.PlaySpec`."""
 
 _TRIPLE: Final = "three numbers, X,Y,Z"
 _FORMS: Final = "point, sphere:RADIUS_M or MESH.obj, with ,points=N behind the last two"
@@ -75,7 +40,7 @@ _FORMS: Final = "point, sphere:RADIUS_M or MESH.obj, with ,points=N behind the l
     "play room.touch --device haply --friction 0.4",
     "play vest.touch --device bhaptics --loop",
 )
-@asks(PLAY, RENDER, panel=lambda name: "Renderer" if name in _RENDERER else None)
+@asks(rows_of(PlaySpec), RENDER)
 def play(
     asked: Asked,
     stream: Stream,
@@ -86,7 +51,7 @@ def play(
     as_json: Json = False,
 ) -> None:
     """Feel STREAM on a device, or on a simulated hand."""
-    from touchfield.job.play import PlaySpec, check_play
+    from touchfield.job.play import check_play
     from touchfield.job.play import play as run
 
     if check:

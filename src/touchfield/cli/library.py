@@ -7,10 +7,11 @@ from typing import Annotated
 
 import typer
 
-from touchfield.cli.main import Asked, Json, Stream, command
-from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, encode_spec, numbers_of, workers_of
-from touchfield.cli.show import check_results, progress, show, show_notes, show_rows
+from touchfield.cli.main import Asked, Stream, command
+from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, encode_spec, numbers_of
+from touchfield.cli.show import Answer, check_results, progress, show, show_notes
 from touchfield.errors import InvalidArgument
+from touchfield.job.executors import executor_of
 
 Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
 IndexFile = Annotated[
@@ -21,21 +22,22 @@ _TOLD = 20
 
 
 @command("Study", "index recordings")
-def index(folder: Folder, index_file: IndexFile = None, workers: Workers = None, as_json: Json = False) -> None:
+def index(folder: Folder, index_file: IndexFile = None, workers: Workers = None) -> Answer:
     """Describe every .touch file of FOLDER for `search`; only what changed is read again."""
     from touchfield.job.library import index_folder
 
     if index_file is not None and index_file.suffix == ".touch":
         raise InvalidArgument("--index", str(index_file), "a name that ends in .npz")
-    with progress("index", "file") as report, workers_of(workers) as executor:
+    with progress("index", "file") as report, executor_of(workers) as executor:
         done = index_folder(folder, index_file, report, executor)
     faults = done.faults
-    if as_json:
-        show({**done.summary(), "faults": faults}, str(folder), True, done.notes)
-        return
     left_out = [f"left out: {name}: {fault}" for name, fault in list(faults.items())[:_TOLD]]
     more = (f"{len(faults) - _TOLD} more are left out; --json tells them all",) if len(faults) > _TOLD else ()
-    show(done.summary(), str(done.path), False, (*done.notes, *left_out, *more))
+
+    def people() -> None:
+        show(done.summary(), str(done.path), notes=(*done.notes, *left_out, *more))
+
+    return Answer({**done.summary(), "faults": faults}, str(folder), done.notes, people=people)
 
 
 @command("Study", "search recordings like.touch")
@@ -46,8 +48,7 @@ def search(
     any_pose: Annotated[bool, "Leave out the directions, which turn with a body."] = False,
     weight: Annotated[list[str] | None, "PART=NUMBER, such as amplitude=2 or change=0; may be repeated."] = None,
     index_file: IndexFile = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """List the media of FOLDER that are most like LIKE, the nearest first; index it before."""
     from touchfield.job.library import search as run
     from touchfield.measure.retrieval import ANY_POSE
@@ -61,13 +62,14 @@ def search(
             raise InvalidArgument("--weight", repr(words), "PART=NUMBER, such as amplitude=2") from None
     result = run(folder, like, count, weights, index_file)
     figures = result.summary()
-    if as_json:
-        show(figures, str(like), True, result.notes)
-        return
-    typer.echo(f"like {like}, of {figures['media']} media ({figures['query_ms']:.1f} ms)")
-    for rank, match in enumerate(result.matches, start=1):
-        typer.echo(f"{rank:4d}  {match.distance:.4f}  {match.name}")
-    show_notes(result.notes)
+
+    def people() -> None:
+        typer.echo(f"like {like}, of {figures['media']} media ({figures['query_ms']:.1f} ms)")
+        for match in figures["matches"]:
+            typer.echo("{rank:4d}  {distance:.4f}  {name}".format(**match))
+        show_notes(result.notes)
+
+    return Answer(figures, str(like), result.notes, people=people)
 
 
 @command("Study", "similar one.touch other.touch")
@@ -79,18 +81,17 @@ def similar(
     quantiser: Annotated[str, "Q, the same for both; coarse, lest a coder's error counts."] = ("weber:0.25/ico1"),
     over: Annotated[str, "mu of NMI and VI: voxel, or object (where one has a force)."] = "object",
     looks: Annotated[int, "Frames that are compared, evenly spaced."] = 8,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Tell how alike two media are: voxel by voxel, as histograms, to a compressor, and as `search` ranks them."""
     from touchfield.job.library import similar as run
 
     with progress("similar", "step") as report:
         done = run(first, second, encode_spec(asked), quantiser=quantiser, over=over, frames=looks, report=report)
     figures = done.summary()
-    if not as_json:
-        names = {"normalised": "NMI", "variation": "VI / bit", "jensen_shannon": "sqrt(JSD)", "compression": "NCD"}
-        figures = {names.get(k, k): v["value"] if k in names and v else v for k, v in figures.items()}
-    show(figures, f"{first} and {second}", as_json, done.notes)
+    names = {"normalised": "NMI", "variation": "VI / bit", "jensen_shannon": "sqrt(JSD)", "compression": "NCD"}
+    short = {names.get(k, k): v["value"] if k in names and v else v for k, v in figures.items()}
+    title = f"{first} and {second}"
+    return Answer(figures, title, done.notes, people=lambda: show(short, title, notes=done.notes))
 
 
 @command("Study", "correlate video.mp4 room.touch")
@@ -101,8 +102,7 @@ def correlate(
     reading: Annotated[str, "|F| along the sight: peak (how hard it can push) or first."] = "peak",
     intrinsics: Annotated[str | None, "fx,fy,cx,cy of the camera, pixels; default: seen from the front."] = None,
     source_rate_hz: Annotated[float | None, "Pictures a second, where the video does not say."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and whether by chance."""
     from touchfield.job.library import correlate as run
 
@@ -112,17 +112,8 @@ def correlate(
             video, stream, frames=looks, reading=reading, intrinsics=camera, source_rate_hz=source_rate_hz,
             report=report,
         )  # fmt: skip
-    rows = []
-    for look in done:
-        figures = look.found.summary()
-        mutual = figures.pop("mutual")
-        rows.append({"frame": look.frame, "picture": look.picture, "mutual_bits": mutual["value"], **figures})
-    notes = tuple(dict.fromkeys(note for look in done for note in look.found.mutual.notes))
-    if as_json:
-        show({"looks": rows}, str(stream), True, notes)
-        return
-    show_rows(rows, f"I(luma; |F|) of {video} and {stream}, bits a pixel")
-    show_notes(notes)
+    title = f"I(luma; |F|) of {video} and {stream}, bits a pixel"
+    return Answer(done.summary(), title, done.notes, {"looks": ""})
 
 
 @command("Study", "points 15 fox.touch rebuilt.touch --plot points.png", "points 5 felt.csv --next")
@@ -142,8 +133,7 @@ def points(
     ),
     measured: Annotated[Path | None, "With --next: a recording of what was measured of IN."] = None,
     plot: Annotated[Path | None, "PNG to draw."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Find the fewest points of IN that tell the rest, or where to measure next."""
     from touchfield.job.reduction import fewest_points, next_points
     from touchfield.job.spec import EncodeSpec
@@ -161,9 +151,4 @@ def points(
             done = fewest_points(source, count, out, modes, spec, report)
     if plot is not None:
         done.draw(plot, (spec.k, spec.f0_n or EncodeSpec().f0_n or 0.0))
-    rows = done.shown.get("next", ())
-    if as_json or not rows:
-        show(done.summary(), f"{count} points of {source}", as_json, done.notes)
-        return
-    show({key: value for key, value in done.summary().items() if key != "next"}, f"where next: {source}", False)
-    show_rows(rows, "places, the first one first")
+    return Answer(done.summary(), f"{count} points of {source}", done.notes, {"next": "places, the first one first"})

@@ -9,25 +9,24 @@ from urllib.parse import urlsplit
 
 import typer
 
-from touchfield.cli.main import Asked, Json, Source, Stream, command
-from touchfield.cli.options import ALLOW_OUTSIDE, SCENE, asks, encode_spec
+from touchfield import job
+from touchfield.cli.main import Asked, Source, Stream, command
+from touchfield.cli.options import SCENE, asks, encode_spec, fields_of, rows_of
 from touchfield.cli.show import (
+    Answer,
     check_results,
     is_same_file,
     literal_console,
     progress,
-    show,
-    show_motion,
     show_notes,
     show_table,
 )
 from touchfield.container.remote import is_remote
 from touchfield.errors import InvalidArgument, MissingExtra
-from touchfield.measure.estimators import ESTIMATORS
+from touchfield.job import Measurement, MeasureSpec
 from touchfield.viewer.page import is_our_picture
 
 if TYPE_CHECKING:
-    from touchfield.job import Measurement
     from touchfield.measure.passivity import Passivity
     from touchfield.measure.quantity import Quantity
 
@@ -44,8 +43,7 @@ def view(
     device: Annotated[list[str] | None, "Tell its capacity, WMR and HIL, and the entropy; may be repeated."] = None,
     out: Annotated[Path | None, "HTML file to write; default: a temporary one."] = None,
     no_open: Annotated[bool, "Open no browser."] = False,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Open STREAM in the browser: seen, played, probed and heard, without any network."""
     from touchfield.job.view import view as run
 
@@ -57,24 +55,21 @@ def view(
         path = page.open(path)
     if path is None:
         raise InvalidArgument("--no-open", "no --out", "an HTML file to write", "Name one: --out page.html.")
-    show({"page": str(path), "page_bytes": path.stat().st_size, **page.figures}, str(stream), as_json)
+    return Answer({"page": str(path), "page_bytes": path.stat().st_size, **page.figures}, str(stream))
 
 
 @command("Look", "compare scan.ply scan.touch", "compare scan.ply scan.touch --no-picture --json")
 def compare(
     source: Source,
     stream: Stream,
-    as_json: Json = False,
     picture: Annotated[Path | None, "PNG to write; default: beside the stream."] = None,
     no_picture: Annotated[bool, "Write no picture."] = False,
     frame: Annotated[int | None, "Frame to draw; default: the middle one."] = None,
     k: Annotated[float | None, "Weber fraction of the mask; default: the stream's."] = None,
     f0_n: Annotated[float | None, "F_0 of the mask, newtons."] = None,
-    allow_outside: Annotated[bool, typer.Option("--allow-outside", help=ALLOW_OUTSIDE)] = False,
-) -> None:
+    allow_outside: Annotated[bool, "Models and scene files may name files outside their own folder."] = False,
+) -> Answer:
     """Measure a stream against its source, and draw both."""
-    from touchfield import job
-
     target = picture or _free_name(source, stream)
     check_results((source, stream), target)
     if not no_picture and target.exists() and not is_our_picture(target):
@@ -93,7 +88,11 @@ def compare(
             if picture is not None:
                 raise
             notes = (*notes, f"no picture: {missing}")
-    show_motion(compared.summary(), f"{stream} against {source}", as_json, notes)
+    tables = {
+        "slides": "a hand that slides at |F| = 1 N, 40 to 400 Hz",
+        "hold": "a hand that holds still, frame to frame and 40 to 400 Hz",
+    }
+    return Answer(compared.summary(), f"{stream} against {source}", notes, tables)
 
 
 def _free_name(source: str, stream: str) -> Path:
@@ -105,35 +104,27 @@ def _free_name(source: str, stream: str) -> Path:
 
 
 @command("Study", "measure room.touch", "measure scan.ply --device phantom-omni --device tshirt-32x32")
-@asks(tuple(row for row in SCENE if row[0] != "device"))
+@asks(rows_of(MeasureSpec), tuple(row for row in SCENE if row.name != "device"))
 def measure(
     asked: Asked,
     medium: Annotated[str, typer.Argument(help="A .touch file, or any SOURCE.", metavar="MEDIUM")],
     device: Annotated[list[str] | None, "Device whose capacity, WMR and HIL are wanted; may be repeated."] = None,
-    quantiser: Annotated[
-        str | None, "Q: weber:K, uniform:NEWTONS or lloyd-max:BITS, each with /DIRECTIONS; components:NEWTONS."
-    ] = None,
-    over: Annotated[str, "mu: voxel, object, or interaction:TRACE.csv (t_s,x_m,y_m,z_m)."] = "voxel",
-    estimator: Annotated[str, f"Estimator of entropy: {', '.join(ESTIMATORS)}."] = "plug-in",
     reference: Annotated[str, "Device in whose workspace a SOURCE is sampled as W."] = "phantom-omni",
-    density: Annotated[
-        float | None, "Samples of W per axis for one of a point device; the paper's has 5. [default: data sheet]"
-    ] = None,
     no_limits: Annotated[bool, "Leave out the coding limits."] = False,
     plot: Annotated[Path | None, "PNG to draw."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Measure a medium in bits: entropies, coding limits, capacity of devices, energy."""
-    from touchfield import job
-
     encode = encode_spec({**asked, "device": reference})
-    spec = job.MeasureSpec(quantiser, over, estimator, tuple(device or ()), not no_limits, encode, density)
+    own = fields_of(MeasureSpec, asked)
+    spec = MeasureSpec(**own, devices=tuple(device or ()), limits=not no_limits, encode=encode)
     check_results((medium,), plot)
     with progress("measure", "step") as report:
         measurement = job.measure_medium(medium, spec, report)
     if plot is not None:
         measurement.draw(plot)
-    show_measurement(measurement, as_json, (f"the picture is {plot}",) if plot else ())
+    notes = (f"the picture is {plot}",) if plot else ()
+    told = (*measurement.notes, *notes)
+    return Answer(measurement.summary(), "", told, people=lambda: show_measurement(measurement, notes))
 
 
 # -- a measurement in lines: each quantity with its interval and its unit --------------------------------------------
@@ -146,18 +137,15 @@ _WARNINGS = ("bias", "few", "too low", "overshoots", "negative", "diluted", "not
 """Words of notes that tell how far a number may be trusted; such notes come first."""
 
 
-def show_measurement(m: Measurement, as_json: bool, notes: tuple[str, ...]) -> None:
-    """Print a measurement as one JSON object, or as tables with their notes."""
-    if as_json:
-        show(m.summary(), "", True, (*m.notes, *notes))
-        return
+def show_measurement(m: Measurement, notes: tuple[str, ...]) -> None:
+    """Print a measurement as tables with their notes."""
     literal_console().print(
         f"{m.name}: {m.frames} frame(s) of {m.voxels:,} voxels, {m.occupancy:.3%} with a force; "
         f"Q is {m.quantiser}, {m.alphabet:,} symbols",
         style="bold", soft_wrap=True,
     )  # fmt: skip
     tables = {
-        "information": [_row(q, what) for q, what in (*_entropies(m), (m.per_frame, ""), *_in_time(m))],
+        "information": [_row(q, what) for q, what in _information(m)],
         "coding limits: what a coder of this medium can hope for": _limits(m),
         "capacity of devices (eq. 1 to 3)": _capacities(m),
         "energy, frame with the largest support": [] if m.passivity is None else _energy(m.passivity),
@@ -173,7 +161,7 @@ def show_measurement(m: Measurement, as_json: bool, notes: tuple[str, ...]) -> N
 
 def _notes(m: Measurement, notes: tuple[str, ...]) -> list[str]:
     """Each note once, after the quantities that it is about: warnings, other notes, those of the scene."""
-    named = [(f"{q.name} {what}".strip(), q) for q, what in (*_entropies(m), *_in_time(m))]
+    named = [(f"{q.name} {what}".strip(), q) for q, what in _information(m) if q is not m.per_frame]
     if m.limits is not None:
         named += [(rate.name, rate) for rate in m.limits.scan_lines.rates[1:]]
         named += [(c.per_voxel.name, c.per_voxel) for c in m.limits.contexts]
@@ -203,15 +191,12 @@ def _number(value: float, digits: int) -> str:
     return "none" if math.isnan(value) else f"{value + 0.0:.{digits}g}"
 
 
-def _entropies(m: Measurement) -> list[tuple[Quantity, str]]:
-    """H(S) under each weighting, and what that is."""
+def _information(m: Measurement) -> list[tuple[Quantity, str]]:
+    """H(S) under each weighting, and what that is; H(W); and what a frame tells of the next."""
     visits = [(m.entropy, "over the visits of the trace")] if m.entropy.weighting == "interaction" else []
     everywhere = [(m.voxel, "over all voxels"), (m.corrected, "over all voxels, Miller-Madow")]
-    return [*visits, *everywhere, (m.object, "over the object")]
-
-
-def _in_time(m: Measurement) -> list[tuple[Quantity, str]]:
-    return [(quantity, "") for quantity in m.in_time.values()]
+    others = [(quantity, "") for quantity in (m.per_frame, *m.in_time.values())]
+    return [*visits, *everywhere, (m.object, "over the object"), *others]
 
 
 def _limits(m: Measurement) -> list[Row]:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from touchfield.cli.main import Json, command
-from touchfield.cli.show import literal_console, progress, show, show_table
+from touchfield.cli.show import Answer, literal_console, progress, show_table
 from touchfield.devices import devices as profiles
 
 _TOLD = (
@@ -31,11 +31,13 @@ def demo(
 
 
 @command("Set up", "devices --verbose")
-def devices(as_json: Json = False, verbose: Annotated[bool, typer.Option(help="With all sources.")] = False) -> None:
+def devices(verbose: Annotated[bool, typer.Option(help="With all sources.")] = False) -> Answer:
     """List the device profiles, with their sources."""
-    if as_json:
-        show({d.name: {name: getattr(d, name) for name in _TOLD} for d in profiles()}, "", True)
-        return
+    told = {d.name: {name: getattr(d, name) for name in _TOLD} for d in profiles()}
+    return Answer(told, "", people=lambda: _show_profiles(verbose))
+
+
+def _show_profiles(verbose: bool) -> None:
     rows = []
     for d in profiles():
         unverified = sum(source.startswith("unverified") for source in d.sources.values())
@@ -63,34 +65,33 @@ def devices(as_json: Json = False, verbose: Annotated[bool, typer.Option(help="W
 
 
 @command("Set up")
-def sources(as_json: Json = False) -> None:
+def sources() -> Answer:
     """List the kinds of source."""
     from touchfield.sources.registry import kinds
 
     title = "kinds of source (--as takes a name, or a word that one description alone has)"
-    show({kind.name: kind.summary for kind in kinds()}, title, as_json)
+    return Answer({kind.name: kind.summary for kind in kinds()}, title)
 
 
 @command("Set up", "doctor --device haply")
 def doctor(
     device: Annotated[str | None, "Only what this device needs: haply, bhaptics, ..."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Say what is installed, what is missing, and how to mend it."""
     from touchfield.job.setup import examine
 
     report = examine(device)
-    if as_json:
-        show({name: [asdict(one) for one in checks] for name, checks in report.items()}, "", True)
-        return
-    console = literal_console()
-    for name, checks in report.items():
-        console.print(name, style="bold")
-        for one in checks:
-            mend = f". {one.mend}" if one.mend and not one.is_there else ""
-            console.print(
-                f"  {'ok     ' if one.is_there else 'missing'}  {one.what}: {one.found}{mend}", soft_wrap=True
-            )
+
+    def people() -> None:
+        console = literal_console()
+        for name, checks in report.items():
+            console.print(name, style="bold")
+            for one in checks:
+                state, mend = "ok     " if one.is_there else "missing", f". {one.mend}" if one.mend else ""
+                console.print(f"  {state}  {one.what}: {one.found}{'' if one.is_there else mend}", soft_wrap=True)
+
+    told = {name: [asdict(one) for one in checks] for name, checks in report.items()}
+    return Answer(told, "", people=people)
 
 
 @command("Set up")

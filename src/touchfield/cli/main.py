@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from functools import wraps
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -40,28 +41,47 @@ FieldFile = Annotated[Path, typer.Argument(help="FIELD.npz, or FIELD.vti for Par
 def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Callable[..., Any]], Any]:
     """Make a function a command, in a panel of the help, with examples at the end of its own help.
 
-    A parameter ``Annotated[TYPE, "words"]`` is an argument, or with a default an option of its name.
+    A parameter ``Annotated[TYPE, "words"]`` is an argument, or with a default an option of its name; `asked` are
+    those of `touchfield.cli.options.asks`. One that returns an `Answer` is given ``--json``, and that is printed.
     """
     epilog = "\n\n".join(["Examples:", *(f"touchfield {example}" for example in examples)]) if examples else None
 
-    def register(function: Callable[..., Any]) -> Any:
+    def register(function: Any) -> Any:
         signature = inspect.signature(function, eval_str=True)
-        parameters = [_described(p) for p in signature.parameters.values()]
-        function.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-        function.__annotations__ = {p.name: p.annotation for p in parameters}
-        return app.command(name=name, rich_help_panel=panel, epilog=epilog)(function)
+        options: list[inspect.Parameter] = getattr(function, "options", [])
+        names, has_answer = {p.name for p in options}, signature.return_annotation is not None
+        own = [_described(p) for p in signature.parameters.values() if p.name != "asked"]
+        if has_answer:
+            own.append(inspect.Parameter("as_json", BY_NAME, default=False, annotation=Json))
+        own.append(inspect.Parameter("context", BY_NAME, annotation=typer.Context))
+
+        def call(context: typer.Context, **given: Any) -> None:
+            as_json = given.pop("as_json") if has_answer else False
+            if options:  # as on the command line; what is not there follows
+                given["asked"] = {key.rstrip("_"): given.pop(key) for key in context.params if key in names}
+            answer = function(**given)
+            if answer is not None:
+                answer.show(as_json)
+
+        made: Any = wraps(function)(call)
+        made.__signature__ = inspect.Signature([*own, *options])
+        made.__annotations__ = {p.name: p.annotation for p in (*own, *options)}
+        return app.command(name=name, rich_help_panel=panel, epilog=epilog)(made)
 
     return register
+
+
+BY_NAME: Final = inspect.Parameter.KEYWORD_ONLY
 
 
 def _described(parameter: inspect.Parameter) -> inspect.Parameter:
     words = getattr(parameter.annotation, "__metadata__", (None,))[0]
     if not isinstance(words, str):
-        return parameter
+        return parameter.replace(kind=BY_NAME)
     flag = f"--{parameter.name.replace('_', '-')}"
     is_argument = parameter.default is parameter.empty
     declaration = typer.Argument(help=words) if is_argument else typer.Option(flag, help=words)
-    return parameter.replace(annotation=Annotated[parameter.annotation.__origin__, declaration])
+    return parameter.replace(kind=BY_NAME, annotation=Annotated[parameter.annotation.__origin__, declaration])
 
 
 # typer carries a click of its own in some versions and imports it in others; its errors' base is found either way

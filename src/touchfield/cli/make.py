@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from touchfield import job
-from touchfield.cli.main import Asked, Json, Source, Stream, Trajectory, command
+from touchfield.cli.main import Asked, Source, Stream, Trajectory, command
 from touchfield.cli.options import (
     BESIDE,
     CODER,
@@ -22,23 +22,21 @@ from touchfield.cli.options import (
     encode_spec,
     filter_rows,
     target_of,
-    workers_of,
 )
 from touchfield.cli.show import (
+    Answer,
     check_results,
     keep_source,
     literal_console,
     progress,
-    show,
-    show_motion,
     show_notes,
-    show_rows,
     show_table,
 )
 from touchfield.container.remote import is_remote
 from touchfield.cuda import computing
 from touchfield.errors import InvalidArgument
 from touchfield.job import Plan, Trial
+from touchfield.job.executors import executor_of
 
 LATER = {"touch": ("passes", "columns")}
 """Of a coder, what is compiled last, and longest, before a first field is coded."""
@@ -58,14 +56,9 @@ def encode(
         str,
         typer.Argument(metavar="OUT", help="The .touch file, also s3://...; or OUT.zarr, tiles of a huge lattice."),
     ],
-    as_json: Json = False,
-    with_report: Annotated[
-        bool,
-        typer.Option("--report", help="Also measure what a hand feels of the coding that moves, or holds still."),
-    ] = False,
     workers: Workers = None,
     device_compute: DeviceCompute = "cpu",
-) -> None:
+) -> Answer:
     """Turn SOURCE into a .touch file."""
     out = Path(to)
     keep_source(source, out)
@@ -73,27 +66,22 @@ def encode(
         mend = "For a field take: touchfield field."
         raise InvalidArgument(to, f"the ending {out.suffix!r}", "OUT.touch or OUT.zarr", mend)
     spec, target = encode_spec(asked), target_of(asked)
-    if is_remote(to) and (target is not None or with_report or out.suffix == ".zarr"):
-        raise InvalidArgument("--report, targets and .zarr work with a path, not with an address")
+    if is_remote(to) and (target is not None or out.suffix == ".zarr"):
+        raise InvalidArgument("targets and .zarr work with a path, not with an address")
     if target is not None and workers is not None:
         raise InvalidArgument(f"--workers works without {target.option}: one encoding after another finds a target")
-    if out.suffix == ".zarr" and (target is not None or with_report):
-        raise InvalidArgument("--report and targets work with OUT.touch, not with .zarr")
+    if target is not None and out.suffix == ".zarr":
+        raise InvalidArgument(f"{target.option} works with OUT.touch, not with .zarr")
     later = LATER.get(spec.coder, ())
-    with computing(device_compute), progress("encode", later=later) as report, workers_of(workers) as executor:
+    with computing(device_compute), progress("encode", later=later) as report, executor_of(workers) as executor:
         if out.suffix == ".zarr":
             tiled = job.encode_tiles(source, out, spec, report, executor)
-            show(tiled.summary(), str(out), as_json, tiled.notes)
-            return
+            return Answer(tiled.summary(), str(out), tiled.notes)
         if target is None:
             done = job.encode(source, to, spec, report, executor=executor)
         else:
             done = job.encode_to_target(source, out, spec, target, report)
-    shown = done.summary()
-    if with_report:
-        with progress("report") as report:
-            shown |= job.hand_motion(done.prepared, out, report=report).summary()
-    show_motion(shown, to, as_json, done.notes)
+    return Answer(done.summary(), to, done.notes)
 
 
 @command("Make", "filter room.touch soft.touch --gaussian sigma=2mm --report", name="filter")
@@ -102,55 +90,49 @@ def filter_(
     asked: Asked,
     source: Source,
     out: Annotated[Path, "OUT.touch, or the filtered field: FIELD.npz, FIELD.vti."],
-    as_json: Json = False,
     with_report: Annotated[
         bool, typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels.")
     ] = False,
     quantiser: Annotated[str, "Q of the report's entropies."] = "weber:0.1",
-    plot: Annotated[Path | None, "PNG to draw: the middle frame before and after."] = None,
     workers: Workers = None,
-) -> None:
+) -> Answer:
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
     from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 
     spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
-    beside = {row[0]: getattr(spec, row[0].replace("-", "_")) for row in BESIDE}
+    beside = {row.name: getattr(spec, row.name.replace("-", "_")) for row in BESIDE}
     if not spec.filters and all(words is None for words in beside.values()):
-        names = ", ".join(f"--{row[0]}" for row in (*filter_rows(), *BESIDE))
+        names = ", ".join(f"--{row.name}" for row in (*filter_rows(), *BESIDE))
         raise InvalidArgument(f"touchfield filter has no filter to apply: name at least one of {names}")
     if out.suffix not in (".touch", ".npz", ".vti"):
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, or FIELD.npz or FIELD.vti")
-    for name, words in beside.items():
-        if words is not None and out.suffix != ".touch":
-            raise InvalidArgument(
-                f"--{name} works with OUT.touch, not with {out.suffix}: a field file has no place for it"
-            )
-    if workers is not None and out.suffix != ".touch":
-        raise InvalidArgument(f"--workers works with OUT.touch, not with {out.suffix}")
-    check_results((source,), out, plot)
+    is_stream = out.suffix == ".touch"
+    stray = [name for name, words in {**beside, "workers": workers}.items() if words is not None]
+    if stray and not is_stream:
+        raise InvalidArgument(f"--{stray[0]} works with OUT.touch, not with {out.suffix}, a field file")
+    check_results((source,), out)
     measured = None
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
             measured = job.filter_report(source, spec, parsed, report).summary()
-    with progress("filter", later=LATER.get(spec.coder, ()) if out.suffix == ".touch" else ()) as report:
-        if out.suffix == ".touch":
-            with workers_of(workers) as executor:
+    with progress("filter", later=LATER.get(spec.coder, ()) if is_stream else ()) as report:
+        if is_stream:
+            with executor_of(workers) as executor:
                 done = job.encode(source, out, spec, report, executor=executor)
             shown, notes = done.summary(), done.notes
         else:
             prepared = job.prepare(source, spec)
             shown, notes = prepared.summary(), prepared.notes
             out = job.write_field(out, prepared.medium, report, prepared.placement)
-    if plot is not None:
-        job.draw_filtered(source, spec, plot)
-        notes = (*notes, f"the picture is {plot}")
     shown["filters"] = "; ".join(f"{step.name} {step.words}" for step in spec.chain) or "none"
-    if as_json:
-        show({**shown, "report": measured} if measured else shown, str(out), True, notes)
-        return
-    show(shown, str(out), False, notes)
-    if measured:
-        show_rows(measured["stages"], f"before and after each filter (Q {measured['quantiser']})")
+    if not measured:
+        return Answer(shown, str(out), notes)
+
+    def people() -> None:
+        title = f"before and after each filter (Q {measured['quantiser']})"
+        Answer({**shown, "stages": measured["stages"]}, str(out), notes, {"stages": title}).show(False)
+
+    return Answer({**shown, "report": measured}, str(out), notes, people=people)
 
 
 @command("Make", "field scan.ply --preview look.png", "field scan.ply field.npz --nw 6")
@@ -160,9 +142,8 @@ def field(
     source: Source,
     out: Annotated[Path | None, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")] = None,
     preview: Annotated[Path | None, "PNG to draw: where the scene lies in the workspace."] = None,
-    as_json: Json = False,
     device_compute: DeviceCompute = "cpu",
-) -> None:
+) -> Answer:
     """Write the device-filtered force field before coding, what `encode` starts from; or draw it, with --preview."""
     if out is None and preview is None:
         raise InvalidArgument("touchfield field makes FIELD.npz or FIELD.vti, or draws --preview PNG: name one")
@@ -175,7 +156,7 @@ def field(
             shown["preview"] = str(preview)
         if out is not None:
             shown["file"] = str(job.write_field(out, prepared.medium, report, prepared.placement))
-    show({**shown, **prepared.summary()}, str(out or preview), as_json, (*prepared.notes, *prepared.learnt))
+    return Answer({**shown, **prepared.summary()}, str(out or preview), (*prepared.notes, *prepared.learnt))
 
 
 @command("Make", "plan depth-folder --budget 64kbit/s --plot plan.png", "plan scan.ply --budget 60kB")
@@ -192,8 +173,7 @@ def plan(
         Path | None, typer.Option("--plot", "--out", help="PNG to draw: the frontier and the choice.")
     ] = None,
     workers: Workers = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Find the lattice and the settings that spend a budget best; --nw is the finest of three lattices."""
     amount, search, spec = job.parse_budget(budget), job.PlanGrid(), encode_spec(asked)
     if spec.nw is None:
@@ -201,11 +181,13 @@ def plan(
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
     check_results((source,), out)
     spec = replace(spec, touch=replace(spec.touch, effort=effort))
-    with progress("plan", "setting") as report, workers_of(workers) as executor:
+    with progress("plan", "setting") as report, executor_of(workers) as executor:
         chosen = job.plan(source, amount, spec, search, report, executor)
     if out is not None:
         chosen.draw(out)
-    _show_plan(chosen, _options(chosen, asked), as_json, (f"the picture is {out}",) if out else ())
+    options, notes = _options(chosen, asked), (f"the picture is {out}",) if out else ()
+    values = {**chosen.summary(), "encode_options": shlex.join(options)}
+    return Answer(values, "", (*chosen.notes, *notes), people=lambda: _show_plan(chosen, options, notes))
 
 
 def _options(plan: Plan, asked: dict[str, Any]) -> list[str]:
@@ -213,18 +195,15 @@ def _options(plan: Plan, asked: dict[str, Any]) -> list[str]:
     words = [*plan.chosen.options.split(), "--representation", "voxel"]
     if plan.chosen.spec.coder == "touch":
         words += ["--effort", plan.chosen.spec.touch.effort]
-    for name, _, usual, _ in SCENE:
-        value = asked[name.replace("-", "_")]
-        if value != usual and name not in ("nw", "representation"):
-            words += [f"--{name}"] if value is True else [f"--{name}", str(value)]
+    for row in SCENE:
+        value = asked[row.name.replace("-", "_")]
+        if value != row.default and row.name not in ("nw", "representation"):
+            words += [f"--{row.name}"] if value is True else [f"--{row.name}", str(value)]
     return words
 
 
-def _show_plan(plan: Plan, options: list[str], as_json: bool, notes: tuple[str, ...]) -> None:
-    """Print a plan as one JSON object, or as a table with its notes."""
-    if as_json:
-        show({**plan.summary(), "encode_options": shlex.join(options)}, "", True, (*plan.notes, *notes))
-        return
+def _show_plan(plan: Plan, options: list[str], notes: tuple[str, ...]) -> None:
+    """Print a plan as a table with its notes."""
     frames = f"{plan.frames_tried} frame{'s' * (plan.frames_tried > 1)}"
     title = f"{plan.source}: {frames} under {len(plan.trials)} settings; the frontier"
     literal_console().print(title, style="bold", soft_wrap=True)
@@ -271,15 +250,14 @@ def export(
     panel: Annotated[str, "Of an array with two panels: front or back."] = "front",
     full_scale_n: Annotated[float, "A force as .hjif: newtons told as 1, for readers that clip there."] = 1.0,
     source: Annotated[str | None, "SOURCE of the file: the page shows it, and the difference, too."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Write STREAM in another format: drives of an array, the force along --trajectory, or a page for any browser."""
     from touchfield.job.exchange import export as run
 
     check_results((stream, trajectory, source), out)
     with progress("export") as report:
         done = run(stream, out, device, trajectory, panel, report, full_scale_n, source)
-    show(done.summary(), str(out), as_json, done.notes)
+    return Answer(done.summary(), str(out), done.notes)
 
 
 @command("Make", "import effect.hjif effect.touch", name="import")
@@ -288,8 +266,7 @@ def import_(
     out: Annotated[Path, "The .touch file to write."],
     rate_hz: Annotated[float, "Frames a second of the medium."] = 100.0,
     force_max_n: Annotated[float | None, "Force of a full drive; default: the file's, or 3.3."] = None,
-    as_json: Json = False,
-) -> None:
+) -> Answer:
     """Turn an effect into a .touch file: a symbolic medium for an array of actuators."""
     from touchfield.job.exchange import import_effect
 
@@ -298,4 +275,4 @@ def import_(
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch")
     with progress("import") as report:
         done = import_effect(effect, out, None, rate_hz, force_max_n, report)
-    show(done.summary(), str(out), as_json, done.notes)
+    return Answer(done.summary(), str(out), done.notes)

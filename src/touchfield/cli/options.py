@@ -7,19 +7,18 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
-from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import typer
 
+from touchfield.cli.main import BY_NAME
 from touchfield.codec.registry import field_coders
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import field_filters
 from touchfield.job import EncodeSpec, Target
+from touchfield.job.spec import COEFFICIENTS, Frames
 from touchfield.sources.options import SourceOptions
 
 DeviceCompute = Annotated[
@@ -32,94 +31,84 @@ Workers = Annotated[
     typer.Option("--workers", help="Who does the work: processes:N of this machine, or dask:ADDRESS, a scheduler."),
 ]
 
-Row = tuple[str, Any, Any, str]
-"""Name, type, default, help."""
 
-FIRST: Final = (
+class Row(NamedTuple):
+    """An option: its name, type, default and help, and its group in the help; None: none of its own."""
+
+    name: str
+    kind: Any
+    default: Any
+    words: str
+    panel: str | None = None
+
+
+_KINDS: Final = {
+    name: kind
+    for one in (bool, int, float, str, Path)
+    for name, kind in ((one.__name__, one), (f"{one.__name__} | None", one | None))
+}
+"""By the annotation of a field; any other is asked for in words."""
+
+
+def rows_of(spec: type[Any], panel: str | None = None, *names: str) -> tuple[Row, ...]:
+    """The fields of a spec that are options (`touchfield.asked`): all, or those of these names."""
+    asked = [one for one in fields(spec) if one.metadata and (not names or one.name in names)]
+    return tuple(
+        Row(dashed(one.name), _KINDS.get(str(one.type), str | None), one.default, one.metadata["help"], panel)
+        for one in asked
+    )
+
+
+def rows(panel: str, *options: tuple[str, Any, Any, str]) -> tuple[Row, ...]:
+    """Options in one group of the help: of each its name, type, default and words."""
+    return tuple(Row(*one, panel) for one in options)
+
+
+def dashed(name: str) -> str:
+    """A field's name as that of an option."""
+    return name.replace("_", "-")
+
+
+_FIRST: Final = (
     "device", "nw", "frames", "mapping", "stiffness-n-per-m", "thickness-m", "k", "f0-n", "mode", "target-bytes",
 )  # fmt: skip
-"""The options that most people need."""
+"""Of what concerns scene and coder the options that most people need."""
+_LATTICE: Final = "Device and lattice"
+_SCENE: Final = "Scene"
 
-PANELS: Final = {
-    "Device and lattice": (
-        "nominal", "representation", "fit-frames", "oversample", "pool", "cutoff",
-    ),
-    "Address": ("host", "port", "token", "open", "cors"),
-    "Force": (
-        "law", "band-m", "surface-damping-n-s-per-m", "vibration", "friction", "damping-n-s-per-m",
-    ),
-}  # fmt: skip
-"""Of the other rows those that are about neither the scene nor a coder."""
-
-ALLOW_OUTSIDE = "Models and scene files may name files outside their own folder."
-
-SCENE: tuple[Row, ...] = (
-    ("device", str, "phantom-omni", "Device profile (see `touchfield devices`), or a TOML file of your own."),
-    ("nw", int, 7, "2^nw samples per axis of the device's workspace, 3 to 10."),
-    ("nominal", bool, False, "Use the device's nominal lattice in place of 2^nw."),
-    ("representation", str, "auto", "voxel, object (fields and pose tracks), or auto."),
-    ("frames", str | None, None, "Frames to take, START:STOP; also those that are fitted into the workspace."),
-    ("fit-frames", str | None, None, "Frames to fit into the workspace, START:STOP, where others than --frames."),
-    ("law", str, "penalty", "Force law: penalty, proximity, magnetic, or a sum such as penalty+proximity."),
-    ("stiffness-n-per-m", float, 500.0, "Stiffness K, newtons per metre that the hand moves."),
-    ("thickness-m", float | None, None, "Wall behind the surface, metres that the hand moves; inf is solid."),
-    ("band-m", float, 0.004, "Reach of the proximity and magnetic laws, metres that the hand moves."),
-    ("surface-damping-n-s-per-m", float, 0.0, "Drag of a moving surface: b times its velocity is added."),
-    ("mapping", str, "fit", "Scene to workspace: fit (5 % of room is left), fill, crop, or a factor such as 0.05."),
-    ("oversample", int, 2, "Samples per axis and device sample before the anti-alias low-pass."),
-    ("pool", str, "max", "Depth pooling of an actuator array: max or mean."),
-    ("cutoff", str, "nyquist", "Low-pass of an actuator array: nyquist = 1/(2d), or literal = 2/d."),
-    ("as", str | None, None, "Kind of the source, where it is not recognised."),
-    ("depth-scale", float | None, None, "Stored depth units in a metre."),
-    ("intrinsics", str | None, None, "Camera: fx,fy,cx,cy in pixels, or a file."),
-    ("poses", str | None, None, "Depth sequences: camera poses, a file or a folder; found where they lie beside it."),
-    ("frame", str, "world", "Depth sequences: world (poses are used) or camera."),
-    ("world", str, "fused", "Depth sequences: fused (one world of all frames), causal (of those so far) or frames."),
-    ("reading", str, "camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper)."),
-    ("shell", str, "auto", "Open meshes: one or two sided."),
-    ("holes", str, "small", "Holes of meshes: close, leave, or small (close those below 5 % of the area)."),
-    ("cell-size-m", float | None, None, "Height maps: metres between samples."),
-    ("height-scale", float | None, None, "Height maps: metres of one stored unit."),
-    ("exaggeration", float, 1.0, "Height maps: factor on heights."),
-    ("unit-m", float | None, None, "Meshes: metres of one unit."),
-    ("rate-hz", float | None, None, "Frames a second of the medium; depth frames are interpolated in time."),
-    ("seconds", float | None, None, "Simulations: their duration."),
-    ("source-rate-hz", float | None, None, "Frames a second of the source, where it does not say."),
-    ("interpolation", str, "linear", "Between depth frames: linear or nearest."),
-    ("animation", str | None, None, "Animated models: name or number of the animation."),
-    ("relative-depth", str | None, None, "Pictures and videos: the relative depth beside them."),
-    ("near-m", float | None, None, "Relative depth: metres of its nearest value."),
-    ("far-m", float | None, None, "Relative depth: metres of its farthest value."),
-    ("segment", str | None, None, "Depth sequences as objects: the rule of segmentation."),
-    ("baseline-m", float | None, None, "Disparity maps: distance between the cameras."),
-    ("disparity-offset-px", float | None, None, "Disparity maps: offset of the principal points."),
-    ("allow-outside", bool, False, ALLOW_OUTSIDE),
+BESIDE: Final = rows_of(EncodeSpec, "Force", "vibration", *COEFFICIENTS)
+SCENE: Final = (
+    *rows(_LATTICE, ("nominal", bool, False, "Use the device's nominal lattice in place of 2^nw.")),
+    *rows_of(EncodeSpec, _LATTICE, "representation", "fit_frames", "oversample", "pool", "cutoff"),
+    *rows_of(EncodeSpec, "Force", "law", "band_m", "surface_damping_n_s_per_m"),
+    *rows_of(EncodeSpec, _SCENE, "device", "nw", "frames", "mapping", "stiffness_n_per_m", "thickness_m"),
+    *rows(_SCENE, ("as", str | None, None, "Kind of the source, where it is not recognised.")),
+    *rows_of(SourceOptions, _SCENE),
 )
 
 
 def _coder_rows() -> tuple[Row, ...]:
     """One option for each that a coder takes; where several take one, its help tells what it is to each."""
     words = [word for one in field_coders().values() for word in one.makers]
-    options: dict[str, tuple[type, list[str]]] = {}
+    options: dict[str, tuple[type, list[str], list[str]]] = {}
     for one in field_coders().values():
         for option in one.options:
-            options.setdefault(option.key, (option.kind, []))[1].append(f"{one.name}: {option.help}")
-    rows: list[Row] = [("coder", str, words[0], f"{', '.join(words)} (literal: every part as printed in the paper).")]
-    for key, (kind, helps) in options.items():
+            _, helps, names = options.setdefault(option.key, (option.kind, [], []))
+            helps.append(f"{one.name}: {option.help}")
+            names.append(one.name)
+    most = f"{', '.join(words)} (literal: every part as printed in the paper)."
+    made = [Row("coder", str, words[0], most, "Coder")]
+    for key, (kind, helps, names) in options.items():
         asked, default = (bool, False) if kind is bool else (kind | None, None)
-        rows.append((key.replace("_", "-"), asked, default, " ".join(helps)))
-    return tuple(rows)
+        panel = "The paper's coder" if names == ["paper"] else "Coder"
+        made.append(Row(dashed(key), asked, default, " ".join(helps), panel))
+    return tuple(made)
 
 
-CODER: tuple[Row, ...] = _coder_rows()
+CODER: Final = _coder_rows()
 
-BESIDE: tuple[Row, ...] = (
-    ("vibration", str | None, None, "Beside the force: gain=0.1,frequency=150, or rising: frequency=80..250."),
-    ("friction", float | None, None, "Friction coefficient mu, which the receiver renders; default: the source's."),
-    ("damping-n-s-per-m", float | None, None, "Damping b, which the receiver renders; default: the source's."),
-)
-
-TARGET: tuple[Row, ...] = (
+TARGET: Final = rows(
+    "Coder",
     ("target-nmse-db", float | None, None, "touch: the NMSE to reach, dB, such as -25; mode nmse unless asked."),
     ("target-bytes", int | None, None, "touch: the size to reach: k (mode nmse: the step) is raised until it fits."),
 )
@@ -127,7 +116,8 @@ TARGET: tuple[Row, ...] = (
 
 def address_rows(port: int, verb: str) -> tuple[Row, ...]:
     """The options of a server: where it listens, and who may receive."""
-    return (
+    return rows(
+        "Address",
         ("host", str, "127.0.0.1", "Address to listen at; beyond this machine only with a token."),
         ("port", int, port, "Port; 0: a free one."),
         ("token", str | None, None, "Word that a receiver must bring: ...?token=WORD."),
@@ -138,64 +128,30 @@ def address_rows(port: int, verb: str) -> tuple[Row, ...]:
 
 def filter_rows() -> tuple[Row, ...]:
     """One option for each registered haptic filter; their order on the command line is their order of work."""
-    return tuple((name, list[str] | None, None, kind.summary) for name, kind in field_filters().items())
+    kinds = field_filters().items()
+    return rows("Haptic filters", *((name, list[str] | None, None, kind.summary) for name, kind in kinds))
 
 
-def asks(
-    *groups: tuple[Row, ...], panel: Callable[[str], str | None] | None = None
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Give a command the options of `groups`; it gets `asked`. `panel` of a name is its group in the help."""
-    group = panel or _panel
+def asks(*groups: Sequence[Row]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Give a command the options of `groups`; it gets `asked`, in the order of the command line."""
+    every = sorted((row for group in groups for row in group), key=lambda row: row.name not in _FIRST)
 
-    def give(command: Callable[..., Any]) -> Callable[..., Any]:
-        own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "asked"]
-        rows = sorted((row for group in groups for row in group), key=lambda row: row[0] not in FIRST)
-        more = []
-        for name, kind, default, text in rows:
-            words = text.replace("[", r"\[")  # what stands in brackets is no markup
-            option = typer.Option(f"--{name}", help=words, rich_help_panel=group(name))
-            key = "as_" if name == "as" else name.replace("-", "_")
-            more.append(
-                inspect.Parameter(
-                    key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
-                )
-            )
-        names = {p.name for p in more}
-
-        @wraps(command)
-        def call(**given: Any) -> Any:
-            order = given.pop("context").params  # as on the command line; what is not there follows
-            asked = {name.rstrip("_"): given.pop(name) for name in order if name in names}
-            return command(**given, asked=asked)
-
-        own.append(inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context))
-        kept = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
-        call.__signature__ = inspect.Signature([*kept, *more])  # type: ignore[attr-defined]
-        call.__annotations__ = {p.name: p.annotation for p in (*kept, *more)}
-        return call
+    def give(command: Any) -> Any:
+        command.options = [_parameter(row) for row in every]
+        return command
 
     return give
 
 
-def _panel(name: str) -> str:
-    """The group of an option in the help."""
-    if name in FIRST:
-        return "What most people need"
-    for panel, names in PANELS.items():
-        if name in names:
-            return panel
-    if name in field_filters():
-        return "Haptic filters"
-    key = name.replace("-", "_")
-    coders = [one.name for one in field_coders().values() if key in {option.key for option in one.options}]
-    if coders == ["paper"]:
-        return "The paper's coder"
-    if coders or name == "coder" or name.startswith("target"):
-        return "Coder"
-    return "Scene"
+def _parameter(row: Row) -> inspect.Parameter:
+    words = row.words.replace("[", r"\[")  # what stands in brackets is no markup
+    group = "What most people need" if row.panel and row.name in _FIRST else row.panel
+    option = typer.Option(f"--{row.name}", help=words, rich_help_panel=group)
+    key = "as_" if row.name == "as" else row.name.replace("-", "_")
+    return inspect.Parameter(key, BY_NAME, default=row.default, annotation=Annotated[row.kind, option])
 
 
-def frames_of(option: str, text: str | None) -> tuple[int, int | None] | None:
+def frames_of(option: str, text: str | None) -> Frames | None:
     """The frames of START:STOP, or of the number of one."""
     if text is None:
         return None
@@ -237,7 +193,7 @@ def _coder(asked: dict[str, Any]) -> dict[str, Any]:
     for other in coders:
         for option in other.options:
             if option.key in values and option.key not in taken:
-                said = f"--{option.key.replace('_', '-')} works with --coder {other.name}, not with {word}"
+                said = f"--{dashed(option.key)} works with --coder {other.name}, not with {word}"
                 raise InvalidArgument(said, mend="Take it out, or change the coder.")
     chosen = {key: values[key] for key in values if key in taken | set(own.hints)}
     return {"coder": own.name, own.name: own.makers[word](chosen)}
@@ -246,13 +202,9 @@ def _coder(asked: dict[str, Any]) -> dict[str, Any]:
 def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
     """The options as the job takes them."""
     source = SourceOptions(kind=asked["as"], **fields_of(SourceOptions, asked))
-    if source.intrinsics and Path(source.intrinsics).suffix and not Path(source.intrinsics).exists():
-        looks_like_numbers = all(c in "0123456789.,+-eE " for c in source.intrinsics)
-        if not looks_like_numbers:
-            raise InvalidArgument("--intrinsics", repr(source.intrinsics), "fx,fy,cx,cy or a file that exists")
     as_given = {name: value for name, value in fields_of(EncodeSpec, asked).items() if name != "coder"}
     chain = []
-    for name, words in ((key.replace("_", "-"), asked[key]) for key in asked):
+    for name, words in ((dashed(key), asked[key]) for key in asked):
         if name not in field_filters() or not words:
             continue
         if len(words) > 1:
@@ -270,7 +222,7 @@ def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
 
 def coder_spec(asked: dict[str, Any]) -> EncodeSpec:
     """The coder's options alone, without a scene's."""
-    return encode_spec({name.replace("-", "_"): default for name, _, default, _ in SCENE} | asked)
+    return encode_spec({row.name.replace("-", "_"): row.default for row in SCENE} | asked)
 
 
 def target_of(asked: dict[str, Any]) -> Target | None:
@@ -278,12 +230,3 @@ def target_of(asked: dict[str, Any]) -> Target | None:
     if asked["target_bytes"] is None and asked["target_nmse_db"] is None:
         return None
     return Target(asked["target_bytes"], asked["target_nmse_db"])
-
-
-def workers_of(words: str | None) -> AbstractContextManager[Executor | None]:
-    """The executor of --workers, for the length of a block; None where nobody asked for one."""
-    if words is None:
-        return nullcontext()
-    from touchfield.job.executors import executor_of
-
-    return executor_of(words)

@@ -5,17 +5,16 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Annotated, Any
 
-from touchfield.cli.main import FieldFile, Json, Stream, command
-from touchfield.cli.show import keep_source, progress, show
+from touchfield.cli.main import FieldFile, Stream, command
+from touchfield.cli.show import Answer, keep_source, progress, show
 from touchfield.errors import CorruptFile
 
 
 @command("Look", "info room.touch", "info room.touch --voxels --json")
 def info(
     stream: Stream,
-    as_json: Json = False,
     voxels: Annotated[bool, "Also decode all of it: supported voxels, and the bits that each takes."] = False,
-) -> None:
+) -> Answer:
     """Say what a .touch file holds."""
     from touchfield.stream.opened import open_stream
 
@@ -24,7 +23,7 @@ def info(
         if voxels:
             with progress("decode") as report:
                 shown |= opened.bits_of_voxels(opened.supported_voxels(report))
-    show(shown if as_json else _for_people(shown), str(stream), as_json)
+    return Answer(shown, str(stream), people=lambda: show(_for_people(shown), str(stream)))
 
 
 def _for_people(summary: dict[str, Any]) -> dict[str, Any]:
@@ -39,7 +38,7 @@ def _for_people(summary: dict[str, Any]) -> dict[str, Any]:
 
 
 @command("Make", "decode room.touch field.npz", "decode room.touch field.vti")
-def decode(stream: Stream, out: FieldFile, as_json: Json = False) -> None:
+def decode(stream: Stream, out: FieldFile) -> Answer:
     """Turn a .touch file back into a force field."""
     from touchfield.stream.opened import open_stream, write_field
 
@@ -47,4 +46,4 @@ def decode(stream: Stream, out: FieldFile, as_json: Json = False) -> None:
     with open_stream(stream) as opened, progress("decode", compiles=not opened.is_native) as report:
         written = write_field(out, opened.medium, report, opened.placement)
         shown = {"file": str(written), "frames": len(opened.medium), "grid_shape": list(opened.medium.grid.shape)}
-    show(shown, str(written), as_json)
+    return Answer(shown, str(written))

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
 from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -54,15 +55,42 @@ def literal_console() -> Console:
     return Console(emoji=False, markup=False, highlight=False)
 
 
-def show(values: Mapping[str, Any], title: str, as_json: bool, notes: tuple[str, ...] = ()) -> None:
-    """Print `values` as one JSON object, or as a table with its notes."""
-    if as_json:
-        answer = _unsigned_zeros({**values, "notes": list(notes)})
-        sys.stdout.write(json.dumps(answer, default=_plain, allow_nan=False) + "\n")
-        return
-    literal_console().print(title, style="bold", soft_wrap=True)
-    show_table([(name, _text(value)) for name, value in values.items()])
-    show_notes(notes)
+@dataclass(frozen=True)
+class Answer:
+    """What a command tells: for programs values by stable keys and notes, as one object; for people under a title.
+
+    Of `tables` each is the key of rows that people see beside each other, and the words above them; where `people` is
+    given it prints in place of all this.
+    """
+
+    values: Mapping[str, Any]
+    title: str
+    notes: Sequence[str] = ()
+    tables: Mapping[str, str] = field(default_factory=dict)
+    people: Callable[[], None] | None = None
+
+    def show(self, as_json: bool) -> None:
+        """Print it as one JSON object, or for people."""
+        if as_json:
+            answer = _unsigned_zeros({**self.values, "notes": list(self.notes)})
+            sys.stdout.write(json.dumps(answer, default=_plain, allow_nan=False) + "\n")
+        elif self.people is not None:
+            self.people()
+        else:
+            literal_console().print(self.title, style="bold", soft_wrap=True)
+            lines = [(name, _text(value)) for name, value in self.values.items() if name not in self.tables]
+            if lines:
+                show_table(lines)
+            show_notes(self.notes)
+            for key, title in self.tables.items():
+                part = self.values.get(key)
+                if part:
+                    show_rows([part] if isinstance(part, Mapping) else part, title)
+
+
+def show(values: Mapping[str, Any], title: str, as_json: bool = False, notes: Sequence[str] = ()) -> None:
+    """Print values by stable keys and notes, as `Answer` does."""
+    Answer(values, title, notes).show(as_json)
 
 
 def show_notes(notes: Sequence[str]) -> None:
@@ -78,8 +106,9 @@ def show_rows(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     Where the page is too narrow for all of them, further columns follow below, beside the keys again.
     """
     console = literal_console()
-    console.print(title, style="bold", soft_wrap=True)
-    keys = list(rows[0])
+    if title:
+        console.print(title, style="bold", soft_wrap=True)
+    keys = [key for key in rows[0] if key != "error_thirds_mn"]  # 39 numbers for programs
     columns = [[_text(row[key]) for key in keys] for row in rows]
     room = console.width - max(map(len, keys))
     while columns:
@@ -142,21 +171,6 @@ def _text(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
     return "-" if value is None else str(value)
-
-
-def show_motion(values: Mapping[str, Any], title: str, as_json: bool, notes: tuple[str, ...]) -> None:
-    """Print a summary; slides and hold as tables of their own, where they were measured."""
-    if as_json or "slides" not in values:
-        show(values, title, as_json, notes)
-        return
-    show({name: value for name, value in values.items() if name not in ("slides", "hold")}, title, False, notes)
-    show_rows([_row(slide) for slide in values["slides"]], "a hand that slides at |F| = 1 N, 40 to 400 Hz")
-    if values["hold"] is not None:
-        show_rows([_row(values["hold"])], "a hand that holds still, frame to frame and 40 to 400 Hz")
-
-
-def _row(part: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in part.items() if name != "error_thirds_mn"}
 
 
 @contextmanager

@@ -2,8 +2,7 @@
 
 source -> device filter (M) -> medium -> coder -> segments -> file      prepare, encode
 file -> segments -> decoder -> medium                                   open_stream
-medium against its source                                               compare
-medium as a hand feels it beside its source                             hand_motion
+medium against its source, and as a hand feels it                        compare
 medium -> a picture of where the scene lies in the workspace            draw_preview
 medium before and after each haptic filter                              filter_report
 medium, device and filters in bits                                      measure_medium
@@ -13,7 +12,7 @@ scene -> a huge lattice, as tiles of a zarr store                        encode_
 scene, budget -> lattice and settings that spend it best                plan
 """
 
-from touchfield.job.compare import Comparison, FilterReport, compare, draw_filtered, filter_report, hand_motion
+from touchfield.job.compare import Comparison, compare, filter_report
 from touchfield.job.encode import Encoded, encode
 from touchfield.job.mapping import partition_workspace
 from touchfield.job.measure import Measurement, MeasureSpec, measure_medium
@@ -31,7 +30,6 @@ __all__ = [
     "Comparison",
     "EncodeSpec",
     "Encoded",
-    "FilterReport",
     "MeasureSpec",
     "Measurement",
     "OpenStream",
@@ -42,13 +40,11 @@ __all__ = [
     "Tiled",
     "Trial",
     "compare",
-    "draw_filtered",
     "draw_preview",
     "encode",
     "encode_tiles",
     "encode_to_target",
     "filter_report",
-    "hand_motion",
     "measure_medium",
     "open_stream",
     "parse_budget",

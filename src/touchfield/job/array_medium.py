@@ -17,12 +17,11 @@ import numpy as np
 from touchfield.arrays import Float32s, Int64s
 from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
-from touchfield.job.placing import law_of, mapping_of
+from touchfield.job.placing import mapping_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid, HapticMedium
 from touchfield.medium.grid import Placement
 from touchfield.medium.medium import VibrationBand, VibrationFrame
-from touchfield.sources.laws import profile_of
 from touchfield.sources.stored import StoredScene
 from touchfield.stream.opened import OpenStream
 
@@ -96,9 +95,8 @@ def array_drives(stream: OpenStream, device: Device, panel: str = PANELS[0]) -> 
     medium, head = stream.medium, stream.reader.head
     if head.device_type == 2 and medium.grid.shape == device.lattice:
         return Drives(medium, device, head.force_max_n, panel)
-    scene, spec = StoredScene(replace(medium, vibration=None)), EncodeSpec()  # as `encode --device` maps it
-    law = law_of(spec, device)  # a stored field ignores it but for the depth around the field
-    mapping = mapping_of(scene, device, spec, profile_of(law, law.saturation_m))
+    scene = StoredScene(replace(medium, vibration=None))
+    mapping = mapping_of(scene, device, EncodeSpec())  # as `encode --device` does
     pooled, band = mapping.medium(scene), medium.vibration
     if band is not None:
         pooled = replace(pooled, vibration=_pooled_band(band, mapping.placement, mapping.grid))

@@ -207,21 +207,26 @@ class Part(NamedTuple):
 
 
 _prepared: dict[str, Prepared] = {}
-"""By the name of its job, the medium that this process codes."""
+"""By the name of its job, what this process codes."""
+
+
+def prepared_here(job: str, sent: Sent, spec: EncodeSpec, version: str) -> Prepared:
+    """The source of a job, prepared once in each process; InvalidArgument if another version began the job."""
+    if version != __version__:
+        raise InvalidArgument("a worker", f"touchfield {__version__}", f"{version}, as where the job was begun")
+    if job not in _prepared:
+        _prepared.clear()
+        _prepared[job] = prepare(as_source(sent.source, spec.device, sent.grid), spec)
+    return _prepared[job]
 
 
 def code_part(task: Task) -> Part:
-    """Code a stretch, in whichever process this is; the source of a job is prepared once in each.
+    """Code a stretch, in whichever process this is.
 
     At most the source, a frame and 1 GiB of fields are held. InvalidArgument if another version sent the task.
     """
-    if task.version != __version__:
-        raise InvalidArgument("a worker", f"touchfield {__version__}", f"{task.version}, as where the job was begun")
     with ALONE:
-        if task.job not in _prepared:
-            _prepared.clear()
-            _prepared[task.job] = prepare(as_source(task.sent.source, task.spec.device, task.sent.grid), task.spec)
-        prepared = _prepared[task.job]
+        prepared = prepared_here(task.job, task.sent, task.spec, task.version)
         medium = prepared.medium
         encoder = field_encoder(medium.grid, prepared.coding)
         groups = groups_of(medium, task.spec, encoder, task.stretch)

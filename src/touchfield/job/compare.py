@@ -19,6 +19,7 @@ from touchfield.filters.registry import FieldFilter
 from touchfield.job.editing import spread
 from touchfield.job.placing import felt_objects, stored_medium
 from touchfield.job.prepare import Prepared, Source, open_scene, prepare
+from touchfield.job.result import Result
 from touchfield.job.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec
 from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.fidelity import FidelityMeter
@@ -115,13 +116,15 @@ def compare(
     f0_n: float | None = None,
     frame: int | None = None,
     allow_outside: bool = False,
+    slides: SlideSpec | None = None,
     report: Report = silent,
 ) -> Comparison:
     """Measure a stream against its source, filtered again as the stream's provenance says.
 
     `source` is what was encoded, a path, scene, medium or field; or its field, as the command `field` writes it. The
     mask max(F_0, k |F|) is by default the stream's, with its spatial masking; `frame`, which `Comparison.draw` shows,
-    is the middle one. `allow_outside` lets the source name files outside its own folder.
+    is the middle one. `allow_outside` lets the source name files outside its own folder; `slides` are other ways of
+    the hand.
     """
     with open_stream(stream) as opened:
         head = opened.reader.head
@@ -134,7 +137,7 @@ def compare(
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         masking = opened.masking if k is None and f0_n is None else None
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
-        hand, counter, supported = HandMeter(opened, scene, original.exact), SymbolCounter(), 0
+        hand, counter, supported = HandMeter(opened, scene, original.exact, slides), SymbolCounter(), 0
         quantise = opened.quantiser()  # the entropies are of one random variable
         for i in range(len(decoded)):
             x, y = original.medium[i], decoded[i]
@@ -243,41 +246,15 @@ class HandMeter:
         return HandMotion(self._slides.slides(), hold, vibration_threshold())
 
 
-def hand_motion(
-    prepared: Prepared, stream: str | Path, spec: SlideSpec | None = None, report: Report = silent
-) -> HandMotion:
-    """A stream beside its source, as a hand feels it; `prepared` is what was encoded."""
-    with open_stream(stream) as opened:
-        meter, decoded = HandMeter(opened, prepared.scene, prepared.exact, spec), opened.medium
-        for i in range(len(decoded)):
-            meter.add(i, prepared.medium[i], decoded[i])
-            report(i + 1, len(decoded))
-    return meter.motion()
-
-
-@dataclass(frozen=True)
-class FilterReport:
-    """The medium before the chain and after each filter of it; `quantiser` is the Q of the entropies.
-
-    Each of `stages` tells its name, support, greatest and root-mean-square force, entropies, and what changed against
-    the medium before the chain: NMSE in dB, and the share of voxels beyond the mask.
-    """
-
-    quantiser: str
-    stages: tuple[dict[str, Any], ...]
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        return {"quantiser": self.quantiser, "stages": list(self.stages)}
-
-
 def filter_report(
     source: str | Path | Scene, spec: EncodeSpec, quantiser: FieldQuantiserSpec | None = None, report: Report = silent
-) -> FilterReport:
+) -> Result:
     """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
 
     ``spec.paper.k`` is the Weber fraction of the mask; `quantiser`, the Q of the entropies, is by default fitted to
-    the device's F_max and kept for all stages.
+    the device's F_max and kept for all stages. Each of ``stages`` tells its name, support, greatest and
+    root-mean-square force, entropies, and what changed against the medium before the chain: NMSE in dB, and the share
+    of voxels beyond the mask.
     """
     prepared = prepare(source, replace(spec, filters=()))
     medium = prepared.medium
@@ -293,7 +270,7 @@ def filter_report(
         for gauge, field in zip(gauges, stages, strict=True):
             gauge.add(stages[0], field, quantise(field).object_symbols)
         report(i + 1, len(medium))
-    return FilterReport(quantise.words, tuple(gauge.row() for gauge in gauges))
+    return Result({"quantiser": quantise.words, "stages": [gauge.row() for gauge in gauges]})
 
 
 def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int], list[ForceField]]:
@@ -312,24 +289,6 @@ def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int
         return stages
 
     return of_voxels
-
-
-def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path) -> None:
-    """Write the picture of the middle frame before and after the chain of ``spec.filters``, PNG.
-
-    MissingExtra if matplotlib is not installed.
-    """
-    before = prepare(source, replace(spec, filters=()))
-    middle = len(before.medium) // 2
-    stages = _stages(before, spec.chain)(middle)
-    x, y = stages[0], stages[-1]
-    meter = FidelityMeter(spec.paper.k, DEFAULT_F0_N)
-    meter.add(x, y)
-    chain = ", ".join(step.name for step in spec.chain)
-    title = f"frame {middle + 1} of {len(before.medium)} for {before.device.name}, before and after {chain}"
-    changed = f"{100 * meter.mask_violation_share:.1f} % of voxels changed by more than a hand can feel"
-    view = PictureSpec(title, changed, before.medium.axes, meter.k, meter.f0_n, ("before", "after"))
-    draw_comparison(Path(path), x, y, view)
 
 
 class _Gauge:

@@ -5,9 +5,9 @@ Every result is a new file, coded like any medium; its provenance tells what was
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial, reduce
 from pathlib import Path
@@ -342,34 +342,30 @@ def levels_of_detail(
     wanted = max(0, most - 3) if levels is None else levels
     require_between(0, most, **{"--levels": wanted})
     store = Path(out) if out is not None and Path(out).suffix == ".zarr" else None
-    is_kept = out is not None and store is None
-    folder = Path(out) if out is not None and store is None else Path(tempfile.mkdtemp())
-    if is_kept:
-        if folder.is_file():
-            raise InvalidArgument(str(out), "a file", "a folder, or OUT.zarr")
-        folder.mkdir(exist_ok=True)
+    kept = None if out is None or store else Path(out)
+    if kept and kept.is_file():
+        raise InvalidArgument(str(out), "a file", "a folder, or OUT.zarr")
     rows: list[dict[str, Any]] = []
-    try:
+    with nullcontext(kept) if kept else tempfile.TemporaryDirectory() as folder:
+        Path(folder).mkdir(exist_ok=True)
         for level in range(wanted + 1):
             one = detail_level(medium, level)
-            path = _write(prepared, [source], one, folder / f"level-{level}.touch", silent).path
+            path = _write(prepared, [source], one, Path(folder) / f"level-{level}.touch", silent).path
             meter = fidelity_of(prepared, one)
             row = {"level": level, "grid_shape": list(one.grid.shape), "file_bytes": path.stat().st_size}
             beyond = meter.mask_violations / max(1, meter.supported_voxels)
             row |= {"nmse_db": meter.nmse_db, "mask_violations_per_supported_voxel": beyond}
-            rows.append(row | ({"file": str(path)} if is_kept else {}))
+            rows.append(row | ({"file": str(path)} if kept else {}))
             report(level + 1, wanted + 1)
         if store is not None:
             from touchfield.medium.zarr_store import write_zarr
 
             coarser = [detail_level(medium, n) for n in range(1, wanted + 1)]
             write_zarr(store, medium, told=prepared.placement.told(), levels=coarser)
-    finally:
-        if not is_kept:
-            shutil.rmtree(folder, ignore_errors=True)
     fits = [row["level"] for row in rows if most_bytes is None or row["file_bytes"] <= most_bytes]
-    notes = () if fits else (f"no level takes {most_bytes} bytes or less",)
-    return Result({"level": min(fits, default=None), "levels": rows}, notes)
+    best = min(fits, default=None)
+    note = f"no level takes {most_bytes} bytes or less" if best is None else f"level {best} is the finest that fits"
+    return Result({"level": best, "levels": rows}, () if most_bytes is None else (note,))
 
 
 def detail_level(medium: HapticMedium, level: int) -> HapticMedium:

@@ -42,20 +42,17 @@ from touchfield.adapters.symbolic import (
 )
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_one_of
-from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.filters.device_filter import device_grid
-from touchfield.filters.registry import felt_medium
 from touchfield.job.array_medium import PANELS, array_drives
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
-from touchfield.job.prepare import Prepared, Source
+from touchfield.job.prepare import KeptScene, Source, prepare
 from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec
 from touchfield.job.view import view
-from touchfield.medium.grid import Placement
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace, read_trace
 from touchfield.parallel import Report, silent
 from touchfield.render.sampler import FieldSampler
-from touchfield.stream.opened import OpenStream, open_stream
+from touchfield.stream.opened import FILTERED, OpenStream, open_stream
 
 EXPORTS: Final = (".hjif", ".tact", ".wav", ".haptic", ".ahap", ".html")
 _FORCES: Final = (".hjif", ".wav")  # of these, what holds a force over time
@@ -135,13 +132,8 @@ def import_effect(
     full_n = pattern.force_max_n if force_max_n is None else force_max_n
     own = effect_device(pattern.effect.lattice, pattern.device_name, full_n)
     symbolic = effect_medium(pattern.effect, device_grid(own), own.force_max_n, {"format": kind[1:]})
-    medium = felt_medium(symbolic, asked.chain, own.force_max_n)
-    if asked.vibration is not None:
-        medium = vibrating(medium, VibrationRule.parse(asked.vibration), own.force_max_n)
-    if asked.frames is not None:
-        start, stop = asked.frames
-        medium = medium.between(start, len(medium) if stop is None else stop)
-    prepared = Prepared(medium, own, Placement(), replace(asked, device=own.name, nw=None), pattern.notes)
+    prepared = prepare(KeptScene(symbolic, own, pattern.notes), replace(asked, device=own.name, nw=None))
+    prepared = replace(prepared, reference=FILTERED)
     return encode_prepared(prepared, out, provenance_of(source, prepared), report)
 
 

@@ -26,11 +26,14 @@ _PATIENCE_S: Final = 5  # for a scheduler that does not answer
 
 
 @contextmanager
-def executor_of(words: str) -> Iterator[Executor]:
-    """The executor of ``--workers``: ``processes:N`` of this machine, or ``dask:ADDRESS``, dask's scheduler.
+def executor_of(words: str | None) -> Iterator[Executor | None]:
+    """The executor of ``--workers``: ``processes:N`` of this machine, ``dask:ADDRESS``, dask's scheduler, or None.
 
     InvalidArgument if the words are neither; SourceError if there is no scheduler at the address.
     """
+    if words is None:
+        yield None
+        return
     kind, _, rest = words.partition(":")
     if kind == "processes" and rest.isdigit() and 0 < int(rest) <= _MOST_PROCESSES:
         each = max(1, worker_count() // int(rest))

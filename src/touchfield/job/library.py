@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -32,10 +32,8 @@ from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, Descriptor, descriptor, part_slots
 from touchfield.measure.quantity import FewSamplesWarning
-from touchfield.measure.retrieval import Match, MediumIndex
+from touchfield.measure.retrieval import MediumIndex
 from touchfield.measure.similarity import (
-    Correlation,
-    Similarity,
     contact_along_axis,
     contact_along_rays,
     picture_correlation,
@@ -225,20 +223,13 @@ def _crc(path: Path) -> int:
     return crc
 
 
-@dataclass(frozen=True, kw_only=True)
-class Retrieved(Result):
-    """The media of a library that are nearest to one."""
-
-    matches: tuple[Match, ...]
-
-
 def search(
     folder: str | Path,
     like: str | Path | HapticMedium,
     count: int = 10,
     weights: Mapping[str, float] | None = None,
     path: Path | None = None,
-) -> Retrieved:
+) -> Result:
     """The media of an indexed folder that are most like one, the nearest first; a file is not compared with itself.
 
     `like` is a .touch file, in the folder or not, or a medium; `weights` are those of the parts of the descriptor
@@ -265,23 +256,10 @@ def search(
     index = library.index()
     began = time.perf_counter()
     nearest = index.query(entry, count + (own in library.rows), weights)
-    matches = tuple(match for match in nearest if match.name != own)[:count]
+    matches = [match for match in nearest if match.name != own][:count]
     figures = {"media": len(index), "query_ms": 1e3 * (time.perf_counter() - began)}
     rows = [{"rank": n, "name": m.name, "distance": m.distance} for n, m in enumerate(matches, start=1)]
-    return Retrieved({**figures, "matches": rows}, notes, matches=matches)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Alike(Result):
-    """How alike two media are: by their symbols where they lie, and by their descriptors wherever they lie.
-
-    `distance` is that between the descriptors, as `search` ranks; 0 for equal ones.
-    """
-
-    symbols: Similarity
-    parts: dict[str, float]
-    frames: int
-    distance: float
+    return Result({**figures, "matches": rows}, notes)
 
 
 def similar(
@@ -293,8 +271,10 @@ def similar(
     over: str = "object",
     frames: int = 8,
     report: Report = silent,
-) -> Alike:
-    """Compare two media, the second on the lattice and at the rate of the first.
+) -> Result:
+    """How alike two media are: by their symbols where they lie, and by their descriptors wherever they lie.
+
+    The second is brought onto the lattice and to the rate of the first; ``descriptor_distance`` is as `search` ranks.
 
     Each is a path, a scene, a medium or a field; `spec` tells how a scene becomes a medium. `quantiser` is Q in
     words, fitted to both at once, and coarse so that a small error of a coder is none; `over` ("voxel" or "object")
@@ -327,16 +307,7 @@ def similar(
     parts = {name: float(np.linalg.norm(values[0][slot] - values[1][slot])) for name, slot in part_slots()}
     distance = math.sqrt(sum(d * d for d in parts.values()))
     told = {"descriptor_distance": distance, "descriptor_parts": parts, "frames": len(places)}
-    figures = {**measured.summary(), **told}
-    return Alike(figures, notes, symbols=measured, parts=parts, frames=len(places), distance=distance)
-
-
-class Looked(NamedTuple):
-    """A frame of a medium beside the picture of the same time."""
-
-    frame: int
-    picture: int
-    found: Correlation
+    return Result({**measured.summary(), **told}, notes)
 
 
 def correlate(
@@ -348,7 +319,7 @@ def correlate(
     intrinsics: tuple[float, float, float, float] | None = None,
     source_rate_hz: float | None = None,
     report: Report = silent,
-) -> tuple[Looked, ...]:
+) -> Result:
     """I(V;A) of the luma of a video and the |F| behind each pixel, at a few times, each with its test against chance.
 
     The picture covers the lattice as one sees it from the front. With `intrinsics` it is that of a camera at the
@@ -369,7 +340,8 @@ def correlate(
     if pictures.frame_count > 1:
         last = min(last, math.floor((pictures.frame_count - 1) / rate_hz * medium.rate_hz + 1e-9))
     places = spread(last + 1, frames)
-    looks: list[Looked] = []
+    looks: list[dict[str, Any]] = []
+    notes: dict[str, None] = {}
     for n in places:
         at = min(round(n / medium.rate_hz * rate_hz), pictures.frame_count - 1)
         luma = pictures.values(at).astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
@@ -377,9 +349,13 @@ def correlate(
             luma, touched = _from_the_front(luma, medium, n, reading)
         else:
             touched = _from_the_camera(luma.shape, pictures, medium, n, opened.placement, intrinsics, reading)
-        looks.append(Looked(n, at, picture_correlation(luma, touched)))
+        found = picture_correlation(luma, touched)
+        figures = found.summary()
+        mutual = figures.pop("mutual")["value"]
+        looks.append({"frame": n, "picture": at, "mutual_bits": mutual, **figures})
+        notes |= dict.fromkeys(found.mutual.notes)
         report(len(looks), len(places))
-    return tuple(looks)
+    return Result({"looks": looks}, tuple(notes))
 
 
 def _from_the_front(luma: Float64s, medium: HapticMedium, frame: int, reading: str) -> tuple[Float64s, Float64s]:

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from touchfield.asked import option
 from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import RAW_BITS_PER_VECTOR
@@ -149,23 +150,25 @@ def _ends(quantity: Quantity) -> tuple[float, float] | None:
 class MeasureSpec:
     """Options of `measure_medium`; InvalidArgument if it makes no sense.
 
-    `quantiser` is Q in words (`touchfield.codec.paper.field_quantiser`); None takes "distinct" for a ``.touch`` file
-    of coder `paper`, whose decoder made the codewords, and "weber:0.1" for all else (coder `touch` has none, and the
-    receiver interpolates between those of an object) and whenever a device is named. `over` is mu: "voxel", "object",
-    or "interaction:TRACE.csv"; `estimator` a name of `touchfield.measure.estimators.ESTIMATORS`; `devices` are the
-    profiles whose capacity, WMR and HIL are wanted; `limits` tells whether the coding limits are, which take most of
-    the time. `encode` makes a medium of a scene; its device is the reference space that W is sampled in. `density`
-    are samples of W along each axis for one of a point device; None: as fine as the device's data sheet has it, and
-    no finer than W. The paper's W of 10^12 samples has 5 for one of the 8 10^9 of its device.
+    `quantiser` None takes "distinct" for a ``.touch`` file of coder `paper`, whose decoder made the codewords, and
+    "weber:0.1" for all else (coder `touch` has none, and the receiver interpolates between those of an object) and
+    whenever a device is named. `devices` are the profiles whose capacity, WMR and HIL are wanted; `limits` tells
+    whether the coding limits are, which take most of the time. `encode` makes a medium of a scene; its device is the
+    reference space that W is sampled in. `density` None is as fine as the device's data sheet has it, and no finer
+    than W. The paper's W of 10^12 samples has 5 for one of the 8 10^9 of its device.
     """
 
-    quantiser: str | None = None
-    over: str = "voxel"
-    estimator: str = "plug-in"
+    quantiser: str | None = option(
+        None, "Q: weber:K, uniform:NEWTONS or lloyd-max:BITS, each with /DIRECTIONS; components:NEWTONS."
+    )
+    over: str = option("voxel", "mu: voxel, object, or interaction:TRACE.csv (t_s,x_m,y_m,z_m).")
+    estimator: str = option("plug-in", f"Estimator of entropy: {', '.join(ESTIMATORS)}.")
     devices: tuple[str, ...] = ()
     limits: bool = True
     encode: EncodeSpec = field(default_factory=EncodeSpec)
-    density: float | None = None
+    density: float | None = option(
+        None, "Samples of W per axis for one of a point device; the paper's has 5. [default: data sheet]"
+    )
 
     def __post_init__(self) -> None:
         kind, _, trace = self.over.partition(":")

@@ -60,10 +60,6 @@ class Mapping:
         """A scene where it is, through the device filter."""
         return device_medium(scene, self.device, self.grid, self.placement, self.profile, self.spec.device_filter)
 
-    def about_origin(self, grid: Grid) -> Mapping:
-        """The same for a scene in its own frame, on a lattice of its own."""
-        return replace(self, grid=grid, placement=Placement(self.placement.scale))
-
 
 def mapping_of(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfile | None = None) -> Mapping:
     """The mapping of a scene to the workspace of a device; `profile` is by default that of the force law of `spec`.
@@ -235,9 +231,9 @@ def _object(body: Body, mapping: Mapping) -> HapticObject:
         is_placed = np.array_equal(rotation, np.eye(3)) and not shift.any()
         placed = body.scene if is_placed else body.scene.moved(rotation, shift)
         return HapticObject(name, _kept(mapping.medium(placed)), PoseTrack.still(count))
-    grid = _body_lattice(body, mapping)
-    track = body.track.scaled(mapping.placement.scale, mapping.placement.offset_m)
-    return HapticObject(name, _kept(mapping.about_origin(grid).medium(body.scene)), track)
+    place = mapping.placement
+    own = replace(mapping, grid=_body_lattice(body, mapping), placement=Placement(place.scale))  # about its origin
+    return HapticObject(name, _kept(own.medium(body.scene)), body.track.scaled(place.scale, place.offset_m))
 
 
 def _body_lattice(body: Body, mapping: Mapping) -> Grid:

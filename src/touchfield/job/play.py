@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from touchfield.adapters.registry import array_device, array_kinds, is_array_device, point_device, point_kinds
 from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
+from touchfield.asked import option
 from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument, require_not_negative, require_up_to
 from touchfield.job.array_medium import array_drives
@@ -57,31 +58,28 @@ _SPARE: Final = 1.2  # so much quicker than needed the decoder must be: the serv
 class PlaySpec:
     """Everything asked of a play; InvalidArgument if a number is out of range.
 
-    `device` is "sim", "haply", "bhaptics", ... (`touchfield.adapters`); `profile` the device profile whose limits,
-    axes or actuators hold, by default that of the device, for "sim" that of the stream. `trajectory` is that of the
-    simulated hand, which else comes, presses, slides and leaves; `trace` likewise in the metres and axes of the
-    scene, as a recording has it: it is laid where the scene lies. `seconds` count from the first frame on; None: the
-    trajectory, or else the medium (a single frame, or a loop: until interrupted). `start_s`, `speed` and `loop` tell
-    where the medium begins, how fast it goes, and if it begins again; `panel` is "front" or "back" of an array that
-    has both. `offline` is a simulated hand without a clock, as fast as it goes. `is_logged`: all rows of the log are
-    wanted, else the latest minute; `is_drawn`: a frame is wanted behind a picture. `coarse` is the address of the
-    coarse layer of a live stream.
+    `device` is one of `touchfield.adapters`; `profile` of "sim" is by default that of the stream. `trajectory` and
+    `trace` are of the simulated hand, which else comes, presses, slides and leaves. `seconds` count from the first
+    frame on; None: the trajectory, or else the medium (a single frame, or a loop: until interrupted). `is_logged`:
+    all rows of the log are wanted, else the latest minute; `is_drawn`: a frame is wanted behind a picture.
     """
 
-    device: str = "sim"
-    profile: str | None = None
-    trajectory: Path | None = None
-    seconds: float | None = None
-    start_s: float = 0.0
-    speed: float = 1.0
-    loop: bool = False
-    panel: str = "front"
-    offline: bool = False
+    device: str = option(
+        "sim", "sim, sim:spring, haply, openhaptics, forcedimension, bhaptics, osc:HOST:PORT, pins:PORT"
+    )
+    profile: str | None = option(None, "Profile whose limits and actuators hold; default: the device's own.")
+    trajectory: Path | None = option(None, "Where the probe goes: CSV of t_s,x_m,y_m,z_m.")
+    seconds: float | None = option(None, "How long; default: the trajectory, or the medium.")
+    start_s: float = option(0.0, "Where the medium begins.")
+    speed: float = option(1.0, "Seconds of the medium in one of yours.")
+    loop: bool = option(False, "Begin again at the end.")
+    panel: str = option("front", "Of an array with two panels: front or back.")
+    offline: bool = option(False, "sim: no clock, as fast as it goes; the same forces.")
     is_logged: bool = False
     is_drawn: bool = False
     render: RenderSpec = field(default_factory=RenderSpec)
-    trace: Path | None = None
-    coarse: str | None = None
+    trace: Path | None = option(None, "As --trajectory, but in the metres and axes of the scene: a recording.")
+    coarse: str | None = option(None, "Address of a live stream's coarse layer, for what is lost or late.")
 
     def __post_init__(self) -> None:
         if self.trace is not None and self.trajectory is not None:

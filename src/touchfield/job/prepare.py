@@ -40,7 +40,26 @@ def is_stream(source: Source) -> bool:
     return isinstance(source, str | Path) and Path(source).suffix.lower() == ".touch" and Path(source).is_file()
 
 
-class StreamScene(StoredScene):
+class KeptScene(StoredScene):
+    """A medium on its own lattice in the metres of the hand: neither scaled nor resampled nor clipped.
+
+    It is for a device, whose F_max holds for what haptic filters add, and has its objects if it is made of any.
+    """
+
+    def __init__(
+        self,
+        medium: HapticMedium,
+        chosen: Device,
+        notes: tuple[str, ...],
+        placement: Placement | None = None,
+        objects: HapticScene | None = None,
+    ) -> None:
+        super().__init__(medium)
+        self.device, self.placement, self.objects = chosen, placement or Placement(), objects
+        self.tags, self.notes = medium.tags, notes
+
+
+class StreamScene(KeptScene):
     """A stream's decoded medium, its objects if it has any, and the device, lattice and placement it was made for.
 
     The file is closed when the scene and its medium are no longer used. FormatError if it cannot be read.
@@ -49,35 +68,13 @@ class StreamScene(StoredScene):
     def __init__(self, path: str | Path) -> None:
         reader = TouchReader(path)
         stream = opened(reader)
-        super().__init__(stream.medium)
-        self.objects: HapticScene | None = stream.scene
-        head = reader.head
-        self.head, self._device, self.file_bytes = head, stream.told_device, reader.size
-        self.placement: Placement = stream.placement
-        self.notes = ("A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",)
-
-    def device(self) -> Device:
-        """The device that the stream was made for, as far as the stream tells; no profile is looked up."""
-        return self._device
-
-
-class MediumScene(StreamScene):
-    """A medium of the user's, on its own lattice in the metres of the hand: neither scaled nor resampled nor clipped.
-
-    It is for a device of that name, whose F_max holds for what haptic filters add.
-    """
-
-    def __init__(self, medium: HapticMedium, device_name: str) -> None:
-        StoredScene.__init__(self, medium)
-        x, y, z = (1e3 * np.ptp(medium.grid.box_m, axis=0)).tolist()
-        known = device(device_name)
-        self._device = replace(known, workspace_mm=(x, y, z), lattice=medium.grid.shape)
-        self.objects, self.placement, self.tags = None, Placement(), medium.tags
-        self.notes = ("The medium keeps its own lattice and its forces; options of the scene do nothing.",)
+        self.head, self.file_bytes = reader.head, reader.size
+        notes = ("A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",)
+        super().__init__(stream.medium, stream.told_device, notes, stream.placement, stream.scene)
 
 
 def as_source(source: object, device_name: str, grid: Grid | None = None) -> str | Path | Scene:
-    """A path or a scene as it is, a medium as a `MediumScene`; newtons [.., nx, ny, nz, 3] are one with their grid.
+    """A path or a scene as it is, a medium as a `KeptScene`; newtons [.., nx, ny, nz, 3] are one with their grid.
 
     InvalidArgument if it is none of these, or an array without its grid.
     """
@@ -86,7 +83,10 @@ def as_source(source: object, device_name: str, grid: Grid | None = None) -> str
     if isinstance(source, ForceField):
         source = HapticMedium.from_frames([source], 30.0)
     if isinstance(source, HapticMedium):
-        return MediumScene(source, device_name)
+        x, y, z = (1e3 * np.ptp(source.grid.box_m, axis=0)).tolist()
+        chosen = replace(device(device_name), workspace_mm=(x, y, z), lattice=source.grid.shape)
+        notes = ("The medium keeps its own lattice and its forces; options of the scene do nothing.",)
+        return KeptScene(source, chosen, notes)
     if isinstance(source, str | Path | Scene):
         return source
     found = f"an array {source.shape} without its grid" if isinstance(source, np.ndarray) else type(source).__name__
@@ -109,10 +109,10 @@ class Prepared:
 
     `medium` is the voxel representation on the device's lattice; `scene` the objects, where these are to be coded and
     `medium` is made of them. ``exact(points_m [n, 3]) -> newtons [n, 3]`` is the field that the lattice samples,
-    where it has a formula and no haptic filter changes it; `source` what the frames are made of: it tells how far it
-    is, and what was learnt once they are made; `reference` what a promise of the coder is held against, `OWN_FORCES`
-    of `touchfield.job.spec` where nothing changed these, else `FILTERED`; `has_law`
-    tells whether the force law of the spec made the forces, or the source had its own.
+    where it has a formula and no haptic filter changes it; `source` what the frames are made of through `mapping`:
+    it tells how far it is, and what was learnt once they are made; `reference` what a promise of the coder is held
+    against, `OWN_FORCES` of `touchfield.job.spec` where nothing changed these, else `FILTERED`; `has_law` tells
+    whether the force law of the spec made the forces, or the source had its own.
     """
 
     medium: HapticMedium
@@ -125,6 +125,7 @@ class Prepared:
     source: Scene | None = None
     reference: str = FILTERED
     has_law: bool = True
+    mapping: Mapping | None = None
 
     def __repr__(self) -> str:
         return f"<Prepared: {self.medium!r} for {self.device.name}>"
@@ -191,8 +192,8 @@ def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
         scene.take(start, scene.frame_count if stop is None else stop)
 
     mapping, origin = None, scene
-    if isinstance(scene, StreamScene):
-        chosen, placement = scene.device(), scene.placement
+    if isinstance(scene, KeptScene):
+        chosen, placement = scene.device, scene.placement
     else:
         mapping = mapping_of(scene, device(spec.device), spec)
         chosen, placement = mapping.device, mapping.placement
@@ -226,7 +227,7 @@ def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
         is_own = mapping is None or same_lattice(mapping.placement.to_scene(mapping.grid), stored.grid)
         reference = OWN_FORCES if is_own else FILTERED
     made_of = origin if mapping else None
-    return Prepared(medium, chosen, placement, spec, notes, None, exact, made_of, reference, scene.has_law)
+    return Prepared(medium, chosen, placement, spec, notes, None, exact, made_of, reference, scene.has_law, mapping)
 
 
 def _objects(scene: Scene, chosen: Device, mapping: Mapping | None, spec: EncodeSpec) -> HapticScene | None:
@@ -238,10 +239,10 @@ def _objects(scene: Scene, chosen: Device, mapping: Mapping | None, spec: Encode
         said = f"representation object works with a point device, not with {chosen.name}"
         raise InvalidArgument(f"{said}: an array pools the depth of the whole scene; take voxel or auto")
     if not is_asked:  # objects have no samples that could vibrate
-        is_of_bodies = isinstance(scene, BodyScene | StreamScene) or getattr(scene, "is_of_bodies", False)
+        is_of_bodies = isinstance(scene, BodyScene | KeptScene) or getattr(scene, "is_of_bodies", False)
         if spec.representation == "voxel" or chosen.is_array or spec.vibration is not None or not is_of_bodies:
             return None
-    objects = scene.objects if isinstance(scene, StreamScene) else haptic_scene(scene, mapping) if mapping else None
+    objects = scene.objects if isinstance(scene, KeptScene) else haptic_scene(scene, mapping) if mapping else None
     if objects is None and is_asked:
         raise InvalidArgument("representation", "object for a stream of voxels", "voxel or auto")
     return objects and felt_objects(objects, spec.chain)

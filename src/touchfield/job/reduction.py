@@ -25,7 +25,7 @@ from touchfield.job.editing import _write, fidelity_of, read_medium, spread, wit
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.prepare import Prepared
 from touchfield.job.result import Result
-from touchfield.job.spec import EncodeSpec
+from touchfield.job.spec import EncodeSpec, ReductionSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.interaction import visits
 from touchfield.medium import ForceField, Grid, HapticMedium
@@ -44,29 +44,6 @@ from touchfield.viewer.plots import draw_points
 _HAND_KG, _INERTIA_KG = 0.05, 0.045  # as `touchfield.render.spec` has them, the second of the least device
 _SPEED_M_S: Final = 0.2  # the fastest slide of `touchfield.perception.hand_motion`
 _PUSH_SHARE: Final = 0.25  # of a device's greatest force, where its continuous one is not known
-
-
-@dataclass(frozen=True)
-class ReductionSpec:
-    """Wishes of `reduce_medium`: its modes, and the hand.
-
-    `modes` is "global" (whole frames) or "bricks"; `rank` how many are kept, by default as many as `decibels` needs.
-    `push_n`, `mass_kg` and `speed_m_s` are the hand's, by default the continuous force of `device` (or that of the
-    medium), its mass with a light hand's, and 0.2 m/s. `trace` is a recorded hand, as a play's log.
-    """
-
-    modes: str = "global"
-    rank: int | None = None
-    decibels: float = -30.0
-    device: str | None = None
-    push_n: float | None = None
-    mass_kg: float | None = None
-    speed_m_s: float | None = None
-    trace: Path | None = None
-
-    def __post_init__(self) -> None:
-        if not -200 <= self.decibels < 0:
-            raise InvalidArgument("--nmse-db", repr(self.decibels), "decibels below 0, such as -30")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,7 +143,7 @@ def _modes(prepared: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, 
     medium = prepared.medium
     found = reduced(medium, spec.modes, spec.rank)
     if spec.rank is None:
-        found = replace(found, modes=found.modes.first(max(1, found.modes.rank_for(spec.decibels))))
+        found = replace(found, modes=found.modes.first(max(1, found.modes.rank_for(spec.nmse_db))))
     f0_n = prepared.spec.f0_n or EncodeSpec().f0_n
     modes, free = found.modes, freedom(found, f0_n)
     meter = fidelity_of(prepared, replace(medium, make_frame=found.field))
@@ -184,7 +161,7 @@ def _modes(prepared: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, 
         "coefficients_not_zero": free.modes,
     }
     if len(medium) > 1:
-        other = held_out(medium, spec.modes, spec.decibels)
+        other = held_out(medium, spec.modes, spec.nmse_db)
         shown["held_out"] = {name: value for name, value in other._asdict().items() if name != "least_n"}
     return found, shown
 

@@ -76,12 +76,10 @@ def host_checks() -> list[Check]:
     checks.append(_realtime())
 
     what, latency = "processors that stay awake while the servo runs", Path("/dev/cpu_dma_latency")
-    if latency.exists():
-        is_allowed = os.access(latency, os.W_OK)
-        mend = f"It works without; to have it, let your user write to {latency} (a udev rule)."
-        checks.append(Check(what, is_allowed, "allowed" if is_allowed else "not allowed", mend))
-    else:
-        checks.append(Check(what, False, f"no {latency}", "The servo runs without it."))
+    is_allowed = os.access(latency, os.W_OK)
+    found = "allowed" if is_allowed else "not allowed" if latency.exists() else f"no {latency}"
+    mend = f"It works without; where it is there, let your user write to {latency} (a udev rule)."
+    checks.append(Check(what, is_allowed, found, mend))
 
     what = "locked memory, so that no tick waits for a page"
     try:
@@ -97,21 +95,17 @@ def host_checks() -> list[Check]:
         checks.append(Check(what, enough, found, "Add '@realtime - memlock unlimited' to /etc/security/limits.conf."))
 
     what, folder = "shared memory of 256 MiB for decoded frames", Path("/dev/shm")
-    if folder.is_dir():
-        free = shutil.disk_usage(folder).free
-        mend = "Free some of /dev/shm, or enlarge it (mount -o remount,size=1G /dev/shm)."
-        checks.append(Check(what, free >= _LEAST_SHARED_BYTES, f"{free / 2**20:.0f} MiB free", mend))
-    else:
-        checks.append(Check(what, True, "managed by the system"))
+    free = shutil.disk_usage(folder).free if folder.is_dir() else None
+    found = "managed by the system" if free is None else f"{free / 2**20:.0f} MiB free"
+    mend = "Free some of /dev/shm, or enlarge it (mount -o remount,size=1G /dev/shm)."
+    checks.append(Check(what, free is None or free >= _LEAST_SHARED_BYTES, found, mend))
 
     what, named = "a folder in which compiled kernels are kept", os.environ.get("NUMBA_CACHE_DIR")
-    is_kept = os.access(Path(named) if named else Path(__file__).parent, os.W_OK)
-    fallback = Path.home() / ".cache"
-    if not is_kept and not named and os.access(fallback if fallback.exists() else Path.home(), os.W_OK):
-        checks.append(Check(what, True, "in the user's cache folder"))
-    else:
-        mend = "Set NUMBA_CACHE_DIR to a folder of yours."
-        checks.append(Check(what, is_kept, "writeable" if is_kept else "not writeable", mend))
+    cache = Path.home() / ".cache"
+    places = [Path(named)] if named else [Path(__file__).parent, cache if cache.exists() else Path.home()]
+    kept = next((place for place in places if os.access(place, os.W_OK)), None)
+    mend = "Set NUMBA_CACHE_DIR to a folder of yours."
+    checks.append(Check(what, kept is not None, "not writeable" if kept is None else f"{kept}", mend))
 
     late = sleep_lateness_us()
     mend = "Close other programs, or take a machine that is not shared; see also SCHED_FIFO above."

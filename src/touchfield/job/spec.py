@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
 from typing import Any, Final
 
+from touchfield.asked import option
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import field_coders
 from touchfield.codec.segment import longest_segment, segment_length
@@ -21,6 +23,9 @@ from touchfield.sources.options import SourceOptions
 CODERS: Final = tuple(field_coders())  # of fields; the first is the default
 DEFAULT_F0_N = figure("force_threshold_n")
 """F_0, the absolute force threshold of the mask of coder `paper`, newtons; its source is in perception/human.toml."""
+
+Frames = tuple[int, int | None]
+"""The first of some frames, and the one behind the last; None: the end."""
 
 COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
 _OPTIONAL: Final = ("vibration", "fit_frames", *COEFFICIENTS)
@@ -38,41 +43,39 @@ def _usual(name: str) -> Any:
 
 @dataclass(frozen=True)
 class EncodeSpec:
-    """Everything asked of the main job; see the command line's help for each.
+    """Everything asked of the main job.
 
     Lengths and stiffness are in the metres that the hand moves. `nw` None means the device's nominal lattice;
-    `representation` is "voxel", "object", or "auto" (object where the scene is of rigid bodies that move and the
-    device is a point); `frames` is (start, stop), stop None meaning the end, and `fit_frames` those whose surface is
-    fitted into the workspace, by default the same; `mapping` is "fit" (a margin is left), "fill" (none is), "crop" or
-    a factor; `coder` is one of `CODERS`, and `touch` or `paper` what is asked of it; `filters` are the haptic filters
-    that follow the device filter, each its name and its words (`touchfield.filters.registry`); `vibration` are the
-    words of what vibrates beside the force (`touchfield.filters.contact`), which takes the voxel representation;
-    `friction` and `damping_n_s_per_m` are mu and b of paper 3.2, which the receiver renders; None: the source's.
+    `representation` "auto" is "object" where the scene is of rigid bodies that move and the device is a point;
+    `mapping` "fill" leaves no margin; `coder` is one of `CODERS`, and `touch` or `paper` what is asked of it;
+    `filters` are the haptic filters that follow the device filter, each its name and its words
+    (`touchfield.filters.registry`); `vibration` (`touchfield.filters.contact`) takes the voxel representation;
+    `friction` and `damping_n_s_per_m` are mu and b of paper 3.2.
     InvalidArgument if there is no such coder, or something is asked of the coder that is not taken.
     """
 
-    device: str = "phantom-omni"
-    nw: int | None = 7
-    frames: tuple[int, int | None] | None = None
-    fit_frames: tuple[int, int | None] | None = None
-    law: str = "penalty"
-    stiffness_n_per_m: float = 500.0
-    thickness_m: float | None = None
-    band_m: float = 0.004
-    surface_damping_n_s_per_m: float = 0.0
-    representation: str = "auto"
-    mapping: str = "fit"
-    oversample: int = 2
-    pool: str = "max"
-    cutoff: str = "nyquist"
+    device: str = option("phantom-omni", "Device profile (see `touchfield devices`), or a TOML file of your own.")
+    nw: int | None = option(7, "2^nw samples per axis of the device's workspace, 3 to 10.")
+    frames: Frames | None = option(None, "Frames to take, START:STOP; also those that are fitted into the workspace.")
+    fit_frames: Frames | None = option(None, "Frames to fit into the workspace, START:STOP, if others than --frames.")
+    law: str = option("penalty", "Force law: penalty, proximity, magnetic, or a sum such as penalty+proximity.")
+    stiffness_n_per_m: float = option(500.0, "Stiffness K, newtons per metre that the hand moves.")
+    thickness_m: float | None = option(None, "Wall behind the surface, metres that the hand moves; inf is solid.")
+    band_m: float = option(0.004, "Reach of the proximity and magnetic laws, metres that the hand moves.")
+    surface_damping_n_s_per_m: float = option(0.0, "Drag of a moving surface: b times its velocity is added.")
+    representation: str = option("auto", "voxel, object (fields and pose tracks), or auto.")
+    mapping: str = option("fit", "Scene to workspace: fit (5 % room is left), fill, crop, or a factor such as 0.05.")
+    oversample: int = option(2, "Samples per axis and device sample before the anti-alias low-pass.")
+    pool: str = option("max", "Depth pooling of an actuator array: max or mean.")
+    cutoff: str = option("nyquist", "Low-pass of an actuator array: nyquist = 1/(2d), or literal = 2/d.")
     source: SourceOptions = field(default_factory=SourceOptions)
     coder: str = CODERS[0]
     touch: TouchSpec = field(default_factory=TouchSpec)
     paper: PaperSpec = field(default_factory=PaperSpec)
     filters: tuple[tuple[str, str], ...] = ()
-    vibration: str | None = None
-    friction: float | None = None
-    damping_n_s_per_m: float | None = None
+    vibration: str | None = option(None, "Beside the force: gain=0.1,frequency=150, or rising: frequency=80..250.")
+    friction: float | None = option(None, "Friction mu, which the receiver renders; default: the source's.")
+    damping_n_s_per_m: float | None = option(None, "Damping b, which the receiver renders; default: the source's.")
 
     def __post_init__(self) -> None:
         for name in COEFFICIENTS:
@@ -168,3 +171,24 @@ class EncodeSpec:
             return cls(**values)
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
             raise CorruptFile("PROV spec", f"a spec that cannot be read ({error})", "what encode wrote") from None
+
+
+@dataclass(frozen=True)
+class ReductionSpec:
+    """Wishes of `touchfield.job.reduction.reduce_medium`: its modes, and the hand.
+
+    By default the hand pushes with the continuous force of `device`, has its mass with a light hand's, and 0.2 m/s.
+    """
+
+    modes: str = option("global", "global: of whole frames; bricks: of bricks of 8^3 samples.")
+    rank: int | None = option(None, "Modes to keep; default: as many as --nmse-db needs.")
+    nmse_db: float = option(-30.0, "Error that modes are counted for.")
+    push_n: float | None = option(None, "Of the hand, at most; default: the device's.")
+    mass_kg: float | None = option(None, "Of hand and device; default: 50 g and its own.")
+    speed_m_s: float | None = option(None, "Of the hand, at most; default: 0.2.")
+    device: str | None = option(None, "Device in the hand; default: that of MEDIUM.")
+    trace: Path | None = option(None, "Where a hand was: t_s,x_m,y_m,z_m, as a play's --log.")
+
+    def __post_init__(self) -> None:
+        if not -200 <= self.nmse_db < 0:
+            raise InvalidArgument("--nmse-db", repr(self.nmse_db), "decibels below 0, such as -30")

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import InvalidArgument
-from touchfield.perception.human import VibrationThreshold
 from touchfield.perception.vibrotactile import band_rms, dft321, handle_force_n
 from touchfield.render.material import KEY, Material, stored_json
 from touchfield.sources.recording import Recording
@@ -19,13 +18,12 @@ def texture_of(
     forces_n: Sequence[float],
     name: str = "recorded",
     friction: float | None = None,
-    hand: VibrationThreshold | None = None,
 ) -> Material:
     """The material of accelerations of a tool that slid, one recording for each speed at each force.
 
     speeds_m_s, forces_n : float [recordings]; of the tool along the surface, and with which it pressed.
-    hand : VibrationThreshold, optional; the hand that the force is to shake likewise, by default the stylus.
-    The three axes become one (`dft321`), that a force (`handle_force_n`), and that its rms in thirds of an octave.
+    The three axes become one (`dft321`), that the force that shakes a hand with a stylus likewise (`handle_force_n`),
+    and that its rms in thirds of an octave.
     Raises `InvalidArgument` if a speed at a force is missing or there twice, or a recording is shorter than 0.5 s.
     """
     if not recordings or not len(recordings) == len(speeds_m_s) == len(forces_n):
@@ -33,7 +31,7 @@ def texture_of(
         raise InvalidArgument("recordings", found, "one speed and one force for each, in the same order")
     levels = {}
     for one, speed, force in zip(recordings, speeds_m_s, forces_n, strict=True):
-        shaken_n = handle_force_n(dft321(one.acceleration_m_s2), one.rate_hz, hand)
+        shaken_n = handle_force_n(dft321(one.acceleration_m_s2), one.rate_hz)
         levels[float(speed), float(force)] = tuple(map(float, band_rms(shaken_n, one.rate_hz)))
     speeds, forces = (tuple(sorted({key[n] for key in levels})) for n in range(2))
     if not len(levels) == len(recordings) == len(speeds) * len(forces):

@@ -8,6 +8,7 @@ shard. Nothing is as large as the lattice: a tile has at most 256^3 samples, and
 
 from __future__ import annotations
 
+import secrets
 import shutil
 import time
 from concurrent.futures import Executor
@@ -20,16 +21,14 @@ import numpy as np
 
 from touchfield._version import __version__
 from touchfield.errors import InvalidArgument
-from touchfield.job.coding import ALONE, Sent, name_of
+from touchfield.job.coding import ALONE, Sent, name_of, prepared_here
 from touchfield.job.encode import Encoded
 from touchfield.job.executors import in_order
-from touchfield.job.placing import Mapping, mapping_of
 from touchfield.job.prepare import as_source, prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid
 from touchfield.medium.zarr_store import boxes, create, whole_folder, write_box
 from touchfield.parallel import Report, silent
-from touchfield.sources.scene import Scene
 
 _MADE: Final = 128  # samples an axis of what is made at once: the lattice before the low-pass is finer
 
@@ -37,6 +36,7 @@ _MADE: Final = 128  # samples an axis of what is made at once: the lattice befor
 class Tile(NamedTuple):
     """A part of a frame to be made: its first sample and its shape."""
 
+    job: str
     sent: Sent
     spec: EncodeSpec
     store: str
@@ -94,12 +94,13 @@ def encode_tiles(
     parts = list(boxes(medium.grid))
     total = len(medium) * len(parts)
     with whole_folder(out, is_kept=True) as store:
-        finished = _Finished(store, name_of(sent, asked.to_json(), medium.grid.words) or "")
+        name = name_of(sent, asked.to_json(), medium.grid.words)
+        finished, job = _Finished(store, name or ""), name or secrets.token_hex(32)
         if not finished.counts:
             create(store, medium, prepared.placement.told(), codec)
         before = len(finished.counts)
         root, places = str(store.resolve()), product(range(len(medium)), parts)
-        every = (Tile(sent, asked, root, frame, *part) for frame, part in places)
+        every = (Tile(job, sent, asked, root, frame, *part) for frame, part in places)
         left = [tile for tile in every if tile.place not in finished.counts]
         counts = map(make_tile, left) if executor is None else in_order(make_tile, left, executor=executor)
         for tile, count in zip(left, counts, strict=True):
@@ -136,22 +137,12 @@ class _Finished:
         self._file.unlink()
 
 
-_opened: dict[tuple[str, str], tuple[Scene, Mapping]] = {}
-
-
 def make_tile(tile: Tile) -> int:
     """Make, code and write a tile, in whichever process this is; how many of its samples hold a force."""
-    if tile.version != __version__:
-        raise InvalidArgument("a worker", f"touchfield {__version__}", f"{tile.version}, as where the job was begun")
     with ALONE:
-        key = str(tile.sent.source), tile.spec.to_json()
-        if key not in _opened:
-            _opened.clear()
-            prepared = prepare(as_source(tile.sent.source, tile.spec.device), tile.spec)
-            assert prepared.source is not None  # or it would have been refused
-            scene = prepared.source
-            _opened[key] = scene, mapping_of(scene, prepared.device, tile.spec)
-        scene, mapping = _opened[key]
+        prepared = prepared_here(tile.job, tile.sent, tile.spec, tile.version)
+        scene, mapping = prepared.source, prepared.mapping
+        assert scene is not None and mapping is not None  # or it would have been refused
         forces, supported = np.zeros((*tile.shape, 3), np.float32), 0
         for first in product(*(range(0, n, _MADE) for n in tile.shape)):
             shape = tuple(min(_MADE, n - a) for a, n in zip(first, tile.shape))

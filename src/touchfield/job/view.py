@@ -79,23 +79,27 @@ def view(
     report: Report = silent,
     devices: tuple[str, ...] = (),
 ) -> Page:
-    """The page of a ``.touch`` file, of a movie with touch, or of the first frames of a medium.
+    """The page of a ``.touch`` file, of a movie with touch, or of the first 30 frames of a medium.
 
     `against` is what was encoded, a path, Scene, medium or field: the page then tells NMSE and the vibration of the
     coding, and shows the source, and the difference, too; it holds both. `devices` are profiles whose capacity, WMR
     and HIL are told beside the entropy of the medium; where there is none of these, but a source, that of the
     stream. TouchfieldError if the file cannot be read, or is of a coder that the page does not know.
     """
-    if isinstance(medium, HapticMedium):
-        return page_of_medium(medium, devices)
-    movie = Path(str(medium))
-    if movie.suffix.lower() in _MOVIES:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"{movie.stem}.touch"
-            at_s = demux(movie, path).at_s
-            film = movie.read_bytes(), _MOVIES[movie.suffix.lower()], at_s
-            return _page(path, against, report, devices, film)
-    return _page(medium, against, report, devices)
+    with tempfile.TemporaryDirectory() as folder:
+        if isinstance(medium, HapticMedium):
+            path, spec = Path(folder) / "medium.touch", EncodeSpec(touch=TouchSpec(effort="fast"))
+            encode(medium[:_MOST_FRAMES], path, spec)
+            page = _page(path, against, report, devices)
+            told = {"frames_of": len(medium)} if len(medium) > _MOST_FRAMES else {}
+            return replace(page, figures={**page.figures, **told})
+        movie = Path(str(medium))
+        kind = _MOVIES.get(movie.suffix.lower())
+        if kind is None:
+            return _page(medium, against, report, devices)
+        path = Path(folder) / f"{movie.stem}.touch"
+        at_s = demux(movie, path).at_s
+        return _page(path, against, report, devices, (movie.read_bytes(), kind, at_s))
 
 
 def _page(
@@ -136,19 +140,6 @@ def _page(
     figures |= {key: figures_of_source[key] for key in _COMPARED if figures_of_source.get(key) is not None}
     figures |= {"source_bytes": len(fine.data), "source_share": fine.share}
     return Page(page_of(data, name, figures, movie, fine.data), figures)
-
-
-def page_of_medium(medium: HapticMedium, devices: tuple[str, ...] = ()) -> Page:
-    """The page of a medium in memory: its first 30 frames, coded by coder `touch` with its least effort."""
-    shown = medium if len(medium) <= _MOST_FRAMES else medium[:_MOST_FRAMES]
-    spec = replace(EncodeSpec(), touch=TouchSpec(effort="fast"))
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "medium.touch"
-        encode(shown, out, spec)
-        page = view(out, devices=devices)
-    if shown is medium:
-        return page
-    return replace(page, figures={**page.figures, "frames_of": len(medium)})
 
 
 def draw_preview(prepared: Prepared, path: str | Path) -> None:

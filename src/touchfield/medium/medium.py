@@ -323,7 +323,7 @@ class HapticMedium(Travels):
 
     def _repr_html_(self) -> str:
         """The page of its first frames, for a notebook; see `touchfield.view`."""
-        shown: str = import_module("touchfield.job.view").page_of_medium(self)._repr_html_()
+        shown: str = import_module("touchfield.job.view").view(self)._repr_html_()
         return shown
 
     def plot(self, path: str | Path | None = None) -> Any:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
+from touchfield.asked import option
 from touchfield.errors import (
     DeviceError,
     InvalidArgument,
@@ -58,29 +59,29 @@ class RenderSpec:
     `InvalidArgument` if a number is out of range or not finite, or a tool is asked for together with a coupling.
     """
 
-    rate_hz: float = 1000.0  # ticks a second
-    friction: float | None = None  # mu and b of paper 3.2; None: those of the medium
-    damping_n_s_per_m: float | None = None  # where it is given there is no other damping
+    rate_hz: float = option(1000.0, "Ticks of the servo a second.")
+    friction: float | None = option(None, "mu; default: the stream's.")
+    damping_n_s_per_m: float | None = option(None, "b everywhere; default: the stream's, in contact what is stable.")
     slip_speed_m_s: float = 0.001  # v_s of `touchfield.filters.contact`
-    coupling_n_per_m: float | None = None  # between hand and field; 0: none; None: what is needed to be stable
-    scale: float = 1.0  # metres of the field for one metre of the device
+    coupling_n_per_m: float | None = option(None, "A virtual coupling's stiffness; 0: none; default: what is stable.")
+    scale: float = option(1.0, "Metres of the field for one metre of the device.")
     clutch_m: Triple = (0.0, 0.0, 0.0)  # point of the field that lies at the device's origin, the field's axes
-    force_scale: float = 1.0  # newtons of the device for one newton of the field
+    force_scale: float = option(1.0, "Newtons of the device for one of the field.")
     gravity_n: Triple = (0.0, 0.0, 0.0)  # a steady force for the weight of the handle, the device's axes
-    peak_n: float | None = None  # of |F|; None: that of the device
-    continuous_n: float | None = None  # of |F| in the long run; None: that of the device, if it states one
-    slew_n_per_s: float | None = None  # of |dF/dt|; None: to the peak in 5 ms
+    peak_n: float | None = option(None, "Limit of |F|; default: the device's, which it cannot pass.")
+    continuous_n: float | None = option(None, "Limit of |F| in the long run; default: the device's.")
+    slew_n_per_s: float | None = option(None, "Limit of |dF/dt|; default: to the peak in 5 ms.")
     thermal_s: float = 1.0  # time constant of the heat that lets the force exceed the continuous limit for a while
     ramp_s: float = 0.02  # in which the force goes to zero when the feed stalls, and comes back
     velocity_cutoff_hz: float = 100.0  # of the low-pass on the velocity that is estimated from positions
     blend: bool = True  # whether one segment of a stream goes over into the next (`render.segment_blend`)
-    render: str = "auto"  # "proxy", "field", or the proxy where it is a wall's (docs/decisions/0014)
-    wall_n_per_m: float | None = None  # stiffness of the proxy's spring; None: that of the field
+    render: str = option("auto", "proxy (thin walls hold), field (the stored force) or auto (proxy where walls are).")
+    wall_n_per_m: float | None = option(None, "Stiffness of the proxy's spring; default: the field's own.")
     tool: Tool | None = None  # that the hand holds into the field; None: a point
-    peak_nm: float | None = None  # limits of the torque, as those of the force
-    continuous_nm: float | None = None
-    slew_nm_per_s: float | None = None
-    up: str = "auto"  # axis of the field that is up for the hand, one of `point_device.UPS`
+    peak_nm: float | None = option(None, "Limit of the torque, N m; default: the device's, which it cannot pass.")
+    continuous_nm: float | None = option(None, "Limit of the torque in the long run; default: the device's.")
+    slew_nm_per_s: float | None = option(None, "Limit of its change; default: to the peak in 5 ms.")
+    up: str = option("auto", "Up for the hand: x to -z; auto: as the stream says; lattice: y or -y, as it was laid.")
     materials: tuple[Material, ...] | None = None  # None: those that travel with the medium
     deformation: Deformation | None = None  # bends the medium, or lets it yield; it is rendered as a field then
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any
 
+from touchfield.asked import option
 from touchfield.errors import InvalidArgument, require_positive
 
 
@@ -50,30 +51,30 @@ class SourceOptions:
     """
 
     kind: str | None = None
-    depth_scale: float | None = None
-    intrinsics: str | None = None
-    poses: str | None = None
-    frame: str = "world"
-    world: str = "fused"
-    reading: str = "camera"
-    shell: str = "auto"
-    holes: str = "small"
-    cell_size_m: float | None = None
-    height_scale: float | None = None
-    exaggeration: float = 1.0
-    unit_m: float | None = None
-    rate_hz: float | None = None
-    seconds: float | None = None
-    source_rate_hz: float | None = None
-    interpolation: str = "linear"
-    animation: str | None = None
-    relative_depth: str | None = None
-    near_m: float | None = None
-    far_m: float | None = None
-    segment: str | None = None
-    baseline_m: float | None = None
-    disparity_offset_px: float | None = None
-    allow_outside: bool = False
+    depth_scale: float | None = option(None, "Stored depth units in a metre.")
+    intrinsics: str | None = option(None, "Camera: fx,fy,cx,cy in pixels, or a file.")
+    poses: str | None = option(None, "Depth sequences: camera poses, a file or folder; found if they lie beside it.")
+    frame: str = option("world", "Depth sequences: world (poses are used) or camera.")
+    world: str = option("fused", "Depth sequences: fused (one of all frames), causal (of those so far), frames.")
+    reading: str = option("camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper).")
+    shell: str = option("auto", "Open meshes: one or two sided.")
+    holes: str = option("small", "Holes of meshes: close, leave, or small (close those below 5 % of the area).")
+    cell_size_m: float | None = option(None, "Height maps: metres between samples.")
+    height_scale: float | None = option(None, "Height maps: metres of one stored unit.")
+    exaggeration: float = option(1.0, "Height maps: factor on heights.")
+    unit_m: float | None = option(None, "Meshes: metres of one unit.")
+    rate_hz: float | None = option(None, "Frames a second of the medium; depth frames are interpolated in time.")
+    seconds: float | None = option(None, "Simulations: their duration.")
+    source_rate_hz: float | None = option(None, "Frames a second of the source, where it does not say.")
+    interpolation: str = option("linear", "Between depth frames: linear or nearest.")
+    animation: str | None = option(None, "Animated models: name or number of the animation.")
+    relative_depth: str | None = option(None, "Pictures and videos: the relative depth beside them.")
+    near_m: float | None = option(None, "Relative depth: metres of its nearest value.")
+    far_m: float | None = option(None, "Relative depth: metres of its farthest value.")
+    segment: str | None = option(None, "Depth sequences as objects: the rule of segmentation.")
+    baseline_m: float | None = option(None, "Disparity maps: distance between the cameras.")
+    disparity_offset_px: float | None = option(None, "Disparity maps: offset of the principal points.")
+    allow_outside: bool = option(False, "Models and scene files may name files outside their own folder.")
 
     def __post_init__(self) -> None:
         for name, choices in (
