@@ -217,6 +217,60 @@ def test_pooling_by_greatest_and_by_mean() -> None:
     assert dense["mean"] == pytest.approx(2.0, rel=0.1)  # 20 mm of 1 N and 10 mm of 4 N
 
 
+# -- pins: what a finger meets from above
+STEPS_M = (0.002, 0.03, 0.008, 0.024, 0.012)
+"""Heights of five terraces along x; the lowest of them all is 0.001, the highest 0.031."""
+
+
+def terraces(axes: str = UP_Z_AXES) -> Formula:
+    """Solid land whose force has long reached its limit below most of its surface."""
+    sign = -1.0 if axes == CAMERA_AXES else 1.0
+
+    def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
+        place = np.floor((points[..., 0] / PINS.pitch_mm * 1e3 + 15.0) / 6).astype(int)
+        height = np.array([0.001, *STEPS_M, 0.031])[np.clip(place + 1, 0, 6)]
+        depth = height - 0.016 - sign * points[..., 2]
+        return np.clip(500.0 * depth, 0, 3.3)[..., None] * np.array([0.0, 0.0, sign])
+
+    return Formula(forces, axes)
+
+
+PINS = replace(device("graphiti"), lattice=(42, 3, 1), workspace_mm=(105.0, 7.5, 30.0))
+
+
+@pytest.mark.parametrize("axes", [UP_Z_AXES, UP_Y_AXES, CAMERA_AXES])
+def test_pins_show_the_height_that_is_met_first(axes: str) -> None:
+    law = profile_of(LawSpec(), math.inf)
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
+    shown = mapping.frames(terraces(axes), law)(0).to_dense()[:, 1, 0, 2]
+    middles = [8 + 6 * n for n in range(5)]
+    assert shown[middles] / 3.3 == pytest.approx([(h - 0.001) / 0.03 for h in STEPS_M], abs=1 / 128)
+    by_force = DeviceFilter(PINS, mapping.grid, Placement(), DeviceFilterSpec(pool="max")).frames(
+        terraces(axes), law
+    )(0)
+    assert np.ptp(by_force.to_dense()[middles[1:], 1, 0, 2]) < 0.01, (
+        "all that is deeper than 6.6 mm is alike by force"
+    )
+
+
+def test_pins_of_a_stored_field_and_of_an_image() -> None:
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
+    fine = Grid((210, 15, 120), (0.0005, 0.0005, 0.00025), (-0.05225, -0.0035, -0.014875))
+    law = profile_of(LawSpec(), math.inf)
+    for axes in (UP_Z_AXES, CAMERA_AXES):
+        kept = Stored(HapticMedium.from_frames([terraces(axes).field(0, fine, law)], 30.0, axes))
+        kept.axes = axes
+        shown = mapping.frames(kept, law)(0).to_dense()[..., 2]
+        made = mapping.frames(terraces(axes), law)(0).to_dense()[..., 2]
+        middles = [8 + 6 * n for n in range(5)]
+        assert shown[middles, 1] == pytest.approx(made[middles, 1], abs=3.3 / 120)
+    image = ForceField.from_dense(
+        mapping.grid, np.where(np.indices(mapping.grid.shape)[0] > 20, 2.0, 1.0)[..., None] * [0, 0, 1.0]
+    )
+    again = mapping.frames(Stored(HapticMedium.from_frames([image], 30.0)), law)(0).to_dense()[..., 2]
+    assert again[[10, 30], 1, 0] == pytest.approx([1.0, 2.0], rel=0.05), "an image for an array has no depth"
+
+
 def test_the_third_axis_is_pooled_whatever_the_axes() -> None:
     made = []
     for axes in (UP_Y_AXES, UP_Z_AXES, CAMERA_AXES):

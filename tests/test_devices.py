@@ -153,6 +153,15 @@ def test_a_faulty_profile_names_file_and_field(tmp_path: Path, old: str, new: st
         device(written(tmp_path, POINT.replace(old, new)))
 
 
+def test_an_array_shows_forces_or_heights(tmp_path: Path) -> None:
+    pins = [name for name in device_names() if device(name).shows == "height"]
+    assert pins == ["dotpad", "graphiti", "hyperbraille"]
+    text = (resources.files("touchfield.devices") / "profiles" / "graphiti.toml").read_text()
+    mine = written(tmp_path, text.replace('"height"', '"braille"'))
+    with pytest.raises(DeviceError, match=r"mine\.toml: shows\.value: found 'braille'; expected force, or height"):
+        device(mine)
+
+
 def test_files_that_are_no_profile(tmp_path: Path) -> None:
     for data in (b"\xff\xfe", b"[", b"a = " + b"[" * 50_000, b"x" * 70_000):
         (tmp_path / "mine.toml").write_bytes(data)

@@ -16,6 +16,9 @@ from touchfield.filters import (
     Placement,
     device_grid,
 )
+from touchfield.job import EncodeSpec
+from touchfield.job.prepare import prepare
+from touchfield.sources.height_scene import HeightScene
 
 boxes = st.tuples(*[st.floats(-50, 50)] * 3, *[st.floats(0, 30) | st.just(0.0)] * 3).filter(
     lambda b: max(b[3:]) > 1e-3
@@ -89,6 +92,18 @@ def test_the_lattice_fills_the_workspace() -> None:
     for nw in (2, 11, -1, 5.5):
         with pytest.raises(InvalidArgument, match="nw"):
             device_grid(OMNI, nw)  # type: ignore[arg-type]
+
+
+def test_heights_of_a_map_are_told_as_they_are() -> None:
+    heights = np.add.outer(np.linspace(0, 40, 30), np.linspace(260, 300, 50))
+    for device_name, told in (
+        ("graphiti", "down at z = 260 m of the scene and up at 340 m"),
+        ("phantom-omni", "fits"),
+    ):
+        for factor in (1.0, 5.0):
+            scene = HeightScene(heights, (10.0, 10.0), exaggeration=factor)
+            length, *_ = prepare(scene, EncodeSpec(device=device_name, nw=5)).notes
+            assert told in length and ("heights 5 times what they are" in length) == (factor == 5.0)
 
 
 def test_an_array_has_its_own_lattice() -> None:

@@ -146,6 +146,17 @@ def test_heights_row_after_row_and_down_at_the_end(over: Callable[[Display], obj
     assert display.shown == [[[0, 1, 2], [2, 3, 3]], [[0] * 3] * 2, [[3] * 3] * 2, [[0] * 3] * 2]
 
 
+def test_the_stream_tells_which_display_it_was_made_for() -> None:
+    graphiti, vest = device("graphiti"), device("tactsuit-pro")
+    for words, own, expected in (
+        ("pins:127.0.0.1:9", graphiti, "graphiti"), ("pins:127.0.0.1:9", vest, "dotpad"),
+        ("pins:127.0.0.1:9", device("phantom-omni"), "dotpad"), ("osc:127.0.0.1:9", vest, "tactsuit-pro"),
+        ("osc:127.0.0.1:9", graphiti, "tactile-vest-8x8"), ("bhaptics:127.0.0.1:9", vest, "tactsuit-x40"),
+    ):  # fmt: skip
+        assert array_device(words, own=own).profile.name == expected
+    assert array_device("pins:127.0.0.1:9", device("hyperbraille"), graphiti).profile.name == "hyperbraille"
+
+
 def test_displays_from_profiles() -> None:
     for profile, levels in (
         (PAD, 2),

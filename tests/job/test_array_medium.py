@@ -81,14 +81,17 @@ def test_what_is_pooled_along_the_depth_is_the_field_at_each_point_of_it(pool: s
     asked = Grid((37, 41, 60), (0.006, 0.007, 0.0061), (0.08, -0.23, 0.0))
     points = np.stack(np.meshgrid(*(asked.axis_m(n) for n in range(3)), indexing="ij"), axis=-1)
     size = np.linalg.norm(stored.sample_n(points).astype(np.float64), axis=-1)
-    greatest, mean = pooled(stored, asked)
+    greatest, mean, first, last = pooled(stored, asked)
     if pool == "max":
         np.testing.assert_allclose(greatest, size.max(axis=2), rtol=1e-6, atol=1e-9)
     else:
         np.testing.assert_allclose(
             mean, size.sum(axis=2) / np.maximum((size > 0).sum(axis=2), 1), rtol=1e-6, atol=1e-9
         )
-    assert not pooled(ForceField.empty(stored.grid), asked)[0].any()
+    numbers = np.where(size > 0, np.arange(1, 61), 0)
+    assert np.array_equal(last, numbers.max(axis=2))
+    assert np.array_equal(first, np.where(last > 0, np.where(size > 0, numbers, 61).min(axis=2), 0))
+    assert not pooled(ForceField.empty(stored.grid), asked).any()
 
 
 def test_no_drive_is_beyond_1_even_where_f_max_is_next_to_nothing() -> None:

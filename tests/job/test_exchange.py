@@ -100,6 +100,12 @@ def test_fields_in_space_are_pooled_onto_the_array(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "a.hjif").read_text())["level"] == 2
 
 
+def test_heights_of_pins_are_no_vibration_and_that_is_told(tmp_path: Path) -> None:
+    path = wall_stream(tmp_path / "a.touch")
+    assert not any("pins" in note for note in export(path, tmp_path / "a.hjif", "tshirt-32x32").notes)
+    assert any("knows no pins" in note for note in export(path, tmp_path / "a.hjif", "graphiti").notes)
+
+
 def test_a_force_along_a_trajectory(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
     rows = [(0.0, 0, 0, -0.035), (0.05, 0, 0, 0.005), (0.1, 0, 0, 0.005), (0.2, 0, 0, 0.02), (0.3, 9, 9, 9)]

@@ -11,8 +11,8 @@ import pytest
 
 import touchfield as tf
 from touchfield.devices import device
+from touchfield.job.array_medium import stream_device
 from touchfield.job.editing import edit
-from touchfield.job.play import stream_device
 from touchfield.render.feeder import FrameSource
 from touchfield.render.spec import stated_n_per_m
 

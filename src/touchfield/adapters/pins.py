@@ -146,4 +146,6 @@ def checks() -> list[Check]:
     return [library, Check("serial port", bool(ports), names, mend)]
 
 
-KIND = DeviceKind("pins", _FORM, "pin displays, by lines of text over a serial port or TCP", "dotpad", _make, checks)
+KIND = DeviceKind(
+    "pins", _FORM, "pin displays, by lines of text over a serial port or TCP", "dotpad", _make, checks, takes_any=True
+)

@@ -83,6 +83,7 @@ class DeviceKind:
     profile: str | None  # name of the one that holds unless another is named; None for that of the stream
     make: Callable[[str, Any], Any]
     checks: Callable[[], list[Check]]  # what is there of what it needs; quick, and never raises
+    takes_any: bool = False  # an array of any profile: that of a stream holds where it shows what the usual one does
     is_simulated: bool = False  # a point that takes a trajectory, and whose axes and metres are the field's
 
 
@@ -134,8 +135,10 @@ def is_array_device(words: str) -> bool:
     return words.strip().partition(":")[0].lower() in ARRAYS
 
 
-def array_device(words: str, profile: Device | None = None) -> ArrayDevice:
+def array_device(words: str, profile: Device | None = None, own: Device | None = None) -> ArrayDevice:
     """The array that `words` name, such as "osc:127.0.0.1:9000", of the kind's usual profile unless one is given.
+
+    Where the kind takes any, `own`, for which a stream was made, comes before the usual one.
 
     Raises InvalidArgument if there is no such device, its address is no address, or the profile does not fit it.
     """
@@ -143,7 +146,9 @@ def array_device(words: str, profile: Device | None = None) -> ArrayDevice:
 
     name, _, rest = words.strip().partition(":")
     kind = _kind(words, name.lower(), array_kinds())
-    chosen = profile or device(str(kind.profile))
+    usual = device(str(kind.profile))
+    suits = kind.takes_any and own is not None and own.is_array and own.shows == usual.shows
+    chosen = profile or (own if suits and own is not None else usual)
     if not chosen.is_array:
         raise InvalidArgument(f"profile of {name}", f"{chosen.name}, a point", "an array of actuators (type 2)")
     array: ArrayDevice = kind.make(rest, chosen)

@@ -80,6 +80,7 @@ class Device(Travels):
     stiffness_n_per_m: Triple | None = field(default=None, metadata=_POINT_BOX)  # that it can show along x, y, z
     pitch_mm: float | None = field(default=None, metadata=_ARRAY_NEEDS)  # between neighbours of an array
     levels: int | None = field(default=None, metadata=_ARRAY_COUNT)  # steps of one actuator, zero included
+    shows: str = field(default="force", metadata={"rule": _Rule(allowed=(2,), text=True)})  # or "height": of pins
     panels: int = field(default=1, metadata=_ARRAY_COUNT)  # such arrays, as front and back; the filter fills one
     torque_max_nm: float | None = field(default=None, metadata=_POINT)
     torque_continuous_nm: float | None = field(default=None, metadata=_POINT)
@@ -145,6 +146,8 @@ def device_of_table(table: Mapping[str, Any], where: str) -> Device:
         columns, rows, depth = (values.pop(key) for key in ("columns", "rows", "depth_mm"))
         values["workspace_mm"] = (columns * values["pitch_mm"], rows * values["pitch_mm"], depth)
         values["lattice"] = (columns, rows, 1)
+        if values.get("shows", "force") not in ("force", "height"):
+            raise DeviceError(f"{where}: shows.value", repr(values["shows"]), "force, or height of pins")
     return Device(name=name, title=title, type=kind, sources=sources, **values)
 
 

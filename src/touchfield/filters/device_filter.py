@@ -5,6 +5,10 @@ device's, a little beyond the workspace too; a low-pass takes it to the device's
 F_max with its direction kept. Type 2 (an array): the greatest or mean |F| along the third axis of the scene makes an
 image, a 2-D low-pass filters it (`touchfield.filters.smoothing`), and the actuators sample it (section 5.1).
 
+Of pins, which show heights, |F| is no image: it grows with the depth below the surface as far as F_max, and is as
+great under a plain as under a mountain. Our addition: theirs is the *relief*, the height at which a finger that comes
+from above, of a camera's scene from the camera, meets it: the lowest 0 and the highest F_max.
+
 Our addition: forces below a share of F_max (1 % by default) are dropped at the end: the tail of a low-pass would
 otherwise spread the support by samples that no hand can feel and every coder must send.
 
@@ -83,8 +87,10 @@ def exact_forces(
 
 ARRAY_OVERSAMPLE: Final = 8  # least samples to a pitch: the literal cut-off 2/d asks for more than 4
 DEPTHS_PER_PIECE: Final = 8  # across the narrowest piece of the law: what "max" may miss is an eighth of its rise
+RELIEF_DEPTHS: Final = 128  # at least, from the lowest surface to the highest
 MAX_DEPTHS: Final = 4096
 MAX_SLAB_SAMPLES: Final = 1 << 25
+POOLS: Final = ("auto", "max", "mean", "relief")
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,9 @@ class DeviceFilterSpec:
     oversample: int = 2  # samples of the scene to one of the device along an axis, 1 to 8; an array's at least 8
     force_floor_share: float = 0.01  # forces below this share of F_max are dropped; 0 keeps all
     low_pass: str = "spline"  # a name of `touchfield.filters.LOW_PASSES`
-    pool: str = "max"  # of an array: or "mean", of the forces that are there along the depth
+    # of an array: "max" or "mean" of the forces along the depth, the "relief" of what is met from above, or "auto":
+    # relief where the device shows heights, else max
+    pool: str = "auto"
     cutoff: str = "nyquist"  # of an array of pitch d: 1/(2d), or "literal", 2/d as the paper prints
 
     def __post_init__(self) -> None:
@@ -103,7 +111,7 @@ class DeviceFilterSpec:
         if not 0 <= self.force_floor_share < 1:
             raise InvalidArgument("force_floor_share", repr(self.force_floor_share), "a share from 0 to below 1")
         low_pass(self.low_pass)
-        for name, choices in (("pool", ("max", "mean")), ("cutoff", ("nyquist", "literal"))):
+        for name, choices in (("pool", POOLS), ("cutoff", ("nyquist", "literal"))):
             require_one_of(name, getattr(self, name), choices)
 
 
@@ -147,13 +155,16 @@ class DeviceFilter:
         """|F| pooled along the depth, float64 [x, y], and the lattice that it was taken on."""
         from touchfield.filters.kernels import forces as kernels
 
-        fine = self._array_lattice(scene, profile_hand)
+        pool, fine = array_pool(scene, self.device, self.spec.pool), self._array_lattice(scene, profile_hand)
         stored = getattr(scene, "medium", None)
         if isinstance(stored, HapticMedium):
-            greatest, mean = kernels.pooled(stored[frame], self.placement.to_scene(fine))
-            return (greatest if self.spec.pool == "max" else mean), fine
+            greatest, mean, first, last = kernels.pooled(stored[frame], self.placement.to_scene(fine))
+            rise = np.where(last > 0, fine.shape[2] + 1 - first, 0) if is_met_from_low(scene.axes) else last
+            if pool == "relief":
+                return self._relief(rise, fine, profile_hand), fine
+            return (greatest if pool == "max" else mean), fine
         bricks_x, bricks_y, _ = fine.brick_shape
-        greatest, total, count = np.zeros((3, bricks_x, bricks_y, BRICK, BRICK))
+        greatest, total, count, rise = np.zeros((4, bricks_x, bricks_y, BRICK, BRICK))
         law, (nx, ny, nz) = profile_hand.rescaled(self.placement.scale), fine.shape
         depth = max(1, MAX_SLAB_SAMPLES // (nx * ny))  # so that even a solid scene needs bounded memory
         for begin in range(0, nz, depth):
@@ -165,9 +176,20 @@ class DeviceFilter:
             np.maximum.at(greatest, columns, lengths.max(axis=-1))
             np.add.at(total, columns, lengths.sum(axis=-1))
             np.add.at(count, columns, np.count_nonzero(field.mask, axis=-1))
-        image = greatest if self.spec.pool == "max" else total / np.maximum(count, 1)
+            number = begin + BRICK * field.bricks[:, 2, None, None, None] + np.arange(1, BRICK + 1)
+            number = nz + 1 - number if is_met_from_low(scene.axes) else number
+            np.maximum.at(rise, columns, np.where(field.mask, number, 0).max(axis=-1))
+        image = greatest if pool == "max" else total / np.maximum(count, 1)
+        if pool == "relief":
+            image = self._relief(rise, fine, profile_hand)
         dense = image.transpose(0, 2, 1, 3).reshape(bricks_x * BRICK, bricks_y * BRICK)
         return dense[:nx, :ny], fine
+
+    def _relief(self, rise: Float64s, fine: Grid, law: ForceProfile) -> Float64s:
+        """Newtons of pins whose columns have their first force `rise` samples from the far end; 0 without any."""
+        down_m, up_m = relief_m(fine, law)
+        share = np.clip(((rise - 0.5) * fine.spacing_m[2] - down_m) / (up_m - down_m), 0.0, 1.0)
+        return np.where(rise > 0, self.device.force_max_n * share, 0.0)
 
     def _array_lattice(self, scene: Scene, profile_hand: ForceProfile) -> Grid:
         """Fine in the plane of the array, and deep enough for the thinnest wall of the law.
@@ -183,6 +205,8 @@ class DeviceFilter:
         )
         pieces = [b - a for a, b, _, _ in profile_hand.pieces if math.isfinite(b - a)]
         step = min([s / factor for s in self.grid.spacing_m[:2]] + [p / DEPTHS_PER_PIECE for p in pieces])
+        if array_pool(scene, self.device, self.spec.pool) == "relief":
+            step = min(step, float(np.ptp(relief_m(self.grid, profile_hand))) / RELIEF_DEPTHS)
         depths = min(MAX_DEPTHS, max(1, math.ceil((high[2] - low[2]) / max(step, finest[2]))))
         reach = 2 * low_pass(self.spec.low_pass).half_width
         margins = (math.ceil(reach * fx) + 1, math.ceil(reach * fy) + 1, 0)
@@ -202,6 +226,32 @@ class DeviceFilter:
     def _limited(self, field: ForceField) -> ForceField:
         force_max = self.device.force_max_n
         return limited(field, force_max, force_max * self.spec.force_floor_share)
+
+
+def array_pool(scene: Scene, device: Device, pool: str) -> str:
+    """The way in which an array's depth is pooled: as was asked, or of "auto" what suits scene and device."""
+    if pool != "auto":
+        return pool
+    stored = getattr(scene, "medium", None)
+    is_image = isinstance(stored, HapticMedium) and stored.grid.shape[2] == 1
+    return "relief" if device.shows == "height" and not is_image else "max"
+
+
+def array_room_m(law: ForceProfile) -> float:
+    """Depth of an array's lattice on both sides of the scene's surface: as far as its force reaches."""
+    return max(0.0, law.high_m) + (-law.low_m if math.isfinite(law.low_m) else 0.0)
+
+
+def relief_m(grid: Grid, law: ForceProfile) -> tuple[float, float]:
+    """Metres of the hand, from the far end of an array's lattice, at which a pin is all the way down, and up."""
+    depth_m, room_m = grid.shape[2] * grid.spacing_m[2], array_room_m(law)
+    return (room_m, depth_m - room_m) if depth_m > 2 * room_m else (0.0, depth_m)
+
+
+def is_met_from_low(axes: str) -> bool:
+    """True where who looks at a scene stands at low z, a camera's "..., z forward"; else z is up or to the viewer."""
+    words = axes.lower().split(",")
+    return len(words) > 2 and "forward" in words[2].split()
 
 
 @lru_cache(maxsize=8)

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float32s, Int64s
-from touchfield.devices import Device
+from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument
 from touchfield.job.placing import mapping_of
 from touchfield.job.spec import EncodeSpec
@@ -83,6 +83,15 @@ class Drives:
         panels = np.zeros(self._shape, np.float32)
         panels[self._panel] = rows[::-1] if self._flip else rows
         return panels
+
+
+def stream_device(stream: OpenStream) -> Device:
+    """The profile that a stream was made for, or what it tells of one that is not known."""
+    own = stream.told_device
+    if own.name not in device_names():  # nor is a file looked for whose path a stream names
+        return own
+    known = device(own.name)
+    return known if known.is_array == own.is_array else own
 
 
 def array_drives(stream: OpenStream, device: Device, panel: str = PANELS[0]) -> Drives:

@@ -43,7 +43,7 @@ from touchfield.adapters.symbolic import (
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.device_filter import device_grid
-from touchfield.job.array_medium import PANELS, array_drives
+from touchfield.job.array_medium import PANELS, array_drives, stream_device
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import KeptScene, Source, prepare
 from touchfield.job.result import Result
@@ -176,6 +176,8 @@ def _export_array(
     else:
         notes = (write_ahap if kind == ".ahap" else write_haptic)(path, effect, path.stem, title)
     figures = {"columns": columns, "rows": rows, "panel": panel, "frames": len(effect), "rate_hz": effect.rate_hz}
+    if "height" in (chosen.shows, stream_device(stream).shows):
+        notes = (*notes, f"{kind} knows no pins: who reads it takes the heights of a pin display for vibration.")
     if not effect.drives.any():
         notes = (*notes, "Nothing can be felt: no actuator is driven.")
     return _exported(path, chosen.name, len(effect) / effect.rate_hz, figures, notes)

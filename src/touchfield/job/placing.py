@@ -17,7 +17,14 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
-from touchfield.filters.device_filter import device_grid, device_medium
+from touchfield.filters.device_filter import (
+    array_pool,
+    array_room_m,
+    device_grid,
+    device_medium,
+    is_met_from_low,
+    relief_m,
+)
 from touchfield.filters.registry import FieldFilter, felt_medium
 from touchfield.filters.resample import low_pass
 from touchfield.job.spec import EncodeSpec
@@ -73,6 +80,10 @@ def mapping_of(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForcePro
         own = _own_lattice(scene, chosen, spec)
         placement, grid = own or (placement, grid)
     length = _wording(scene, chosen, placement, spec)
+    if chosen.is_array and array_pool(scene, chosen, spec.pool) == "relief":
+        far_m, sign = (grid.box_m[1][2], -1) if is_met_from_low(scene.axes) else (grid.box_m[0][2], 1)
+        ends = [placement.to_scene((0, 0, far_m + sign * z))[2] / scene.exaggeration for z in relief_m(grid, of_law)]
+        length += "; a pin is down at z = {:.4g} m of the scene and up at {:.4g} m".format(*np.round(ends, 9))
     if own:
         length += "; the field keeps its own lattice, as it is kept without loss: --nw is not used"
     notes = (length, *unit_notes(scene, *_fitted(scene, spec)))
@@ -95,14 +106,13 @@ def _lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfi
     """The device's own lattice over the scene; an array pools all of its depth, which sets no limit to the scale."""
     box = scene.bounds_between_m(*_fitted(scene, spec))
     is_stored = stored_medium(scene) is not None
-    reach_m = 0.0 if is_stored else max(0.0, profile.high_m)
     workspace = chosen.workspace_m
     if not chosen.is_array:
+        reach_m = 0.0 if is_stored else max(0.0, profile.high_m)
         margin_m = reach_m if is_stored or spec.mapping != "fit" else reach_m + FIT_MARGIN * min(workspace)
         return _placement(box, workspace, spec.mapping, margin_m), device_grid(chosen, spec.nw)
     placement = _placement(box, (*workspace[:2], math.inf), spec.mapping, 0.0)
-    wall_m = -profile.low_m if math.isfinite(profile.low_m) else 0.0
-    depth_m = placement.scale * float(box[1][2] - box[0][2]) + 2 * (reach_m + wall_m)
+    depth_m = placement.scale * float(box[1][2] - box[0][2]) + 2 * array_room_m(profile)
     return placement, device_grid(chosen, spec.nw, depth_m or None)
 
 
@@ -140,6 +150,8 @@ def _fitted(scene: Scene, spec: EncodeSpec) -> tuple[int, int]:
 def _wording(scene: Scene, chosen: Device, placement: Placement, spec: EncodeSpec) -> str:
     """A note on the scale, and on what was fitted."""
     length = placement.wording
+    if scene.exaggeration != 1.0:
+        length += f", with heights {scene.exaggeration:g} times what they are"
     if chosen.is_array or spec.mapping != "fit" or stored_medium(scene) is not None:
         return length
     start, stop = _fitted(scene, spec)

@@ -20,9 +20,9 @@ from touchfield.adapters.registry import array_device, array_kinds, is_array_dev
 from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
 from touchfield.asked import option
-from touchfield.devices import Device, device, device_names
+from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_not_negative, require_up_to
-from touchfield.job.array_medium import array_drives
+from touchfield.job.array_medium import array_drives, stream_device
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.trace import Trace, read_trace
@@ -163,15 +163,6 @@ def play(
         return _play_point(stream, Path(path).name, spec, report, tell, watch)
 
 
-def stream_device(stream: OpenStream) -> Device:
-    """The profile that a stream was made for, or what it tells of one that is not known."""
-    own = stream.told_device
-    if own.name not in device_names():  # nor is a file looked for whose path a stream names
-        return own
-    known = device(own.name)
-    return known if known.is_array == own.is_array else own
-
-
 def _play_point(
     stream: OpenStream, name: str, spec: PlaySpec, report: Report, tell: Tell, watch: Callable[[Player], None]
 ) -> Played:
@@ -287,7 +278,10 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
         raise _for_points("offline" if spec.offline else "trajectory" if spec.trajectory else "trace")
     if spec.is_logged:
         raise _for_points("log or --plot")
-    chosen = array_device(spec.device, device(spec.profile) if spec.profile else None)
+    own = stream_device(stream)
+    chosen = array_device(spec.device, device(spec.profile) if spec.profile else None, own)
+    if own.is_array and own.name != chosen.profile.name:
+        tell(f"The stream was made for {own.name}, and is shown on {chosen.profile.name}; --profile takes another.")
     drives = array_drives(stream, chosen.profile, spec.panel)
     with ArrayPlayer(drives, chosen, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
         try:

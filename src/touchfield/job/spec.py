@@ -66,7 +66,7 @@ class EncodeSpec:
     representation: str = option("auto", "voxel, object (fields and pose tracks), or auto.")
     mapping: str = option("fit", "Scene to workspace: fit (5 % room is left), fill, crop, or a factor such as 0.05.")
     oversample: int = option(2, "Samples per axis and device sample before the anti-alias low-pass.")
-    pool: str = option("max", "Depth pooling of an actuator array: max or mean.")
+    pool: str = option("auto", "Depth of an array: max, mean, relief (heights, from above), or auto: what suits it.")
     cutoff: str = option("nyquist", "Low-pass of an actuator array: nyquist = 1/(2d), or literal = 2/d.")
     source: SourceOptions = field(default_factory=SourceOptions)
     coder: str = CODERS[0]

@@ -119,7 +119,7 @@ class HeightScene(MovingScene):
             kept = _as_frames(heights_m)
             self._frames, self.frame_count = kept.__getitem__, len(kept)
         self.axes, self.rate_hz, self.notes, self.name = axes, float(rate_hz), notes, name
-        self._exaggeration = float(exaggeration)
+        self.exaggeration = float(exaggeration)
         self._cell_m = cell_m
         self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter asks for one frame many times
         self._segmented: Callable[[], tuple[tuple[Body, ...], str]] | None = None
@@ -207,7 +207,7 @@ class HeightScene(MovingScene):
         if heights.ndim != 2 or min(heights.shape) < 2:
             raise InvalidArgument(self.name, f"heights of shape {heights.shape}", "[rows, cols], at least 2 x 2")
         with np.errstate(over="ignore"):
-            heights *= self._exaggeration
+            heights *= self.exaggeration
         heights[~np.isfinite(heights)] = np.nan
         return heights
 

@@ -74,6 +74,7 @@ class Scene(ABC):
         and whether lengths are divided by it; None where any size is.
     tags : tuple of str; Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for
         something else.
+    exaggeration : float; Factor on the heights of a height map, in which its z is told.
     is_captured : bool; Frames are taken as they are asked for (`touchfield.sources.capture`).
     report : callable; ``report(done, total)`` is called while a scene prepares itself for the first field; set by
         who wants to know.
@@ -85,6 +86,7 @@ class Scene(ABC):
     notes: tuple[str, ...] = ()
     has_law: bool = True
     is_solid: bool = False
+    exaggeration: float = 1.0
     finest_m: tuple[float, float, float] | None = None
     box_wording: str = "the surface"
     unit: tuple[str, tuple[float, float], bool] | None = None

@@ -107,21 +107,24 @@ def _pool(begin, end, places, counts, slots, forces, out):
                 greatest = max(greatest, square)
                 total += np.sqrt(square)
                 count += 1
+                out[n, 2], out[n, 3] = out[n, 2] if count > 1 else m + 1, m + 1
         out[n, 0] = np.sqrt(greatest)
         out[n, 1] = total / max(count, 1)
 
 
-def pooled(stored: ForceField, asked: Grid) -> tuple[Float64s, Float64s]:
-    """The greatest |F| along z at the points of a grid, and the mean of those that are there, float64 [x, y] each."""
+def pooled(stored: ForceField, asked: Grid) -> Float64s:
+    """Of the columns of a grid the greatest |F|, the mean of those that are there, and where these begin and end.
+
+    float64 [4, x, y]; the numbers of the lowest sample with a force and of the highest, from 1, or 0 without any.
+    """
     grid = stored.grid
     x, y, z = ((asked.axis_m(axis) - grid.origin_m[axis]) / grid.spacing_m[axis] for axis in range(3))
     slots = np.full(grid.brick_shape, -1, np.int64)
     slots[tuple(stored.bricks.T)] = np.arange(len(stored.bricks))
-    out = np.zeros((len(x) * len(y), 2))
+    out = np.zeros((len(x) * len(y), 4))
     given = ((x, y, z), np.array(grid.shape, np.int64), slots, stored.forces_n, out)
     for_chunks(_pool, len(out), *given, chunk=_COLUMNS_AT_ONCE)
-    greatest, mean = out.reshape(len(x), len(y), 2).transpose(2, 0, 1)
-    return greatest, mean
+    return np.moveaxis(out.reshape(len(x), len(y), 4), 2, 0)
 
 
 # -- to another lattice: three passes over each output brick, which is made alone, in a fixed order of additions ---
