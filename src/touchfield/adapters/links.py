@@ -18,7 +18,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from touchfield.adapters.registry import Check
-from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
+from touchfield.errors import DeviceError, InvalidArgument, import_extra
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -82,17 +82,14 @@ def web_socket(
     `options` go to `websockets`. Raises MissingExtra without that library; DeviceError if nothing answers within
     `open_s`, or answers something else.
     """
-    try:
-        from websockets.sync.client import connect
-    except ImportError:
-        raise MissingExtra(where, "websockets", "devices") from None
+    client = import_extra("websockets.sync.client", where, "websockets", "devices")
     host, port = to
     name = f"[{host}]" if ":" in host else host
     line = connected(to, where, open_s, mend, send_s)
     options = {"compression": None, "open_timeout": open_s, "max_size": MOST_MESSAGE_BYTES, **options}
     try:
         # as of release 17 the connection is made only when its block is entered
-        connection: ClientConnection = connect(f"ws://{name}:{port}/{path}", sock=line, **options).__enter__()
+        connection: ClientConnection = client.connect(f"ws://{name}:{port}/{path}", sock=line, **options).__enter__()
     except Exception as error:  # a web server, silence or garbage, each by an error of its own
         line.close()
         raise DeviceError(where, f"no WebSocket at {host}:{port} ({reason(error)})", mend=mend) from error
@@ -154,10 +151,7 @@ class SerialLine(Line):
     """The same over a serial port, 8 bits, no parity, one stop bit."""
 
     def __init__(self, name: str, baud: int, where: str, patience_s: float, mend: str) -> None:
-        try:
-            import serial
-        except ImportError:
-            raise MissingExtra("a serial port", "pyserial", "devices") from None
+        serial = import_extra("serial", "a serial port", "pyserial", "devices")
         try:
             self._port: Any = serial.Serial(name, baud, write_timeout=patience_s)
         except (OSError, ValueError) as error:  # serial.SerialException is an OSError

@@ -19,11 +19,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import numpy as np
 
-from touchfield.arrays import Float64s
+from touchfield.arrays import Float32s, Float64s
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.pose_track import rotation_matrices
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace
@@ -115,24 +116,20 @@ def _frame(touched: HapticMedium | HapticScene, at_s: float) -> tuple[Grid, Quer
     first = min(int(at_s * touched.rate_hz), count - 1)
     for frame in dict.fromkeys([first, *np.linspace(0, count - 1, min(count, 8)).astype(int).tolist()]):
         if isinstance(touched, HapticScene):
-            query = _query_of_scene(touched, frame)
+            query = _query(partial(touched.sample_n, frame))
             points = np.concatenate([one.track.to_scene(_strong(one.field(frame)), frame) for one in touched.objects])
             sizes = _sizes(query(points))
             points = points[sizes > 0.5 * sizes.max(initial=0.0)]
         else:
             field = touched[frame]
-            query, points = _query_of(field), _strong(field)
+            query, points = _query(field.sample_n), _strong(field)
         if len(points):
             break
     return touched.grid, query, points, frame
 
 
-def _query_of(field: ForceField) -> Query:
-    return lambda points: field.sample_n(points).astype(np.float64)
-
-
-def _query_of_scene(scene: HapticScene, frame: int) -> Query:
-    return lambda points: scene.sample_n(frame, points).astype(np.float64)
+def _query(sample_n: Callable[[Float64s], Float32s]) -> Query:
+    return lambda points: sample_n(points).astype(np.float64)
 
 
 def _strong(field: ForceField) -> Float64s:
