@@ -32,7 +32,8 @@ from machine import SHARED, Bar, Figures, at_most, bench
 from touchfield import EncodeSpec, encode, prepare
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.job.deformation import Motion, tracks_of
+from touchfield.job.deformation import tracks_of
+from touchfield.job.spec import Motion
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.deformation import Deformation, fitted, read_deformation
 from touchfield.render.sampler import FieldSampler

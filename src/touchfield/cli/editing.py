@@ -13,8 +13,7 @@ from touchfield.cli.show import Answer, check_results, progress
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import length_m
 from touchfield.job import editing
-from touchfield.job.deformation import Motion, tracks_of
-from touchfield.job.spec import ReductionSpec
+from touchfield.job.spec import Motion, ReductionSpec
 from touchfield.sources.recording import STANDARD_GRAVITY_M_S2
 
 if TYPE_CHECKING:
@@ -223,6 +222,8 @@ def deform(
     relax_s: Annotated[float, "Time constant with which it does, seconds."] = 0.05,
 ) -> Answer:
     """Bend STREAM at the receiver: by the motion of a model, or under the finger."""
+    from touchfield.job.deformation import tracks_of
+
     check_results((stream, model), out)
     moved = fields_of(Motion, asked) | {"frames": frames_of("--frames", asked["frames"])}
     motion = Motion(model, **moved) if model else None

@@ -222,7 +222,7 @@ def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
 
 def coder_spec(asked: dict[str, Any]) -> EncodeSpec:
     """The coder's options alone, without a scene's."""
-    return encode_spec({row.name.replace("-", "_"): row.default for row in SCENE} | asked)
+    return encode_spec(asked | {row.name.replace("-", "_"): row.default for row in SCENE})
 
 
 def target_of(asked: dict[str, Any]) -> Target | None:

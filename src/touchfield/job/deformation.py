@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.asked import option
 from touchfield.errors import InvalidArgument
 from touchfield.job.result import Result
-from touchfield.job.spec import Frames
+from touchfield.job.spec import Motion
 from touchfield.medium.deformation import Deformation, fitted
 from touchfield.parallel import Report, silent
 from touchfield.sources.animated_mesh import AnimatedMeshScene
@@ -20,17 +19,6 @@ from touchfield.stream.opened import open_stream
 
 _MARGIN: Final = 0.05  # of the lattice beyond what it bends, of its longest side
 _BEHIND: Final = 2.0  # mean spacings below the surface, where a second layer of points is held
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Frames of an animated model that become tracks, first and behind the last, and the one that a stream shows."""
-
-    model: str | Path
-    animation: str | None = option(None, "Name or number of MODEL's animation; default: the first.")
-    frames: Frames | None = option(None, "Frames of the animation to take, START:STOP.")
-    rest_frame: int | None = option(None, "Frame of MODEL that STREAM shows; default: the first that is taken.")
-    rate_hz: float = option(60.0, "Frames a second of the tracks.")
 
 
 def lattice_of(low_m: Float64s, high_m: Float64s, controls: int, **yields: float) -> Deformation:

@@ -192,3 +192,14 @@ class ReductionSpec:
     def __post_init__(self) -> None:
         if not -200 <= self.nmse_db < 0:
             raise InvalidArgument("--nmse-db", repr(self.nmse_db), "decibels below 0, such as -30")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Frames of an animated model that become tracks, first and behind the last, and the one that a stream shows."""
+
+    model: str | Path
+    animation: str | None = option(None, "Name or number of MODEL's animation; default: the first.")
+    frames: Frames | None = option(None, "Frames of the animation to take, START:STOP.")
+    rest_frame: int | None = option(None, "Frame of MODEL that STREAM shows; default: the first that is taken.")
+    rate_hz: float = option(60.0, "Frames a second of the tracks.")
