@@ -17,10 +17,11 @@ from touchfield.cli.look import show_measurement
 from touchfield.cli.main import _exit_code
 from touchfield.cli.show import show, show_rows
 from touchfield.job import EncodeSpec, Measurement, MeasureSpec
+from touchfield.measure import Interval, Quantity, capacity
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.viewer import picture
-from touchfield.viewer.information import Bar, DeviceBars, InformationView, draw_information
+from touchfield.viewer.information import Bar, draw_information
 from touchfield.viewer.page import lines_that_fit, shortened
 from touchfield.viewer.picture import PictureSpec, draw_comparison
 
@@ -41,8 +42,7 @@ def _printed(found: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatc
 def test_a_name_is_no_formula_in_the_pictures(tmp_path: Path, measured: Measurement) -> None:
     name = r"a$\foo$.touch"
     replace(measured, name=name).draw(tmp_path / "bits.png")
-    view = InformationView(name, "$\\foo$", [Bar(name, 2.0)], [DeviceBars(name, 10.0, 0.5, 0.5)])
-    draw_information(tmp_path / "names.png", view)
+    draw_information(tmp_path / "names.png", name, "$\\foo$", [Bar(name, 2.0)], {name: measured.capacities["dotpad"]})
     field = job.prepare(tiny_scenes()[0], EncodeSpec(nw=4)).medium[0]
     spec = PictureSpec(name, name, "x right, y up", 0.1, 0.02, (name, name))
     draw_comparison(tmp_path / "fields.png", field, field, spec)
@@ -62,9 +62,13 @@ def test_long_titles_are_broken_into_lines() -> None:
 
 def test_bits_of_nothing_and_full_devices_are_drawn(tmp_path: Path) -> None:
     bars = [Bar("raw", 96.0), Bar("none", 0.0, (0.0, 1.0)), Bar("-0", -0.0), Bar("too low", -0.2)]
-    devices = [DeviceBars("all", 1e5, 1.0, -0.0, (0.9, 1.0)), DeviceBars("none", 0.0, math.nan, math.nan)]
-    draw_information(tmp_path / "x.png", InformationView("x", "bit", bars, devices))
-    draw_information(tmp_path / "y.png", InformationView("y", "bit", [Bar("none", 0.0)]))
+    full, none = (Quantity("H", bits, "bit/frame") for bits in (1e5, 0.0))
+    devices = {
+        "all": capacity(full, full, 1e6, ratio=Interval(0.9, 1.0, 0.95, "paired")),
+        "none": capacity(none, none, 1e6),
+    }
+    draw_information(tmp_path / "x.png", "x", "bit", bars, devices)
+    draw_information(tmp_path / "y.png", "y", "bit", [Bar("none", 0.0)])
     with Image.open(tmp_path / "x.png") as image:
         assert image.width == 1045
 

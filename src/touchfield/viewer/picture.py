@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from touchfield.medium import ForceField, Grid
+    from touchfield.medium import ForceField
 
 
 _X, _Y, _Z = 0, 1, 2
@@ -222,34 +222,26 @@ _PANELS: Final = (
 _ROOM: Final = 0.12  # around the workspace, of its largest side
 
 
-@dataclass(frozen=True)
-class PreviewSpec:
-    """Words around the panels, and the signed permutation [3, 3] from x right, y up, z towards the viewer to the axes
-    of the fields.
+def shadows(fields: Sequence[ForceField], title: str, turn: Float64s) -> Figure:
+    """A figure of fields on one grid: three projections with the box of the grid, in millimetres.
+
+    `turn`: the signed permutation [3, 3] from x right, y up, z towards the viewer to the axes of the fields.
     """
-
-    title: str
-    caption: str
-    turn: Float64s
-
-
-def shadows(fields: Sequence[ForceField], spec: PreviewSpec) -> Figure:
-    """A figure of fields on one grid: three projections with the box of the grid, in millimetres."""
     grid = fields[0].grid
     low_mm, high_mm = (1e3 * corner for corner in grid.box_m)
     sides = high_mm - low_mm
     room = _ROOM * float(sides.max())
-    panels_of = [(name, *_seen(spec, across), *_seen(spec, up)) for name, across, up in _PANELS]
+    panels_of = [(name, *_seen(turn, across), *_seen(turn, up)) for name, across, up in _PANELS]
     widths = [float(sides[across] + 2 * room) for _, across, _, _, _ in panels_of]
     heights = [float(sides[up] + 2 * room) for *_, up, _ in panels_of]
     height_inch = 1.6 + 13.0 * max(heights) / sum(widths)
-    figure = titled_figure("the preview of a field", f"{spec.title} (dashed)\n{spec.caption}", 15.0, height_inch)
+    figure = titled_figure("the preview of a field", title, 15.0, height_inch)
     from matplotlib.patches import Rectangle
 
     panels = figure.subplots(1, 3, gridspec_kw={"width_ratios": widths})
     top_n = max(max(float(f.support().amplitudes_n.max(initial=0.0)) for f in fields), 1e-6)
     for panel, (name, across, is_left, up, is_down) in zip(panels, panels_of, strict=True):
-        shadow = _shadow(fields, grid, across, up)
+        shadow = shadow_n(fields, across, up)
         image = panel.imshow(
             np.where(shadow > 0, shadow, np.nan).T, origin="lower", interpolation="nearest", aspect="equal",
             extent=(low_mm[across], high_mm[across], low_mm[up], high_mm[up]), cmap="viridis_r", vmin=0, vmax=top_n,
@@ -275,16 +267,17 @@ def shadows(fields: Sequence[ForceField], spec: PreviewSpec) -> Figure:
     return figure
 
 
-def _seen(spec: PreviewSpec, way: tuple[int, int, int]) -> tuple[int, bool]:
+def _seen(turn: Float64s, way: tuple[int, int, int]) -> tuple[int, bool]:
     """Axis of the fields that lies along a way of the viewer's, and whether it points against it."""
-    along = spec.turn @ np.array(way, np.float64)
+    along = turn @ np.array(way, np.float64)
     axis = int(np.argmax(np.abs(along)))
     return axis, bool(along[axis] < 0)
 
 
-def _shadow(fields: Sequence[ForceField], grid: Grid, across: int, up: int) -> Float64s:
-    """The greatest force along the third axis, newtons, float64 [shape[across], shape[up]]."""
-    shadow = np.zeros((grid.shape[across], grid.shape[up]))
+def shadow_n(fields: Sequence[ForceField], across: int, up: int) -> Float64s:
+    """The greatest force of fields on one grid along its third axis, newtons, float64 [shape[across], shape[up]]."""
+    shape = fields[0].grid.shape
+    shadow = np.zeros((shape[across], shape[up]))
     for field in fields:
         support = field.support()
         places = support.positions[:, across], support.positions[:, up]
