@@ -20,15 +20,17 @@ meaning WMR = 0, HIL = 1 and is allowed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from typing import Any, Final
+
+import numpy as np
 
 from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument, require_not_negative, require_one_of
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import estimate_bits
-from touchfield.measure.quantity import Interval, Quantity, ratio_interval
+from touchfield.measure.quantity import Interval, Quantity, interval
 
 READINGS: Final = ("realised", "literal")
 
@@ -130,22 +132,28 @@ def paired_ratio(
 ) -> Interval | None:
     """An interval of min(H(M(W)), C_dev) / H(W) from blocks of space that hold the same places of both.
 
-    M(W) is a function of W, so that their estimates err together, which `touchfield.measure.quantity.ratio_interval`
-    keeps; its coverage is measured there. `counts`: of W and of M(W) over voxels, in the same blocks
+    M(W) is a function of W, so that their estimates err together: where a medium is rich, so is what a device renders
+    of it, and their ratio varies less than either. `counts`: of W and of M(W) over voxels, in the same blocks
     (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): of a frame of W and of M(W).
     `codomain_bits`: C_dev, bits per frame. `estimator`: of both entropies. None where W is a single symbol in all the
-    blocks of a resample.
+    blocks of a resample. InvalidArgument as of `touchfield.measure.quantity.interval`.
     """
     medium, rendered = counts
     assert medium.blocks is not None and rendered.blocks is not None
+    cells = len(medium.cells)
 
-    def above(c: Int64s) -> float:
-        return min(voxels[1] * estimate_bits(c, estimator, rendered.alphabet), codomain_bits)
+    def ratio(both: Int64s) -> float:
+        below = voxels[0] * estimate_bits(both[:cells], estimator, medium.alphabet)
+        if below == 0:
+            raise ZeroDivisionError
+        return min(voxels[1] * estimate_bits(both[cells:], estimator, rendered.alphabet), codomain_bits) / below
 
-    def below(c: Int64s) -> float:
-        return voxels[0] * estimate_bits(c, estimator, medium.alphabet)
-
-    return ratio_interval(above, below, (rendered.blocks, medium.blocks), corrects_bias=estimator != "plug-in")
+    together = np.concatenate([medium.blocks, rendered.blocks], axis=1)
+    try:
+        spread = interval(ratio, together, bounds=(0.0, math.inf), corrects_bias=estimator != "plug-in")
+    except ZeroDivisionError:
+        return None
+    return replace(spread, method=f"paired {spread.method}")
 
 
 def _of(
