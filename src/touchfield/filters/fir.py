@@ -76,26 +76,14 @@ def checked_signal(signal: ArrayLike, boundary: str) -> NDArray[Any]:
     require_one_of("boundary", boundary, BOUNDARIES)
     kind = np.float32 if getattr(signal, "dtype", None) == np.float32 else np.float64
     x = numbers_of("signal", signal, kind)
-    if not all_finite(x):
+    if not np.isfinite(x).all():
         raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     return x
 
 
-def all_finite(x: NDArray[Any]) -> bool:
-    """Test that no number is infinite or NaN, at about the speed of memory."""
-    flat = x.reshape(-1)
-
-    def piece(begin: int, end: int) -> bool:
-        with np.errstate(over="ignore", invalid="ignore"):
-            return bool(np.isfinite(flat[begin:end].sum()))
-
-    # what is not finite stays so in a sum; a sum that is not finite may be one of large numbers
-    return all(for_chunks(piece, len(flat), chunk=1 << 16)) or bool(np.isfinite(x).all())
-
-
 def without_overflow(sums: NDArray[Any], where: str) -> NDArray[Any]:
     """The result of a filter of finite numbers; `InvalidArgument` naming `where` if a sum went beyond its type."""
-    if not all_finite(sums):
+    if not np.isfinite(sums).all():
         expected = f"sums below {np.finfo(sums.dtype).max:.3g}"
         mend = "Scale the signal or the taps down."
         raise InvalidArgument(where, f"numbers whose sums are beyond {sums.dtype}", expected, mend)
