@@ -1,15 +1,13 @@
-"""Chains, sparse fields and their symbols for the tests of the coding limits, and a measure of memory."""
+"""Chains, sparse fields and their symbols for the tests of the coding limits."""
 
 from __future__ import annotations
 
-import tracemalloc
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from touchfield.measure.context import ContextCounter, ContextEntropy, scan_relabelled
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.limits import BlockRates, coding_limits
 from touchfield.medium import Grid
 
 
@@ -40,19 +38,3 @@ def context_entropy(
         counter.add(frame, before)
         before = frame
     return counter.result(neighbourhood, previous_frame=previous_frame)
-
-
-def block_rates(x: np.ndarray, longest: int) -> BlockRates:
-    """Block entropies and rates of one sequence."""
-    return coding_limits(fields_of(x.reshape(1, 1, 1, -1), int(x.max()) + 1), longest=longest).scan_lines
-
-
-def most_mib(work: Callable[[], object]) -> float:
-    """The most memory that arrays take at once while something is worked out, MiB."""
-    work()  # once before: what is compiled, and imported, is not counted
-    tracemalloc.start()
-    try:
-        work()
-        return tracemalloc.get_traced_memory()[1] / 2**20
-    finally:
-        tracemalloc.stop()

@@ -112,6 +112,13 @@ def test_the_frame_before_is_worth_what_it_tells() -> None:
     assert of_array(frames, "corner").per_voxel.value > 0.95
 
 
+def test_rate_of_a_markov_chain() -> None:
+    """theory.md section 4: marginal .721928, rate .373504."""
+    chain = markov(400_000)
+    assert of_array(chain, "none").per_voxel.value == pytest.approx(0.721928, abs=0.006)
+    assert of_array(chain, "previous").per_voxel.value == pytest.approx(0.373504, abs=0.003)
+
+
 def test_dilution_is_told() -> None:
     x = sparse((12, 12, 12), 200, 0.5)
     found = of_array(x, "corner")

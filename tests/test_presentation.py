@@ -116,11 +116,12 @@ def test_zero_has_no_sign(capsys: Capture) -> None:
 
 def test_notes_name_their_quantity(measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     assert measured.limits is not None
-    lines = measured.limits.scan_lines
-    rates = (lines.rates[0], *(rate.of(notes=(f"{rate.name} is too low",)) for rate in lines.rates[1:]))
-    limits = replace(measured.limits, scan_lines=replace(lines, rates=rates))
-    noted = replace(measured, limits=limits, notes=("1 mm is 2 mm",))
-    diluted = [rate.name for rate in rates[1:]]
+    diluted = [c.per_voxel.name for c in measured.limits.contexts]
+    contexts = tuple(
+        replace(c, informed=1, per_voxel=c.per_voxel.of(notes=(f"{c.per_voxel.name} is too low",)))
+        for c in measured.limits.contexts
+    )
+    noted = replace(measured, limits=replace(measured.limits, contexts=contexts), notes=("1 mm is 2 mm",))
     printed = _printed(noted, capsys, monkeypatch)
     for name in diluted:
         assert f"{name}: " in printed

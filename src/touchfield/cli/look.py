@@ -141,7 +141,7 @@ def measure(
 Row = tuple[str, str, str, str]
 """Name, value, interval, what it is."""
 
-_DILUTED = "too few samples for its {}: not to be trusted"
+_DILUTED = "too few samples for its contexts: not to be trusted"
 _WARNINGS = ("bias", "few", "too low", "overshoots", "negative", "diluted", "not to be trusted")
 """Words of notes that tell how far a number may be trusted; such notes come first."""
 
@@ -175,7 +175,6 @@ def _notes(m: Measurement, notes: tuple[str, ...]) -> list[str]:
     """Each note once, after the quantities that it is about: warnings, other notes, those of the scene."""
     named = [(f"{q.name} {what}".strip(), q) for q, what in (*_entropies(m), *_in_time(m))]
     if m.limits is not None:
-        named += [(rate.name, rate) for rate in m.limits.scan_lines.rates[1:]]
         named += [(c.per_voxel.name, c.per_voxel) for c in m.limits.contexts]
     for device, c in m.capacities.items():
         named += [(f"{device}, {c.rendered.name}", c.rendered), (device, c.wmr)]
@@ -219,11 +218,8 @@ def _limits(m: Measurement) -> list[Row]:
         return []
     each = m.voxels * m.frames / m.supported_voxels
     rows = [("H(S)", _number(m.voxel.value * each, 5), "", "bit/supported voxel, no neighbours")]
-    for rate in m.limits.scan_lines.rates[1:]:
-        what = _DILUTED.format("blocks") if rate.notes else f"block rate of the lines along {m.limits.scan_axis}"
-        rows.append((rate.name, _number(rate.value * each, 5), "", what))
     for c in m.limits.contexts:
-        what = _DILUTED.format("contexts") if c.is_diluted else f"{c.contexts:,} contexts"
+        what = _DILUTED if c.is_diluted else f"{c.contexts:,} contexts"
         rows.append((c.per_voxel.name, _number(c.per_voxel.value * each, 5), "", what))
     if m.file_bits is not None:
         rows.append(("this file", _number(m.file_bits / m.supported_voxels, 5), "", "everything counted"))
