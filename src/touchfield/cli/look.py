@@ -240,10 +240,10 @@ def _capacities(m: Measurement) -> list[Row]:
 def _energy(p: Passivity) -> list[Row]:
     """Where nothing could be seen, the reason stands in place of what the number means."""
     why = "; ".join(p.notes) or "not defined here"
-    curl, loop = p.relative_curl, 1e3 * p.worst_loop_j
+    curl, square = p.relative_curl, 1e3 * p.worst_square_j
     meaning = "0: no loop gains energy; 1: a pure rotation"
-    gained = f"mJ gained in one round, of {p.loops} random loops"
+    gained = f"mJ gained in one round, of {p.squares:,} squares of the lattice"
     return [
         ("relative curl", _number(curl, 4), "", why if math.isnan(curl) else meaning),
-        ("worst loop", _number(loop, 4), "", why if math.isnan(loop) else gained),
+        ("worst square", _number(square, 4), "", why if math.isnan(square) else gained),
     ]
