@@ -18,9 +18,8 @@ import numpy as np
 import touchfield as tf
 from machine import SHARED, Bar, Figures, at_least, bench, column, timed
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
-from touchfield.measure.context import ContextCounter
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.limits import coding_limits
+from touchfield.measure.limits import ContextCounter, coding_limits
 
 
 def media(nw: int) -> Iterator[tuple[str, list[FieldSymbols]]]:
@@ -51,7 +50,7 @@ def row(frames: list[FieldSymbols]) -> dict[str, float]:
     raw = np.stack([f.to_dense() for f in frames]).astype(np.int16).tobytes()
     supported = limits.supported
     found["object_entropy_bits"] = limits.object_entropy.value
-    found["axes_bits_a_supported"] = limits.context("axes").per_supported.value
+    found["axes_bits_a_supported"] = limits.context("axes").per_voxel.value * limits.voxels / supported
     found["zlib_bits_a_supported"] = 8 * len(zlib.compress(raw, 9)) / supported
     found["lzma_bits_a_supported"] = 8 * len(lzma.compress(raw, preset=9)) / supported
     return found

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from touchfield.measure.context import ContextCounter, ContextEntropy, scan_relabelled
 from touchfield.measure.field_symbols import FieldSymbols
+from touchfield.measure.limits import ContextCounter, ContextEntropy, scan_relabelled
 from touchfield.medium import Grid
 
 

@@ -2,8 +2,26 @@
 
 Beside each other stand, of the same symbols S = Q(F) over all voxels of all frames: H(S) of the voxel and of the
 object; H(S | causal neighbours), with and without the previous frame. All are plug-in estimates of what an ideal
-coder with that context would need, too low where contexts are diluted. What a real coder surely reaches is what one
-did: the bytes of a file of coder `touch` in its exact mode.
+coder with that context would need. What a real coder surely reaches is what one did: the bytes of a file of coder
+`touch` in its exact mode.
+
+A coder that visits the voxels in raster order (x slowest, z fastest) knows, of each voxel, the neighbours with no
+greater index along any axis. Neighbourhoods are nested corners of the 2^3 cube of such neighbours:
+
+========== ========== ==========================================================
+name       neighbours which
+========== ========== ==========================================================
+none       0          nothing: H(S)
+previous   1          the one before in raster order, (0, 0, -1)
+axes       3          one before along each axis
+corner     7          all of {-1, 0}^3 but the voxel itself
+========== ========== ==========================================================
+
+and each may take in the co-located voxel of the previous frame. What lies outside the grid, and before the first
+frame, is symbol 0, so that all quantities are over the same voxels; a field of one sample along z is scanned along
+its last longer axis (`scan_order`). The estimate is H(S, c) - H(c) over one exact count, so that with the plug-in
+H(S | c) falls as c grows, whatever the data. The same law makes it *too low*: contexts dilute, and a context seen
+once costs nothing. `ContextEntropy` says how diluted it is.
 
 Time: one pass over the frames, which may be made when asked for. Memory: two frames and the different joint cells
 (`CellCounter`).
@@ -16,14 +34,209 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.measure.context import NEIGHBOURHOODS, ContextCounter, ContextEntropy, scan_order, scan_relabelled
+from touchfield.arrays import Int32s, Int64s
+from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import entropy_bits
-from touchfield.measure.field_symbols import Fields, Frames
+from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.quantity import Quantity
+from touchfield.medium.budget import memory_budget_bytes
+from touchfield.medium.field import brick_keys, bricks_of, slots_around
+from touchfield.medium.grid import BRICK, Grid
 
-LINE_AXIS: Final = 2
-"""Scan lines run along the fastest axis of the raster: z, or after `scan_relabelled` the one in its place."""
+NEIGHBOURHOODS: Final = {"none": 0, "previous": 1, "axes": 3, "corner": 7}
+"""Names, and how many causal neighbours each takes."""
+
+_SYMBOL, _PREVIOUS_FRAME = 0, 8  # columns of a row
+_BRICKS_AT_ONCE = 1024
+_FIRST_KEYS = 1 << 12
+_MOST_KEYS = 1 << 30
+_NO_FRAME = np.zeros((0, 8, 8, 8), np.int32)
+
+
+class CellCounter:
+    """Counts rows of `columns` symbols of `bits` bits, at most 32, packed as the kernels pack them.
+
+    `zeros` counts the rows of nothing but 0, which are added in closed form.
+    """
+
+    def __init__(self, columns: int, bits: int) -> None:
+        self.columns, self.bits = columns, bits
+        self._per_word = 64 // bits
+        self.words = -(-columns // self._per_word)
+        self.zeros = 0
+        self._used = 0
+        self._allocate(_FIRST_KEYS)
+
+    def _allocate(self, size: int) -> None:
+        needed = size * (8 * self.words + 16)
+        if size > _MOST_KEYS or needed > memory_budget_bytes() // 2:
+            raise InvalidArgument(
+                "joint cells", f"more than {size // 2} different ones", f"up to {memory_budget_bytes() // 2} bytes",
+                "Give fewer frames or a coarser quantiser, or set TOUCHFIELD_MEMORY_GIB.",
+            )  # fmt: skip
+        self._slots = np.full(2 * size, -1, np.int32)
+        self._keys = np.zeros((size, self.words), np.uint64)
+        self._counts = np.zeros(size, np.int64)
+
+    def add(self, rows: NDArray[np.uint64], weights: Int64s | None = None) -> None:
+        """Count rows, uint64 [n, words], none of them all 0, each once or as often as its weight says."""
+        from touchfield.measure.kernels import insert
+
+        times = np.zeros(0, np.int64) if weights is None else weights
+        done = 0
+        while True:
+            done, self._used = insert(rows, times, done, self._slots, self._keys, self._counts, self._used)
+            if done == len(rows):
+                return
+            keys, counts = self._keys[: self._used], self._counts[: self._used]
+            self._allocate(2 * len(self._keys))
+            _, self._used = insert(keys, counts, 0, self._slots, self._keys, self._counts, 0)
+
+    @property
+    def samples(self) -> int:
+        """n, the rows counted."""
+        return int(self._counts[: self._used].sum()) + self.zeros
+
+    def counts(self) -> Int64s:
+        """How often each cell was counted, int64 [K], that of nothing but 0 last, if it was."""
+        counts = self._counts[: self._used]
+        return np.append(counts, self.zeros) if self.zeros else counts.copy()
+
+    def marginal(self, columns: tuple[int, ...]) -> CellCounter:
+        """The counter of some columns alone; the others read 0."""
+        mask = np.zeros(self.words, np.uint64)
+        for c in columns:
+            mask[c // self._per_word] |= np.uint64(((1 << self.bits) - 1) << (c % self._per_word * self.bits))
+        out = CellCounter(self.columns, self.bits)
+        rows, weights = self._keys[: self._used] & mask, self._counts[: self._used]
+        empty = ~rows.any(axis=1)
+        out.add(rows[~empty], weights[~empty])
+        out.zeros = self.zeros + int(weights[empty].sum())
+        return out
+
+
+def scan_order(grid: Grid) -> tuple[int, int, int]:
+    """The axes of a grid from the slowest to the fastest of its raster; the scan lines run along the last.
+
+    x, y, z; but where z has a single sample, axes of a single sample come first, as in an array without them: the
+    medium of a flat array of actuators is scanned along y, that of a row of them along x.
+    """
+    if grid.shape[2] > 1:
+        return 0, 1, 2
+    x, y, z = sorted(range(3), key=lambda axis: grid.shape[axis] > 1)  # stable
+    return x, y, z
+
+
+def scan_relabelled(frame: FieldSymbols) -> FieldSymbols:
+    """A frame with its axes in `scan_order`, named x, y, z anew; exact, since axes are only labels of the symbols."""
+    order = scan_order(frame.grid)
+    if order == (0, 1, 2):
+        return frame
+    x, y, z = order
+    shape, spacing, origin = (
+        (v[x], v[y], v[z]) for v in (frame.grid.shape, frame.grid.spacing_m, frame.grid.origin_m)
+    )
+    grid = Grid(shape, spacing, origin)  # type: ignore[arg-type]
+    bricks = np.ascontiguousarray(frame.bricks[:, order])
+    raster = np.argsort(brick_keys(grid, bricks))
+    symbols = frame.symbols[raster].transpose(0, 1 + x, 1 + y, 1 + z)
+    return FieldSymbols(grid, bricks[raster], symbols, frame.alphabet, frame.quantiser)
+
+
+def _reached_bricks(frame: FieldSymbols, previous: FieldSymbols | None) -> Int32s:
+    """The bricks outside which a voxel, its causal neighbours and its predecessor are all 0, int32 [n, 3]."""
+    bricks = frame.bricks[frame.symbols.any(axis=(1, 2, 3))]
+    there = (bricks[:, None] + np.array(list(np.ndindex(2, 2, 2)), np.int32)).reshape(-1, 3)
+    if previous is not None:
+        there = np.concatenate([there, previous.bricks])
+    keys = np.unique(brick_keys(frame.grid, there[(there < frame.grid.brick_shape).all(axis=1)]))
+    return bricks_of(frame.grid, keys)
+
+
+@dataclass(frozen=True)
+class ContextEntropy:
+    """H(S | c) and how far to trust it.
+
+    `neighbourhood`: one of `NEIGHBOURHOODS`. `previous_frame`: whether c takes in the co-located voxel of the
+    previous frame. `per_voxel`: bit/sample over all voxels. `contexts`: how many different c were seen. `cells`: how
+    many different (S, c) were seen; K of the dilution. `informed`: voxels where S or any part of c is not 0: n of the
+    dilution. The others are all one cell. `once`: cells that were seen only once.
+    """
+
+    neighbourhood: str
+    previous_frame: bool
+    per_voxel: Quantity
+    contexts: int
+    cells: int
+    informed: int
+    once: int
+
+    @property
+    def is_diluted(self) -> bool:
+        """Fewer than ten informed voxels to a cell: the plug-in is far below the truth."""
+        return self.informed < 10 * self.cells
+
+
+class ContextCounter:
+    """Counts voxels with the widest context, frame after frame; every narrower one is a marginal of that count.
+
+    Memory beyond the frames grows with the different cells that are there (see `CellCounter`), never with the
+    lattice. `alphabet`: symbols are below it. `previous_frame`: whether to count the co-located voxel of the
+    previous frame, too.
+    """
+
+    def __init__(self, alphabet: int, quantiser: str, *, previous_frame: bool) -> None:
+        self._bits = max(1, (alphabet - 1).bit_length())
+        self._cells = CellCounter(9 if previous_frame else 8, self._bits)
+        self._previous_frame, self._quantiser = previous_frame, quantiser
+
+    def add(self, frame: FieldSymbols, previous: FieldSymbols | None) -> None:
+        """Count the voxels of a frame; space away from its bricks in closed form."""
+        from touchfield.measure.kernels import field_rows
+
+        grid, before = frame.grid, previous if self._previous_frame else None
+        bricks = _reached_bricks(frame, before)
+        old_bricks = bricks[:0] if before is None else before.bricks
+        symbols = (np.array(frame.symbols), _NO_FRAME if before is None else np.array(before.symbols))
+        counted = 0
+        for start in range(0, len(bricks), _BRICKS_AT_ONCE):
+            part = bricks[start : start + _BRICKS_AT_ONCE]
+            slots = tuple(slots_around(part, b, grid.brick_shape, 14) for b in (frame.bricks, old_bricks))
+            extents = np.clip(np.asarray(grid.shape) - part.astype(np.int64) * BRICK, 0, BRICK)
+            rows = field_rows((slots[0], slots[1]), symbols, extents, self._cells.columns, self._bits)
+            self._cells.add(rows)
+            counted += len(rows)
+        self._cells.zeros += frame.voxel_count - counted
+
+    def symbol_counts(self) -> tuple[Int64s, int]:
+        """How often each symbol but 0 was counted, int64 [K], and how often 0."""
+        alone = self._cells.marginal((_SYMBOL,))
+        counts = alone.counts()[: len(alone.counts()) - bool(alone.zeros)]
+        return counts, alone.zeros
+
+    def result(self, neighbourhood: str, *, previous_frame: bool = False) -> ContextEntropy:
+        """H(S | c) of what was counted."""
+        neighbours = NEIGHBOURHOODS[neighbourhood]
+        known = tuple(range(1, 1 + neighbours)) + (_PREVIOUS_FRAME,) * previous_frame
+        joint = self._cells.marginal((_SYMBOL, *known))
+        cells = joint.counts()
+        contexts = joint.marginal(known).counts()
+        bits = max(0.0, entropy_bits(cells) - entropy_bits(contexts))  # below only by rounding
+        informed = joint.samples - joint.zeros
+        notes = [f"{len(contexts)} contexts"]
+        if informed < 10 * len(cells):
+            notes.append(f"diluted: {informed} voxels not all 0 for {len(cells)} cells, fewer than ten each; too low")
+        conditions = [f"{neighbours} neighbour{'s' * (neighbours > 1)}"] * (neighbours > 0)
+        conditions += ["previous frame"] * previous_frame
+        name = f"H(S|{', '.join(conditions)})" if conditions else "H(S)"
+        quantity = Quantity(
+            name, bits, "bit/sample", self._quantiser, "voxel", "plug-in", joint.samples, len(cells), None,
+            tuple(notes),
+        )  # fmt: skip
+        once = int((cells == 1).sum())
+        return ContextEntropy(neighbourhood, previous_frame, quantity, len(contexts), len(cells), informed, once)
 
 
 @dataclass(frozen=True)
@@ -86,24 +299,20 @@ def coding_limits(frames: Fields) -> CodingLimits:
 
     InvalidArgument if there is no frame, frames differ in grid or Q, or the joint cells outgrow the memory budget.
     """
-    contexts, count, axis, last = None, 0, LINE_AXIS, None
-    for given in Frames(frames, "frames"):
-        frame = scan_relabelled(given)
-        if contexts is None:
-            axis = scan_order(given.grid)[LINE_AXIS]
-            contexts = ContextCounter(frame.alphabet, frame.quantiser, previous_frame=True)
+    given, last = Frames(frames, "frames"), None
+    contexts = ContextCounter(given.alphabet, given.quantiser, previous_frame=True)
+    for frame in map(scan_relabelled, given):
         contexts.add(frame, last)
-        count, last = count + 1, frame
-    assert contexts is not None and last is not None  # Frames refuses none
+        last = frame
     held, empty = contexts.symbol_counts()
-    every, quantiser = np.append(held, empty) if empty else held, last.quantiser
+    every, quantiser = np.append(held, empty) if empty else held, given.quantiser
     asked = [(name, False) for name in NEIGHBOURHOODS if name != "none"]
-    if count > 1:
+    if given.count > 1:
         asked += [(name, True) for name in NEIGHBOURHOODS]
     supported, unit = int(held.sum()), "bit/sample"
     bits, notes = (entropy_bits(held), ()) if supported else (math.nan, ("no voxel is supported",))
     return CodingLimits(
-        count,
+        given.count,
         supported + empty,
         supported,
         Quantity(
@@ -111,5 +320,5 @@ def coding_limits(frames: Fields) -> CodingLimits:
         ),
         Quantity("H(S | S != 0)", bits, unit, quantiser, "object", samples=supported, symbols=len(held), notes=notes),
         tuple(contexts.result(name, previous_frame=before) for name, before in asked),
-        "xyz"[axis],
+        "xyz"[scan_order(given.grid)[-1]],
     )
