@@ -43,7 +43,7 @@ def row(frames: list[FieldSymbols]) -> dict[str, float]:
     found: dict[str, float] = {"frames": len(frames), "support_share": first.object_count / voxels}
 
     def contexts() -> None:
-        ContextCounter(first.alphabet, first.quantiser, previous_frame=False).add(first, None)
+        ContextCounter(first, previous_frame=False).add(first, None)
 
     found["contexts_mvoxel_s"] = voxels / 1e3 / timed(contexts, runs=5)["min_ms"]
     limits = coding_limits(frames)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.limits import ContextCounter, ContextEntropy, scan_relabelled
+from touchfield.measure.limits import ContextCounter, ContextEntropy
 from touchfield.medium import Grid
 
 
@@ -32,9 +32,9 @@ def context_entropy(
     frames: Sequence[FieldSymbols], neighbourhood: str, *, previous_frame: bool = False
 ) -> ContextEntropy:
     """H(S | c) of one neighbourhood alone, counted with no context that is not asked for."""
-    counter = ContextCounter(frames[0].alphabet, frames[0].quantiser, previous_frame=previous_frame)
+    counter = ContextCounter(frames[0], previous_frame=previous_frame)
     before = None
-    for frame in map(scan_relabelled, frames):
+    for frame in frames:
         counter.add(frame, before)
         before = frame
     return counter.result(neighbourhood, previous_frame=previous_frame)

@@ -12,16 +12,15 @@ greater index along any axis. Neighbourhoods are nested corners of the 2^3 cube 
 name       neighbours which
 ========== ========== ==========================================================
 none       0          nothing: H(S)
-previous   1          the one before in raster order, (0, 0, -1)
+previous   1          the one before in raster order, (0, 0, -1); see `scan_axis`
 axes       3          one before along each axis
 corner     7          all of {-1, 0}^3 but the voxel itself
 ========== ========== ==========================================================
 
 and each may take in the co-located voxel of the previous frame. What lies outside the grid, and before the first
-frame, is symbol 0, so that all quantities are over the same voxels; a field of one sample along z is scanned along
-its last longer axis (`scan_order`). The estimate is H(S, c) - H(c) over one exact count, so that with the plug-in
-H(S | c) falls as c grows, whatever the data. The same law makes it *too low*: contexts dilute, and a context seen
-once costs nothing. `ContextEntropy` says how diluted it is.
+frame, is symbol 0, so that all quantities are over the same voxels. The estimate is H(S, c) - H(c) over one exact
+count, so that with the plug-in H(S | c) falls as c grows, whatever the data. The same law makes it *too low*:
+contexts dilute, and a context seen once costs nothing. `ContextEntropy` says how diluted it is.
 
 Time: one pass over the frames, which may be made when asked for. Memory: two frames and the different joint cells
 (`CellCounter`).
@@ -117,32 +116,9 @@ class CellCounter:
         return out
 
 
-def scan_order(grid: Grid) -> tuple[int, int, int]:
-    """The axes of a grid from the slowest to the fastest of its raster; the scan lines run along the last.
-
-    x, y, z; but where z has a single sample, axes of a single sample come first, as in an array without them: the
-    medium of a flat array of actuators is scanned along y, that of a row of them along x.
-    """
-    if grid.shape[2] > 1:
-        return 0, 1, 2
-    x, y, z = sorted(range(3), key=lambda axis: grid.shape[axis] > 1)  # stable
-    return x, y, z
-
-
-def scan_relabelled(frame: FieldSymbols) -> FieldSymbols:
-    """A frame with its axes in `scan_order`, named x, y, z anew; exact, since axes are only labels of the symbols."""
-    order = scan_order(frame.grid)
-    if order == (0, 1, 2):
-        return frame
-    x, y, z = order
-    shape, spacing, origin = (
-        (v[x], v[y], v[z]) for v in (frame.grid.shape, frame.grid.spacing_m, frame.grid.origin_m)
-    )
-    grid = Grid(shape, spacing, origin)  # type: ignore[arg-type]
-    bricks = np.ascontiguousarray(frame.bricks[:, order])
-    raster = np.argsort(brick_keys(grid, bricks))
-    symbols = frame.symbols[raster].transpose(0, 1 + x, 1 + y, 1 + z)
-    return FieldSymbols(grid, bricks[raster], symbols, frame.alphabet, frame.quantiser)
+def scan_axis(grid: Grid) -> int:
+    """The axis that the lines of a grid's raster run along: z, or the last that has more than one sample."""
+    return max((axis for axis in range(3) if grid.shape[axis] > 1), default=2)
 
 
 def _reached_bricks(frame: FieldSymbols, previous: FieldSymbols | None) -> Int32s:
@@ -183,14 +159,15 @@ class ContextCounter:
     """Counts voxels with the widest context, frame after frame; every narrower one is a marginal of that count.
 
     Memory beyond the frames grows with the different cells that are there (see `CellCounter`), never with the
-    lattice. `alphabet`: symbols are below it. `previous_frame`: whether to count the co-located voxel of the
-    previous frame, too.
+    lattice. `of`: frames of the grid and the Q of those to be counted. `previous_frame`: whether to count the
+    co-located voxel of the previous frame, too.
     """
 
-    def __init__(self, alphabet: int, quantiser: str, *, previous_frame: bool) -> None:
-        self._bits = max(1, (alphabet - 1).bit_length())
+    def __init__(self, of: FieldSymbols | Frames, *, previous_frame: bool) -> None:
+        self._bits = max(1, (of.alphabet - 1).bit_length())
         self._cells = CellCounter(9 if previous_frame else 8, self._bits)
-        self._previous_frame, self._quantiser = previous_frame, quantiser
+        self._previous_frame, self._quantiser = previous_frame, of.quantiser
+        self._before = 3 - scan_axis(of.grid)  # column of the one neighbour; 1 to 3 are those along z, y and x
 
     def add(self, frame: FieldSymbols, previous: FieldSymbols | None) -> None:
         """Count the voxels of a frame; space away from its bricks in closed form."""
@@ -219,7 +196,8 @@ class ContextCounter:
     def result(self, neighbourhood: str, *, previous_frame: bool = False) -> ContextEntropy:
         """H(S | c) of what was counted."""
         neighbours = NEIGHBOURHOODS[neighbourhood]
-        known = tuple(range(1, 1 + neighbours)) + (_PREVIOUS_FRAME,) * previous_frame
+        known = (self._before,) if neighbours == 1 else tuple(range(1, 1 + neighbours))
+        known += (_PREVIOUS_FRAME,) * previous_frame
         joint = self._cells.marginal((_SYMBOL, *known))
         cells = joint.counts()
         contexts = joint.marginal(known).counts()
@@ -295,13 +273,13 @@ def coding_limits(frames: Fields) -> CodingLimits:
     """The coding limits of quantised frames, of one grid and one Q, looked at once, in order.
 
     The raster's lines run along z, and the one neighbour lies there. Where z has a single sample, as on a flat array
-    of actuators, they go along the last axis that has more, as in an array without z: `scan_order`.
+    of actuators, they go along the last axis that has more, as in an array without z: `scan_axis`.
 
     InvalidArgument if there is no frame, frames differ in grid or Q, or the joint cells outgrow the memory budget.
     """
     given, last = Frames(frames, "frames"), None
-    contexts = ContextCounter(given.alphabet, given.quantiser, previous_frame=True)
-    for frame in map(scan_relabelled, given):
+    contexts = ContextCounter(given, previous_frame=True)
+    for frame in given:
         contexts.add(frame, last)
         last = frame
     held, empty = contexts.symbol_counts()
@@ -320,5 +298,5 @@ def coding_limits(frames: Fields) -> CodingLimits:
         ),
         Quantity("H(S | S != 0)", bits, unit, quantiser, "object", samples=supported, symbols=len(held), notes=notes),
         tuple(contexts.result(name, previous_frame=before) for name, before in asked),
-        "xyz"[scan_order(given.grid)[-1]],
+        "xyz"[scan_axis(given.grid)],
     )
