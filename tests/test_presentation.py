@@ -23,7 +23,7 @@ from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.viewer import picture
 from touchfield.viewer.information import Bar, draw_information
 from touchfield.viewer.page import lines_that_fit, shortened
-from touchfield.viewer.picture import PictureSpec, draw_comparison
+from touchfield.viewer.picture import draw_comparison
 
 Capture = pytest.CaptureFixture[str]
 
@@ -44,8 +44,7 @@ def test_a_name_is_no_formula_in_the_pictures(tmp_path: Path, measured: Measurem
     replace(measured, name=name).draw(tmp_path / "bits.png")
     draw_information(tmp_path / "names.png", name, "$\\foo$", [Bar(name, 2.0)], {name: measured.capacities["dotpad"]})
     field = job.prepare(tiny_scenes()[0], EncodeSpec(nw=4)).medium[0]
-    spec = PictureSpec(name, name, "x right, y up", 0.1, 0.02, (name, name))
-    draw_comparison(tmp_path / "fields.png", field, field, spec)
+    draw_comparison(tmp_path / "fields.png", field, field, name, "x right, y up", (0.1, 0.02), (name, name))
     for drawn in ("bits", "names", "fields"):
         with Image.open(tmp_path / f"{drawn}.png") as image:
             assert len(np.unique(np.asarray(image.convert("L")))) > 20
@@ -166,7 +165,7 @@ def test_the_picture_of_a_filter_shows_what_the_filtered_medium_holds(
     spec = EncodeSpec(nw=5, filters=(("gaussian", "5mm"), ("gaussian", "2mm")))
     drawn: list[ForceField] = []
     module = sys.modules["touchfield.job.compare"]
-    monkeypatch.setattr(module, "draw_comparison", lambda path, x, y, view: drawn.extend((x, y)))
+    monkeypatch.setattr(module, "draw_comparison", lambda path, x, y, *rest: drawn.extend((x, y)))
     job.draw_filtered(tiny_scenes()[0], spec, tmp_path / "x.png")
     before, after = (job.prepare(tiny_scenes()[0], s).medium for s in (replace(spec, filters=()), spec))
     middle = len(before) // 2
@@ -182,7 +181,7 @@ def test_the_slices_go_through_where_the_most_force_is(tmp_path: Path, monkeypat
     drawn: list = []
     monkeypatch.setattr(picture, "write_png", lambda figure, path: drawn.append(figure))
     field = ForceField.from_dense(grid, dense)
-    draw_comparison(tmp_path / "x.png", field, field, PictureSpec("t", "c", "x right, y up", 0.1, 0.02))
+    draw_comparison(tmp_path / "x.png", field, field, "t\nc", "x right, y up", (0.1, 0.02))
     titles = [panel.get_title() for panel in drawn[0].axes]
     assert sum("slice at y = 15.0 mm" in title for title in titles) == 4
 
@@ -196,7 +195,7 @@ def test_the_axes_are_millimetres_of_the_lattice_where_forces_are(
     drawn: list = []
     monkeypatch.setattr(picture, "write_png", lambda figure, path: drawn.append(figure))
     field = ForceField.from_dense(grid, dense)
-    draw_comparison(tmp_path / "x.png", field, field, PictureSpec("t", "c", "x right, y up", 0.1, 0.02))
+    draw_comparison(tmp_path / "x.png", field, field, "t\nc", "x right, y up", (0.1, 0.02))
     front, _, _, top = drawn[0].axes[:4]
     low, high = grid.box_m
     for panel in (front, top):
@@ -216,5 +215,5 @@ def test_an_axis_that_points_down_is_drawn_downwards(
     dense = np.zeros((12, 12, 12, 3))
     dense[3:9, 3:9, 3:9, 2] = 1.0
     field = ForceField.from_dense(Grid.over_box((-0.02,) * 3, (0.02,) * 3, (12, 12, 12)), dense)
-    draw_comparison(tmp_path / "x.png", field, field, PictureSpec("t", "c", axes, 0.1, 0.02))
+    draw_comparison(tmp_path / "x.png", field, field, "t\nc", axes, (0.1, 0.02))
     assert [panel.yaxis_inverted() for panel in drawn[0].axes[:2]] == ["down" in axes] * 2

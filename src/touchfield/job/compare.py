@@ -29,7 +29,7 @@ from touchfield.perception.human import vibration_threshold
 from touchfield.render.segment_blend import with_blends
 from touchfield.sources.scene import Scene
 from touchfield.stream.opened import OpenStream, open_stream
-from touchfield.viewer.picture import PictureSpec, draw_comparison
+from touchfield.viewer.picture import draw_comparison
 
 _SLIDE_FRAMES: Final = 4
 
@@ -103,8 +103,8 @@ class Comparison:
             f"{each:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
             f"{100 * values['mask_violation_share']:.1f} % of voxels beyond the mask"
         )
-        spec = PictureSpec(title, caption, self.stream["axes"], self.meter.k, self.meter.f0_n)
-        draw_comparison(Path(path), original, decoded, spec)
+        mask = self.meter.k, self.meter.f0_n
+        draw_comparison(Path(path), original, decoded, f"{title}\n{caption}", self.stream["axes"], mask)
 
 
 def compare(
@@ -328,8 +328,8 @@ def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path
     chain = ", ".join(step.name for step in spec.chain)
     title = f"frame {middle + 1} of {len(before.medium)} for {before.device.name}, before and after {chain}"
     changed = f"{100 * meter.mask_violation_share:.1f} % of voxels changed by more than a hand can feel"
-    view = PictureSpec(title, changed, before.medium.axes, meter.k, meter.f0_n, ("before", "after"))
-    draw_comparison(Path(path), x, y, view)
+    title, mask = f"{title}\n{changed}", (meter.k, meter.f0_n)
+    draw_comparison(Path(path), x, y, title, before.medium.axes, mask, ("before", "after"))
 
 
 class _Gauge:
