@@ -176,15 +176,17 @@ class ContextCounter:
         grid, before = frame.grid, previous if self._previous_frame else None
         bricks = _reached_bricks(frame, before)
         old_bricks = bricks[:0] if before is None else before.bricks
-        symbols = (np.array(frame.symbols), _NO_FRAME if before is None else np.array(before.symbols))
+        symbols, old_symbols = np.array(frame.symbols), _NO_FRAME if before is None else np.array(before.symbols)
         counted = 0
         for start in range(0, len(bricks), _BRICKS_AT_ONCE):
             part = bricks[start : start + _BRICKS_AT_ONCE]
-            slots = tuple(slots_around(part, b, grid.brick_shape, 14) for b in (frame.bricks, old_bricks))
+            slots, old_slots = (slots_around(part, b, grid.brick_shape, 14) for b in (frame.bricks, old_bricks))
             extents = np.clip(np.asarray(grid.shape) - part.astype(np.int64) * BRICK, 0, BRICK)
-            rows = field_rows((slots[0], slots[1]), symbols, extents, self._cells.columns, self._bits)
-            self._cells.add(rows)
-            counted += len(rows)
+            rows = np.empty((BRICK**3 * len(part), self._cells.words), np.uint64)
+            packing = self._cells.columns, self._bits
+            count = field_rows(slots, symbols, old_slots, old_symbols, extents, *packing, rows)
+            self._cells.add(rows[:count])
+            counted += count
         self._cells.zeros += frame.voxel_count - counted
 
     def symbol_counts(self) -> tuple[Int64s, int]:

@@ -31,6 +31,7 @@ from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import ForceField, slots_around
 from touchfield.medium.grid import Grid
+from touchfield.parallel import for_chunks
 
 _PIECES_AT_ONCE: Final = 1 << 19
 _FAR: Final = 1e9  # spacings from the grid; beyond it a path could not be cut precisely at the lattice planes
@@ -128,14 +129,16 @@ def passivity(force_field: ForceField) -> Passivity:
 
     InvalidArgument if the field is empty.
     """
-    from touchfield.measure.kernels import curl_and_loops
+    from touchfield.measure.kernels import curl_and_squares
 
     if not force_field.support_count:
         raise InvalidArgument("force_field", "a field without any force", "a support of at least one sample")
     grid = force_field.grid
     bricks = force_field.bricks
     slots = slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)
-    rows = curl_and_loops(grid, slots, force_field.forces_n)
+    rows = np.zeros((len(bricks), 7))
+    spacing_m = np.array(grid.spacing_m)
+    for_chunks(curl_and_squares, len(bricks), slots, spacing_m, force_field.forces_n, rows, chunk=32)
     points, curl2, gradient2, squares, work2 = rows[:, :5].sum(axis=0).tolist()
     curl2_max, work_max = rows[:, 5:].max(axis=0).tolist()
     rms_curl, rms_gradient = _rms(curl2, points), _rms(gradient2, points)
