@@ -1,15 +1,13 @@
-"""Chains, sparse fields and their symbols for the tests of the coding limits, and a measure of memory."""
+"""Chains, sparse fields and their symbols for the tests of the coding limits."""
 
 from __future__ import annotations
 
-import tracemalloc
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from touchfield.measure.context import ContextCounter, ContextEntropy, scan_relabelled
 from touchfield.measure.field_symbols import FieldSymbols
-from touchfield.measure.limits import BlockRates, coding_limits
+from touchfield.measure.limits import ContextCounter, ContextEntropy
 from touchfield.medium import Grid
 
 
@@ -34,25 +32,9 @@ def context_entropy(
     frames: Sequence[FieldSymbols], neighbourhood: str, *, previous_frame: bool = False
 ) -> ContextEntropy:
     """H(S | c) of one neighbourhood alone, counted with no context that is not asked for."""
-    counter = ContextCounter(frames[0].alphabet, frames[0].quantiser, previous_frame=previous_frame)
+    counter = ContextCounter(frames[0], previous_frame=previous_frame)
     before = None
-    for frame in map(scan_relabelled, frames):
+    for frame in frames:
         counter.add(frame, before)
         before = frame
     return counter.result(neighbourhood, previous_frame=previous_frame)
-
-
-def block_rates(x: np.ndarray, longest: int) -> BlockRates:
-    """Block entropies and rates of one sequence."""
-    return coding_limits(fields_of(x.reshape(1, 1, 1, -1), int(x.max()) + 1), longest=longest).scan_lines
-
-
-def most_mib(work: Callable[[], object]) -> float:
-    """The most memory that arrays take at once while something is worked out, MiB."""
-    work()  # once before: what is compiled, and imported, is not counted
-    tracemalloc.start()
-    try:
-        work()
-        return tracemalloc.get_traced_memory()[1] / 2**20
-    finally:
-        tracemalloc.stop()

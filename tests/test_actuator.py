@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from scipy import signal
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.fir import FrequencyResponse
+from touchfield.filters.fir import frequency_response
 from touchfield.filters.registry import field_filters
 from touchfield.filters.smoothing import KERNELS, ActuatorLowPass, actuator_taps, cutoff_per_m
 from touchfield.medium import ForceField, Grid
@@ -24,43 +26,28 @@ CROSS = np.array([[0, -1, 0], [-1, 4, -1], [0, -1, 0]]) / 4  # 1 - (cos w1 + cos
 # -- equation 5 -------------------------------------------------------------------------------------------------
 
 
+def gain_db(taps: ArrayLike, omega: ArrayLike) -> Any:
+    return 20 * np.log10(np.abs(frequency_response(taps, omega)))
+
+
 def test_the_response_of_firwin_at_the_cut_off_and_beyond() -> None:
-    found = FrequencyResponse(signal.firwin(31, 1 / 4)).gain_db(np.pi * np.array([0.25, 0.375]))
+    found = gain_db(signal.firwin(31, 1 / 4), np.pi * np.array([0.25, 0.375]))
     assert found == pytest.approx([-6.010, -54.5], abs=0.05)
     assert found[0] == pytest.approx(-6.010, abs=5e-4)
 
 
 def test_half_power_and_half_amplitude_of_known_filters() -> None:
-    box = FrequencyResponse(BOX3)
-    assert box.gain_db([0.9756, math.acos((3 / math.sqrt(2) - 1) / 2)]) == pytest.approx([-HALF_POWER] * 2, abs=5e-4)
-    assert box.gain_db(math.acos(0.25)) == pytest.approx(-HALF_AMPLITUDE, abs=1e-10)
-
-
-def test_directions_of_a_response() -> None:
-    found = FrequencyResponse(np.multiply.outer(BOX3, np.ones(5) / 5))
-    w = np.linspace(0.1, 1.0, 5)
-    assert np.array_equal(found.gain_db(w), found.gain_db(w, "x"))
-    assert found.gain_db(w, "y") == pytest.approx(found.gain_db(w, (0.0, 1.0)))
-    assert found.gain_db(w, "diagonal") == pytest.approx(found.gain_db(w, "x") + found.gain_db(w, "y"))
-    assert (found.gain_db(w, "y") < found.gain_db(w, "x")).all()
-    with pytest.raises(InvalidArgument, match="one of x, y, diagonal"):
-        found.gain_db(w, "z")
-    with pytest.raises(InvalidArgument, match="2 numbers"):
-        found.gain_db(w, (1.0,))
+    half_power = gain_db(BOX3, [0.9756, math.acos((3 / math.sqrt(2) - 1) / 2)])
+    assert half_power == pytest.approx([-HALF_POWER] * 2, abs=5e-4)
+    assert gain_db(BOX3, math.acos(0.25)) == pytest.approx(-HALF_AMPLITUDE, abs=1e-10)
 
 
 def test_a_high_pass_has_no_gain_at_zero() -> None:
     low = actuator_taps(1.0, 4.0)
     high = -low
     high[len(low) // 2] += 1
-    assert FrequencyResponse(high).gain_db(0.0) < -280
-    assert FrequencyResponse(CROSS).gain_db(0.0) == -300
-
-
-@pytest.mark.parametrize("taps", [[], [math.nan], [0.0, 0.0]])
-def test_taps_without_a_response(taps: list[float]) -> None:
-    with pytest.raises(InvalidArgument, match="taps"):
-        FrequencyResponse(np.array(taps))
+    assert abs(frequency_response(high, 0.0)) < 1e-14
+    assert frequency_response(CROSS, 0.0, 0.0) == 0
 
 
 # -- the design -------------------------------------------------------------------------------------------------
@@ -71,7 +58,7 @@ def test_the_cut_off_is_the_nyquist_rate_of_the_pitch() -> None:
     assert cutoff_per_m(0.035, "literal") == pytest.approx(4 * cutoff_per_m(0.035))
     taps = actuator_taps(0.001, 0.004)  # pi delta/d = pi/4
     assert np.allclose(taps, signal.firwin(31, 1 / 4), atol=1e-15)
-    assert FrequencyResponse(taps).gain_db(np.pi / 4) == pytest.approx(-HALF_AMPLITUDE, abs=0.02)
+    assert gain_db(taps, np.pi / 4) == pytest.approx(-HALF_AMPLITUDE, abs=0.02)
 
 
 @given(st.sampled_from(KERNELS), st.floats(2.5, 30), st.sampled_from(["nyquist", "literal"]))
@@ -81,7 +68,7 @@ def test_every_kernel_is_centred_of_unit_sum_and_odd(kernel: str, pitch: float, 
     assert len(taps) % 2 == 1 and taps.sum() == pytest.approx(1, abs=1e-12)
     assert np.allclose(taps, taps[::-1], atol=1e-15)
     nyquist = np.pi / pitch * (4 if cutoff == "literal" else 1)
-    before, after = FrequencyResponse(taps).gain_db(nyquist * np.array([0.75, 1.25]))
+    before, after = gain_db(taps, nyquist * np.array([0.75, 1.25]))
     assert before > -HALF_AMPLITUDE > after
 
 

@@ -29,7 +29,7 @@ miller-madow      64 %      96 % I: 100 %
 chao-wang-jost    59 %      97 % I: 100 %
 ============== ======= ========= ==============================================================================
 
-A ratio H(M(W)) / H(W) of what a mapping M leaves of W is resampled in pairs (`ratio_interval`): the same blocks of
+A ratio H(M(W)) / H(W) of what a mapping M leaves of W is resampled in pairs (`paired_ratio`): the same blocks of
 both. Coverage, and width beside that of the opposite corners of two our own intervals, of W as above and 300
 draws of a plug-in ratio; corners cover 97 % to 100 %:
 

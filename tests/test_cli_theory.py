@@ -72,7 +72,7 @@ def test_what_measure_prints_is_what_it_tells_as_json(stream: Path, capsys: Capt
     assert number("H(S)") == pytest.approx(told["entropy_voxel"]["value"], rel=1e-5)
     assert number("H(W)") == pytest.approx(told["entropy_frame"]["value"], rel=1e-5)
     assert number("relative curl") == pytest.approx(told["passivity"]["relative_curl"], rel=1e-3)
-    assert number("worst loop") == pytest.approx(1e3 * told["passivity"]["worst_loop_j"], rel=1e-3)
+    assert number("worst square") == pytest.approx(1e3 * told["passivity"]["worst_square_j"], rel=1e-3)
     assert "mJ gained" in printed
 
 

@@ -19,7 +19,7 @@ from touchfield.job.mapping import SymbolFrames
 from touchfield.measure import information as info
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import binary_entropy_bits
-from touchfield.measure.field_count import BrickBoxes, BrickGroups, field_counts, field_entropy
+from touchfield.measure.field_count import Boxes, BrickGroups, field_counts, field_entropy
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.medium.field import brick_keys
@@ -345,21 +345,21 @@ def test_what_does_not_match() -> None:
 @given(st.tuples(*[st.integers(1, 90)] * 3), st.integers(1, 70))
 def test_boxes_fill_the_lattice(shape: tuple[int, int, int], most: int) -> None:
     grid = grid_of(*shape)
-    boxes = BrickBoxes.of(grid, most)
+    boxes = Boxes.of_bricks(grid, most)
     assert 1 <= boxes.count <= most
     bricks = np.argwhere(np.ones(grid.brick_shape)).astype(np.int32)
     inside = np.ones(len(bricks), np.int64)
     for axis, n in enumerate(grid.shape):
         inside *= np.minimum(8, n - 8 * bricks[:, axis])
-    counted = np.bincount(boxes.owner(grid, bricks), weights=inside, minlength=boxes.count)
-    assert np.array_equal(boxes.voxels(grid), counted) and counted.min() > 0
+    counted = np.bincount(boxes.owner(bricks)[:, 0], weights=inside, minlength=boxes.count)
+    assert np.array_equal(boxes.voxels, counted) and counted.min() > 0
 
 
 def test_groups_hold_equally_many_bricks_and_are_compact() -> None:
     grid = grid_of(64, 64, 64)
     bricks = np.argwhere(np.random.default_rng(0).random(grid.brick_shape) < 0.5).astype(np.int32)
     groups = BrickGroups.of(grid, brick_keys(grid, bricks), 20)
-    owner = groups.owner(grid, bricks)
+    owner = groups.owner(bricks)[:, 0]
     sizes = np.bincount(owner)
     assert groups.count == len(sizes) == 20 and sizes.max() - sizes.min() <= 1
     spread = [np.ptp(bricks[owner == b], axis=0).prod() for b in range(20)]

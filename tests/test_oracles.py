@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from sklearn import metrics
 
-from limits_makers import block_rates, context_entropy
+from limits_makers import context_entropy
 from touchfield.measure import information as info
 from touchfield.measure.counts import Counts, SymbolCounter
 from touchfield.measure.estimators import entropy_bits, estimate_bits
@@ -92,7 +92,6 @@ ROADS: dict[str, dict[str, Road]] = {
         "counter": lambda x, y: counter_bits(x),
         "field": lambda x, y: field_entropy(as_field(x, KX), interval=False),
         "fields": lambda x, y: info.entropy(joined(x, y), column=0),
-        "blocks": lambda x, y: block_rates(x, 1).entropies[0],
         "context": lambda x, y: context_entropy([as_field(x, KX)], "none").per_voxel,
         "with itself": lambda x, y: info.mutual_information(x, x, interval=False),
     },
@@ -180,12 +179,8 @@ def test_normalised_information_leads_to_the_oracle(samples: tuple[Symbols, Symb
 
 @given(samples=pairs)
 def test_what_a_sequence_says_of_itself_leads_to_the_oracle(samples: tuple[Symbols, Symbols]) -> None:
-    """H(S'|S), around a circle and with nothing before the first; and of a field given the frame before."""
+    """H(S'|S), with nothing before the first; and of a field given the frame before."""
     x, y = samples
-    if len(x) > 1:
-        pair = np.bincount(KX * x + np.roll(x, -1), minlength=KX * KX).reshape(KX, KX) / len(x)
-        rate = dit.shannon.conditional_entropy(law_of(pair), [1], [0])
-        assert float(block_rates(x, 2).rates[1]) == pytest.approx(rate, abs=1e-12, rel=0)
     before = np.concatenate([[0], x[:-1]])
     pair = np.bincount(KX * x + before, minlength=KX * KX).reshape(KX, KX) / len(x)
     rate = dit.shannon.conditional_entropy(law_of(pair), [0], [1])

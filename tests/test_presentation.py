@@ -16,12 +16,13 @@ from touchfield.cli.look import show_measurement
 from touchfield.cli.main import _exit_code
 from touchfield.cli.show import show, show_rows
 from touchfield.job import EncodeSpec, Measurement, MeasureSpec
+from touchfield.measure import Interval, Quantity, capacity
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.viewer import picture
-from touchfield.viewer.information import Bar, DeviceBars, InformationView, draw_information
+from touchfield.viewer.information import Bar, draw_information
 from touchfield.viewer.page import lines_that_fit, shortened
-from touchfield.viewer.picture import PictureSpec, draw_comparison
+from touchfield.viewer.picture import draw_comparison
 
 Capture = pytest.CaptureFixture[str]
 
@@ -40,11 +41,9 @@ def _printed(found: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatc
 def test_a_name_is_no_formula_in_the_pictures(tmp_path: Path, measured: Measurement) -> None:
     name = r"a$\foo$.touch"
     replace(measured, name=name).draw(tmp_path / "bits.png")
-    view = InformationView(name, "$\\foo$", [Bar(name, 2.0)], [DeviceBars(name, 10.0, 0.5, 0.5)])
-    draw_information(tmp_path / "names.png", view)
+    draw_information(tmp_path / "names.png", name, "$\\foo$", [Bar(name, 2.0)], {name: measured.capacities["dotpad"]})
     field = job.prepare(tiny_scenes()[0], EncodeSpec(nw=4)).medium[0]
-    spec = PictureSpec(name, name, "x right, y up", 0.1, 0.02, (name, name))
-    draw_comparison(tmp_path / "fields.png", field, field, spec)
+    draw_comparison(tmp_path / "fields.png", field, field, name, "x right, y up", (0.1, 0.02), (name, name))
     for drawn in ("bits", "names", "fields"):
         with Image.open(tmp_path / f"{drawn}.png") as image:
             assert len(np.unique(np.asarray(image.convert("L")))) > 20
@@ -61,9 +60,13 @@ def test_long_titles_are_broken_into_lines() -> None:
 
 def test_bits_of_nothing_and_full_devices_are_drawn(tmp_path: Path) -> None:
     bars = [Bar("raw", 96.0), Bar("none", 0.0, (0.0, 1.0)), Bar("-0", -0.0), Bar("too low", -0.2)]
-    devices = [DeviceBars("all", 1e5, 1.0, -0.0, (0.9, 1.0)), DeviceBars("none", 0.0, math.nan, math.nan)]
-    draw_information(tmp_path / "x.png", InformationView("x", "bit", bars, devices))
-    draw_information(tmp_path / "y.png", InformationView("y", "bit", [Bar("none", 0.0)]))
+    full, none = (Quantity("H", bits, "bit/frame") for bits in (1e5, 0.0))
+    devices = {
+        "all": capacity(full, full, 1e6, ratio=Interval(0.9, 1.0, 0.95, "paired")),
+        "none": capacity(none, none, 1e6),
+    }
+    draw_information(tmp_path / "x.png", "x", "bit", bars, devices)
+    draw_information(tmp_path / "y.png", "y", "bit", [Bar("none", 0.0)])
     with Image.open(tmp_path / "x.png") as image:
         assert image.width == 1045
 
@@ -111,11 +114,12 @@ def test_zero_has_no_sign(capsys: Capture) -> None:
 
 def test_notes_name_their_quantity(measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     assert measured.limits is not None
-    lines = measured.limits.scan_lines
-    rates = (lines.rates[0], *(rate.of(notes=(f"{rate.name} is too low",)) for rate in lines.rates[1:]))
-    limits = replace(measured.limits, scan_lines=replace(lines, rates=rates))
-    noted = replace(measured, limits=limits, notes=("1 mm is 2 mm",))
-    diluted = [rate.name for rate in rates[1:]]
+    diluted = [c.per_voxel.name for c in measured.limits.contexts]
+    contexts = tuple(
+        replace(c, informed=1, per_voxel=c.per_voxel.of(notes=(f"{c.per_voxel.name} is too low",)))
+        for c in measured.limits.contexts
+    )
+    noted = replace(measured, limits=replace(measured.limits, contexts=contexts), notes=("1 mm is 2 mm",))
     printed = _printed(noted, capsys, monkeypatch)
     for name in diluted:
         assert f"{name}: " in printed
@@ -129,17 +133,6 @@ def test_notes_name_their_quantity(measured: Measurement, capsys: Capture, monke
     told = replace(of, rendered=of.rendered.of(notes=("few samples: 1",)))
     printed = _printed(replace(measured, capacities={"dotpad": told}), capsys, monkeypatch)
     assert "note: dotpad, H(M(W)): few samples: 1" in printed
-
-
-def test_no_interval_of_a_capacity_without_that_of_its_entropy(
-    measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    of = measured.capacities["dotpad"]
-    bare = replace(of, rendered=of.rendered.of(interval=None))
-    printed = _printed(replace(measured, capacities={"dotpad": bare}), capsys, monkeypatch)
-    shown = printed.split("capacity of devices")[1].split("energy")[0]
-    rows = [line for line in shown.splitlines() if line.startswith(("dotpad", "  WMR", "  HIL"))]
-    assert len(rows) == 3 and not any(" to " in row for row in rows)
 
 
 def test_energy_that_could_not_be_seen(
@@ -174,7 +167,7 @@ def test_the_slices_go_through_where_the_most_force_is(tmp_path: Path, monkeypat
     drawn: list = []
     monkeypatch.setattr(picture, "write_png", lambda figure, path: drawn.append(figure))
     field = ForceField.from_dense(grid, dense)
-    draw_comparison(tmp_path / "x.png", field, field, PictureSpec("t", "c", "x right, y up", 0.1, 0.02))
+    draw_comparison(tmp_path / "x.png", field, field, "t\nc", "x right, y up", (0.1, 0.02))
     titles = [panel.get_title() for panel in drawn[0].axes]
     assert sum("slice at y = 15.0 mm" in title for title in titles) == 4
 
@@ -188,7 +181,7 @@ def test_the_axes_are_millimetres_of_the_lattice_where_forces_are(
     drawn: list = []
     monkeypatch.setattr(picture, "write_png", lambda figure, path: drawn.append(figure))
     field = ForceField.from_dense(grid, dense)
-    draw_comparison(tmp_path / "x.png", field, field, PictureSpec("t", "c", "x right, y up", 0.1, 0.02))
+    draw_comparison(tmp_path / "x.png", field, field, "t\nc", "x right, y up", (0.1, 0.02))
     front, _, _, top = drawn[0].axes[:4]
     low, high = grid.box_m
     for panel in (front, top):
@@ -208,5 +201,5 @@ def test_an_axis_that_points_down_is_drawn_downwards(
     dense = np.zeros((12, 12, 12, 3))
     dense[3:9, 3:9, 3:9, 2] = 1.0
     field = ForceField.from_dense(Grid.over_box((-0.02,) * 3, (0.02,) * 3, (12, 12, 12)), dense)
-    draw_comparison(tmp_path / "x.png", field, field, PictureSpec("t", "c", axes, 0.1, 0.02))
+    draw_comparison(tmp_path / "x.png", field, field, "t\nc", axes, (0.1, 0.02))
     assert [panel.yaxis_inverted() for panel in drawn[0].axes[:2]] == ["down" in axes] * 2

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument
 from touchfield.measure.counts import Counts
-from touchfield.measure.field_count import SharedBoxes, shared_counts
+from touchfield.measure.field_count import Boxes, shared_boxes, shared_counts
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.medium.grid import Grid
 
@@ -30,11 +30,11 @@ def field(grid: Grid, dense: NDArray[np.int64], alphabet: int = 5) -> FieldSymbo
     return FieldSymbols.from_dense(grid, dense, alphabet, "a Q")
 
 
-def by_hand(boxes: SharedBoxes, grid: Grid) -> NDArray[np.int64]:
+def by_hand(boxes: Boxes, grid: Grid) -> NDArray[np.int64]:
     """The box of each sample by its position, int64 [nx, ny, nz]."""
     index = np.moveaxis(np.indices(grid.shape), 0, -1)
     at = np.asarray(grid.origin_m) + index * np.asarray(grid.spacing_m)
-    edges = [np.linspace(lo, hi, n + 1)[1:-1] for lo, hi, n in zip(boxes.low_m, boxes.high_m, boxes.cuts)]
+    edges = [np.linspace(lo, hi, n + 1)[1:-1] for lo, hi, n in zip(*OWN.box_m, boxes.cuts)]
     x, y, z = (np.searchsorted(e, at[..., a], side="right") for a, e in enumerate(edges))
     return np.asarray((x * boxes.cuts[1] + y) * boxes.cuts[2] + z)
 
@@ -45,11 +45,12 @@ def test_counts_of_both_are_those_of_the_samples_in_each_box(other: Grid) -> Non
     histograms = Counts.of(np.stack(dense[0])), Counts.of(np.stack(dense[1]))
     frames = [field(OWN, d) for d in dense[0]], [field(other, d) for d in dense[1]]
     found = shared_counts(frames, (OWN, other), histograms)
-    boxes = SharedBoxes.of(OWN, other, 64)
-    assert found is not None and boxes is not None and 8 <= boxes.count <= 64
-    for counts, histogram, grid, arrays in zip(found, histograms, (OWN, other), dense):
+    both = shared_boxes(OWN, other, 64)
+    assert found is not None and both is not None
+    for counts, histogram, boxes, grid, arrays in zip(found, histograms, both, (OWN, other), dense):
         owner = by_hand(boxes, grid)
-        assert np.array_equal(boxes.voxels(grid), np.bincount(owner.ravel(), minlength=boxes.count))
+        assert 8 <= boxes.count <= 64
+        assert np.array_equal(boxes.voxels, np.bincount(owner.ravel(), minlength=boxes.count))
         want = [[sum(int(((d == s) & (owner == b)).sum()) for d in arrays) for s in histogram.cells[:, 0]]
                 for b in range(boxes.count)]  # fmt: skip
         assert np.array_equal(counts.blocks, want)
@@ -68,19 +69,20 @@ def test_a_frame_that_is_full_has_no_symbol_of_empty_space() -> None:
 def test_boxes_hold_samples_of_both_and_enough_of_them(sizes: list[int], most: int) -> None:
     low, high = (-0.02, 0.01, 0.0), (0.03, 0.05, 0.04)
     own, other = (Grid.over_box(low, high, (a, b, c)) for a, b, c in (sizes[:3], sizes[3:]))
-    boxes = SharedBoxes.of(own, other, most)
-    if boxes is None:
+    both = shared_boxes(own, other, most)
+    if both is None:
         return
-    assert 8 <= boxes.count <= most
-    for n, m, cuts in zip(own.shape, other.shape, boxes.cuts):
+    assert both[0].cuts == both[1].cuts
+    for n, m, cuts in zip(own.shape, other.shape, both[0].cuts):
         assert cuts == 1 or (n >= 8 * cuts and m >= 2 * cuts)
-    for grid in (own, other):
-        assert boxes.voxels(grid).sum() == grid.voxel_count and boxes.voxels(grid).min() > 0
+    for grid, boxes in zip((own, other), both):
+        assert 8 <= boxes.count <= most
+        assert boxes.voxels.sum() == grid.voxel_count and boxes.voxels.min() > 0
 
 
 def test_an_array_is_not_cut_along_the_depth_that_it_pools() -> None:
-    boxes = SharedBoxes.of(OWN, ARRAY, 64)
-    assert boxes is not None and boxes.cuts[2] == 1 and min(boxes.cuts[:2]) > 1
+    both = shared_boxes(OWN, ARRAY, 64)
+    assert both is not None and both[0].cuts[2] == 1 and min(both[0].cuts[:2]) > 1
 
 
 @pytest.mark.parametrize(
@@ -92,7 +94,7 @@ def test_an_array_is_not_cut_along_the_depth_that_it_pools() -> None:
     ],
 )
 def test_lattices_that_share_too_little(other: Grid) -> None:
-    assert SharedBoxes.of(OWN, other, 64) is None
+    assert shared_boxes(OWN, other, 64) is None
     dense = symbols(OWN, 1), symbols(other, 2)
     histograms = Counts.of(dense[0]), Counts.of(dense[1])
     assert shared_counts((field(OWN, dense[0]), field(other, dense[1])), (OWN, other), histograms) is None

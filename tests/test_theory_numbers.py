@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal, stats
 
-from limits_makers import block_rates, context_entropy
+from limits_makers import context_entropy
 from touchfield import job
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.encoder import fitted_code
@@ -109,7 +109,6 @@ def test_a_drawn_chain_has_the_rate_of_its_law() -> None:
     )
     from_zero = drawn - drawn.min()
     assert float(context_entropy([on_a_line(from_zero)], "previous").per_voxel) == pytest.approx(rate, **near)
-    assert float(block_rates(from_zero, 2).rates[1]) == pytest.approx(rate, **near)
 
 
 # -- rate and distortion --------------------------------------------------------------------------------------------

@@ -18,8 +18,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import touchfield as tf
-from touchfield.filters import actuator_taps, cutoff_per_m
-from touchfield.filters.fir import FrequencyResponse, fir_filter
+from touchfield.filters import actuator_taps, cutoff_per_m, fir_filter, frequency_response
 
 pitch_m, spacing_m = 0.035, 0.035 / 32
 x_m = np.arange(0, 32 * 65) * spacing_m  # 52 ridges: a whole number, for the wrapped border
@@ -62,7 +61,7 @@ frequency = np.linspace(0, 3, 600)  # cycles per pitch
 names = {"literal": "as printed, 2/d", "nyquist": "correct, 1/(2d)"}
 colours = {"literal": "#d55e00", "nyquist": "#0072b2"}
 for cutoff, h in taps.items():
-    gain_db = FrequencyResponse(h).gain_db(2 * np.pi * frequency / 32)
+    gain_db = 20 * np.log10(np.abs(frequency_response(h, 2 * np.pi * frequency / 32)))
     left.plot(frequency, gain_db, color=colours[cutoff], label=names[cutoff])
 left.axvspan(0.5, 3, color="0.9", zorder=0)
 left.text(1.35, -35, "the array cannot show this", ha="center", fontsize=9)

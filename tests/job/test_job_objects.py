@@ -18,7 +18,6 @@ from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.scene import Body
 from touchfield.sources.shapes import Box, Sphere
 from touchfield.sources.stored import StoredScene
-from touchfield.viewer.picture import PictureSpec
 
 SPEC = EncodeSpec(nw=5)
 FRAMES = 12
@@ -143,13 +142,13 @@ def test_a_body_farther_from_its_place_than_is_tolerated_excuses_nothing(stream:
 def test_the_picture_of_a_long_stream_tells_its_rate(
     stream: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drawn: list[PictureSpec] = []
+    drawn: list[str] = []
     module = sys.modules["touchfield.job.compare"]
-    monkeypatch.setattr(module, "draw_comparison", lambda *rest: drawn.append(rest[-1]))
+    monkeypatch.setattr(module, "draw_comparison", lambda *rest: drawn.append(rest[3]))
     compared = job.compare(falling(), stream)
     compared.stream["cr_full"] = 3.7e-6
     compared.draw(tmp_path / "drawn.png")
-    assert "CR 3.7e-06" in drawn[0].caption
+    assert "CR 3.7e-06" in drawn[0]
 
 
 def test_what_is_too_small_to_be_felt_is_named(tmp_path: Path) -> None:

@@ -132,7 +132,7 @@ def measure(
 Row = tuple[str, str, str, str]
 """Name, value, interval, what it is."""
 
-_DILUTED = "too few samples for its {}: not to be trusted"
+_DILUTED = "too few samples for its contexts: not to be trusted"
 _WARNINGS = ("bias", "few", "too low", "overshoots", "negative", "diluted", "not to be trusted")
 """Words of notes that tell how far a number may be trusted; such notes come first."""
 
@@ -163,7 +163,6 @@ def _notes(m: Measurement, notes: tuple[str, ...]) -> list[str]:
     """Each note once, after the quantities that it is about: warnings, other notes, those of the scene."""
     named = [(f"{q.name} {what}".strip(), q) for q, what in _information(m) if q is not m.per_frame]
     if m.limits is not None:
-        named += [(rate.name, rate) for rate in m.limits.scan_lines.rates[1:]]
         named += [(c.per_voxel.name, c.per_voxel) for c in m.limits.contexts]
     for device, c in m.capacities.items():
         named += [(f"{device}, {c.rendered.name}", c.rendered), (device, c.wmr)]
@@ -204,11 +203,8 @@ def _limits(m: Measurement) -> list[Row]:
         return []
     each = m.voxels * m.frames / m.supported_voxels
     rows = [("H(S)", _number(m.voxel.value * each, 5), "", "bit/supported voxel, no neighbours")]
-    for rate in m.limits.scan_lines.rates[1:]:
-        what = _DILUTED.format("blocks") if rate.notes else f"block rate of the lines along {m.limits.scan_axis}"
-        rows.append((rate.name, _number(rate.value * each, 5), "", what))
     for c in m.limits.contexts:
-        what = _DILUTED.format("contexts") if c.is_diluted else f"{c.contexts:,} contexts"
+        what = _DILUTED if c.is_diluted else f"{c.contexts:,} contexts"
         rows.append((c.per_voxel.name, _number(c.per_voxel.value * each, 5), "", what))
     if m.file_bits is not None:
         rows.append(("this file", _number(m.file_bits / m.supported_voxels, 5), "", "everything counted"))
@@ -218,21 +214,19 @@ def _limits(m: Measurement) -> list[Row]:
 def _capacities(m: Measurement) -> list[Row]:
     rows = []
     for name, c in m.capacities.items():
-        # no interval where that of H(M(W)) is unknown: it would speak of H(W) alone, and be too narrow
-        unknown = c.reading == "realised" and c.rendered.interval is None
         of = f"of the {c.codomain_bits:,.0f} that it could be told"
         for quantity, label, what in ((c.capacity, name, of), (c.wmr, "  WMR", "rendered"), (c.hil, "  HIL", "lost")):
-            rows.append(_row(quantity.of(name=label, interval=None if unknown else quantity.interval), what))
+            rows.append(_row(quantity.of(name=label), what))
     return rows
 
 
 def _energy(p: Passivity) -> list[Row]:
     """Where nothing could be seen, the reason stands in place of what the number means."""
     why = "; ".join(p.notes) or "not defined here"
-    curl, loop = p.relative_curl, 1e3 * p.worst_loop_j
+    curl, square = p.relative_curl, 1e3 * p.worst_square_j
     meaning = "0: no loop gains energy; 1: a pure rotation"
-    gained = f"mJ gained in one round, of {p.loops} random loops"
+    gained = f"mJ gained in one round, of {p.squares:,} squares of the lattice"
     return [
         ("relative curl", _number(curl, 4), "", why if math.isnan(curl) else meaning),
-        ("worst loop", _number(loop, 4), "", why if math.isnan(loop) else gained),
+        ("worst square", _number(square, 4), "", why if math.isnan(square) else gained),
     ]

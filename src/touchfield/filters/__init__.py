@@ -4,7 +4,7 @@
 M of a device       `DeviceFilter`, `device_medium`, `resample`, `LOW_PASSES`, `device_grid`, `Placement`
 on arrays           `fir_filter`, `gaussian`, `perona_malik`, `quincunx_forward`, `fcc_forward` and their inverses
 on fields           `field_filters` names them all; `filter_of`, `filtered`, `filtered_medium`
-eq. 5               `FrequencyResponse`, `frequency_response`
+eq. 5               `frequency_response`
 editing             `edited`, `edited_medium`; regions `Box`, `Ball`, `HalfSpace`, `Voxels`, `ForceRange`; operators
                     `Gain`, `Erased`, `Composed`, `Moved`, `Limited` or any filter; `RigidMotion`
 in time             `cross_faded`
@@ -32,7 +32,7 @@ from touchfield.filters.edit import (
     edited,
     edited_medium,
 )
-from touchfield.filters.fir import FrequencyResponse, fir_filter, frequency_response
+from touchfield.filters.fir import fir_filter, frequency_response
 from touchfield.filters.lifting import (
     fcc_coarse,
     fcc_forward,
@@ -59,7 +59,7 @@ from touchfield.medium.grid import Placement
 
 __all__ = [
     "COMPOSITIONS", "LOW_PASSES", "NW_RANGE", "Ball", "Box", "Claims", "Composed", "DeviceFilter", "DeviceFilterSpec",
-    "EditOperator", "Erased", "Everywhere", "FieldFilter", "ForceRange", "FrequencyResponse", "Gain", "HalfSpace",
+    "EditOperator", "Erased", "Everywhere", "FieldFilter", "ForceRange", "Gain", "HalfSpace",
     "Limited", "LowPass", "Moved", "Placement", "Region", "RigidMotion", "Voxels", "actuator_taps",
     "cross_faded", "cutoff_per_m", "device_grid", "device_medium", "edited", "edited_medium", "fcc_coarse",
     "fcc_forward", "fcc_inverse", "field_filters", "filter_of", "filtered", "filtered_medium", "fir_filter",

@@ -11,7 +11,6 @@ H(w1, ..) = sum over n of h[n] exp(-i (w1 n1 + ..)), frequencies in radians per 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -45,7 +44,6 @@ if TYPE_CHECKING:
     from touchfield.medium import Grid
 
 ANCHORS: Final = ("centred", "causal")
-_NO_GAIN: Final = 1e-15  # -300 dB: a gain of zero has no decibels
 
 
 def fir_filter(
@@ -76,26 +74,14 @@ def checked_signal(signal: ArrayLike, boundary: str) -> NDArray[Any]:
     require_one_of("boundary", boundary, BOUNDARIES)
     kind = np.float32 if getattr(signal, "dtype", None) == np.float32 else np.float64
     x = numbers_of("signal", signal, kind)
-    if not all_finite(x):
+    if not np.isfinite(x).all():
         raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     return x
 
 
-def all_finite(x: NDArray[Any]) -> bool:
-    """Test that no number is infinite or NaN, at about the speed of memory."""
-    flat = x.reshape(-1)
-
-    def piece(begin: int, end: int) -> bool:
-        with np.errstate(over="ignore", invalid="ignore"):
-            return bool(np.isfinite(flat[begin:end].sum()))
-
-    # what is not finite stays so in a sum; a sum that is not finite may be one of large numbers
-    return all(for_chunks(piece, len(flat), chunk=1 << 16)) or bool(np.isfinite(x).all())
-
-
 def without_overflow(sums: NDArray[Any], where: str) -> NDArray[Any]:
     """The result of a filter of finite numbers; `InvalidArgument` naming `where` if a sum went beyond its type."""
-    if not all_finite(sums):
+    if not np.isfinite(sums).all():
         expected = f"sums below {np.finfo(sums.dtype).max:.3g}"
         mend = "Scale the signal or the taps down."
         raise InvalidArgument(where, f"numbers whose sums are beyond {sums.dtype}", expected, mend)
@@ -261,7 +247,10 @@ def _read_taps(text: str) -> Float64s:
 
 
 def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.complex128]:
-    """Equation 5: H(w1, ..) of a kernel [n1, ...] at frequencies in radians per sample, complex128 of their shape."""
+    """Equation 5: H(w1, ..) of a kernel [n1, ...] at frequencies in radians per sample, complex128 of their shape.
+
+    One of `omegas` for each axis of the kernel; `InvalidArgument` for more or fewer. 20 log10 |H| is the gain in dB.
+    """
     kernel = numbers_of("taps", taps)
     if kernel.ndim != len(omegas) or not omegas:
         raise InvalidArgument("frequency_response", f"{len(omegas)} frequencies", f"{kernel.ndim}, one for each axis")
@@ -272,35 +261,3 @@ def frequency_response(taps: ArrayLike, *omegas: ArrayLike) -> NDArray[np.comple
         wave = wave.reshape(*omega.shape, *([1] * (response.ndim - omega.ndim - 1)), count)
         response = (response * wave).sum(axis=-1)
     return np.asarray(response, np.complex128)
-
-
-@dataclass(frozen=True)
-class FrequencyResponse:
-    """The response of one kernel float64, N-D; `InvalidArgument` if it is empty, not finite or all zero.
-
-    A direction is "x", "y", "z", "t" for an axis, "diagonal" for omega along all axes at once, or how much of omega
-    lies along each axis; the first axis by default.
-    """
-
-    taps: Float64s
-
-    def __post_init__(self) -> None:
-        h = np.array(self.taps, np.float64)
-        if not h.size or not h.ndim or not np.isfinite(h).all() or not h.any():
-            raise InvalidArgument("taps", f"an array {h.shape}", "finite taps, not all of them zero")
-        object.__setattr__(self, "taps", frozen(h))
-
-    def gain_db(self, omega: ArrayLike, direction: Sequence[float] | str = "x") -> Float64s:
-        """20 log10 |H| at radians per sample along a direction; -300 dB where there is nothing."""
-        axes = self.taps.ndim
-        parts: Sequence[float] = [1.0] * axes
-        if isinstance(direction, str):
-            if direction != "diagonal":
-                parts = [float(name == direction) for name in "xyzt"[:axes]]
-        else:
-            parts = direction
-        if len(parts) != axes or not any(parts):
-            expected = ", ".join((*"xyzt"[:axes], "diagonal"))
-            raise InvalidArgument("direction", repr(direction), f"one of {expected}, or {axes} numbers")
-        gain = np.abs(frequency_response(self.taps, *(part * np.asarray(omega, np.float64) for part in parts)))
-        return np.asarray(20 * np.log10(np.maximum(gain, _NO_GAIN)))

@@ -30,7 +30,7 @@ from touchfield.perception.human import vibration_threshold
 from touchfield.render.segment_blend import with_blends
 from touchfield.sources.scene import Scene
 from touchfield.stream.opened import OpenStream, open_stream
-from touchfield.viewer.picture import PictureSpec, draw_comparison
+from touchfield.viewer.picture import draw_comparison
 
 _SLIDE_FRAMES: Final = 4
 
@@ -104,8 +104,8 @@ class Comparison:
             f"{each:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
             f"{100 * values['mask_violation_share']:.1f} % of voxels beyond the mask"
         )
-        spec = PictureSpec(title, caption, self.stream["axes"], self.meter.k, self.meter.f0_n)
-        draw_comparison(Path(path), original, decoded, spec)
+        mask = self.meter.k, self.meter.f0_n
+        draw_comparison(Path(path), original, decoded, f"{title}\n{caption}", self.stream["axes"], mask)
 
 
 def compare(

@@ -45,7 +45,7 @@ from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.parallel import Report, silent
 from touchfield.sources.scene import Scene
-from touchfield.viewer.information import Bar, DeviceBars, InformationView, draw_information
+from touchfield.viewer.information import Bar, draw_information
 
 _IN_TIME: Final[tuple[tuple[Callable[..., Quantity], str], ...]] = (
     (conditional_entropy, "H(S_t|S_t-1)"),
@@ -114,21 +114,17 @@ class Measurement:
 
     def draw(self, path: str | Path) -> None:
         """Write the picture, PNG: the bits of the medium beside the limits of coding it, and each device's share."""
-        devices = []
-        for name, c in self.capacities.items():
-            ends = _ends(c.wmr) if c.rendered.interval else None
-            devices.append(DeviceBars(name, c.capacity.value, c.wmr.value, c.hil.value, ends))
         title = (
             f"{self.name}: {self.frames} frame{'s' * (self.frames > 1)} of {self.voxels:,} voxels, "
             f"{self.occupancy:.2%} with a force; Q {self.quantiser}, H(W) = {self.per_frame.value:,.0f} bit/frame"
         )
-        draw_information(Path(path), InformationView(title, "bits per supported voxel", self._bars(), devices))
+        draw_information(Path(path), title, "bits per supported voxel", self._bars(), self.capacities)
 
     def _bars(self) -> list[Bar]:
         """Bits of a supported voxel, from raw numbers to the best limit; telling where it is included."""
         each = self.frames * self.voxels / self.supported_voxels
-        low_high = _ends(self.voxel)
-        ends = low_high and (low_high[0] * each, low_high[1] * each)
+        i = self.voxel.interval
+        ends = None if i is None else (i.low * each, i.high * each)
         shown = [
             Bar("three float32 numbers", float(RAW_BITS_PER_VECTOR)),
             Bar("H(S) over voxels: no neighbours", self.voxel.value * each, ends),
@@ -140,10 +136,6 @@ class Measurement:
         if self.file_bits is not None:
             shown.append(Bar("this file, everything counted", self.file_bits / self.supported_voxels, is_actual=True))
         return shown
-
-
-def _ends(quantity: Quantity) -> tuple[float, float] | None:
-    return None if quantity.interval is None else (quantity.interval.low, quantity.interval.high)
 
 
 @dataclass(frozen=True)
@@ -295,5 +287,6 @@ def _capacity(
         both = shared_counts((reference, frames), (shown.own_grid, shown.medium.grid), (counts, rendered_counts))
         per_lattice = reference.medium.grid.voxel_count, voxels
         ratio = None if both is None else paired_ratio(both, per_lattice, most, spec.estimator)
+    why = () if ratio else ("no interval of WMR: the two lattices share too few samples",)
     result = capacity(per_frame, rendered, most, ratio=ratio)
-    return result, (*shown.notes, *result.notes, f"its Q is {quantise.words}")
+    return result, (*shown.notes, *result.notes, *why, f"its Q is {quantise.words}")

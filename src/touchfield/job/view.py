@@ -29,7 +29,7 @@ from touchfield.stream.mux import demux
 from touchfield.stream.opened import OpenStream, open_stream
 from touchfield.viewer.browser import page_of
 from touchfield.viewer.page import write_png
-from touchfield.viewer.picture import PreviewSpec, shadows
+from touchfield.viewer.picture import shadows
 
 _MOST_FRAMES: Final = 30  # of a medium in memory, which is coded for the page
 _HEIGHT_PX: Final = 640
@@ -173,8 +173,8 @@ def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
 def _shadows(medium: HapticMedium, where: str, caption: str, turn: Float64s) -> Any:
     """The first frame of a medium, the middle one and the last in one figure."""
     frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
-    title = f"frame{'s' * (len(frames) > 1)} {', '.join(map(str, frames))} of {len(medium)}, {where}"
-    return shadows([medium[i] for i in frames], PreviewSpec(title, caption, turn))
+    title = f"frame{'s' * (len(frames) > 1)} {', '.join(map(str, frames))} of {len(medium)}, {where} (dashed)"
+    return shadows([medium[i] for i in frames], f"{title}\n{caption}", turn)
 
 
 class FineSource(NamedTuple):

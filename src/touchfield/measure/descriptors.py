@@ -36,19 +36,18 @@ changes are their means. Friction and damping, which travel beside the field, ar
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float32s, Float64s, Int32s
-from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion, require_one_of
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.field import brick_keys, numbers_of
@@ -191,7 +190,6 @@ PARTS: Final = MappingProxyType(
 DESCRIPTOR_LENGTH: Final = sum(PARTS.values())
 
 _BRICKS = 1 << 11  # at a time
-_MOST_JSON = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,31 +219,6 @@ class Descriptor:
         return np.array_equal(self.values, other.values) if isinstance(other, Descriptor) else NotImplemented
 
     __hash__ = None  # type: ignore[assignment]
-
-    def to_json(self) -> str:
-        """The version and the parts by name; `from_json` gives the same bits back."""
-        parts = {name: self.values[slot].tolist() for name, slot in part_slots()}
-        return json.dumps({"descriptor_version": DESCRIPTOR_VERSION, **parts})
-
-    @classmethod
-    def from_json(cls, text: str) -> Descriptor:
-        """Read the text of `to_json`.
-
-        CorruptFile if it is no such text. UnsupportedVersion if another version wrote it.
-        """
-        where = "descriptor"
-        try:
-            if len(text) > _MOST_JSON:
-                raise ValueError(f"{len(text)} characters")
-            table: Any = json.loads(text)
-            version = table.pop("descriptor_version")
-            if version == DESCRIPTOR_VERSION:
-                if set(table) != set(PARTS) or any(len(table[name]) != size for name, size in PARTS.items()):
-                    raise ValueError("other parts")
-                return cls(np.concatenate([np.asarray(table[name], np.float64) for name in PARTS]))
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            raise CorruptFile(where, f"text that cannot be read ({error})", "what to_json wrote") from None
-        raise UnsupportedVersion(where, f"version {version!r}", f"{DESCRIPTOR_VERSION}", "Make it anew.")
 
 
 def part_slots() -> Iterator[tuple[str, slice]]:

@@ -17,15 +17,14 @@ neighbouring bricks of the support.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float64s, Int32s, Int64s
+from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.counts import MOST_BLOCK_CELLS, Counts
 from touchfield.measure.field_symbols import Fields, FramePairs, Frames, frames_changed
@@ -51,6 +50,7 @@ class BrickGroups:
     `keys` int64 [n]: `brick_keys` of the support, ascending, at least one. `owners` int64 [n]: the block of each.
     """
 
+    grid: Grid
     keys: Int64s
     owners: Int64s
 
@@ -64,18 +64,17 @@ class BrickGroups:
         curve = np.argsort(along)
         owners = np.empty(len(keys), np.int64)
         owners[curve] = np.arange(len(keys)) * _wanted(most, len(keys)) // len(keys)
-        return cls(keys, owners)
+        return cls(grid, keys, owners)
 
     @property
     def count(self) -> int:
         """B."""
         return int(self.owners.max()) + 1 if len(self.owners) else 0
 
-    def owner(self, grid: Grid, bricks: Int32s) -> Int64s:
-        """The block of each brick, int64 [m], of int32 [m, 3]; bricks without a symbol may be anywhere."""
-        place = np.minimum(np.searchsorted(self.keys, brick_keys(grid, bricks)), len(self.keys) - 1)
-        owner: Int64s = self.owners[place]
-        return owner
+    def owner(self, bricks: Int32s) -> Int64s:
+        """The block of each brick, int64 [m, 1], of int32 [m, 3]; bricks without a symbol may be anywhere."""
+        place = np.minimum(np.searchsorted(self.keys, brick_keys(self.grid, bricks)), len(self.keys) - 1)
+        return self.owners[place, None]
 
 
 def _wanted(most: int, bricks: int) -> int:
@@ -95,50 +94,45 @@ def _cuts(sides: ArrayLike, room: Sequence[int], most: int) -> tuple[int, int, i
 
 
 @dataclass(frozen=True)
-class Boxes(ABC):
-    """Boxes that fill a lattice, `cuts` of them along each axis."""
+class Boxes:
+    """Boxes that fill a lattice.
+
+    `cuts`: how many along each axis. `along` int64 [n] for each axis: the cut that each sample lies in.
+    """
 
     cuts: tuple[int, int, int]
+    along: tuple[Int64s, ...]
+
+    @classmethod
+    def of_bricks(cls, grid: Grid, most: int) -> Boxes:
+        """At most so many boxes of bricks, cut again and again across the longest side."""
+        cuts = _cuts(grid.brick_shape, grid.brick_shape, _wanted(most, math.prod(grid.brick_shape)))
+        axes = zip(grid.brick_shape, grid.shape, cuts, strict=True)
+        return cls(cuts, tuple(np.repeat(np.arange(n) * of // n, BRICK)[:size] for n, size, of in axes))
 
     @property
     def count(self) -> int:
         """B."""
         return math.prod(self.cuts)
 
-    def voxels(self, grid: Grid) -> Int64s:
-        """Samples of a lattice in each box, int64 [B]."""
-        x, y, z = (np.bincount(o, minlength=n) for o, n in zip(self.along(grid), self.cuts, strict=True))
+    @property
+    def voxels(self) -> Int64s:
+        """Samples of the lattice in each box, int64 [B]."""
+        x, y, z = (np.bincount(o, minlength=n) for o, n in zip(self.along, self.cuts, strict=True))
         samples: Int64s = (x[:, None, None] * y[:, None] * z).reshape(-1)
         return samples
 
-    @abstractmethod
-    def owner(self, grid: Grid, bricks: Int32s) -> Int64s:
-        """The block of each brick, int64 [m], or of each of its samples, int64 [m, 512], of int32 [m, 3]."""
+    @cached_property
+    def _of_bricks(self) -> list[Int64s]:
+        """The cut of each brick of an axis, int64 [n, 1]; of its samples, [n, 8], where boxes end within bricks."""
+        rows = [np.pad(o, (0, -len(o) % BRICK), "edge").reshape(-1, BRICK) for o in self.along]
+        return [r[:, :1] for r in rows] if all((r == r[:, :1]).all() for r in rows) else rows
 
-    @abstractmethod
-    def along(self, grid: Grid) -> list[Int64s]:
-        """For each axis the cut that each sample lies in."""
-
-
-class BrickBoxes(Boxes):
-    """Boxes of bricks."""
-
-    @classmethod
-    def of(cls, grid: Grid, most: int) -> BrickBoxes:
-        """At most so many, cut again and again across the longest side."""
-        most = _wanted(most, math.prod(grid.brick_shape))
-        return cls(_cuts(grid.brick_shape, grid.brick_shape, most))
-
-    def owner(self, grid: Grid, bricks: Int32s) -> Int64s:
-        """See `Boxes`; of bricks."""
-        a, b, c = (bricks.astype(np.int64) * self.cuts // grid.brick_shape).T
-        owner: Int64s = (a * self.cuts[1] + b) * self.cuts[2] + c
-        return owner
-
-    def along(self, grid: Grid) -> list[Int64s]:
-        """See `Boxes`; brick i is in box i * cuts // n."""
-        axes = zip(grid.brick_shape, grid.shape, self.cuts, strict=True)
-        return [np.repeat(np.arange(n, dtype=np.int64) * cuts // n, BRICK)[:size] for n, size, cuts in axes]
+    def owner(self, bricks: Int32s) -> Int64s:
+        """The block of each brick, int64 [m, 1], or of each of its samples, [m, 512], of int32 [m, 3]."""
+        x, y, z = (rows[b] for rows, b in zip(self._of_bricks, bricks.T, strict=True))
+        owner = (x[:, :, None, None] * self.cuts[1] + y[:, None, :, None]) * self.cuts[2] + z[:, None, None]
+        return np.asarray(owner.reshape(len(bricks), -1))
 
 
 # -- counting
@@ -214,7 +208,7 @@ def _count(frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, 
         raise InvalidArgument("fields", f"{everywhere} voxels in all frames", "fewer than 2^63")
     of = partial(Counts, quantiser=frames.quantiser, variables=("S", "T"))
     if overs == ("voxel",) and interval and blocks * frames.alphabet <= MOST_BLOCK_CELLS:
-        boxes = BrickBoxes.of(frames.grid, blocks)
+        boxes = Boxes.of_bricks(frames.grid, blocks)
         if boxes.count >= LEAST_BLOCKS:
             seen, each = _in_one_pass(frames, boxes)
             return {"voxel": of(seen[:, None], each.sum(axis=0), each, weighting="voxel", alphabet=frames.alphabet)}
@@ -226,7 +220,7 @@ def _count(frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, 
     parts: dict[str, Boxes | BrickGroups] = {}
     for over in overs if interval else ():
         most = min(blocks, MOST_BLOCK_CELLS // max(1, len(tallies[over][0])))
-        part = BrickGroups.of(frames.grid, support, most) if over == "object" else BrickBoxes.of(frames.grid, most)
+        part = BrickGroups.of(frames.grid, support, most) if over == "object" else Boxes.of_bricks(frames.grid, most)
         if min(most, part.count) >= LEAST_BLOCKS:
             parts[over] = part
     tables = _held_by_part(frames, symbols, parts)
@@ -234,33 +228,33 @@ def _count(frames: Frames | FramePairs, overs: tuple[str, ...], interval: bool, 
     counts = {}
     for over in overs:
         (seen, times), alphabet, space = tallies[over], frames.alphabet - (over == "object"), parts.get(over)
-        table = None if space is None else _with_empty(tables[over], space, frames.grid, frames.count, times)
+        table = None if space is None else _with_empty(tables[over], space, frames.count, times)
         notes = (few,) if interval and table is None else ()
         counts[over] = of(seen[:, None], times, table, weighting=over, alphabet=alphabet, notes=notes)
     return counts
 
 
-def _with_empty(table: Int64s, part: Boxes | BrickGroups, grid: Grid, frames: int, counts: Int64s) -> Int64s:
+def _with_empty(table: Int64s, part: Boxes | BrickGroups, frames: int, counts: Int64s) -> Int64s:
     """The counts of each part with those of symbol 0 before them, where `counts` of all parts have it."""
     if len(counts) > table.shape[1]:
         assert isinstance(part, Boxes)
-        empty = part.voxels(grid) * frames - table.sum(axis=1)
+        empty = part.voxels * frames - table.sum(axis=1)
         table = np.concatenate([empty[:, None], table], axis=1)
     if not np.array_equal(table.sum(axis=0), counts):
         raise frames_changed()
     return table
 
 
-def _in_one_pass(frames: Frames | FramePairs, boxes: BrickBoxes) -> tuple[Int64s, Int64s]:
+def _in_one_pass(frames: Frames | FramePairs, boxes: Boxes) -> tuple[Int64s, Int64s]:
     """The symbols that occur, and their counts in each box, by a table of all symbols that there can be."""
     from touchfield.measure.kernels import add_counts
 
     table = np.zeros((boxes.count, frames.alphabet), np.int64)
     for bricks, symbols in frames.parts():
         is_held = symbols != 0
-        owner = np.repeat(boxes.owner(frames.grid, bricks), is_held.sum(axis=1))
+        owner = np.repeat(boxes.owner(bricks)[:, 0], is_held.sum(axis=1))
         add_counts(owner * frames.alphabet + symbols[is_held], table.reshape(-1))
-    table[:, 0] = boxes.voxels(frames.grid) * frames.count - table.sum(axis=1)
+    table[:, 0] = boxes.voxels * frames.count - table.sum(axis=1)
     seen = np.flatnonzero(table.any(axis=0))
     return seen, table[:, seen]
 
@@ -280,15 +274,9 @@ def _held_symbols(frames: Frames | FramePairs, keep_support: bool) -> tuple[Coun
 
 
 def _held_by_part(
-    frames: Frames | FramePairs,
-    known: Int64s,
-    parts: Mapping[str, Boxes | BrickGroups],
-    grid: Grid | None = None,
+    frames: Frames | FramePairs, known: Int64s, parts: Mapping[str, Boxes | BrickGroups]
 ) -> dict[str, Int64s]:
-    """The counts of the `known` symbols in each part, int64 [B, K], for every way to part the space: one pass.
-
-    `grid` says where the lattice of the frames lies, if that is not what they say themselves.
-    """
+    """The counts of the `known` symbols in each part, int64 [B, K], for every way to part the space: one pass."""
     from touchfield.measure.kernels import add_counts
 
     k = len(known)
@@ -299,8 +287,8 @@ def _held_by_part(
         if (cells == k).any():  # beyond the table
             raise frames_changed()
         for name, part in parts.items():
-            owner = part.owner(grid or frames.grid, bricks).reshape(len(bricks), -1)  # of bricks, or of samples
-            add_counts(np.broadcast_to(owner, inside.shape)[inside] * k + cells, out[name].reshape(-1))
+            owner = np.broadcast_to(part.owner(bricks), inside.shape)[inside]
+            add_counts(owner * k + cells, out[name].reshape(-1))
     return out
 
 
@@ -308,50 +296,27 @@ LEAST_SAMPLES = (BRICK, 2)
 """Along each side of a box, of the medium and of what is rendered of it: their neighbours depend on each other."""
 
 
-@dataclass(frozen=True)
-class SharedBoxes(Boxes):
-    """The box of a lattice, cut into equal boxes; what lies beyond belongs to the nearest.
+def shared_boxes(grid: Grid, other: Grid, most: int) -> tuple[Boxes, Boxes] | None:
+    """At most so many boxes of two lattices in one space, which hold samples of both, or None for fewer than 8.
 
-    `low_m`, `high_m` float64 [3]: the box that is cut.
+    They are equal boxes of that of `grid`, which is cut again and again across the longest side, while 8 samples of
+    `grid` and 2 of `other` are left along it: an axis along which the other has a single sample, as an array of
+    actuators has, is not cut. What lies beyond belongs to the nearest.
     """
+    low, high = grid.box_m
+    places = [other.axis_m(axis) for axis in range(3)]
+    inside = [int(((x >= lo) & (x < hi)).sum()) for x, lo, hi in zip(places, low, high, strict=True)]
+    room = [
+        max(1, min(n // LEAST_SAMPLES[0], m // LEAST_SAMPLES[1])) for n, m in zip(grid.shape, inside, strict=True)
+    ]
+    cuts = _cuts(high - low, room, most)
 
-    low_m: Float64s
-    high_m: Float64s
+    def boxes_of(g: Grid) -> Boxes:
+        shares = [(g.axis_m(a) - low[a]) / (high[a] - low[a]) * cuts[a] for a in range(3)]
+        return Boxes(cuts, tuple(np.clip(s, 0, n - 1).astype(np.int64) for s, n in zip(shares, cuts, strict=True)))
 
-    @classmethod
-    def of(cls, grid: Grid, other: Grid, most: int) -> SharedBoxes | None:
-        """At most so many boxes of `grid`, all of which hold samples of both lattices, or None for fewer than 8.
-
-        They are cut again and again across the longest side, while 8 samples of `grid` and 2 of `other` are left
-        along it: an axis along which the other has a single sample, as an array of actuators has, is not cut.
-
-        `grid`, `other`: of one space.
-        """
-        low, high = grid.box_m
-        places = [other.axis_m(axis) for axis in range(3)]
-        inside = [int(((x >= lo) & (x < hi)).sum()) for x, lo, hi in zip(places, low, high, strict=True)]
-        room = [
-            max(1, min(n // LEAST_SAMPLES[0], m // LEAST_SAMPLES[1])) for n, m in zip(grid.shape, inside, strict=True)
-        ]
-        boxes = cls(_cuts(high - low, room, most), low, high)
-        both = (boxes.voxels(grid) > 0) & (boxes.voxels(other) > 0)
-        return boxes if boxes.count >= LEAST_BLOCKS and both.all() else None
-
-    def owner(self, grid: Grid, bricks: Int32s) -> Int64s:
-        """See `Boxes`; of samples."""
-        x, y, z = (
-            np.pad(o, (0, -len(o) % BRICK)).reshape(-1, BRICK)[b]
-            for o, b in zip(self.along(grid), bricks.T, strict=True)
-        )
-        owner = (x[:, :, None, None] * self.cuts[1] + y[:, None, :, None]) * self.cuts[2] + z[:, None, None, :]
-        flat: Int64s = owner.reshape(len(bricks), -1)
-        return flat
-
-    def along(self, grid: Grid) -> list[Int64s]:
-        """See `Boxes`."""
-        axes = enumerate(zip(self.low_m, self.high_m, self.cuts, strict=True))
-        shares = ((grid.axis_m(a) - low) / (high - low) * n for a, (low, high, n) in axes)
-        return [np.clip(share, 0, n - 1).astype(np.int64) for share, n in zip(shares, self.cuts, strict=True)]
+    own, others = boxes_of(grid), boxes_of(other)
+    return (own, others) if own.count >= LEAST_BLOCKS and own.voxels.all() and others.voxels.all() else None
 
 
 def shared_counts(
@@ -368,12 +333,12 @@ def shared_counts(
     frames = Frames(fields[0], "medium"), Frames(fields[1], "rendered")
     if frames[0].count != frames[1].count:
         raise InvalidArgument("rendered", f"{frames[1].count} frames", f"{frames[0].count}, as many as the medium")
-    boxes = SharedBoxes.of(*grids, min(most, MOST_BLOCK_CELLS // sum(len(c.cells) for c in counts)))
-    if boxes is None:
+    both = shared_boxes(*grids, min(most, MOST_BLOCK_CELLS // sum(len(c.cells) for c in counts)))
+    if both is None:
         return None
     shared = []
-    for f, grid, c in zip(frames, grids, counts, strict=True):
+    for f, boxes, c in zip(frames, both, counts, strict=True):
         known = c.cells[int(c.cells[0, 0] == 0) :, 0]
-        table = _held_by_part(f, known, {"voxel": boxes}, grid)["voxel"]
-        shared.append(replace(c, blocks=_with_empty(table, boxes, grid, f.count, np.asarray(c.weights))))
+        table = _held_by_part(f, known, {"voxel": boxes})["voxel"]
+        shared.append(replace(c, blocks=_with_empty(table, boxes, f.count, np.asarray(c.weights))))
     return shared[0], shared[1]

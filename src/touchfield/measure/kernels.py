@@ -1,4 +1,4 @@
-"""Compiled loops: counting symbols in tables, causal neighbours as packed rows, curl and loops, sums by direction.
+"""Compiled loops: counting symbols in tables, causal neighbours as packed rows, curl and squares, sums by direction.
 
 Imported only when first needed, because it imports numba.
 """
@@ -12,8 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
-from touchfield.medium.grid import Grid
+from touchfield.arrays import Int64s
 from touchfield.parallel import for_chunks
 
 # -- symbols in tables. One add to a table costs one or two cycles, and waits for an add to the same place just before
@@ -122,8 +121,15 @@ def _fill_corner(local, symbols, slots):
 
 
 @njit(cache=True, nogil=True)
-def _field_rows(slots, symbols, slots_before, before, extents, columns, bits, out):
-    """The rows that are not all 0 into `out`, uint64 [m, words]; how many."""
+def field_rows(slots, symbols, slots_before, before, extents, columns, bits, out):
+    """The rows of some bricks that are not all 0 into `out`, uint64 [512 n, words]; how many.
+
+    A row holds `columns` symbols of `bits` bits, as many whole symbols to a word as fit, the first in the lowest
+    bits: the symbol itself, its seven neighbours in `CORNER`, and the voxel of the previous frame.
+
+    `slots` int64 [n, 27] in the frame and in the one before, -1 for none; `symbols` int32 [., 8, 8, 8] of both;
+    `extents` int64 [n, 3] samples of each brick within the grid.
+    """
     per_word = 64 // bits
     cells, local = np.zeros(9, np.uint64), np.zeros((9, 9, 9), np.int32)
     count = 0
@@ -149,22 +155,6 @@ def _field_rows(slots, symbols, slots_before, before, extents, columns, bits, ou
                         out[count, n // per_word] |= cells[n] << np.uint64(n % per_word * bits)
                     count += 1
     return count
-
-
-def field_rows(
-    slots: tuple[Int64s, Int64s], symbols: tuple[Int32s, Int32s], extents: Int64s, columns: int, bits: int
-) -> NDArray[np.uint64]:
-    """The rows of some bricks that are not all 0, uint64 [m, words].
-
-    A row holds `columns` symbols of `bits` bits, as many whole symbols to a word as fit, the first in the lowest
-    bits: the symbol itself, its seven neighbours in `CORNER`, and the voxel of the previous frame.
-
-    `slots` int64 [n, 27] in the frame and in the previous one, -1 for none; `symbols` int32 [., 8, 8, 8] of both;
-    `extents` int64 [n, 3] samples of each brick within the grid.
-    """
-    out = np.empty((512 * len(extents), -(-columns // (64 // bits))), np.uint64)
-    count = _field_rows(slots[0], symbols[0], slots[1], symbols[1], extents, columns, bits, out)
-    return out[:count]
 
 
 @njit(cache=True, nogil=True)
@@ -204,10 +194,6 @@ def insert(rows, weights, begin, slots, keys, counts, used):
 
 # -- curl at the lattice points, and work around the squares of the lattice
 
-COLUMNS = ("points", "curl2", "gradient2", "squares", "work2", "curl2_max", "work_max")
-"""Sums of each brick: samples with a curl, |curl|^2, |gradient|^2; squares, W^2; the largest |curl|^2 and |W|. The
-first five are sums."""
-
 
 @njit(cache=True, nogil=True)
 def _fill(slots, forces, halo, held):
@@ -230,7 +216,12 @@ def _fill(slots, forces, halo, held):
 
 
 @njit(cache=True, nogil=True)
-def _curl_and_loops(begin, end, slots, spacing, forces, sums):
+def curl_and_squares(begin, end, slots, spacing, forces, sums):
+    """Of each brick the samples with a curl, sums of |curl|^2 and |gradient|^2 there; the squares, and the sum of
+    W^2 around them; the largest |curl|^2 and |W|: float64 [n, 7], SI units.
+
+    `slots` int32 [n, 27] are where in `forces` each neighbour of a brick lies, -1 for none.
+    """
     halo, held = np.empty((1000, 3)), np.empty(1000, np.bool_)
     jacobian = np.empty((3, 3))
     step = (100, 10, 1)
@@ -265,16 +256,6 @@ def _curl_and_loops(begin, end, slots, spacing, forces, sums):
                     sums[n, 3] += 1
                     sums[n, 4] += work * work
                     sums[n, 6] = max(sums[n, 6], abs(work))
-
-
-def curl_and_loops(grid: Grid, slots: Int32s, forces_n: Float32s) -> Float64s:
-    """The `COLUMNS` for each brick, float64 [m, 7]; SI units.
-
-    `slots` int32 [m, 27], where in `forces_n` each neighbour of a brick lies, -1 for none.
-    """
-    sums = np.zeros((len(slots), len(COLUMNS)))
-    for_chunks(_curl_and_loops, len(slots), slots, np.array(grid.spacing_m), forces_n, sums, chunk=32)
-    return sums
 
 
 # -- directions: what a descriptor sums up of each force

@@ -1,9 +1,26 @@
 """The limits of coding a medium, so that a codec can be placed against its own data (theory sections 4 and 5).
 
 Beside each other stand, of the same symbols S = Q(F) over all voxels of all frames: H(S) of the voxel and of the
-object; block entropies and rates of the scan lines; H(S | causal neighbours), with and without the previous frame.
-All are plug-in estimates of what an ideal coder with that context would need, too low where contexts are diluted.
-What a real coder surely reaches is what one did: the bytes of a file of coder `touch` in its exact mode.
+object; H(S | causal neighbours), with and without the previous frame. All are plug-in estimates of what an ideal
+coder with that context would need. What a real coder surely reaches is what one did: the bytes of a file of coder
+`touch` in its exact mode.
+
+A coder that visits the voxels in raster order (x slowest, z fastest) knows, of each voxel, the neighbours with no
+greater index along any axis. Neighbourhoods are nested corners of the 2^3 cube of such neighbours:
+
+========== ========== ==========================================================
+name       neighbours which
+========== ========== ==========================================================
+none       0          nothing: H(S)
+previous   1          the one before in raster order, (0, 0, -1); see `scan_axis`
+axes       3          one before along each axis
+corner     7          all of {-1, 0}^3 but the voxel itself
+========== ========== ==========================================================
+
+and each may take in the co-located voxel of the previous frame. What lies outside the grid, and before the first
+frame, is symbol 0, so that all quantities are over the same voxels. The estimate is H(S, c) - H(c) over one exact
+count, so that with the plug-in H(S | c) falls as c grows, whatever the data. The same law makes it *too low*:
+contexts dilute, and a context seen once costs nothing. `ContextEntropy` says how diluted it is.
 
 Time: one pass over the frames, which may be made when asked for. Memory: two frames and the different joint cells
 (`CellCounter`).
@@ -12,142 +29,194 @@ Time: one pass over the frames, which may be made when asked for. Memory: two fr
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
-from touchfield.measure.context import (
-    NEIGHBOURHOODS,
-    CellCounter,
-    ContextCounter,
-    ContextEntropy,
-    scan_order,
-    scan_relabelled,
-)
 from touchfield.measure.estimators import entropy_bits
 from touchfield.measure.field_symbols import Fields, FieldSymbols, Frames
 from touchfield.measure.quantity import Quantity
-from touchfield.medium.field import brick_keys, bricks_of, slots_of
-from touchfield.medium.grid import BRICK
+from touchfield.medium.budget import memory_budget_bytes
+from touchfield.medium.field import brick_keys, bricks_of, slots_around
+from touchfield.medium.grid import BRICK, Grid
 
-MOST_IN_BLOCK = 64
-_SAMPLES_AT_ONCE = 1 << 18
-_TILE_SAMPLES = 1 << 20  # samples of scan lines laid out at once
+NEIGHBOURHOODS: Final = {"none": 0, "previous": 1, "axes": 3, "corner": 7}
+"""Names, and how many causal neighbours each takes."""
+
+_SYMBOL, _PREVIOUS_FRAME = 0, 8  # columns of a row
+_BRICKS_AT_ONCE = 1024
+_FIRST_KEYS = 1 << 12
+_MOST_KEYS = 1 << 30
+_NO_FRAME = np.zeros((0, 8, 8, 8), np.int32)
+
+
+class CellCounter:
+    """Counts rows of `columns` symbols of `bits` bits, at most 32, packed as the kernels pack them.
+
+    `zeros` counts the rows of nothing but 0, which are added in closed form.
+    """
+
+    def __init__(self, columns: int, bits: int) -> None:
+        self.columns, self.bits = columns, bits
+        self._per_word = 64 // bits
+        self.words = -(-columns // self._per_word)
+        self.zeros = 0
+        self._used = 0
+        self._allocate(_FIRST_KEYS)
+
+    def _allocate(self, size: int) -> None:
+        needed = size * (8 * self.words + 16)
+        if size > _MOST_KEYS or needed > memory_budget_bytes() // 2:
+            raise InvalidArgument(
+                "joint cells", f"more than {size // 2} different ones", f"up to {memory_budget_bytes() // 2} bytes",
+                "Give fewer frames or a coarser quantiser, or set TOUCHFIELD_MEMORY_GIB.",
+            )  # fmt: skip
+        self._slots = np.full(2 * size, -1, np.int32)
+        self._keys = np.zeros((size, self.words), np.uint64)
+        self._counts = np.zeros(size, np.int64)
+
+    def add(self, rows: NDArray[np.uint64], weights: Int64s | None = None) -> None:
+        """Count rows, uint64 [n, words], none of them all 0, each once or as often as its weight says."""
+        from touchfield.measure.kernels import insert
+
+        times = np.zeros(0, np.int64) if weights is None else weights
+        done = 0
+        while True:
+            done, self._used = insert(rows, times, done, self._slots, self._keys, self._counts, self._used)
+            if done == len(rows):
+                return
+            keys, counts = self._keys[: self._used], self._counts[: self._used]
+            self._allocate(2 * len(self._keys))
+            _, self._used = insert(keys, counts, 0, self._slots, self._keys, self._counts, 0)
+
+    @property
+    def samples(self) -> int:
+        """n, the rows counted."""
+        return int(self._counts[: self._used].sum()) + self.zeros
+
+    def counts(self) -> Int64s:
+        """How often each cell was counted, int64 [K], that of nothing but 0 last, if it was."""
+        counts = self._counts[: self._used]
+        return np.append(counts, self.zeros) if self.zeros else counts.copy()
+
+    def marginal(self, columns: tuple[int, ...]) -> CellCounter:
+        """The counter of some columns alone; the others read 0."""
+        mask = np.zeros(self.words, np.uint64)
+        for c in columns:
+            mask[c // self._per_word] |= np.uint64(((1 << self.bits) - 1) << (c % self._per_word * self.bits))
+        out = CellCounter(self.columns, self.bits)
+        rows, weights = self._keys[: self._used] & mask, self._counts[: self._used]
+        empty = ~rows.any(axis=1)
+        out.add(rows[~empty], weights[~empty])
+        out.zeros = self.zeros + int(weights[empty].sum())
+        return out
+
+
+def scan_axis(grid: Grid) -> int:
+    """The axis that the lines of a grid's raster run along: z, or the last that has more than one sample."""
+    return max((axis for axis in range(3) if grid.shape[axis] > 1), default=2)
+
+
+def _reached_bricks(frame: FieldSymbols, previous: FieldSymbols | None) -> Int32s:
+    """The bricks outside which a voxel, its causal neighbours and its predecessor are all 0, int32 [n, 3]."""
+    bricks = frame.bricks[frame.symbols.any(axis=(1, 2, 3))]
+    there = (bricks[:, None] + np.array(list(np.ndindex(2, 2, 2)), np.int32)).reshape(-1, 3)
+    if previous is not None:
+        there = np.concatenate([there, previous.bricks])
+    keys = np.unique(brick_keys(frame.grid, there[(there < frame.grid.brick_shape).all(axis=1)]))
+    return bricks_of(frame.grid, keys)
 
 
 @dataclass(frozen=True)
-class BlockRates:
-    """H(B_k) and h_k for k = 1 .. longest.
+class ContextEntropy:
+    """H(S | c) and how far to trust it.
 
-    `entropies` tuple of Quantity: H(B_k), bit. `rates` tuple of Quantity: h_k, bit/sample; the first is H(S).
+    `neighbourhood`: one of `NEIGHBOURHOODS`. `previous_frame`: whether c takes in the co-located voxel of the
+    previous frame. `per_voxel`: bit/sample over all voxels. `contexts`: how many different c were seen. `cells`: how
+    many different (S, c) were seen; K of the dilution. `informed`: voxels where S or any part of c is not 0: n of the
+    dilution. The others are all one cell. `once`: cells that were seen only once.
     """
 
-    entropies: tuple[Quantity, ...]
-    rates: tuple[Quantity, ...]
+    neighbourhood: str
+    previous_frame: bool
+    per_voxel: Quantity
+    contexts: int
+    cells: int
+    informed: int
+    once: int
+
+    @property
+    def is_diluted(self) -> bool:
+        """Fewer than ten informed voxels to a cell: the plug-in is far below the truth."""
+        return self.informed < 10 * self.cells
 
 
-class BlockCounter:
-    """Counts the blocks of `longest` symbols of scan lines, which are rings.
+class ContextCounter:
+    """Counts voxels with the widest context, frame after frame; every narrower one is a marginal of that count.
 
-    `alphabet`: symbols are below it. `longest`: 1 to 64, at most the samples along them. `quantiser`: as in
-    `Quantity`.
+    Memory beyond the frames grows with the different cells that are there (see `CellCounter`), never with the
+    lattice. `of`: frames of the grid and the Q of those to be counted. `previous_frame`: whether to count the
+    co-located voxel of the previous frame, too.
     """
 
-    def __init__(self, alphabet: int, longest: int, quantiser: str) -> None:
-        if not (isinstance(longest, int | np.integer) and 1 <= longest <= MOST_IN_BLOCK):
-            raise InvalidArgument("longest", repr(longest), f"a whole number from 1 to {MOST_IN_BLOCK}")
-        self.longest, self._bits = int(longest), max(1, (alphabet - 1).bit_length())
-        self._cells = CellCounter(self.longest, self._bits)
-        self._of = quantiser, "voxel"
+    def __init__(self, of: FieldSymbols | Frames, *, previous_frame: bool) -> None:
+        self._bits = max(1, (of.alphabet - 1).bit_length())
+        self._cells = CellCounter(9 if previous_frame else 8, self._bits)
+        self._previous_frame, self._quantiser = previous_frame, of.quantiser
+        self._before = 3 - scan_axis(of.grid)  # column of the one neighbour; 1 to 3 are those along z, y and x
 
-    def add_field(self, frame: FieldSymbols, axis: int) -> None:
-        """Count the blocks of the scan lines of a sparse frame along an axis; empty space in closed form."""
-        self._cells.zeros += frame.voxel_count
-        per_word = 64 // self._bits
-        for lines in _scan_lines(frame, axis, self.longest):
-            held, begins = lines[lines.any(axis=1)], lines.shape[1] - self.longest + 1
-            at_once = max(1, _SAMPLES_AT_ONCE // lines.shape[1])
-            for row in range(0, len(held), at_once):
-                some = held[row : row + at_once]
-                words = np.zeros((len(some), begins, self._cells.words), np.uint64)
-                for k in range(self.longest):
-                    shift = np.uint64(k % per_word * self._bits)
-                    words[:, :, k // per_word] |= some[:, k : k + begins].astype(np.uint64) << shift
-                flat = words.reshape(-1, self._cells.words)
-                filled = np.ascontiguousarray(flat[flat.any(axis=1)])
-                self._cells.add(filled)
-                self._cells.zeros -= len(filled)
+    def add(self, frame: FieldSymbols, previous: FieldSymbols | None) -> None:
+        """Count the voxels of a frame; space away from its bricks in closed form."""
+        from touchfield.measure.kernels import field_rows
 
-    def result(self) -> BlockRates:
-        """H(B_k) and h_k of what was counted."""
-        entropies: list[Quantity] = []
-        rates: list[Quantity] = []
-        before = 0.0
-        for k in range(1, self.longest + 1):
-            blocks = self._cells.marginal(tuple(range(k)))
-            counts, n = blocks.counts(), blocks.samples
-            bits = entropy_bits(counts)
-            informed = n - blocks.zeros
-            notes: tuple[str, ...] = ()
-            if informed < 10 * len(counts):
-                notes = (f"{informed} blocks not all 0 for {len(counts)} kinds, fewer than ten each; too low",)
-            of = Quantity(f"H(B_{k})", bits, "bit", *self._of, "plug-in", n, len(counts), None, notes)
-            entropies.append(of)
-            rates.append(of.of(name=f"h_{k}", value=max(0.0, bits - before), unit="bit/sample"))
-            before = bits
-        return BlockRates(tuple(entropies), tuple(rates))
+        grid, before = frame.grid, previous if self._previous_frame else None
+        bricks = _reached_bricks(frame, before)
+        old_bricks = bricks[:0] if before is None else before.bricks
+        symbols, old_symbols = np.array(frame.symbols), _NO_FRAME if before is None else np.array(before.symbols)
+        counted = 0
+        for start in range(0, len(bricks), _BRICKS_AT_ONCE):
+            part = bricks[start : start + _BRICKS_AT_ONCE]
+            slots, old_slots = (slots_around(part, b, grid.brick_shape, 14) for b in (frame.bricks, old_bricks))
+            extents = np.clip(np.asarray(grid.shape) - part.astype(np.int64) * BRICK, 0, BRICK)
+            rows = np.empty((BRICK**3 * len(part), self._cells.words), np.uint64)
+            packing = self._cells.columns, self._bits
+            count = field_rows(slots, symbols, old_slots, old_symbols, extents, *packing, rows)
+            self._cells.add(rows[:count])
+            counted += count
+        self._cells.zeros += frame.voxel_count - counted
 
+    def symbol_counts(self) -> tuple[Int64s, int]:
+        """How often each symbol but 0 was counted, int64 [K], and how often 0."""
+        alone = self._cells.marginal((_SYMBOL,))
+        counts = alone.counts()[: len(alone.counts()) - bool(alone.zeros)]
+        return counts, alone.zeros
 
-def _scan_lines(frame: FieldSymbols, axis: int, longest: int) -> Iterator[Int32s]:
-    """Pieces of the lines along an axis, int32 [m, b + longest - 1], some at a time.
-
-    The first b samples of each piece are those of a brick; any block of the lines that is not all 0 begins at one of
-    them, and at one only.
-    """
-    length = frame.grid.shape[axis]
-    bricks = _begins(frame, axis, longest)
-    last = bricks[:, axis] == frame.grid.brick_shape[axis] - 1
-    of_last = length - (frame.grid.brick_shape[axis] - 1) * BRICK
-    for some, begins in ((bricks[~last], BRICK), (bricks[last], of_last)):
-        width = begins + longest - 1
-        at_once = max(1, _TILE_SAMPLES // (BRICK * BRICK * width))
-        for start in range(0, len(some), at_once):
-            yield _lines_from(frame, axis, some[start : start + at_once], width)
-
-
-def _begins(frame: FieldSymbols, axis: int, longest: int) -> Int64s:
-    """The bricks at whose samples blocks begin that reach a symbol but 0, each once, int64 [n, 3]."""
-    grid = frame.grid
-    bricks = frame.bricks[frame.symbols.any(axis=(1, 2, 3))].astype(np.int64)
-    there = np.repeat(bricks[:, None], longest, axis=1)
-    # the first samples of blocks that end with the first of a brick, or later in it; lines are rings
-    there[:, :, axis] = (bricks[:, None, axis] * BRICK - np.arange(longest)) % grid.shape[axis] // BRICK
-    keys = np.unique(brick_keys(grid, there.reshape(-1, 3)))
-    return bricks_of(grid, keys).astype(np.int64)
-
-
-def _lines_from(frame: FieldSymbols, axis: int, bricks: Int64s, width: int) -> Int32s:
-    """The 64 lines along an axis from each of some bricks on, int32 [n * 64, width], closed to rings."""
-    grid = frame.grid
-    keys = brick_keys(grid, frame.bricks)
-    symbols = np.moveaxis(frame.symbols, axis + 1, 1)
-    lines = np.zeros((len(bricks), BRICK, BRICK, width), np.int32)
-    there = bricks.copy()
-    for i in range(width):
-        sample = (bricks[:, axis] * BRICK + i) % grid.shape[axis]
-        there[:, axis] = sample // BRICK
-        slot = slots_of(keys, brick_keys(grid, there))
-        stored = slot >= 0
-        lines[stored, :, :, i] = symbols[slot[stored], sample[stored] % BRICK]
-    return lines.reshape(-1, width)
-
-
-LINE_AXIS: Final = 2
-"""Scan lines run along the fastest axis of the raster: z, or after `scan_relabelled` the one in its place."""
+    def result(self, neighbourhood: str, *, previous_frame: bool = False) -> ContextEntropy:
+        """H(S | c) of what was counted."""
+        neighbours = NEIGHBOURHOODS[neighbourhood]
+        known = (self._before,) if neighbours == 1 else tuple(range(1, 1 + neighbours))
+        known += (_PREVIOUS_FRAME,) * previous_frame
+        joint = self._cells.marginal((_SYMBOL, *known))
+        cells = joint.counts()
+        contexts = joint.marginal(known).counts()
+        bits = max(0.0, entropy_bits(cells) - entropy_bits(contexts))  # below only by rounding
+        informed = joint.samples - joint.zeros
+        notes = [f"{len(contexts)} contexts"]
+        if informed < 10 * len(cells):
+            notes.append(f"diluted: {informed} voxels not all 0 for {len(cells)} cells, fewer than ten each; too low")
+        conditions = [f"{neighbours} neighbour{'s' * (neighbours > 1)}"] * (neighbours > 0)
+        conditions += ["previous frame"] * previous_frame
+        name = f"H(S|{', '.join(conditions)})" if conditions else "H(S)"
+        quantity = Quantity(
+            name, bits, "bit/sample", self._quantiser, "voxel", "plug-in", joint.samples, len(cells), None,
+            tuple(notes),
+        )  # fmt: skip
+        once = int((cells == 1).sum())
+        return ContextEntropy(neighbourhood, previous_frame, quantity, len(contexts), len(cells), informed, once)
 
 
 @dataclass(frozen=True)
@@ -155,9 +224,9 @@ class CodingLimits:
     """Rates that a coder of these frames can hope for.
 
     Of `voxels` in all frames `supported` are not 0. `voxel_entropy` and `object_entropy`: H(S) over all and over the
-    supported voxels (NaN where there is none), bit/sample. `scan_lines`: of the lines along `scan_axis`, along which
-    the one neighbour lies, too: "z", or the last axis that has more than one sample. `contexts`: 1, 3 and 7
-    neighbours; and with the previous frame, where there is one, 0, 1, 3 and 7.
+    supported voxels (NaN where there is none), bit/sample. `contexts`: 1, 3 and 7 neighbours; and with the previous
+    frame, where there is one, 0, 1, 3 and 7. The one neighbour lies along `scan_axis`: "z", or the last axis that has
+    more than one sample.
     """
 
     frame_count: int
@@ -165,7 +234,6 @@ class CodingLimits:
     supported: int
     voxel_entropy: Quantity
     object_entropy: Quantity
-    scan_lines: BlockRates
     contexts: tuple[ContextEntropy, ...]
     scan_axis: str = "z"
 
@@ -199,47 +267,38 @@ class CodingLimits:
             "voxel_entropy": plain(self.voxel_entropy.value),
             "object_entropy_bits": self.object_entropy.value if self.supported else None,
             "scan_axis": self.scan_axis,
-            "scan_lines": {q.name: plain(q.value) for q in self.scan_lines.rates},
             "contexts": contexts,
         }
 
 
-def coding_limits(frames: Fields, *, longest: int = 4) -> CodingLimits:
+def coding_limits(frames: Fields) -> CodingLimits:
     """The coding limits of quantised frames, of one grid and one Q, looked at once, in order.
 
-    `longest`: the longest block of the scan lines; shortened to the samples along them. InvalidArgument if there is
-    no frame, frames differ in grid or Q, or the joint cells outgrow the memory budget.
+    The raster's lines run along z, and the one neighbour lies there. Where z has a single sample, as on a flat array
+    of actuators, they go along the last axis that has more, as in an array without z: `scan_axis`.
 
-    Scan lines run along z, and the one neighbour lies there. Where z has a single sample, as on a flat array of
-    actuators, both go along the last axis that has more, and the raster is that of an array without z: `scan_order`.
+    InvalidArgument if there is no frame, frames differ in grid or Q, or the joint cells outgrow the memory budget.
     """
-    contexts, count, axis, last = None, 0, LINE_AXIS, None
-    for given in Frames(frames, "frames"):
-        frame = scan_relabelled(given)
-        if contexts is None:
-            axis = scan_order(given.grid)[LINE_AXIS]
-            contexts = ContextCounter(frame.alphabet, frame.quantiser, previous_frame=True)
-            blocks = BlockCounter(frame.alphabet, min(longest, frame.grid.shape[LINE_AXIS]), frame.quantiser)
+    given, last = Frames(frames, "frames"), None
+    contexts = ContextCounter(given, previous_frame=True)
+    for frame in given:
         contexts.add(frame, last)
-        blocks.add_field(frame, LINE_AXIS)
-        count, last = count + 1, frame
-    assert contexts is not None and last is not None  # Frames refuses none
+        last = frame
     held, empty = contexts.symbol_counts()
-    every, quantiser = np.append(held, empty) if empty else held, last.quantiser
+    every, quantiser = np.append(held, empty) if empty else held, given.quantiser
     asked = [(name, False) for name in NEIGHBOURHOODS if name != "none"]
-    if count > 1:
+    if given.count > 1:
         asked += [(name, True) for name in NEIGHBOURHOODS]
     supported, unit = int(held.sum()), "bit/sample"
     bits, notes = (entropy_bits(held), ()) if supported else (math.nan, ("no voxel is supported",))
     return CodingLimits(
-        count,
+        given.count,
         supported + empty,
         supported,
         Quantity(
             "H(S)", entropy_bits(every), unit, quantiser, "voxel", samples=supported + empty, symbols=len(every)
         ),
         Quantity("H(S | S != 0)", bits, unit, quantiser, "object", samples=supported, symbols=len(held), notes=notes),
-        blocks.result(),
         tuple(contexts.result(name, previous_frame=before) for name, before in asked),
-        "xyz"[axis],
+        "xyz"[scan_axis(given.grid)],
     )

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument, require_not_negative
@@ -234,13 +233,13 @@ def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalt
     if not all(np.isfinite(loss).all() for loss in losses):
         raise InvalidArgument("losses", "one that is not finite", "finite bits")
     kept: list[Bools] = [np.ones(shapes[-1], np.bool_)]
-    cost, count = np.asarray(losses[-1], np.float64) + penalty_bits, np.ones(shapes[-1], np.int64)
+    cost = np.asarray(losses[-1], np.float64) + penalty_bits
     for d in reversed(range(lattice.depth)):
+        (bx, by, bz), (nx, ny, nz) = shapes[d], cost.shape
         alone = losses[d] + penalty_bits
-        parted, parts = _of_children(cost, shapes[d]), _of_children(count, shapes[d])
-        whole = alone <= parted
-        kept.insert(0, whole)
-        cost, count = np.where(whole, alone, parted), np.where(whole, 1, parts)
+        parted = cost.reshape(bx, nx // bx, by, ny // by, bz, nz // bz).sum(axis=(1, 3, 5))  # over the children
+        kept.insert(0, alone <= parted)
+        cost = np.minimum(alone, parted)
     boxes = []
     reached = np.ones(shapes[0], np.bool_)
     for d, whole in enumerate(kept):
@@ -250,13 +249,4 @@ def optimal_partition(lattice: DyadicLattice, losses: Sequence[Float64s], penalt
             reached = reached & ~whole
             for axis, n in enumerate(shapes[d + 1]):  # all their children
                 reached = np.repeat(reached, n // reached.shape[axis], axis=axis)
-    assert len(boxes) == int(count.sum())
     return Partition(lattice, float(penalty_bits), tuple(boxes))
-
-
-def _of_children(values: NDArray[Any], shape: tuple[int, int, int]) -> NDArray[Any]:
-    """The sum over the children of each box."""
-    bx, by, bz = shape
-    nx, ny, nz = values.shape
-    total: NDArray[Any] = values.reshape(bx, nx // bx, by, ny // by, bz, nz // bz).sum(axis=(1, 3, 5))
-    return total

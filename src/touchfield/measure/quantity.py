@@ -179,43 +179,6 @@ def interval(
     return Interval(*ends, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
 
 
-def ratio_interval(
-    above: Callable[[Int64s], float],
-    below: Callable[[Int64s], float],
-    counts: tuple[ArrayLike, ArrayLike],
-    replicates: int = 200,
-    level: float = 0.95,
-    seed: int = 0,
-    *,
-    corrects_bias: bool = False,
-) -> Interval | None:
-    """An interval for a ratio of two statistics of counts, whose blocks are drawn together.
-
-    Where a medium is rich, so is what a device renders of it, and their ratio varies less than either.
-    `above`, `below`: each a number of at least 0, of its own counts int64 [K]. `counts` (int [B, K], int [B, K']):
-    of `above` and of `below`, in the same blocks. `replicates`, `level`, `seed`, `corrects_bias`: as of `interval`.
-    Returns Interval or None: None where `below` is 0 for the data or for a resample, so that there is no ratio.
-    InvalidArgument as of `interval`; also if the blocks are not as many.
-    """
-    first, second = (as_array(c, "block_counts") for c in counts)
-    if first.ndim != 2 or second.ndim != 2 or len(first) != len(second):
-        raise InvalidArgument("block_counts", f"shapes {first.shape} and {second.shape}", "[B, K] and [B, K']")
-    cells = first.shape[1]
-
-    def ratio(both: Int64s) -> float:
-        divisor = below(both[cells:])
-        if divisor == 0:
-            raise ZeroDivisionError
-        return above(both[:cells]) / divisor
-
-    together = np.concatenate([first, second], axis=1)
-    try:
-        spread = interval(ratio, together, replicates, level, seed, (0.0, math.inf), corrects_bias=corrects_bias)
-    except ZeroDivisionError:
-        return None
-    return replace(spread, method=f"paired {spread.method}")
-
-
 def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
     counts = as_array(block_counts, "block_counts")
     if counts.ndim < 2:

@@ -176,11 +176,11 @@ def _check(samples: int, rate_hz: float) -> None:
 
 
 class BandSums:
-    """Signals of some kinds from 40 to 400 Hz: sums of squares, peaks, and thirds of an octave by weight."""
+    """Signals of some kinds from 40 to 400 Hz: sums of squares, peaks; of one kind thirds of an octave by weight."""
 
     def __init__(self, kinds: int) -> None:
-        self.samples, self._power, self._peak, self._weight = np.zeros((4, kinds))
-        self._thirds = np.zeros((kinds, len(THIRDS_HZ)))
+        self.samples, self._power, self._peak = np.zeros((3, kinds))
+        self._weight, self._thirds = 0, np.zeros(len(THIRDS_HZ))
 
     def add(self, kind: int, signal: Float64s, rate_hz: float, weight: int = 0) -> None:
         """Count a signal in newtons [samples, 3]; a `weight` of 0 leaves its thirds out."""
@@ -189,17 +189,17 @@ class BandSums:
         self._power[kind] += squares.sum()
         self._peak[kind] = max(self._peak[kind], squares.max())
         if weight:
-            self._weight[kind] += weight
-            self._thirds[kind] += weight * third_octave_power(signal, rate_hz)
+            self._weight += weight
+            self._thirds += weight * third_octave_power(signal, rate_hz)
 
     def mn(self, kind: int) -> tuple[float, float]:
         """Rms and largest, millinewtons."""
         power = self._power[kind] / max(1, self.samples[kind])
         return 1e3 * math.sqrt(power), 1e3 * math.sqrt(self._peak[kind])
 
-    def thirds_mn(self, kind: int) -> Float64s:
+    def thirds_mn(self) -> Float64s:
         """Rms in each third of an octave, millinewtons."""
-        return np.asarray(1e3 * np.sqrt(self._thirds[kind] / max(1, self._weight[kind])))
+        return np.asarray(1e3 * np.sqrt(self._thirds / max(1, self._weight)))
 
 
 # -- a hand that slides ------------------------------------------------------------------------------------------
@@ -230,12 +230,10 @@ class Slide(NamedTuple):
     source_peak_mn: float
     lattice_mn: float | None  # of the source less the field that it samples; None where that is not known
     error_thirds_mn: Float64s  # float64 [11]; in each third of an octave of `THIRDS_HZ`
-    source_thirds_mn: Float64s
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        figures = {name: value for name, value in self._asdict().items() if not name.endswith("thirds_mn")}
-        return figures | {"error_thirds_mn": [float(v) for v in self.error_thirds_mn]}
+        return self._asdict() | {"error_thirds_mn": self.error_thirds_mn.tolist()}
 
 
 class Margin(NamedTuple):
@@ -279,7 +277,7 @@ class SlideMeter:
                     continue
                 ours, theirs = (np.asarray(forces(points), np.float64) for forces in (source, decoded))
                 total.add(0, theirs - ours, spec.rate_hz, len(points))
-                total.add(1, ours, spec.rate_hz, len(points))
+                total.add(1, ours, spec.rate_hz)
                 if exact is not None:
                     total.add(2, ours - exact(points), spec.rate_hz)
                 self._paths[speed] += 1
@@ -290,8 +288,8 @@ class SlideMeter:
         for speed, total in self._sums.items():
             error, source, lattice = (total.mn(kind) for kind in range(3))
             seconds = float(total.samples[0]) / self._spec.rate_hz
-            lattice_mn, thirds = lattice[0] if total.samples[2] else None, (total.thirds_mn(0), total.thirds_mn(1))
-            results.append(Slide(speed, self._paths[speed], seconds, *error, *source, lattice_mn, *thirds))
+            lattice_mn = lattice[0] if total.samples[2] else None
+            results.append(Slide(speed, self._paths[speed], seconds, *error, *source, lattice_mn, total.thirds_mn()))
         return tuple(results)
 
 
@@ -314,18 +312,20 @@ class HandMotion:
     threshold: VibrationThreshold
 
     @property
+    def measured(self) -> list[Slide | Hold]:
+        """The slides and the hold that something was measured of."""
+        holds = () if self.hold is None or self.hold.error_mn is None else (self.hold,)
+        return [*(s for s in self.slides if s.paths), *holds]
+
+    @property
     def loudest(self) -> Slide | Hold | None:
         """The slides or the hold whose error is the largest rms; None where nothing was measured."""
-        parts: list[Slide | Hold] = [s for s in self.slides if s.paths]
-        if self.hold is not None and self.hold.error_mn is not None:
-            parts.append(self.hold)
-        return max(parts, key=lambda part: part.error_mn or 0.0, default=None)
+        return max(self.measured, key=lambda part: part.error_mn or 0.0, default=None)
 
     @property
     def margin(self) -> Margin:
         """The least margin to the threshold, over slides and hold."""
-        parts: list[Slide | Hold] = [*self.slides, *([self.hold] if self.hold is not None else [])]
-        margins = (margin_of(part.error_thirds_mn, self.threshold) for part in parts)
+        margins = (margin_of(part.error_thirds_mn, self.threshold) for part in self.measured)
         return min(margins, default=Margin(math.inf, THIRDS_HZ[0]))
 
     def summary(self) -> dict[str, Any]:
@@ -364,11 +364,15 @@ class Hold(NamedTuple):
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        return self._asdict() | {"error_thirds_mn": [float(v) for v in self.error_thirds_mn]}
+        return self._asdict() | {"error_thirds_mn": self.error_thirds_mn.tolist()}
 
 
 class HoldMeter:
-    """The holds over the frames of a medium; steps are measured by the mask max(F_0, k |F|), F_0 positive."""
+    """The holds over the frames of a medium; steps are measured by the mask max(F_0, k |F|), F_0 positive.
+
+    Frames are felt in parts, each at points of its own; forces of a part are float64 [source and what is felt,
+    frames, points, 3].
+    """
 
     def __init__(self, frame_count: int, rate_hz: float, k: float, f0_n: float, points: int = 64) -> None:
         self._rate_hz, self._k, self._f0_n, self._count = rate_hz, k, f0_n, points
@@ -378,7 +382,11 @@ class HoldMeter:
         self._points_m = np.zeros((0, 3))
         self._forces: list[Float64s] = []
         self._starts: list[bool] = []
-        self._sum = _HoldSum()
+        self._points = self._steps = 0
+        self._largest = {"any": (0.0, 0.0), "start": (0.0, 0.0)}
+        self._errors = {True: (0.0, 0), False: (0.0, 0)}
+        self._still = 0.0, 0.0
+        self._band = BandSums(2)  # error, source
 
     def add(self, surface: ForceField, source: Forces, played: Forces, starts_segment: bool) -> None:
         """Feel the next frame: `surface` of the source, to find points on, and `played` as a receiver has it."""
@@ -394,7 +402,15 @@ class HoldMeter:
     def hold(self) -> Hold:
         """The result of all frames."""
         self._close()
-        return self._sum.hold()
+        start, other = (1e3 * math.sqrt(p / max(1, n)) for p, n in (self._errors[True], self._errors[False]))
+        (step, own), (at_start, own_at_start) = self._largest["any"], self._largest["start"]
+        (rms, peak), (source, _) = self._band.mn(0), self._band.mn(1)
+        is_known = self._band.samples[0] > 0
+        return Hold(
+            self._points, self._steps, 1e3 * step, 1e3 * own, 1e3 * at_start, 1e3 * own_at_start,
+            start, other, 1e3 * self._still[0], self._still[1], rms if is_known else None,
+            peak if is_known else None, source if is_known else None, self._band.thirds_mn(),
+        )  # fmt: skip
 
     def _feel(self, felt: tuple[Forces, Forces], starts_segment: bool) -> None:
         if len(self._points_m):
@@ -403,24 +419,13 @@ class HoldMeter:
 
     def _close(self) -> None:
         if len(self._starts) > 1:
-            forces_n, starts = np.stack(self._forces, axis=1), np.array(self._starts[1:])
-            self._sum.add_steps(forces_n, starts, self._k, self._f0_n)
-            self._sum.add_band(forces_n, self._rate_hz)
-        self._sum.points += len(self._points_m)
+            forces_n = np.stack(self._forces, axis=1)
+            self._add_steps(forces_n, np.array(self._starts[1:]))
+            self._add_band(forces_n)
+        self._points += len(self._points_m)
         self._forces, self._starts, self._points_m = [], [], np.zeros((0, 3))
 
-
-class _HoldSum:
-    """Sums over the parts of a medium; forces float64 [source and what is felt, frames, points, 3]."""
-
-    def __init__(self) -> None:
-        self.points = self._steps = 0
-        self._largest = {"any": (0.0, 0.0), "start": (0.0, 0.0)}
-        self._errors = {True: (0.0, 0), False: (0.0, 0)}
-        self._still = 0.0, 0.0
-        self._band = BandSums(2)  # error, source
-
-    def add_steps(self, forces_n: Float64s, starts: Bools, k: float, f0_n: float) -> None:
+    def _add_steps(self, forces_n: Float64s, starts: Bools) -> None:
         """Count the steps of a part."""
         change = np.diff(forces_n, axis=1)
         source, decoded = np.linalg.norm(change, axis=-1)
@@ -436,18 +441,18 @@ class _HoldSum:
             some = error[starts == is_start]
             self._errors[is_start] = power + float(some.sum()), count + some.size
         still = source <= STILL_N
-        mask_n = np.maximum(f0_n, k * np.linalg.norm(forces_n[0], axis=-1))
+        mask_n = np.maximum(self._f0_n, self._k * np.linalg.norm(forces_n[0], axis=-1))
         ratio = decoded / np.minimum(mask_n[1:], mask_n[:-1])
         largest, worst_ratio = (float(values[still].max(initial=0.0)) for values in (decoded, ratio))
         self._still = max(self._still[0], largest), max(self._still[1], worst_ratio)
 
-    def add_band(self, forces_n: Float64s, rate_hz: float) -> None:
+    def _add_band(self, forces_n: Float64s) -> None:
         """Add what of a part lies in the band; a part below 0.25 s tells nothing."""
         from scipy.interpolate import make_interp_spline
 
         frames = forces_n.shape[1]
-        servo_hz = max(_SERVO_HZ, rate_hz)
-        at = np.arange(0.0, frames - 1 + 1e-9, rate_hz / servo_hz)
+        servo_hz = max(_SERVO_HZ, self._rate_hz)
+        at = np.arange(0.0, frames - 1 + 1e-9, self._rate_hz / servo_hz)
         if len(at) < LEAST_S * servo_hz:
             return
         margin = ((round(MARGIN_S * servo_hz),) * 2, (0, 0))
@@ -456,15 +461,3 @@ class _HoldSum:
             error = np.pad(decoded - source, margin, "edge")
             self._band.add(0, error, servo_hz, len(at))
             self._band.add(1, np.pad(source, margin, "edge"), servo_hz)
-
-    def hold(self) -> Hold:
-        """All parts together."""
-        start, other = (1e3 * math.sqrt(p / max(1, n)) for p, n in (self._errors[True], self._errors[False]))
-        (step, own), (at_start, own_at_start) = self._largest["any"], self._largest["start"]
-        (rms, peak), (source, _) = self._band.mn(0), self._band.mn(1)
-        is_known = self._band.samples[0] > 0
-        return Hold(
-            self.points, self._steps, 1e3 * step, 1e3 * own, 1e3 * at_start, 1e3 * own_at_start,
-            start, other, 1e3 * self._still[0], self._still[1], rms if is_known else None,
-            peak if is_known else None, source if is_known else None, self._band.thirds_mn(0),
-        )  # fmt: skip

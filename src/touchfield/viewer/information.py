@@ -5,7 +5,7 @@ One hue for limits, another for what a file takes; every value carries its numbe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,8 @@ from touchfield.viewer.page import shortened, titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from touchfield.measure.capacity import Capacity
 
 
 _LIMIT, _ACTUAL, _KEPT, _LOST = "#0072b2", "#d55e00", "#0072b2", "0.82"
@@ -32,48 +34,32 @@ class Bar:
     is_actual: bool = False
 
 
-@dataclass(frozen=True)
-class DeviceBars:
-    """Equations 1 to 3 for one device: C in bits a frame; WMR and HIL are NaN where they do not exist."""
+def draw_information(
+    path: Path, title: str, unit: str, bars: Sequence[Bar], capacities: Mapping[str, Capacity] | None = None
+) -> None:
+    """Write the picture of bars in `unit`, from the top down, and of devices by name, as PNG.
 
-    name: str
-    capacity_bits: float
-    wmr: float
-    hil: float
-    wmr_interval: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True)
-class InformationView:
-    """Content of `draw_information`: bars in `unit`, from the top down, and devices."""
-
-    title: str
-    unit: str
-    bars: Sequence[Bar]
-    devices: Sequence[DeviceBars] = ()
-
-
-def draw_information(path: Path, view: InformationView) -> None:
-    """Write the picture as PNG; `MissingExtra` if matplotlib is not installed."""
+    `MissingExtra` if matplotlib is not installed.
+    """
     # a device takes a line of words and the bar below it
-    rows = [0.7 + each * len(part) for part, each in ((view.bars, 0.36), (view.devices, 0.5)) if part]
-    figure = titled_figure("the picture of a measurement", view.title, _WIDTH_INCH, 0.9 + sum(rows))
+    rows = [0.7 + each * len(part) for part, each in ((bars, 0.36), (capacities, 0.5)) if part]
+    figure = titled_figure("the picture of a measurement", title, _WIDTH_INCH, 0.9 + sum(rows))
     panels = figure.subplots(len(rows), 1, squeeze=False, gridspec_kw={"height_ratios": rows})[:, 0]
-    if view.bars:
-        _draw_bars(panels[0], view)
-    if view.devices:
-        _draw_devices(panels[-1], view.devices)
+    if bars:
+        _draw_bars(panels[0], bars, unit)
+    if capacities:
+        _draw_devices(panels[-1], capacities)
     write_png(figure, path)
 
 
-def _draw_bars(panel: Any, view: InformationView) -> None:
+def _draw_bars(panel: Any, bars: Sequence[Bar], unit: str) -> None:
     """Points on a scale of powers: raw numbers and the best limit may lie a factor of a thousand apart."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    values = [v for b in view.bars for v in (b.value, *(b.interval or ())) if v > 0]
+    values = [v for b in bars for v in (b.value, *(b.interval or ())) if v > 0]
     low, high = min(values, default=0.1), max(values, default=1.0)
     left, right = low / 1.6, high * 1.6 * (high / low) ** 0.15  # room for the last number
-    for place, bar in enumerate(view.bars):
+    for place, bar in enumerate(bars):
         colour = _ACTUAL if bar.is_actual else _LIMIT
         edge = max(bar.value, left)
         if bar.interval is not None:
@@ -95,26 +81,28 @@ def _draw_bars(panel: Any, view: InformationView) -> None:
     )
     panel.xaxis.set_minor_formatter(NullFormatter())
     panel.grid(axis="y", color="0.9")
-    _finish(panel, [b.label for b in view.bars], view.unit)
+    _finish(panel, [b.label for b in bars], unit)
 
 
-def _draw_devices(panel: Any, devices: Sequence[DeviceBars]) -> None:
+def _draw_devices(panel: Any, capacities: Mapping[str, Capacity]) -> None:
     """WMR and HIL share a bar of length 1, below its numbers: what of the medium is rendered, and what is lost."""
-    for place, d in enumerate(devices):
-        if d.wmr != d.wmr:  # NaN: H(W) = 0
+    for place, c in enumerate(capacities.values()):
+        wmr = c.wmr.value
+        if wmr != wmr:  # NaN: H(W) = 0
             panel.text(0.005, place, "no information to render", va="center", fontsize=8)
             continue
         low = place + 0.18
         panel.barh(low, 1.0, color=_LOST, height=0.36)
-        panel.barh(low, d.wmr, color=_KEPT, height=0.36)
-        if d.wmr_interval is not None:
-            panel.plot(d.wmr_interval, [low, low], color="black", lw=1.6, solid_capstyle="butt", marker="|",
+        panel.barh(low, wmr, color=_KEPT, height=0.36)
+        i = c.wmr.interval
+        if i is not None:
+            panel.plot([i.low, i.high], [low, low], color="black", lw=1.6, solid_capstyle="butt", marker="|",
                        clip_on=False)  # fmt: skip
-        text = f"C = {d.capacity_bits + 0.0:,.0f} bit/frame   WMR {d.wmr + 0.0:.3g}   HIL {d.hil + 0.0:.5g}"
+        text = f"C = {c.capacity.value + 0.0:,.0f} bit/frame   WMR {wmr + 0.0:.3g}   HIL {c.hil.value + 0.0:.5g}"
         panel.text(0.005, place - 0.22, text, va="center", fontsize=8, parse_math=False)
     panel.set_xlim(0, 1)
     share = "share of the medium's information: rendered (WMR, blue) and lost (HIL, grey)"
-    _finish(panel, [d.name for d in devices], share)
+    _finish(panel, list(capacities), share)
 
 
 def _finish(panel: Any, names: Sequence[str], label: str) -> None:

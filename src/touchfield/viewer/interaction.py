@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.viewer.page import titled_figure, write_png
+from touchfield.viewer.picture import shadow_n
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -81,8 +82,8 @@ def draw_interaction(path: Path, view: InteractionView) -> None:
     _name_contacts(hand, spans)
     parts.set_xlabel("time, s")
     right = places[:, 1].subgridspec(2, 1)
-    _draw_path(figure, figure.add_subplot(right[0]), view, (0, 1))
-    _draw_path(figure, figure.add_subplot(right[1]), view, (0, 2))
+    _draw_path(figure, figure.add_subplot(right[0]), view, 0, 1)
+    _draw_path(figure, figure.add_subplot(right[1]), view, 0, 2)
     write_png(figure, path)
 
 
@@ -126,17 +127,14 @@ def _draw_force(axis: Any, view: InteractionView) -> None:
     axis.legend(loc="upper right", ncols=3, fontsize=8)
 
 
-def _draw_path(figure: Any, axis: Any, view: InteractionView, across: tuple[int, int]) -> None:
+def _draw_path(figure: Any, axis: Any, view: InteractionView, horizontal: int, vertical: int) -> None:
     """The path seen along the third axis, its colour |F| put out, over the shadow of the field."""
-    horizontal, vertical = across
     field = view.background
     if field is not None and len(field.bricks):
         low, high = 1e3 * np.stack(field.grid.box_m)
-        along = ({0, 1, 2} - set(across)).pop()
-        shadow = np.sqrt((field.to_dense().astype(np.float64) ** 2).sum(axis=-1)).max(axis=along)
-        image = shadow if horizontal < vertical else shadow.T
+        shadow = shadow_n([field], horizontal, vertical)
         axis.imshow(
-            image.T, origin="lower", cmap="Greys", alpha=0.6, vmin=0, vmax=2 * max(float(shadow.max()), 1e-9),
+            shadow.T, origin="lower", cmap="Greys", alpha=0.6, vmin=0, vmax=2 * max(float(shadow.max()), 1e-9),
             extent=(low[horizontal], high[horizontal], low[vertical], high[vertical]), aspect="equal",
         )  # fmt: skip
     else:

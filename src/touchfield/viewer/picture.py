@@ -6,7 +6,6 @@ Colours are perceptually even and safe for the colour-blind; what is compared sh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from touchfield.medium import ForceField, Grid
+    from touchfield.medium import ForceField
 
 
 _X, _Y, _Z = 0, 1, 2
@@ -29,39 +28,30 @@ _ARROWS = 30  # along the longer side of the direction panels
 _EMPTY = "0.86"
 
 
-@dataclass(frozen=True)
-class PictureSpec:
-    """Texts around the panels: `axes` as the medium words them, "x right, y down, z forward"; the mask
-    max(F_0, k |F|); in `columns` what the two fields are called.
-    """
-
-    title: str
-    caption: str
-    axes: str
-    k: float
-    f0_n: float
-    columns: tuple[str, str] = ("source", "decoded")
-
-
-def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec: PictureSpec) -> None:
+def draw_comparison(
+    path: Path,
+    original: ForceField,
+    decoded: ForceField,
+    title: str,
+    axes: str,
+    mask: tuple[float, float],
+    columns: tuple[str, str] = ("source", "decoded"),
+) -> None:
     """Write a PNG that compares two fields on one grid.
 
     Rows: where a hand that comes from the viewer's side first feels a force; |F| on a slice along the line of
-    sight; the direction on the same slice; of an array of actuators, |F| of each. Columns: source, decoded, error.
-    `MissingExtra` if matplotlib is not installed.
+    sight; the direction on the same slice; of an array of actuators, |F| of each. Columns: the two fields, as
+    `columns` calls them, and the error. `axes` are as the medium words them, "x right, y down, z forward"; `mask` is
+    (k, F_0) of max(F_0, k |F|). `MissingExtra` if matplotlib is not installed.
     """
-    panels = _Panels(original, decoded, spec)
-    # an array of actuators is one sample deep: all there is to see is the force of each
-    rows = (
-        (panels.draw_contact, panels.draw_amplitudes, panels.draw_directions)
-        if original.grid.shape[_Z] > 1
-        else (panels.draw_actuators,)
-    )
+    panels = _Panels(original, decoded, axes, mask, columns)
+    rows = [panels.draw_amplitudes]
+    if not panels.is_array:
+        rows = [panels.draw_contact, *rows, panels.draw_directions]
     heights = panels.row_heights()[: len(rows)]
-    title = f"{spec.title}\n{spec.caption}"
     figure = titled_figure("the picture of a comparison", title, 14.0, 1.2 + 4.3 * sum(heights))
-    axes = figure.subplots(len(rows), 3, squeeze=False, gridspec_kw={"height_ratios": heights})
-    for draw, row in zip(rows, axes, strict=True):
+    places = figure.subplots(len(rows), 3, squeeze=False, gridspec_kw={"height_ratios": heights})
+    for draw, row in zip(rows, places, strict=True):
         draw(figure, row)
     write_png(figure, path)
 
@@ -69,9 +59,18 @@ def draw_comparison(path: Path, original: ForceField, decoded: ForceField, spec:
 class _Panels:
     """Both fields cropped to the box that holds forces, and how to draw them."""
 
-    def __init__(self, original: ForceField, decoded: ForceField, spec: PictureSpec) -> None:
-        self.spec = spec
+    def __init__(
+        self,
+        original: ForceField,
+        decoded: ForceField,
+        axes: str,
+        mask: tuple[float, float],
+        columns: tuple[str, str],
+    ) -> None:
+        self.axes, self.mask, self.columns = axes, mask, columns
         grid = original.grid
+        # an array of actuators is one sample deep: all there is to see is the force of each
+        self.is_array = grid.shape[_Z] == 1
         x, y = original.to_dense(), decoded.to_dense()
         held = (x != 0).any(-1) | (y != 0).any(-1)
         crop = [_span(held.any(axis=tuple(b for b in range(3) if b != a)), grid.shape[a]) for a in range(3)]
@@ -81,12 +80,12 @@ class _Panels:
         self.shape = held.shape
         self.vectors = (x, y)
         self.forces = tuple(np.linalg.norm(v, axis=-1) for v in self.vectors)
-        error = np.linalg.norm(y - x, axis=-1) / mask_n(self.forces[0], spec.k, spec.f0_n)
+        error = np.linalg.norm(y - x, axis=-1) / mask_n(self.forces[0], *mask)
         self.error = np.where(held, error, np.nan)
         self.cut = int(np.argmax(self.forces[0].sum(axis=(_X, _Z), dtype=np.float64)))
         self.top_n = float(max(*(f.max(initial=0) for f in self.forces), 1e-6))
         # whoever looks along +z meets the lowest z first; whoever has z towards the eye, the highest
-        self.from_low_z = "z forward" in spec.axes
+        self.from_low_z = "z forward" in axes
 
     # -- geometry of the page -----------------------------------------------------------------------------
 
@@ -107,13 +106,13 @@ class _Panels:
     def _image(self, panel: Any, up: int, values: NDArray[Any], title: str, **style: Any) -> Any:
         extent = self._frame(panel, up, title)
         image = panel.imshow(values.T, origin="lower", extent=extent, interpolation="nearest", **style)
-        if f"{'xyz'[up]} down" in self.spec.axes:
+        if f"{'xyz'[up]} down" in self.axes:
             panel.invert_yaxis()
         return image
 
     def _mask_bar(self, figure: Any, panel: Any, up: int, values: NDArray[Any], title: str) -> None:
         worst = self._image(panel, up, values, title, vmin=0, vmax=2, cmap="PuOr_r")
-        _bar(figure, worst, panel, f"|error| / max({self.spec.f0_n:g} N, {self.spec.k:g} |F|)", extend="max")
+        _bar(figure, worst, panel, f"|error| / max({self.mask[1]:g} N, {self.mask[0]:g} |F|)", extend="max")
 
     # -- rows ---------------------------------------------------------------------------------------------
 
@@ -121,25 +120,21 @@ class _Panels:
         """Where a hand first feels a force, and the worst error behind each point of that surface."""
         depths = [self._contact_mm(force) for force in self.forces]
         both = np.concatenate([d[np.isfinite(d)] for d in depths])
-        scale: dict[str, Any] = {"cmap": "cividis" if self.from_low_z is False else "cividis_r"}
+        scale: dict[str, Any] = {"cmap": "cividis" if not self.from_low_z else "cividis_r"}
         if len(both):
             # a few samples at the rim, felt only deep behind it, must not take the whole scale
             low, high = np.percentile(both, (1, 99))
             if low == high:  # a flat scene, and what little stands out of it is what there is to see
                 low, high = both.min(), both.max()
             scale |= {"vmin": low, "vmax": high}
-        for panel, depth, name in zip(row, depths, self.spec.columns, strict=False):
+        for panel, depth, name in zip(row, depths, self.columns, strict=False):
             shown = self._image(panel, _Y, depth, f"{name}: first contact along z", **scale)
         _bar(figure, shown, list(row[:2]), "z of first contact / mm")
         worst = np.nanmax(np.where(np.isnan(self.error), -1, self.error), axis=_Z)
         self._mask_bar(figure, row[2], _Y, np.where(worst < 0, np.nan, worst), "worst error along z")
 
-    def draw_actuators(self, figure: Any, row: Any) -> None:
-        """|F| of each actuator of an array."""
-        self._draw_sizes(figure, row, _Y, (slice(None), slice(None), 0), "")
-
     def _contact_mm(self, force: Float32s) -> Float64s:
-        felt = force > self.spec.f0_n
+        felt = force > self.mask[1]
         index = felt.argmax(axis=_Z) if self.from_low_z else felt.shape[_Z] - 1 - felt[:, :, ::-1].argmax(axis=_Z)
         z = self.low_mm[_Z] + (index + 0.5) * self.step_mm[_Z]
         return np.where(felt.any(axis=_Z), z, np.nan)
@@ -149,11 +144,12 @@ class _Panels:
         return f"slice at y = {y_mm:.1f} mm"
 
     def draw_amplitudes(self, figure: Any, row: Any) -> None:
-        """|F| on the slice with the most force."""
-        self._draw_sizes(figure, row, _Z, (slice(None), self.cut), f", {self._slice_name()}")
-
-    def _draw_sizes(self, figure: Any, row: Any, up: int, cut: tuple[Any, ...], where: str) -> None:
-        for panel, force, name in zip(row, self.forces, self.spec.columns, strict=False):
+        """|F| on the slice with the most force, or of each actuator of an array."""
+        up, where = _Z, f", {self._slice_name()}"
+        cut: tuple[Any, ...] = (slice(None), self.cut)
+        if self.is_array:
+            up, cut, where = _Y, (..., 0), ""
+        for panel, force, name in zip(row, self.forces, self.columns, strict=False):
             felt = np.where(force[cut] > 0, force[cut], np.nan)
             shown = self._image(panel, up, felt, f"{name} |F|{where}", vmin=0, vmax=self.top_n, cmap="cividis")
         _bar(figure, shown, list(row[:2]), "|F| / N")
@@ -162,7 +158,7 @@ class _Panels:
     def draw_directions(self, figure: Any, row: Any) -> None:
         """Direction on the same slice, and by how many degrees it is off."""
         units = [_unit(v[:, self.cut]) for v in self.vectors]
-        for panel, unit, name in zip(row, units, self.spec.columns, strict=False):
+        for panel, unit, name in zip(row, units, self.columns, strict=False):
             shown = self._quiver(panel, unit, f"{name} direction, {self._slice_name()}")
         _bar(figure, shown, list(row[:2]), "part of the force along y")
         held = np.logical_and(*((u != 0).any(-1) for u in units))
@@ -222,34 +218,26 @@ _PANELS: Final = (
 _ROOM: Final = 0.12  # around the workspace, of its largest side
 
 
-@dataclass(frozen=True)
-class PreviewSpec:
-    """Words around the panels, and the signed permutation [3, 3] from x right, y up, z towards the viewer to the axes
-    of the fields.
+def shadows(fields: Sequence[ForceField], title: str, turn: Float64s) -> Figure:
+    """A figure of fields on one grid: three projections with the box of the grid, in millimetres.
+
+    `turn`: the signed permutation [3, 3] from x right, y up, z towards the viewer to the axes of the fields.
     """
-
-    title: str
-    caption: str
-    turn: Float64s
-
-
-def shadows(fields: Sequence[ForceField], spec: PreviewSpec) -> Figure:
-    """A figure of fields on one grid: three projections with the box of the grid, in millimetres."""
     grid = fields[0].grid
     low_mm, high_mm = (1e3 * corner for corner in grid.box_m)
     sides = high_mm - low_mm
     room = _ROOM * float(sides.max())
-    panels_of = [(name, *_seen(spec, across), *_seen(spec, up)) for name, across, up in _PANELS]
+    panels_of = [(name, *_seen(turn, across), *_seen(turn, up)) for name, across, up in _PANELS]
     widths = [float(sides[across] + 2 * room) for _, across, _, _, _ in panels_of]
     heights = [float(sides[up] + 2 * room) for *_, up, _ in panels_of]
     height_inch = 1.6 + 13.0 * max(heights) / sum(widths)
-    figure = titled_figure("the preview of a field", f"{spec.title} (dashed)\n{spec.caption}", 15.0, height_inch)
+    figure = titled_figure("the preview of a field", title, 15.0, height_inch)
     from matplotlib.patches import Rectangle
 
     panels = figure.subplots(1, 3, gridspec_kw={"width_ratios": widths})
     top_n = max(max(float(f.support().amplitudes_n.max(initial=0.0)) for f in fields), 1e-6)
     for panel, (name, across, is_left, up, is_down) in zip(panels, panels_of, strict=True):
-        shadow = _shadow(fields, grid, across, up)
+        shadow = shadow_n(fields, across, up)
         image = panel.imshow(
             np.where(shadow > 0, shadow, np.nan).T, origin="lower", interpolation="nearest", aspect="equal",
             extent=(low_mm[across], high_mm[across], low_mm[up], high_mm[up]), cmap="viridis_r", vmin=0, vmax=top_n,
@@ -275,16 +263,17 @@ def shadows(fields: Sequence[ForceField], spec: PreviewSpec) -> Figure:
     return figure
 
 
-def _seen(spec: PreviewSpec, way: tuple[int, int, int]) -> tuple[int, bool]:
+def _seen(turn: Float64s, way: tuple[int, int, int]) -> tuple[int, bool]:
     """Axis of the fields that lies along a way of the viewer's, and whether it points against it."""
-    along = spec.turn @ np.array(way, np.float64)
+    along = turn @ np.array(way, np.float64)
     axis = int(np.argmax(np.abs(along)))
     return axis, bool(along[axis] < 0)
 
 
-def _shadow(fields: Sequence[ForceField], grid: Grid, across: int, up: int) -> Float64s:
-    """The greatest force along the third axis, newtons, float64 [shape[across], shape[up]]."""
-    shadow = np.zeros((grid.shape[across], grid.shape[up]))
+def shadow_n(fields: Sequence[ForceField], across: int, up: int) -> Float64s:
+    """The greatest force of fields on one grid along its third axis, newtons, float64 [shape[across], shape[up]]."""
+    shape = fields[0].grid.shape
+    shadow = np.zeros((shape[across], shape[up]))
     for field in fields:
         support = field.support()
         places = support.positions[:, across], support.positions[:, up]
