@@ -29,7 +29,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Bools, Float64s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_positive
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_one_of, require_positive
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import field_of_points
 from touchfield.sources.laws import ForceProfile
@@ -60,8 +60,7 @@ class AnalyticScene(Scene):
     ) -> None:
         if not shapes:
             raise InvalidArgument("shapes", "none", "at least one")
-        if combine not in COMBINATIONS:
-            raise InvalidArgument("combine", repr(combine), " or ".join(COMBINATIONS))
+        require_one_of("combine", combine, COMBINATIONS)
         require_positive(rate_hz=rate_hz)
         self.shapes, self.combine = tuple(shapes), combine
         self.axes, self.rate_hz = axes, float(rate_hz)

@@ -36,7 +36,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s, Int32s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import SourceError, require_one_of
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m, require_frame
 from touchfield.sources.kernels import depth as kernels
@@ -81,8 +81,7 @@ class DepthScene(MovingScene):
         segment: str | None = None,
         step_per_m: float | None = None,
     ) -> None:
-        if frame not in ("world", "camera"):
-            raise InvalidArgument("frame", repr(frame), "world or camera")
+        require_one_of("frame", frame, ("world", "camera"))
         self.sequence = sequence
         self.frame_count = sequence.frame_count
         self.rate_hz = sequence.rate_hz

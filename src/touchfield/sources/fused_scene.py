@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import require_one_of
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import require_memory
 from touchfield.sources.camera import noise_step_per_m, require_frame
@@ -162,8 +162,7 @@ class FusedScene(DepthScene):
     """A depth sequence, with poses or of a camera that stands, as one world, "fused" or "causal"."""
 
     def __init__(self, sequence: DepthSequence, world: str = "fused", segment: str | None = None) -> None:
-        if world not in WORLDS:
-            raise InvalidArgument("world", repr(world), " or ".join(WORLDS))
+        require_one_of("world", world, WORLDS)
         super().__init__(sequence, "world", segment)
         self.world = world
         of = "" if sequence.poses is not None else "; no poses, so the camera is taken to stand"

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s, Int32s, Int64s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import SourceError, require_one_of
 
 _LARGEST_M: Final = 1e15
 # of the extent: vertices this near are joined where that closes the mesh (the digits of float32), in a mesh that
@@ -53,14 +53,9 @@ class Edges:
         """The edges of triangles int32 [m, 3]."""
         begin, end = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1)
         key = np.minimum(begin, end) * vertex_count + np.maximum(begin, end)
-        order = np.argsort(key)
-        ordered = key[order]
-        is_new = np.append(True, ordered[1:] != ordered[:-1])
-        edge_of = np.empty(len(key), np.int64)
-        edge_of[order] = np.cumsum(is_new) - 1
-        count = int(is_new.sum())
-        along = np.bincount(edge_of[begin < end], minlength=count)
-        against = np.bincount(edge_of[begin > end], minlength=count)
+        keys, edge_of = np.unique(key, return_inverse=True)
+        along = np.bincount(edge_of[begin < end], minlength=len(keys))
+        against = np.bincount(edge_of[begin > end], minlength=len(keys))
         return cls(
             edge_of.reshape(-1, 3),
             int(np.count_nonzero(along + against == 1)),
@@ -207,13 +202,10 @@ def unit(vectors: Float64s) -> Float64s:
 
 def _is_double_sheet(triangles: Int32s) -> bool:
     """True if every triangle has a twin that faces the other way: balanced edges, but nothing within."""
-    low, high = triangles.min(axis=1), triangles.max(axis=1)
-    middle = triangles.sum(axis=1, dtype=np.int64) - low - high
-    is_odd = (np.take_along_axis(triangles, (triangles.argmin(axis=1)[:, None] + 1) % 3, axis=1)[:, 0]) != middle
-    order = np.lexsort((middle, high, low))
-    ordered = np.stack([low, middle, high], axis=1)[order]
-    group = np.cumsum(np.append(True, (ordered[1:] != ordered[:-1]).any(axis=1))) - 1
-    return not np.bincount(group, np.where(is_odd[order], -1.0, 1.0)).any()
+    ascending = np.sort(triangles, axis=1)
+    _, group = places(ascending)
+    after_least = np.take_along_axis(triangles, (triangles.argmin(axis=1)[:, None] + 1) % 3, axis=1)[:, 0]
+    return not np.bincount(group, np.where(after_least != ascending[:, 1], -1.0, 1.0)).any()
 
 
 def joined(vertices: NDArray[Any], triangles: NDArray[Any], tolerance: float = 0.0) -> tuple[Float64s, Int32s]:
@@ -326,8 +318,7 @@ class _Hole(NamedTuple):
 
 def mended(surface: Surface, holes: str) -> Mended:
     """Close the holes of a surface by a rule: "small", "close" or "leave"; `InvalidArgument` for another word."""
-    if holes not in HOLES:
-        raise InvalidArgument("holes", repr(holes), " or ".join(HOLES))
+    require_one_of("holes", holes, HOLES)
     none, is_mixed = np.zeros((0, 3), np.int32), surface.edges.repeated_count > 0
     as_it_is = Mended(surface, none, none[:, :2], not is_mixed, ())
     if surface.is_closed:
