@@ -126,8 +126,8 @@ class FusedVolume:
         from scipy.ndimage import maximum_filter, uniform_filter
 
         view, _ = self._view(surface, pose, changed)
-        sees = view.marked[:-1].reshape(view.height, view.width)
-        size = max(3, round(PATCH_SHARE * view.height))
+        sees = view.marked[:-1].reshape(surface.size_px)
+        size = max(3, round(PATCH_SHARE * surface.size_px[0]))
         dense = uniform_filter(sees.astype(np.float32), size, mode="constant") >= PATCH_DENSITY
         sees[...] = maximum_filter(dense.astype(np.uint8), size, mode="constant")
         if sees.any():
@@ -149,13 +149,9 @@ class FusedVolume:
         from scipy.ndimage import maximum_filter
 
         query = query_of(surface, pose, self.grid, self.profile)
-        height, width = surface.size_px
         nearest_per_m = np.asarray(maximum_filter(surface.tiles[..., 0], 3), np.float32)
-        view = View(
-            surface.planes, np.empty(height * width + 1, np.uint8), surface.camera_px, height, width,
-            query.lattice_m, query.offsets_m, query.turn, nearest_per_m,
-        )  # fmt: skip
-        return view, kernels.surfaces_in(view, self._slots, self.grid.shape, self.samples, wanted)
+        view = View(query, np.empty(len(surface.planes) // 4, np.uint8), nearest_per_m)
+        return view, kernels.surfaces_in(view, self._slots, self._samples, wanted)
 
 
 class FusedScene(DepthScene):

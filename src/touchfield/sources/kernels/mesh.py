@@ -258,13 +258,13 @@ def _each_force(begin, end, near, surface, frame, events, rule, pieces, owners, 
 
 # -- what a motion adds, and where a shell ends -------------------------------------------------------------------
 # `owners` int32 [n, 8, 8, 8]: the nearest triangle of each sample with a force, -1 for the others
-@njit(nogil=True)
-def _shares(vertices, corners, x, y, z):
-    """Shares of the last two corners of a triangle in a point of it; its first edge is the longest."""
-    a, b, c = vertices[corners[0]], vertices[corners[1]], vertices[corners[2]]
+@njit(nogil=True, forceinline=True)
+def _shares(vertices, a, b, c, point):
+    """Shares of the corners b and c of a triangle in a point of it; from a to b is its longest edge."""
     bb = bc = cc = bp = cp = 0.0
-    for i, place in enumerate((x, y, z)):
-        to_b, to_c, to_p = b[i] - a[i], c[i] - a[i], place - a[i]
+    for i in range(3):
+        first = vertices[a, i]
+        to_b, to_c, to_p = vertices[b, i] - first, vertices[c, i] - first, point[i] - first
         bb, bc, cc = bb + to_b * to_b, bc + to_b * to_c, cc + to_c * to_c
         bp, cp = bp + to_b * to_p, cp + to_c * to_p
     area = bb * cc - bc * bc
@@ -282,11 +282,11 @@ def add_motion(begin, end, bricks, owners, table, lattice, triangles, vertices, 
                 continue
             x, y, z = _place(bricks, b, i, j, k, lattice)
             dx, dy, dz, _, _ = tri.nearest(table, t, x, y, z)
-            second, third = _shares(vertices, triangles[t], x - dx, y - dy, z - dz)
+            p, q, r = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+            second, third = _shares(vertices, p, q, r, (x - dx, y - dy, z - dz))
             for c in range(3):
-                v = velocities[triangles[t, 0], c]
-                at = v + second * (velocities[triangles[t, 1], c] - v)
-                at += third * (velocities[triangles[t, 2], c] - v)
+                v = velocities[p, c]
+                at = v + second * (velocities[q, c] - v) + third * (velocities[r, c] - v)
                 forces[b, i, j, k, c] += damping * at
 
 

@@ -8,13 +8,18 @@ division by zero, so that numpy's rule is asked for.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from touchfield.arrays import Float32s
 from touchfield.parallel import for_chunks
+
+if TYPE_CHECKING:
+    from touchfield.sources.camera import Intrinsics
+
+SLOPE_LIMIT_PX: Final = 5.0  # along an image row or column, footprints of a pixel in depth per pixel: 79 degrees
 
 _TILE = 8  # pixels along each edge of a tile of the culling table
 _0, _1, _2, _3, _4, _9, _16 = (np.float32(x) for x in (0, 1, 2, 3, 4, 9, 16))
@@ -188,7 +193,7 @@ def _store(r, n, planes):
 
 @njit(nogil=True)
 def _fit_tiles(r, n, rows, bounds):
-    """Bounds of a row of tiles, from the planes of its `rows` image rows: see `fit_planes`."""
+    """Bounds of a row of tiles, from the planes of its `rows` image rows: see `surface_planes`."""
     for i in range(1, rows):
         for u in range(n):
             a, b = r[u + _NEAR + _PAD], r[u + _NEAR + _PAD + i * _ROW]
@@ -236,15 +241,17 @@ def _fit_planes(begin, end, depth, camera, gates, planes, bounds):
             _fit_tiles(r, n, stop - t * _TILE, bounds[t, left // _TILE :])
 
 
-def fit_planes(depth_m: Float32s, camera_px: Float32s, step_per_m: float, slope_px: float) -> SurfacePlanes:
-    """Tangent planes of a depth map, float32 [height, width], C-contiguous, and their bounds in tiles.
+def surface_planes(depth_m: Float32s, camera: Intrinsics, step_per_m: float) -> SurfacePlanes:
+    """Tangent planes of a depth map, metres, and their bounds in tiles.
 
-    `camera_px` float32 [4]: fx, fy, cx, cy; the gates are told in `touchfield.sources.depth_scene`.
+    `depth_m` float32 [height, width], C-contiguous, not positive or not finite where unknown; `step_per_m` is the
+    noise step (see `touchfield.sources.depth_scene`).
     """
     height, width = depth_m.shape
     planes = np.empty(4 * (height * width + 1), np.float32)
     planes[-4:] = 0
     tiles = np.empty((-(-height // _TILE), -(-width // _TILE), 2), np.float32)
-    gates = np.array([step_per_m, slope_px], np.float32)
+    gates = np.array([step_per_m, SLOPE_LIMIT_PX], np.float32)
+    camera_px = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
     for_chunks(_fit_planes, len(tiles), depth_m, camera_px, gates, planes, tiles, chunk=4)
     return SurfacePlanes((height, width), camera_px, planes, tiles)
