@@ -108,18 +108,6 @@ class Frames(Protocol):
         """The numbers of one frame, [height, width]."""
 
 
-class StoredFrame:
-    """One array, [height, width], as the only frame."""
-
-    frame_count = 1
-
-    def __init__(self, array: NDArray[Any]) -> None:
-        self.array, self.size = array, (array.shape[1], array.shape[0])
-
-    def values(self, frame: int) -> NDArray[Any]:
-        return self.array
-
-
 @dataclass(frozen=True)
 class DepthCode:
     """How a stored value becomes metres: `units_per_m` stored units are one.

@@ -208,14 +208,14 @@ def _is_double_sheet(triangles: Int32s) -> bool:
     return not np.bincount(group, np.where(after_least != ascending[:, 1], -1.0, 1.0)).any()
 
 
-def joined(vertices: NDArray[Any], triangles: NDArray[Any], tolerance: float = 0.0) -> tuple[Float64s, Int32s]:
-    """The mesh with vertices at one place made one: equal, or equal after rounding to `tolerance`."""
+def joined(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[Float64s, Int32s]:
+    """The mesh with vertices at one place made one."""
     points = np.asarray(vertices, np.float64) + 0.0  # -0.0 is 0.0
-    first, number = places(points, tolerance)
+    first, number = places(points)
     return points[first], number[triangles].astype(np.int32)
 
 
-def places(points: Float64s, tolerance: float = 0.0) -> tuple[Int64s, Int64s]:
+def places(points: NDArray[Any], tolerance: float = 0.0) -> tuple[Int64s, Int64s]:
     """Places of points [n, d]: one of the points at each, and the place of each point, int64 [n]."""
     rounded = np.round(points / tolerance) if tolerance > 0 else points
     order = np.lexsort(rounded.T)
@@ -233,12 +233,10 @@ def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[Float64s, I
         return vertices, triangles.astype(np.int32)  # the scene will say so
     points, faces = joined(vertices, triangles)
     faces = unfolded(points, faces)
-    if not np.isfinite(points).all() or _unbalanced(faces, len(points)) == 0:
-        return points, faces
-    near_points, near_faces = joined(points, faces, _WELD * float(np.ptp(points, axis=0).max()))
-    if _unbalanced(near_faces, len(near_points)) == 0:
-        return near_points, near_faces
-    return points, faces
+    if not np.isfinite(points).all():
+        return points, faces  # the scene will say so
+    kept, faces = welded_in_motion(points[None], faces)
+    return points[kept], faces
 
 
 def unfolded(points: Float64s, triangles: Int32s) -> Int32s:
@@ -267,13 +265,13 @@ def unfolded(points: Float64s, triangles: Int32s) -> Int32s:
     return faces
 
 
-def welded_in_motion(poses: Float64s, triangles: Int64s) -> tuple[Int64s, Int32s]:
+def welded_in_motion(poses: Float64s, triangles: NDArray[np.integer[Any]]) -> tuple[Int64s, Int32s]:
     """Vertices of a mesh in motion to keep, ascending, and the triangles in their numbers.
 
     Vertices that are at the same place in every pose are one. If that leaves the mesh open, those that meet at rest
     and hardly part are one as well, if that closes it. Parts that only touch at rest stay apart.
 
-    `poses` float64 [s, n, 3]: some poses, finite; the first is at rest; `triangles` int64 [m, 3].
+    `poses` float64 [s, n, 3]: some poses, finite; the first is at rest; `triangles` integer [m, 3].
     """
     count = poses.shape[1]
     first, number = places(poses.swapaxes(0, 1).reshape(count, -1) + 0.0)  # -0.0 is 0.0
