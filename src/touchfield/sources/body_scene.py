@@ -176,6 +176,6 @@ def _moved_boxes(box_m: Float64s, turns: Float64s, shifts_m: Float64s) -> tuple[
 
 def _planes_of(scene: Scene) -> Float64s | None:
     """A point of each plane, float64 [n, 3], where a scene is of nothing but planes."""
-    shapes = scene.shapes if isinstance(scene, AnalyticScene) else ()
-    points = [shape.point_m for shape in shapes if isinstance(shape, Plane)]
-    return np.array(points, np.float64) if points and len(points) == len(shapes) else None
+    if not isinstance(scene, AnalyticScene) or not all(isinstance(shape, Plane) for shape in scene.shapes):
+        return None
+    return scene.placed(np.array([shape.point_m for shape in scene.shapes if isinstance(shape, Plane)], np.float64))

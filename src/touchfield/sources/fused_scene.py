@@ -108,7 +108,7 @@ class FusedVolume:
         A view that misses what was known by much more than those before it (a pose that is off) tells of no changes.
         """
         of, before = self.samples, None
-        view, residual_m = self._view(surface, pose, kernels.is_free(of))
+        view, residual_m = self._view(surface, pose, (of.near == 0) & (of.free == kernels.CLEAR))
         if residual_m is not None:
             self.residuals_m.append(residual_m)
             if residual_m > OFF_TIMES * float(np.median(self.residuals_m)):

@@ -40,9 +40,9 @@ class Shape(ABC):
     def __post_init__(self) -> None:
         for name, value in ((f.name, getattr(self, f.name)) for f in fields(self)):  # type: ignore[arg-type]
             if name in ("point_m", "normal", "center_m", "rotation_deg"):
-                _check_triple(name, value)
+                checked_triple(name, value)
             elif name in ("radius_m", "half_length_m", "half_extents_m"):
-                for length in _check_triple(name, value).tolist() if name == "half_extents_m" else (value,):
+                for length in checked_triple(name, value).tolist() if name == "half_extents_m" else (value,):
                     if not _LEAST_M <= length <= _MOST_M:
                         expected = f"a positive length, {_LEAST_M:g} to {_MOST_M:g} m"
                         raise InvalidArgument(name, repr(length), expected)
@@ -297,11 +297,11 @@ SHAPES: Final[dict[str, type[Shape]]] = {
 
 
 def moved(shape: Shape, rotation: ArrayLike, shift_m: ArrayLike) -> Shape:
-    """A shape after x -> R x + t, R float [3, 3], t float [3].
+    """A shape of this module after x -> R x + t, R float [3, 3], t float [3].
 
     Raises `InvalidArgument` if R is not a rotation, or a number is not finite.
     """
-    turn, shift = checked_rotation(rotation), _check_triple("shift_m", shift_m)
+    turn, shift = checked_rotation(rotation), checked_triple("shift_m", shift_m)
     if isinstance(shape, Plane):
         return Plane(_as_triple(turn @ shape.point_m + shift), _as_triple(turn @ shape.normal))
     placed: Any = shape
@@ -328,7 +328,8 @@ def _of_faces(beyond: Float64s) -> tuple[Float64s, Float64s]:
     return np.where(is_out, distance, beyond.max(axis=-1)), weight
 
 
-def _check_triple(name: str, values: ArrayLike) -> Float64s:
+def checked_triple(name: str, values: ArrayLike) -> Float64s:
+    """Three numbers of a length or place, metres, float64 [3]; `InvalidArgument` for others."""
     triple = np.asarray(values, np.float64)
     if triple.shape != (3,) or not (np.abs(triple) <= _MOST_M).all():
         raise InvalidArgument(name, repr(values), f"three numbers from {-_MOST_M:g} to {_MOST_M:g}")

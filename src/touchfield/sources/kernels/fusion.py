@@ -18,7 +18,7 @@ from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels.depth import B3, HALF, Query, first_sample, gather, pixel_of, pixels_of
 
-_PASSED, _CLEAR = 1, 2  # free: a ray passed; one did with nothing near it
+_PASSED, CLEAR = 1, 2  # free: a ray passed; one did with nothing near it
 _CARVED = 128  # strikes of a surface that was carved
 _0, _1 = np.float32(0), np.float32(1)
 _TINY = np.float32(1e-30)
@@ -97,7 +97,7 @@ def _passed(of, n, s, is_clear):
         of.strikes[n, s] = _CARVED if was_surface else 0
     of.free[n, s] = max(of.free[n, s], _PASSED)
     if is_clear:  # only now is a carved surface surely gone: close beside a thing a pose that is off carves, too
-        of.free[n, s] = _CLEAR
+        of.free[n, s] = CLEAR
         if of.strikes[n, s] == _CARVED:
             of.changes[n, s] = 1
             of.strikes[n, s] = 0
@@ -134,7 +134,7 @@ def _tell(of, n, s, look, first, normal):
         _met(of, n, s, phi, weight * share * share, normal)
         return
     if of.near[n, s] == 0:  # a surface in front of a guess, or where nothing was
-        if of.free[n, s] == _CLEAR:
+        if of.free[n, s] == CLEAR:
             of.changes[n, s] = 1
         _forget(of, n, s)
         weight *= first
@@ -307,11 +307,6 @@ def integrate(bricks: Int32s, view: View, rules: Rules, of: Samples) -> None:
 def mark(bricks: Int32s, view: View, rules: Rules, out: Bools) -> None:
     """Set in `out`, bool [bricks, 512], the samples at and behind the surfaces of the marked pixels."""
     for_chunks(_mark, len(bricks), bricks, view, rules, out, chunk=16)
-
-
-def is_free(of: Samples) -> Bools:
-    """Samples in known free space: a ray passed, with nothing near it; bool [bricks, 512]."""
-    return (of.near == 0) & (of.free == _CLEAR)
 
 
 def surfaces_in(view: View, slots: Int32s, of: Samples, wanted: Bools) -> float | None:

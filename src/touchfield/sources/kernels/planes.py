@@ -72,15 +72,18 @@ def _link(before, here, there, after, step, slope):
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _line(a, b, x, y):
-    """Weighted line fit over 4 values on each side, given relative to the middle one.
+def _line(r, i, step, a, b):
+    """Line fit over the 4 values behind and before ``r[i]``, by their weights, relative to it.
 
     Returns the fitted middle value, the slope, and the slope's numerator and denominator.
     """
+    c = r[i]
     a1, a2, a3, a4 = a
     b1, b2, b3, b4 = b
-    x1, x2, x3, x4 = x[0] * a1, x[1] * a2, x[2] * a3, x[3] * a4
-    y1, y2, y3, y4 = y[0] * b1, y[1] * b2, y[2] * b3, y[3] * b4
+    x1, x2 = (r[i + step] - c) * a1, (r[i + 2 * step] - c) * a2
+    x3, x4 = (r[i + 3 * step] - c) * a3, (r[i + 4 * step] - c) * a4
+    y1, y2 = (r[i - step] - c) * b1, (r[i - 2 * step] - c) * b2
+    y3, y4 = (r[i - 3 * step] - c) * b3, (r[i - 4 * step] - c) * b4
     s0 = _1 + ((a1 + b1) + (a2 + b2)) + ((a3 + b3) + (a4 + b4))
     s1 = (a1 - b1) + _2 * (a2 - b2) + _3 * (a3 - b3) + _4 * (a4 - b4)
     s2 = (a1 + b1) + _4 * (a2 + b2) + _9 * (a3 + b3) + _16 * (a4 + b4)
@@ -91,7 +94,7 @@ def _line(a, b, x, y):
     spread = s2 - s1 * mean
     moment = t1 - t0 * mean
     slope = moment / max(spread, _QUARTER)
-    return t0 * share - slope * mean, slope, moment, spread
+    return c + (t0 * share - slope * mean), slope, moment, spread
 
 
 @njit(nogil=True)
@@ -127,13 +130,9 @@ def _fit_row(r, n, step, slope):
         r[u + _LINK + 1] = _link(r[i], r[i + 1], r[i + 2], r[i + 3], step, slope)
     for u in range(n):
         i = u + _INVERSE + _PAD
-        c = r[i]
         a = _chain(r, u + _LINK + _PAD, 1)
         b = _chain(r, u + _LINK + _PAD - 1, -1)
-        x = (r[i + 1] - c, r[i + 2] - c, r[i + 3] - c, r[i + 4] - c)
-        y = (r[i - 1] - c, r[i - 2] - c, r[i - 3] - c, r[i - 4] - c)
-        rise, _, moment, spread = _line(a, b, x, y)
-        r[u + _LEVEL + _PAD] = c + rise
+        r[u + _LEVEL + _PAD], _, moment, spread = _line(r, i, 1, a, b)
         r[u + _TILT + _PAD] = moment
         r[u + _WEIGHT + _PAD] = spread
 
@@ -152,14 +151,10 @@ def _fit_column(r, n, fx, fy, left, dv):
     for u in range(n):
         i = u + _PAD + 4 * _ROW
         k = i + _LEVEL
-        c = r[k]
         a = _chain(r, i + _DOWN, _ROW)
         b = _chain(r, i + _DOWN - _ROW, -_ROW)
-        x = (r[k + _ROW] - c, r[k + 2 * _ROW] - c, r[k + 3 * _ROW] - c, r[k + 4 * _ROW] - c)
-        y = (r[k - _ROW] - c, r[k - 2 * _ROW] - c, r[k - 3 * _ROW] - c, r[k - 4 * _ROW] - c)
-        rise, wv, _, along = _line(a, b, x, y)
+        w, wv, _, along = _line(r, k, _ROW, a, b)
         across = _total(r, i + _WEIGHT, a, b)
-        w = c + rise
         wu = _total(r, i + _TILT, a, b) / max(across, _QUARTER)
         du = np.float32(np.int32(u)) - left
         nx = fx * wu
