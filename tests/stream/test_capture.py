@@ -22,7 +22,7 @@ from touchfield.job import EncodeSpec
 from touchfield.job.live import LiveSpec, broadcast, opened_sender
 from touchfield.medium import Grid
 from touchfield.sources import capture
-from touchfield.sources.camera import CodedSequence, DepthCode, StoredFrame
+from touchfield.sources.camera import CodedSequence, DepthCode
 from touchfield.sources.capture import CapturedSequence, CaptureEnd, GrowingFolder, PipedPictures, captured
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.fused_scene import FusedScene
@@ -153,7 +153,7 @@ def test_a_causal_world_of_a_pipe_is_that_of_the_stored_sequence() -> None:
         frame_count, size = 6, (64, 48)
 
         def values(self, frame: int) -> np.ndarray:
-            return StoredFrame(depth_mm(frame)).values(0)
+            return depth_mm(frame)
 
     live = FusedScene(piped(b"".join(png(i) for i in range(6))), "causal")
     sequence = CodedSequence("stored", Stored(), DepthCode(1000.0), live.sequence.intrinsics, 50.0)

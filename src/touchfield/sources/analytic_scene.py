@@ -29,14 +29,15 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Bools, Float64s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_positive
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_one_of, require_positive
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import field_of_points
+from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.poses import read_text
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_near
-from touchfield.sources.shapes import SHAPES, Plane, Shape, moved
+from touchfield.sources.shapes import SHAPES, Plane, Shape, checked_triple
 
 _MAX_BYTES: Final = 1 << 24
 
@@ -54,14 +55,14 @@ class AnalyticScene(Scene):
     """
 
     is_solid = True
+    _motion: tuple[Float64s, Float64s] | None = None  # R and t of `moved`
 
     def __init__(
         self, shapes: Sequence[Shape], combine: str = "sum", axes: str = UP_Y_AXES, rate_hz: float = 30.0
     ) -> None:
         if not shapes:
             raise InvalidArgument("shapes", "none", "at least one")
-        if combine not in COMBINATIONS:
-            raise InvalidArgument("combine", repr(combine), " or ".join(COMBINATIONS))
+        require_one_of("combine", combine, COMBINATIONS)
         require_positive(rate_hz=rate_hz)
         self.shapes, self.combine = tuple(shapes), combine
         self.axes, self.rate_hz = axes, float(rate_hz)
@@ -71,23 +72,37 @@ class AnalyticScene(Scene):
         boxes = [shape.box_m() for shape in self.shapes if not isinstance(shape, Plane)]
         planes = [shape for shape in self.shapes if isinstance(shape, Plane)]
         boxes += [np.array([p.point_m, p.point_m], np.float64) if boxes else p.box_m() for p in planes]
-        return np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
+        box = np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
+        if self._motion is None:
+            return box
+        middle, reach = self.placed(box.mean(axis=0)), np.abs(self._motion[0]) @ (np.ptp(box, axis=0) / 2)
+        return np.stack([middle - reach, middle + reach])
 
     def moved(self, rotation: Float64s, shift_m: Float64s) -> AnalyticScene:
         """See `Scene.moved`; `InvalidArgument` if `rotation` is not a rotation, or a number is not finite."""
-        other = copy.copy(self)
-        other.shapes = tuple(moved(shape, rotation, shift_m) for shape in self.shapes)
+        other, more = copy.copy(self), checked_rotation(rotation)
+        turn, shift = self._motion or (np.eye(3), np.zeros(3))
+        other._motion = more @ turn, more @ shift + checked_triple("shift_m", shift_m)
         return other
+
+    def placed(self, points_m: Float64s) -> Float64s:
+        """Points of the shapes, metres, float64 [..., 3], where `moved` has put them."""
+        return points_m if self._motion is None else np.asarray(points_m @ self._motion[0].T + self._motion[1])
+
+    def _back(self, points_m: Float64s) -> Float64s:
+        return points_m if self._motion is None else np.asarray((points_m - self._motion[1]) @ self._motion[0])
 
     def forces_n(self, points_m: Float64s, profile: ForceProfile) -> Float64s:
         """Newtons, float64 [n, 3], at points in metres, float64 [n, 3]."""
-        of_shapes = (shape.signed_distance_and_normal(points_m) for shape in self.shapes)
+        own_m = self._back(points_m)
+        of_shapes = (shape.signed_distance_and_normal(own_m) for shape in self.shapes)
         phi, normal = map(np.stack, zip(*of_shapes, strict=True))
         if self.combine == "union":
             nearest = phi.argmin(axis=0)[None]
             phi = np.take_along_axis(phi, nearest, axis=0)
             normal = np.take_along_axis(normal, nearest[..., None], axis=0)
-        return np.asarray((profile(phi)[..., None] * normal).sum(axis=0))
+        forces: Float64s = (profile(phi)[..., None] * normal).sum(axis=0)
+        return forces if self._motion is None else forces @ self._motion[0].T
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` does not matter."""
@@ -95,7 +110,8 @@ class AnalyticScene(Scene):
 
         def may_act(centres: Float64s, radius_m: float) -> Bools:
             may_hold = np.zeros(len(centres), np.bool_)
-            for low, high in (shape.distance_range(centres, radius_m) for shape in self.shapes):
+            own_m = self._back(centres)
+            for low, high in (shape.distance_range(own_m, radius_m) for shape in self.shapes):
                 for piece_low, piece_high, *_ in acting:
                     may_hold |= (low <= piece_high) & (high > piece_low)
             return may_hold

@@ -327,16 +327,14 @@ def _fitted(
 # -- names and files -----------------------------------------------------------------------------------------------
 def _numbered(name: str, names: list[str], asked: str | None) -> int:
     """The number of the animation that was asked for, by name or number."""
-    if asked is None and names:
-        return 0
-    if asked in names:
-        return names.index(asked)
-    if asked is not None and asked.isascii() and asked.isdigit() and len(asked) < 10 and int(asked) < len(names):
-        return int(asked)
     if not names:
         raise SourceError(name, "no animation", "one animation at least", "Open it as a mesh that stands still.")
-    there = ", ".join(_shown(each) for each in names[:20]) + (", ..." if len(names) > 20 else "")
-    raise InvalidArgument(f"{name}, animation", _shown(asked or ""), there)
+    known = {str(number): number for number in range(len(names))}
+    known |= {each: number for number, each in reversed([*enumerate(names)])}
+    if asked is not None and asked not in known:
+        there = ", ".join(_shown(each) for each in names[:20]) + (", ..." if len(names) > 20 else "")
+        raise InvalidArgument(f"{name}, animation", _shown(asked), there)
+    return 0 if asked is None else known[asked]
 
 
 def _named(names: list[str], number: int) -> str:

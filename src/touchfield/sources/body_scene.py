@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -61,7 +62,7 @@ class BodyScene(MovingScene):
         self.frame_count, self.rate_hz = count, float(rate_hz)
         self.axes, self.notes = axes, notes
         self._still = tuple(body.is_rigid and body.track.is_still for body in bodies)
-        self._velocities: dict[int, tuple[Float64s, Float64s]] = {}
+        self._velocities = cache(lambda n: self._bodies[n].track.velocities(self.rate_hz))
         self._kept: tuple[Grid, ForceProfile, ForceField] | None = None
 
     def bodies(self) -> tuple[Body, ...]:
@@ -116,9 +117,7 @@ class BodyScene(MovingScene):
             field = scene.field(0 if body.is_rigid else frame, part, profile)
             motion, damping = _AT_REST, profile.surface_damping_n_s_per_m
             if damping and not self._still[n]:  # origin, b v and b omega
-                if n not in self._velocities:
-                    self._velocities[n] = body.track.velocities(self.rate_hz)
-                velocity, spin = (damping * values[frame] for values in self._velocities[n])
+                velocity, spin = (damping * values[frame] for values in self._velocities(n))
                 motion = tuple(np.concatenate([body.track.positions_m[frame], velocity, spin]).tolist())
             parts.append(_Part(field, first, motion))
         return parts
@@ -177,6 +176,6 @@ def _moved_boxes(box_m: Float64s, turns: Float64s, shifts_m: Float64s) -> tuple[
 
 def _planes_of(scene: Scene) -> Float64s | None:
     """A point of each plane, float64 [n, 3], where a scene is of nothing but planes."""
-    shapes = scene.shapes if isinstance(scene, AnalyticScene) else ()
-    points = [shape.point_m for shape in shapes if isinstance(shape, Plane)]
-    return np.array(points, np.float64) if points and len(points) == len(shapes) else None
+    if not isinstance(scene, AnalyticScene) or not all(isinstance(shape, Plane) for shape in scene.shapes):
+        return None
+    return scene.placed(np.array([shape.point_m for shape in scene.shapes if isinstance(shape, Plane)], np.float64))

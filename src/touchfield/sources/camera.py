@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s
-from touchfield.errors import InvalidArgument, require_positive
+from touchfield.errors import InvalidArgument, require_one_of, require_positive
 from touchfield.medium.pose_track import quaternions_of, rotation_matrices
 from touchfield.sources.poses import checked_poses, poses_between
 
@@ -108,18 +108,6 @@ class Frames(Protocol):
         """The numbers of one frame, [height, width]."""
 
 
-class StoredFrame:
-    """One array, [height, width], as the only frame."""
-
-    frame_count = 1
-
-    def __init__(self, array: NDArray[Any]) -> None:
-        self.array, self.size = array, (array.shape[1], array.shape[0])
-
-    def values(self, frame: int) -> NDArray[Any]:
-        return self.array
-
-
 @dataclass(frozen=True)
 class DepthCode:
     """How a stored value becomes metres: `units_per_m` stored units are one.
@@ -188,8 +176,7 @@ class InterpolatedSequence(DepthSequence):
     """
 
     def __init__(self, source: DepthSequence, rate_hz: float, interpolation: str = "linear") -> None:
-        if interpolation not in INTERPOLATIONS:
-            raise InvalidArgument("interpolation", repr(interpolation), " or ".join(INTERPOLATIONS))
+        require_one_of("interpolation", interpolation, INTERPOLATIONS)
         require_positive(rate_hz=rate_hz)
         frames = 1.0 if source.frame_count == 1 else source.frame_count / source.rate_hz * rate_hz
         if frames > MAX_FRAMES:

@@ -23,20 +23,18 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import MissingExtra, SourceError
 from touchfield.files import readable
-from touchfield.medium.npz import read_npy_header
+from touchfield.medium.npz import map_npy, read_npy_header
 from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, DepthSequence, Intrinsics, at_rate
 from touchfield.sources.intrinsics_file import CameraFile, camera_of, named_like_intrinsics
 from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo, video_header
 from touchfield.sources.pictures import (
     PICTURE_SUFFIXES,
-    NpyFrames,
+    ArrayFrames,
     PictureFrames,
-    PictureHeader,
     TiffFrames,
     contents,
     has_files,
@@ -45,7 +43,7 @@ from touchfield.sources.pictures import (
     picture_header,
 )
 from touchfield.sources.placed_frames import POSE_TOLERANCE_S, PlacedFrames, placed_frames, posed_frames
-from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text
+from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text, words_of
 from touchfield.sources.registry import SourceKind, kinds
 
 if TYPE_CHECKING:
@@ -227,17 +225,13 @@ def _stamped(path: Path) -> Shots:
     notes: tuple[str, ...] = ()
     if listing.is_file():
         listed = []
-        for number, line in enumerate(read_text(listing).splitlines(), 1):
-            words = line.partition("#")[0].split()
-            if not words:
-                continue
+        for where, words in words_of(read_text(listing), str(listing)):
             try:
                 stamp, name = float(words[0]), PurePosixPath(words[1])
             except (ValueError, IndexError):
                 stamp, name = np.inf, PurePosixPath()
             if not abs(stamp) < MAX_TIME_S or name.is_absolute() or ".." in name.parts:
-                expected = "a time and a file name inside the folder"
-                raise SourceError(f"{listing} line {number}", repr(line[:60]), expected)
+                raise SourceError(where, repr(" ".join(words)[:60]), "a time and a file name inside the folder")
             listed.append((stamp, path / name))
         stamped = sorted((stamp, file) for stamp, file in listed if file.is_file())
         if len(stamped) < len(listed):
@@ -245,8 +239,8 @@ def _stamped(path: Path) -> Shots:
     else:
         stamped = sorted((float(file.stem), file) for file in list_files(depth, _STAMPED_PNG))
     paths = tuple(file for _, file in stamped)
-    where = path if paths else listing if listing.is_file() else depth
-    return Shots(paths, where, (path,), (path,), np.array([stamp for stamp, _ in stamped]), notes)
+    place = path if paths else listing if listing.is_file() else depth
+    return Shots(paths, place, (path,), (path,), np.array([stamp for stamp, _ in stamped]), notes)
 
 
 def _is_stamped(path: Path) -> bool:
@@ -375,7 +369,8 @@ def _is_one(path: Path) -> bool:
 
 def _stack(path: Path) -> Shots:
     folder = (path.absolute().parent,)
-    frames = NpyFrames(path) if path.suffix.lower() not in (".tif", ".tiff") else TiffFrames(path)
+    is_tiff = path.suffix.lower() in (".tif", ".tiff")
+    frames = TiffFrames(path) if is_tiff else ArrayFrames(map_npy(path), path)
     return Shots((), path, folder, folder, one_file=frames)
 
 
@@ -392,19 +387,6 @@ def _is_stack(path: Path) -> bool:
     return len(sizes) > 1 and sizes[1] == sizes[0]  # an elevation model keeps smaller copies of itself as pages
 
 
-class _DeepVideo(GreyVideo):
-    """A video of more than 8 bits a pixel, as frames."""
-
-    paths: tuple[Path, ...] = ()
-    headers: tuple[PictureHeader, ...] = ()
-
-    def _values(self, picture: Any) -> NDArray[Any]:
-        values = super()._values(picture)
-        if values.dtype != np.uint16:
-            raise _shallow(str(self.path), "a frame of 8 bits")
-        return values
-
-
 def _shallow(where: str, found: str) -> SourceError:
     mend = "It looks like an ordinary video: take --as saliency, or --as relative-depth with its depth beside it."
     return SourceError(where, found, "16-bit grey (gray16le, gray12le, ...)", mend)
@@ -415,7 +397,7 @@ def _video(path: Path) -> Shots:
     if not header.is_deep_grey:
         raise _shallow(str(path), f"{header.codec} video of {header.pixels} pixels")
     folder = (path.absolute().parent,)
-    return Shots((), path, folder, folder, one_file=_DeepVideo(path), rate_hz=header.rate_hz)
+    return Shots((), path, folder, folder, one_file=GreyVideo(path), rate_hz=header.rate_hz)
 
 
 def _is_video(path: Path) -> bool:

@@ -36,30 +36,23 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s, Int32s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import SourceError, require_one_of
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m, require_frame
+from touchfield.sources.camera import DepthSequence, noise_step_per_m, require_frame
 from touchfield.sources.kernels import depth as kernels
 from touchfield.sources.kernels.depth import Query
-from touchfield.sources.kernels.planes import SurfacePlanes, fit_planes
+from touchfield.sources.kernels.planes import SurfacePlanes, surface_planes
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.poses import checked_poses
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene, bricks_that
 from touchfield.sources.segments import SegmentRule, segmented_bodies
 
 RAY_LIMIT: Final = 4.0  # walls at more than 75 degrees to the ray become thinner by it
-SLOPE_LIMIT_PX: Final = 5.0  # along an image row or column, footprints of a pixel in depth per pixel: 79 degrees
 
 _IJK = np.indices((BRICK, BRICK, BRICK), np.float64).reshape(3, -1)
 _BOX_POINTS = 4_000_000  # points that `bounds_m` keeps
 _BOX_STRIDE_PX = 8
 _BOX_PERCENTILES = (0.5, 99.5)
-
-
-def surface_planes(depth_m: Float32s, intrinsics: Intrinsics, step_per_m: float) -> SurfacePlanes:
-    """The planes of a depth map, metres, float32 [height, width], not positive or not finite where unknown."""
-    camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy], np.float32)
-    return fit_planes(depth_m, camera, step_per_m, SLOPE_LIMIT_PX)
 
 
 class DepthScene(MovingScene):
@@ -81,8 +74,7 @@ class DepthScene(MovingScene):
         segment: str | None = None,
         step_per_m: float | None = None,
     ) -> None:
-        if frame not in ("world", "camera"):
-            raise InvalidArgument("frame", repr(frame), "world or camera")
+        require_one_of("frame", frame, ("world", "camera"))
         self.sequence = sequence
         self.frame_count = sequence.frame_count
         self.rate_hz = sequence.rate_hz

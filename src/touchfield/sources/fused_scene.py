@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import require_one_of
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import require_memory
 from touchfield.sources.camera import noise_step_per_m, require_frame
@@ -108,7 +108,7 @@ class FusedVolume:
         A view that misses what was known by much more than those before it (a pose that is off) tells of no changes.
         """
         of, before = self.samples, None
-        view, residual_m = self._view(surface, pose, kernels.is_free(of))
+        view, residual_m = self._view(surface, pose, (of.near == 0) & (of.free == kernels.CLEAR))
         if residual_m is not None:
             self.residuals_m.append(residual_m)
             if residual_m > OFF_TIMES * float(np.median(self.residuals_m)):
@@ -126,8 +126,8 @@ class FusedVolume:
         from scipy.ndimage import maximum_filter, uniform_filter
 
         view, _ = self._view(surface, pose, changed)
-        sees = view.marked[:-1].reshape(view.height, view.width)
-        size = max(3, round(PATCH_SHARE * view.height))
+        sees = view.marked[:-1].reshape(surface.size_px)
+        size = max(3, round(PATCH_SHARE * surface.size_px[0]))
         dense = uniform_filter(sees.astype(np.float32), size, mode="constant") >= PATCH_DENSITY
         sees[...] = maximum_filter(dense.astype(np.uint8), size, mode="constant")
         if sees.any():
@@ -149,21 +149,16 @@ class FusedVolume:
         from scipy.ndimage import maximum_filter
 
         query = query_of(surface, pose, self.grid, self.profile)
-        height, width = surface.size_px
         nearest_per_m = np.asarray(maximum_filter(surface.tiles[..., 0], 3), np.float32)
-        view = View(
-            surface.planes, np.empty(height * width + 1, np.uint8), surface.camera_px, height, width,
-            query.lattice_m, query.offsets_m, query.turn, nearest_per_m,
-        )  # fmt: skip
-        return view, kernels.surfaces_in(view, self._slots, self.grid.shape, self.samples, wanted)
+        view = View(query, np.empty(len(surface.planes) // 4, np.uint8), nearest_per_m)
+        return view, kernels.surfaces_in(view, self._slots, self._samples, wanted)
 
 
 class FusedScene(DepthScene):
     """A depth sequence, with poses or of a camera that stands, as one world, "fused" or "causal"."""
 
     def __init__(self, sequence: DepthSequence, world: str = "fused", segment: str | None = None) -> None:
-        if world not in WORLDS:
-            raise InvalidArgument("world", repr(world), " or ".join(WORLDS))
+        require_one_of("world", world, WORLDS)
         super().__init__(sequence, "world", segment)
         self.world = world
         of = "" if sequence.poses is not None else "; no poses, so the camera is taken to stand"

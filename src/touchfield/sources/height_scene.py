@@ -251,8 +251,6 @@ class _Place(NamedTuple):
 
 def _scene(path: Path, heights: _Heights, place: _Place, options: SourceOptions) -> HeightScene:
     """The scene of a map, [rows, cols] or [frames, rows, cols], with what had to be assumed in its notes."""
-    if heights.ndim not in (2, 3) or min(heights.shape[-2:]) < 2 or not heights.size:
-        raise SourceError(str(path), f"heights of shape {heights.shape}", "[rows, cols], at least 2 x 2")
     known = heights[np.isfinite(heights)]
     if not known.size:
         raise SourceError(str(path), "no known height", "at least one")

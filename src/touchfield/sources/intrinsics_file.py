@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, blamed_on
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.poses import floats, read_text
 
@@ -105,10 +105,8 @@ def _checked(values: list[float], where: str) -> CameraFile:
     fx, fy, cx, cy = values
     is_mirrored = fx > 0 > fy
     notes = ("fy is negative: y of the camera and of its poses is turned over.",) if is_mirrored else ()
-    try:
+    with blamed_on(f"{where}: "):
         return CameraFile(Intrinsics(fx, abs(fy) if is_mirrored else fy, cx, cy), None, notes, is_mirrored)
-    except InvalidArgument as error:
-        raise SourceError(where, error.found, error.expected) from error
 
 
 def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFile:

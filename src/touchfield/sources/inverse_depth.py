@@ -29,7 +29,7 @@ from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra, require_positive
 from touchfield.medium.npz import NpzArchive
 from touchfield.sources import pictures
-from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics, StoredFrame
+from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics
 from touchfield.sources.depth_layouts import depth_kind, source_rate
 from touchfield.sources.intrinsics_file import CameraFile, camera_of, parse_intrinsics
 from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo
@@ -79,7 +79,9 @@ def _of_disparity(
     metres = partial(depth_of_disparity, rig=rig)
     if not metres(disparity_px).any():
         raise SourceError(name, "no disparity above 0", "a disparity map in pixels")
-    return CodedSequence(name, StoredFrame(disparity_px), metres, rig.intrinsics, DEFAULT_RATE_HZ, notes)
+    return CodedSequence(
+        name, pictures.ArrayFrames(disparity_px[None]), metres, rig.intrinsics, DEFAULT_RATE_HZ, notes
+    )
 
 
 def motorcycle_sequence() -> CodedSequence:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int32s, Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.laws import ForceProfile
@@ -29,7 +29,7 @@ from touchfield.sources.mesh_surface import Mended, Surface, from_longest, mende
 from touchfield.sources.scene import UP_Y_AXES, Scene
 
 if TYPE_CHECKING:
-    from touchfield.sources.kernels.mesh import Band, Motion
+    from touchfield.sources.kernels.mesh import Band
 
 
 _UNSURE: Final = 2e-9  # of the largest coordinate: so near, rounding spoils the direction to the nearest point
@@ -74,8 +74,7 @@ class MeshScene(Scene):
         whole = vertices_m
         if not isinstance(whole, Mended):
             whole = mended(Surface(whole, triangles, name), holes)
-        if shell not in ("auto", "one", "two"):
-            raise InvalidArgument("shell", repr(shell), "auto, one or two")
+        require_one_of("shell", shell, ("auto", "one", "two"))
         self.name, self.surface = name, whole.surface
         self._lids, self._rim_edges = whole.lids, whole.rim
         self.velocities_m_s: Float64s | None = None
@@ -147,7 +146,9 @@ class MeshScene(Scene):
         rim = self._rim_table if has_rim else None
         motion = None
         if profile.surface_damping_n_s_per_m > 0 and self.velocities_m_s is not None:
-            motion = self._motion(self.velocities_m_s, profile.surface_damping_n_s_per_m)
+            faces, vertices, union = self.surface.triangles, self.surface.vertices_m, self._union
+            faces = faces if union is None else faces[np.concatenate([union.kept, union.parents])]
+            motion = mesh.Motion(faces, vertices, self.velocities_m_s, profile.surface_damping_n_s_per_m)
         bricks, forces = mesh.forces_near(self._felt, events, grid, band, _UNSURE * reach, motion, rim)
         return ForceField(grid, bricks, forces)
 
@@ -188,23 +189,6 @@ class MeshScene(Scene):
         pieces = triangle_table(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
         normals = np.repeat(self._normals[union.parents, :1], 7, axis=1)
         return np.concatenate([table[union.kept], pieces]), np.concatenate([self._normals[union.kept], normals])
-
-    def _motion(self, velocities_m_s: Float64s, damping_n_s_per_m: float) -> Motion:
-        """Motion of the triangles that are felt."""
-        from touchfield.sources.kernels.mesh import Motion
-
-        faces, union = self.surface.triangles, self._union
-        if union is None:
-            return Motion(faces, velocities_m_s, damping_n_s_per_m)
-        # a corner of a piece moves as its place in the whole triangle does
-        own = self.surface.vertices_m[faces[union.parents]]
-        sides = (own[:, 1:] - own[:, :1]).swapaxes(1, 2)
-        shares = np.linalg.pinv(sides) @ (union.corners_m - own[:, :1]).swapaxes(1, 2)
-        shares = np.concatenate([1 - shares.sum(axis=1, keepdims=True), shares], axis=1)
-        at_corners = np.einsum("pkc,pkv->pcv", shares, velocities_m_s[faces[union.parents]]).reshape(-1, 3)
-        more = np.arange(len(at_corners), dtype=np.int32).reshape(-1, 3) + np.int32(len(velocities_m_s))
-        faces = np.concatenate([faces[union.kept], more])
-        return Motion(faces, np.concatenate([velocities_m_s, at_corners]), damping_n_s_per_m)
 
     @cached_property
     def _rim_table(self) -> Float64s:

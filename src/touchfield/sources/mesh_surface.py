@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s, Int32s, Int64s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import SourceError, require_one_of
 
 _LARGEST_M: Final = 1e15
 # of the extent: vertices this near are joined where that closes the mesh (the digits of float32), in a mesh that
@@ -53,14 +53,9 @@ class Edges:
         """The edges of triangles int32 [m, 3]."""
         begin, end = triangles.reshape(-1).astype(np.int64), np.roll(triangles, -1, axis=1).reshape(-1)
         key = np.minimum(begin, end) * vertex_count + np.maximum(begin, end)
-        order = np.argsort(key)
-        ordered = key[order]
-        is_new = np.append(True, ordered[1:] != ordered[:-1])
-        edge_of = np.empty(len(key), np.int64)
-        edge_of[order] = np.cumsum(is_new) - 1
-        count = int(is_new.sum())
-        along = np.bincount(edge_of[begin < end], minlength=count)
-        against = np.bincount(edge_of[begin > end], minlength=count)
+        keys, edge_of = np.unique(key, return_inverse=True)
+        along = np.bincount(edge_of[begin < end], minlength=len(keys))
+        against = np.bincount(edge_of[begin > end], minlength=len(keys))
         return cls(
             edge_of.reshape(-1, 3),
             int(np.count_nonzero(along + against == 1)),
@@ -207,23 +202,20 @@ def unit(vectors: Float64s) -> Float64s:
 
 def _is_double_sheet(triangles: Int32s) -> bool:
     """True if every triangle has a twin that faces the other way: balanced edges, but nothing within."""
-    low, high = triangles.min(axis=1), triangles.max(axis=1)
-    middle = triangles.sum(axis=1, dtype=np.int64) - low - high
-    is_odd = (np.take_along_axis(triangles, (triangles.argmin(axis=1)[:, None] + 1) % 3, axis=1)[:, 0]) != middle
-    order = np.lexsort((middle, high, low))
-    ordered = np.stack([low, middle, high], axis=1)[order]
-    group = np.cumsum(np.append(True, (ordered[1:] != ordered[:-1]).any(axis=1))) - 1
-    return not np.bincount(group, np.where(is_odd[order], -1.0, 1.0)).any()
+    ascending = np.sort(triangles, axis=1)
+    _, group = places(ascending)
+    after_least = np.take_along_axis(triangles, (triangles.argmin(axis=1)[:, None] + 1) % 3, axis=1)[:, 0]
+    return not np.bincount(group, np.where(after_least != ascending[:, 1], -1.0, 1.0)).any()
 
 
-def joined(vertices: NDArray[Any], triangles: NDArray[Any], tolerance: float = 0.0) -> tuple[Float64s, Int32s]:
-    """The mesh with vertices at one place made one: equal, or equal after rounding to `tolerance`."""
+def joined(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[Float64s, Int32s]:
+    """The mesh with vertices at one place made one."""
     points = np.asarray(vertices, np.float64) + 0.0  # -0.0 is 0.0
-    first, number = places(points, tolerance)
+    first, number = places(points)
     return points[first], number[triangles].astype(np.int32)
 
 
-def places(points: Float64s, tolerance: float = 0.0) -> tuple[Int64s, Int64s]:
+def places(points: NDArray[Any], tolerance: float = 0.0) -> tuple[Int64s, Int64s]:
     """Places of points [n, d]: one of the points at each, and the place of each point, int64 [n]."""
     rounded = np.round(points / tolerance) if tolerance > 0 else points
     order = np.lexsort(rounded.T)
@@ -241,12 +233,10 @@ def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[Float64s, I
         return vertices, triangles.astype(np.int32)  # the scene will say so
     points, faces = joined(vertices, triangles)
     faces = unfolded(points, faces)
-    if not np.isfinite(points).all() or _unbalanced(faces, len(points)) == 0:
-        return points, faces
-    near_points, near_faces = joined(points, faces, _WELD * float(np.ptp(points, axis=0).max()))
-    if _unbalanced(near_faces, len(near_points)) == 0:
-        return near_points, near_faces
-    return points, faces
+    if not np.isfinite(points).all():
+        return points, faces  # the scene will say so
+    kept, faces = welded_in_motion(points[None], faces)
+    return points[kept], faces
 
 
 def unfolded(points: Float64s, triangles: Int32s) -> Int32s:
@@ -275,13 +265,13 @@ def unfolded(points: Float64s, triangles: Int32s) -> Int32s:
     return faces
 
 
-def welded_in_motion(poses: Float64s, triangles: Int64s) -> tuple[Int64s, Int32s]:
+def welded_in_motion(poses: Float64s, triangles: NDArray[np.integer[Any]]) -> tuple[Int64s, Int32s]:
     """Vertices of a mesh in motion to keep, ascending, and the triangles in their numbers.
 
     Vertices that are at the same place in every pose are one. If that leaves the mesh open, those that meet at rest
     and hardly part are one as well, if that closes it. Parts that only touch at rest stay apart.
 
-    `poses` float64 [s, n, 3]: some poses, finite; the first is at rest; `triangles` int64 [m, 3].
+    `poses` float64 [s, n, 3]: some poses, finite; the first is at rest; `triangles` integer [m, 3].
     """
     count = poses.shape[1]
     first, number = places(poses.swapaxes(0, 1).reshape(count, -1) + 0.0)  # -0.0 is 0.0
@@ -326,8 +316,7 @@ class _Hole(NamedTuple):
 
 def mended(surface: Surface, holes: str) -> Mended:
     """Close the holes of a surface by a rule: "small", "close" or "leave"; `InvalidArgument` for another word."""
-    if holes not in HOLES:
-        raise InvalidArgument("holes", repr(holes), " or ".join(HOLES))
+    require_one_of("holes", holes, HOLES)
     none, is_mixed = np.zeros((0, 3), np.int32), surface.edges.repeated_count > 0
     as_it_is = Mended(surface, none, none[:, :2], not is_mixed, ())
     if surface.is_closed:

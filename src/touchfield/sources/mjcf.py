@@ -250,9 +250,7 @@ def _shape(mujoco: Any, model: Any, geom: int) -> Shape | None:
     if name not in sizes:
         return None
     shape = SHAPES[name]((0.0, 0.0, 0.0), *sizes[name])  # type: ignore[call-arg]
-    rotation, shift = _frame(mujoco, model, geom)
-    is_placed = shift.any() or not np.array_equal(rotation, np.eye(3))
-    return moved(shape, rotation, shift) if is_placed else shape
+    return moved(shape, *_frame(mujoco, model, geom))
 
 
 def _frame(mujoco: Any, model: Any, geom: int) -> tuple[Float64s, Float64s]:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from touchfield.errors import SourceError, TouchfieldError, import_extra
 from touchfield.sources.camera import MAX_FRAMES
-from touchfield.sources.pictures import InOrder, bound_pixels, opened, require_size
+from touchfield.sources.pictures import InOrder, PictureHeader, bound_pixels, opened, require_size
 
 Colours = NDArray[np.uint8]
 
@@ -74,6 +74,9 @@ def video_header(path: Path) -> VideoHeader:
 class GreyVideo(InOrder):
     """The frames of a video whose pixels are one number, or which are all grey; `MissingExtra` without PyAV."""
 
+    paths: tuple[Path, ...] = ()
+    headers: tuple[PictureHeader, ...] = ()
+
     def __init__(self, path: Path) -> None:
         self.path = path
         with _opened(path) as (container, stream, self.header):
@@ -109,6 +112,9 @@ class GreyVideo(InOrder):
 
     def _values(self, picture: Any) -> NDArray[Any]:
         """The numbers of a whole frame, uint8 or uint16 [height, width], in the machine's byte order."""
+        if self.header.is_deep_grey != bool(DEEP_GREY.fullmatch(picture.format.name)):
+            found = f"a frame of {picture.format.name} pixels"
+            raise SourceError(str(self.path), found, f"{self.header.pixels}, as before")
         if picture.format.name == "gray" or DEEP_GREY.fullmatch(picture.format.name):
             values = picture.to_ndarray()
             return np.ascontiguousarray(values.astype(values.dtype.newbyteorder("="), copy=False))

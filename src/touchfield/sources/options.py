@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from touchfield.asked import option
-from touchfield.errors import InvalidArgument, require_positive
+from touchfield.errors import InvalidArgument, require_one_of, require_positive
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,7 @@ class SourceOptions:
             ("holes", ("small", "close", "leave")),
             ("interpolation", ("linear", "nearest")),
         ):
-            if getattr(self, name) not in choices:
-                raise InvalidArgument(name, repr(getattr(self, name)), " or ".join(choices))
+            require_one_of(name, getattr(self, name), choices)
         if self.poses is not None and self.frame == "camera":
             raise InvalidArgument("poses", "poses with frame camera", "frame world, which uses them")
         positive = (

@@ -278,17 +278,18 @@ class PictureFrames:
         return values
 
 
-class NpyFrames:
-    """Frames of an NPY file [frames, height, width], mapped into memory and not read as a whole."""
+class ArrayFrames:
+    """Frames of an array [frames, height, width], which may be mapped into memory from a file at `path`."""
 
-    def __init__(self, path: Path) -> None:
-        self._values = values = map_npy(path)
+    def __init__(self, values: NDArray[Any], path: Path | None = None) -> None:
         if values.ndim != 3:
             raise SourceError(str(path), f"{values.dtype} of shape {values.shape}", "numbers [frames, height, width]")
+        self._values = values
         self.frame_count, height, width = values.shape
         self.paths, self.headers = (path,), (PictureHeader(width, height, values.dtype.name, 1),)
         self.size = width, height
-        bound_pixels(path, width, height, values.dtype.itemsize)
+        if path:
+            bound_pixels(path, width, height, values.dtype.itemsize)
 
     def values(self, frame: int) -> NDArray[Any]:
         return _native(self._values[frame])

@@ -71,6 +71,12 @@ def read_text(path: Path, most_bytes: int = _MAX_TEXT_BYTES) -> str:
         raise SourceError(str(path), f"bytes that are no text at offset {error.start}", "a text file") from error
 
 
+def words_of(text: str, where: str, between: str | None = None) -> list[tuple[str, list[str]]]:
+    """Place and words of each line that has any: blanks, or what is said, stand `between`; ``#`` begins a comment."""
+    plain = ((number, line.partition("#")[0].strip()) for number, line in enumerate(text.splitlines(), 1))
+    return [(f"{where} line {n}", [word.strip() for word in line.split(between)]) for n, line in plain if line]
+
+
 def floats(words: list[str], where: str, expected: str = "numbers") -> list[float]:
     """The numbers that words are; `SourceError` if one is none."""
     try:
@@ -161,8 +167,7 @@ def parse_poses(text: str, where: str) -> PoseList:
     """Poses of a text in any of the forms above; `SourceError` for another, or if a pose is no rigid motion."""
     if text.lstrip().startswith("{"):
         return _of_transforms(text, where)
-    plain = (line.partition("#")[0].replace(",", " ").split() for line in text.splitlines())
-    lines = [(f"{where} line {number}", words) for number, words in enumerate(plain, 1) if words]
+    lines = words_of(text.replace(",", " "), where)
     if any(len(words) >= 10 and _is_number(words[0]) and not _is_number(words[-1]) for _, words in lines):
         return _of_colmap(text, where)
     columns = len(lines[0][1]) if lines else 0
@@ -268,22 +273,18 @@ def read_pose_csv(path: Path) -> tuple[Float64s, Float64s, Float64s]:
     `SourceError`, which names file and line, if the file cannot be read, its columns are others, a number is missing
     or not finite, time stands still or runs backwards, or a quaternion is not of length 1 to within 0.001.
     """
-    order: list[int] = []
-    rows: list[list[float]] = []
-    for number, line in enumerate(read_text(path).splitlines(), 1):
-        where, fields = f"{path} line {number}", [word.strip() for word in line.partition("#")[0].split(",")]
-        if fields == [""]:
-            continue
-        if not order and sorted(fields) != sorted(COLUMNS):
-            found, expected = repr(",".join(fields))[:80], f"the columns {','.join(COLUMNS)}"
+    lines = words_of(read_text(path), str(path), ",")
+    for where, names in lines[:1]:
+        if sorted(names) != sorted(COLUMNS):
+            found, expected = repr(",".join(names))[:80], f"the columns {','.join(COLUMNS)}"
             mend = "Name these columns in the first line, in any order, with commas between them."
             raise SourceError(where, found, expected, mend)
-        if not order:
-            order = [fields.index(name) for name in COLUMNS]
-            continue
-        if len(fields) != len(order):
-            raise SourceError(where, f"{len(fields)} values", f"{len(order)}: {','.join(COLUMNS)}")
-        row = floats([fields[i] for i in order], where)
+    rows: list[list[float]] = []
+    for where, words in lines[1:]:
+        if len(words) != len(COLUMNS):
+            raise SourceError(where, f"{len(words)} values", f"{len(COLUMNS)}: {','.join(COLUMNS)}")
+        word_of = dict(zip(lines[0][1], words))
+        row = floats([word_of[name] for name in COLUMNS], where)
         if not all(abs(value) < MAX_TIME_S for value in row):  # nan compares as false
             raise SourceError(where, repr(",".join(str(value) for value in row))[:80], "finite numbers")
         if rows and row[0] <= rows[-1][0]:

@@ -19,7 +19,7 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.files import plain_size, readable
 from touchfield.medium.field import frozen
-from touchfield.sources.poses import read_text
+from touchfield.sources.poses import read_text, words_of
 
 STANDARD_GRAVITY_M_S2: Final = 9.80665
 _UNITS: Final = {"m_s2": 1.0, "g": STANDARD_GRAVITY_M_S2}
@@ -99,30 +99,28 @@ def _read_wav(where: Path) -> tuple[float, Float64s]:
 
 
 def _read_csv(where: Path) -> tuple[float, Float64s]:
-    lines = [(n, line) for n, line in enumerate(read_text(where).splitlines(), 1) if line.strip()]
+    lines = words_of(read_text(where), str(where), ",")
     if len(lines) < 3:
         raise SourceError(str(where), f"{len(lines)} lines", f"{_EXAMPLE}, and two samples or more")
-    names = [name.strip().lower() for name in lines[0][1].split(",")]
+    head, names = lines[0][0], [name.lower() for name in lines[0][1]]
     times = [name for name in _TIMES if name in names]
     axes = [[f"{axis}_{unit}" for axis in group] for group in _AXES for unit in _UNITS]
     axes = [columns for columns in axes if set(columns) <= set(names)]
     if len(times) != 1 or len(axes) != 1:
-        raise SourceError(f"{where} line {lines[0][0]}", repr(lines[0][1][:80]), _EXAMPLE, "Name the columns so.")
+        raise SourceError(head, repr(",".join(names)[:80]), _EXAMPLE, "Name the columns so.")
     places = [names.index(name) for name in (*times, *axes[0])]
     rows = np.zeros((len(lines) - 1, len(places)))
-    for row, (n, line) in zip(rows, lines[1:]):
-        words = line.split(",")
+    for row, (line, words) in zip(rows, lines[1:]):
         try:
             row[:] = [float(words[place]) for place in places]
         except (ValueError, IndexError):
             row[:] = np.nan
         if not np.isfinite(row).all():
-            raise SourceError(f"{where} line {n}", repr(line[:60]), "finite numbers, one in each column")
+            raise SourceError(line, repr(",".join(words)[:60]), "finite numbers, one in each column")
     steps = np.diff(rows[:, 0]) * _TIMES[times[0]]
     step_s = float(np.median(steps))
     uneven = np.flatnonzero(~(np.abs(steps - step_s) <= _UNEVEN * abs(step_s))) if step_s > 0 else np.array([0])
     if len(uneven):
-        n, step = lines[uneven[0] + 2][0], f"a step of {steps[uneven[0]]:g} s"
-        mend = "Resample it to a steady rate first."
-        raise SourceError(f"{where} line {n}", step, f"steps of about {step_s:g} s, as most are", mend)
+        step, mend = f"a step of {steps[uneven[0]]:g} s", "Resample it to a steady rate first."
+        raise SourceError(lines[uneven[0] + 2][0], step, f"steps of about {step_s:g} s, as most are", mend)
     return 1 / float(steps.mean()), rows[:, 1:] * _UNITS[axes[0][0].partition("_")[2]]

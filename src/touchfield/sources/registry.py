@@ -61,25 +61,21 @@ class SourceKind:
     ----------
     name : str; What ``--as`` takes.
     summary : str; One line for the user: what it is and which files it takes; ``--as`` takes its words, too.
-    recognise : callable; ``recognise(path) -> bool``: by names and a few bytes; what it cannot read is not its own.
+    tell : callable; ``tell(path) -> bool``: whether a path is of this kind, by names and a few bytes.
     open : callable; ``open(path, options) -> Scene``; raises `SourceError` for data at fault.
     """
 
     name: str
     summary: str
-    recognise: Callable[[Path], bool]
+    tell: Callable[[Path], bool]
     open: Callable[[Path, SourceOptions], Scene]
 
-    def __post_init__(self) -> None:
-        recognise = self.recognise
-
-        def is_known(path: Path) -> bool:
-            try:
-                return recognise(path)
-            except (OSError, SourceError):
-                return False
-
-        object.__setattr__(self, "recognise", is_known)
+    def recognise(self, path: Path) -> bool:
+        """True if a path is of this kind; what cannot be read is not."""
+        try:
+            return self.tell(path)
+        except (OSError, SourceError):
+            return False
 
 
 @cache

@@ -15,8 +15,9 @@ never more than the true distance outside, and never less deep than it inside.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
-from typing import Final
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,9 +40,9 @@ class Shape(ABC):
     def __post_init__(self) -> None:
         for name, value in ((f.name, getattr(self, f.name)) for f in fields(self)):  # type: ignore[arg-type]
             if name in ("point_m", "normal", "center_m", "rotation_deg"):
-                _check_triple(name, value)
+                checked_triple(name, value)
             elif name in ("radius_m", "half_length_m", "half_extents_m"):
-                for length in _check_triple(name, value).tolist() if name == "half_extents_m" else (value,):
+                for length in checked_triple(name, value).tolist() if name == "half_extents_m" else (value,):
                     if not _LEAST_M <= length <= _MOST_M:
                         expected = f"a positive length, {_LEAST_M:g} to {_MOST_M:g} m"
                         raise InvalidArgument(name, repr(length), expected)
@@ -115,16 +116,21 @@ class _Turned(Shape):
     half_extents_m: Triple
     rotation_deg: Triple
 
+    @cached_property
+    def axes(self) -> Float64s:
+        """The matrix whose columns are the axes of its frame, float64 [3, 3]: turned by `moved`, too."""
+        return rotation_matrix(self.rotation_deg)
+
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
         phi, normal = self._in_own_frame(self._local(points))
-        return phi, normal @ rotation_matrix(self.rotation_deg).T
+        return phi, normal @ self.axes.T
 
     def box_m(self) -> Float64s:
         """See `Shape`; of a superquadric that of the cuboid around it."""
-        return _around(self.center_m, self._reach(rotation_matrix(self.rotation_deg)))
+        return _around(self.center_m, self._reach(self.axes))
 
     def _local(self, points: Float64s) -> Float64s:
-        return np.asarray((points - np.asarray(self.center_m)) @ rotation_matrix(self.rotation_deg))
+        return np.asarray((points - np.asarray(self.center_m)) @ self.axes)
 
     @abstractmethod
     def _in_own_frame(self, local: Float64s) -> tuple[Float64s, Float64s]:
@@ -284,39 +290,6 @@ class Ellipsoid(_Turned):
         return np.asarray(np.sqrt(((rotation * np.asarray(self.half_extents_m)) ** 2).sum(axis=1)))
 
 
-@dataclass(frozen=True)
-class Moved(Shape):
-    """A shape after x -> R x + t; make it with `moved`, which keeps what stays a plane or a ball.
-
-    Raises `InvalidArgument` if `rotation`, R, is not a rotation, or a number is not finite.
-    """
-
-    shape: Shape
-    rotation: tuple[Triple, Triple, Triple]
-    shift_m: Triple
-
-    def __post_init__(self) -> None:
-        matrix, shift = checked_rotation(self.rotation), _check_triple("shift_m", self.shift_m)
-        # as tuples: values that compare and cannot be changed
-        object.__setattr__(self, "rotation", tuple(map(_as_triple, matrix)))
-        object.__setattr__(self, "shift_m", _as_triple(shift))
-
-    def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
-        phi, normal = self.shape.signed_distance_and_normal(self._back(points))
-        return phi, normal @ np.asarray(self.rotation, np.float64).T
-
-    def distance_range(self, centres: Float64s, radius_m: float) -> tuple[Float64s, Float64s]:
-        return self.shape.distance_range(self._back(centres), radius_m)
-
-    def box_m(self) -> Float64s:
-        """A box that holds the surface: that of the shape's own box after the motion."""
-        box, rotation = self.shape.box_m(), np.asarray(self.rotation)
-        return _around(rotation @ box.mean(axis=0) + self.shift_m, np.abs(rotation) @ (np.ptp(box, axis=0) / 2))
-
-    def _back(self, points: Float64s) -> Float64s:
-        return np.asarray((points - np.asarray(self.shift_m)) @ np.asarray(self.rotation))
-
-
 SHAPES: Final[dict[str, type[Shape]]] = {
     kind.__name__.lower(): kind for kind in (Plane, Sphere, Box, Superquadric, Capsule, Cylinder, Ellipsoid)
 }
@@ -324,23 +297,18 @@ SHAPES: Final[dict[str, type[Shape]]] = {
 
 
 def moved(shape: Shape, rotation: ArrayLike, shift_m: ArrayLike) -> Shape:
-    """A shape after x -> R x + t, R float [3, 3], t float [3]: planes and balls stay such, two motions become one.
+    """A shape of this module after x -> R x + t, R float [3, 3], t float [3].
 
-    Raises `InvalidArgument` as `Moved` does.
+    Raises `InvalidArgument` if R is not a rotation, or a number is not finite.
     """
-    inner = shape.shape if isinstance(shape, Moved) else shape
-    turn, shift = np.asarray(rotation, np.float64), np.asarray(shift_m, np.float64)
-    result = Moved(inner, turn, shift)  # type: ignore[arg-type]  # made tuples there, and checked
-    if isinstance(shape, Moved):
-        shift = turn @ np.asarray(shape.shift_m) + shift
-        turn = turn @ np.asarray(shape.rotation)
-        result = Moved(inner, turn, shift)
-    if isinstance(inner, Plane):
-        point, normal = turn @ np.asarray(inner.point_m) + shift, turn @ np.asarray(inner.normal)
-        return Plane(_as_triple(point), _as_triple(normal))
-    if isinstance(inner, Sphere):
-        return Sphere(_as_triple(turn @ np.asarray(inner.center_m) + shift), inner.radius_m)
-    return result
+    turn, shift = checked_rotation(rotation), checked_triple("shift_m", shift_m)
+    if isinstance(shape, Plane):
+        return Plane(_as_triple(turn @ shape.point_m + shift), _as_triple(turn @ shape.normal))
+    placed: Any = shape
+    other: Shape = replace(placed, center_m=_as_triple(turn @ placed.center_m + shift))
+    if isinstance(shape, _Turned):
+        vars(other)["axes"] = turn @ shape.axes
+    return other
 
 
 def rotation_matrix(rotation_deg: Triple) -> Float64s:
@@ -360,7 +328,8 @@ def _of_faces(beyond: Float64s) -> tuple[Float64s, Float64s]:
     return np.where(is_out, distance, beyond.max(axis=-1)), weight
 
 
-def _check_triple(name: str, values: ArrayLike) -> Float64s:
+def checked_triple(name: str, values: ArrayLike) -> Float64s:
+    """Three numbers of a length or place, metres, float64 [3]; `InvalidArgument` for others."""
     triple = np.asarray(values, np.float64)
     if triple.shape != (3,) or not (np.abs(triple) <= _MOST_M).all():
         raise InvalidArgument(name, repr(values), f"three numbers from {-_MOST_M:g} to {_MOST_M:g}")

@@ -12,13 +12,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int32s
+from touchfield.arrays import Bools, Float32s, Int32s
 from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks
-from touchfield.sources.kernels.depth import B3, HALF, first_sample, gather, pixel_of, pixels_of
+from touchfield.sources.kernels.depth import B3, HALF, Query, first_sample, gather, pixel_of, pixels_of
 
-_PASSED, _CLEAR = 1, 2  # free: a ray passed; one did with nothing near it
+_PASSED, CLEAR = 1, 2  # free: a ray passed; one did with nothing near it
 _CARVED = 128  # strikes of a surface that was carved
 _0, _1 = np.float32(0), np.float32(1)
 _TINY = np.float32(1e-30)
@@ -26,21 +26,15 @@ _NX, _NY, _NZ, _C = (B3 * q for q in range(4))
 
 
 class View(NamedTuple):
-    """A depth map and where the volume lies before it, in camera axes; see `SurfacePlanes` and `Query`.
+    """A depth map before the lattice of the volume.
 
     `marked` are, of `integrate`, pixels whose surface stands where free space was known, so that what lies behind is
     new, too; of `mark`, those whose samples are asked for. `nearest_per_m` is the largest inverse depth in each tile
     of 8 x 8 pixels and those around it: what lies clearly before it is free.
     """
 
-    planes: Float32s  # [4 (height width + 1)]
+    query: Query
     marked: NDArray[np.uint8]  # [height width + 1]
-    camera_px: Float32s
-    height: int
-    width: int
-    lattice_m: Float64s
-    offsets_m: Float32s  # as of `Query`
-    turn: Float32s
     nearest_per_m: Float32s  # [rows, columns]
 
 
@@ -103,7 +97,7 @@ def _passed(of, n, s, is_clear):
         of.strikes[n, s] = _CARVED if was_surface else 0
     of.free[n, s] = max(of.free[n, s], _PASSED)
     if is_clear:  # only now is a carved surface surely gone: close beside a thing a pose that is off carves, too
-        of.free[n, s] = _CLEAR
+        of.free[n, s] = CLEAR
         if of.strikes[n, s] == _CARVED:
             of.changes[n, s] = 1
             of.strikes[n, s] = 0
@@ -140,7 +134,7 @@ def _tell(of, n, s, look, first, normal):
         _met(of, n, s, phi, weight * share * share, normal)
         return
     if of.near[n, s] == 0:  # a surface in front of a guess, or where nothing was
-        if of.free[n, s] == _CLEAR:
+        if of.free[n, s] == CLEAR:
             of.changes[n, s] = 1
         _forget(of, n, s)
         weight *= first
@@ -153,15 +147,6 @@ def _tell(of, n, s, look, first, normal):
     of.strikes[n, s] = of.free[n, s] = 0
     of.near[n, s] = 1
     _met(of, n, s, phi, weight, normal)
-
-
-@njit(nogil=True)
-def _look(brick, view, index, r):
-    """The first sample of a brick in camera axes, metres; pixels and planes of all into `index` and `r`."""
-    x, y, z = first_sample(brick, view.lattice_m)
-    pixels_of(x, y, z, view.offsets_m, B3, view.camera_px, view.height, view.width, index)
-    gather(view.planes, index, B3, r)
-    return x, y, z
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
@@ -182,12 +167,17 @@ def _measured(x, y, z, plane, rules):
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _measure(x0, y0, z0, offsets, r, rules, seen):
-    """`_measured` of every sample of a brick, eight at once."""
-    for s in range(B3):
+def _look(brick, query, rules, index, r, seen):
+    """Pixels, planes and what is `_measured` of all samples of a brick; the depth of the first."""
+    surface, offsets = query.surface, query.offsets_m
+    x0, y0, z0 = first_sample(brick, query.lattice_m)
+    pixels_of(x0, y0, z0, offsets, B3, surface.camera_px, surface.size_px[0], surface.size_px[1], index)
+    gather(surface.planes, index, B3, r)
+    for s in range(B3):  # eight at once
         x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
         plane = r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]
         seen[s], seen[s + B3], seen[s + 2 * B3] = _measured(x, y, z, plane, rules)
+    return z0
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
@@ -197,11 +187,12 @@ def _learn(of, n, s, seen, pixel, plane, z, view, rules):
     if least < _0:
         return
     if phi > least:
-        v = pixel // view.width
-        u = pixel - v * view.width
+        width = view.query.surface.size_px[1]
+        v = pixel // width
+        u = pixel - v * width
         _passed(of, n, s, (z + least) * view.nearest_per_m[v >> 3, u >> 3] < _1)
         return
-    turn, nx, ny, nz = view.turn, plane[0], plane[1], plane[2]
+    turn, nx, ny, nz = view.query.turn, plane[0], plane[1], plane[2]
     normal = (
         turn[0, 0] * nx + turn[0, 1] * ny + turn[0, 2] * nz,
         turn[1, 0] * nx + turn[1, 1] * ny + turn[1, 2] * nz,
@@ -214,24 +205,24 @@ def _learn(of, n, s, seen, pixel, plane, z, view, rules):
 def _integrate(begin, end, bricks, view, rules, of):
     index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
     for n in range(begin, end):
-        x0, y0, z0 = _look(bricks[n], view, index, r)
-        _measure(x0, y0, z0, view.offsets_m, r, rules, seen)
+        z0 = _look(bricks[n], view.query, rules, index, r, seen)
         for s in range(B3):
             plane = r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]
             of_sample = seen[s], seen[s + B3], seen[s + 2 * B3]
-            _learn(of, n, s, of_sample, index[s], plane, z0 + view.offsets_m[s + 2 * B3], view, rules)
+            _learn(of, n, s, of_sample, index[s], plane, z0 + view.query.offsets_m[s + 2 * B3], view, rules)
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 def _each_integrate(begin, end, bricks, view, rules, of):
     """The same, one sample a thread."""
-    camera, planes, offsets = view.camera_px, view.planes, view.offsets_m
+    query, planes, offsets = view.query, view.query.surface.planes, view.query.offsets_m
+    camera, (height, width) = query.surface.camera_px, query.surface.size_px
     for q in range(begin, end):
         n, s = q >> 9, q & 511
-        x, y, z = first_sample(bricks[n], view.lattice_m)
+        x, y, z = first_sample(bricks[n], query.lattice_m)
         x, y, z = x + offsets[s], y + offsets[s + B3], z + offsets[s + 2 * B3]
         fx, fy, cx, cy = camera[0], camera[1], camera[2] + HALF, camera[3] + HALF
-        pixel = pixel_of(x, y, z, fx, fy, cx, cy, view.height, view.width)
+        pixel = pixel_of(x, y, z, fx, fy, cx, cy, height, width)
         plane = planes[4 * pixel], planes[4 * pixel + 1], planes[4 * pixel + 2], planes[4 * pixel + 3]
         _learn(of, n, s, _measured(x, y, z, plane, rules), pixel, plane, z, view, rules)
 
@@ -240,26 +231,26 @@ def _each_integrate(begin, end, bricks, view, rules, of):
 def _mark(begin, end, bricks, view, rules, out):
     index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
     for n in range(begin, end):
-        x0, y0, z0 = _look(bricks[n], view, index, r)
-        _measure(x0, y0, z0, view.offsets_m, r, rules, seen)
+        _look(bricks[n], view.query, rules, index, r, seen)
         for s in range(B3):
             if view.marked[index[s]] and seen[s + B3] >= _0 and seen[s] <= rules.least_m:
                 out[n, s] = True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _surfaces_in(begin, end, view, slots, inverse, shape, of, wanted, out):
+def _surfaces_in(begin, end, query, slots, inverse, of, wanted, out):
     """Pixels of rows begin..end whose surface lies at a sample that is wanted.
 
     Sum and number of the residuals against the surfaces that are known, metres.
     """
-    camera, lattice = view.camera_px, view.lattice_m
+    camera, planes, (_, width) = query.surface.camera_px, query.surface.planes, query.surface.size_px
+    lattice, shape = query.lattice_m, query.shape
     total, count = 0.0, 0
     for v in range(begin, end):
-        for u in range(view.width):
-            p = v * view.width + u
+        for u in range(width):
+            p = v * width + u
             out[p] = 0
-            nx, ny, nz, c = view.planes[4 * p], view.planes[4 * p + 1], view.planes[4 * p + 2], view.planes[4 * p + 3]
+            nx, ny, nz, c = planes[4 * p], planes[4 * p + 1], planes[4 * p + 2], planes[4 * p + 3]
             x, y = (u - camera[2]) / camera[0], (v - camera[3]) / camera[1]
             facing = nx * x + ny * y + nz
             if c >= _0 or facing >= _0:
@@ -318,19 +309,16 @@ def mark(bricks: Int32s, view: View, rules: Rules, out: Bools) -> None:
     for_chunks(_mark, len(bricks), bricks, view, rules, out, chunk=16)
 
 
-def is_free(of: Samples) -> Bools:
-    """Samples in known free space: a ray passed, with nothing near it; bool [bricks, 512]."""
-    return (of.near == 0) & (of.free == _CLEAR)
-
-
-def surfaces_in(view: View, slots: Int32s, shape: tuple[int, int, int], of: Samples, wanted: Bools) -> float | None:
+def surfaces_in(view: View, slots: Int32s, of: Samples, wanted: Bools) -> float | None:
     """Mark the pixels of the view whose surface lies at a sample of `wanted`, bool [bricks, 512].
 
     `slots`, int32 [bricks along each axis of the grid], is where a brick lies in `of` and `wanted`, -1 where it does
     not. The result is the mean distance between the surfaces of the view and those known, metres; None if none is.
     """
-    inverse = np.linalg.inv(view.lattice_m[1:].T)
-    sums = for_chunks(_surfaces_in, view.height, view, slots, inverse, shape, of, wanted, view.marked, chunk=32)
+    query = view.query
+    inverse = np.linalg.inv(query.lattice_m[1:].T)
+    work = query, slots, inverse, of, wanted, view.marked
+    sums = for_chunks(_surfaces_in, query.surface.size_px[0], *work, chunk=32)
     view.marked[-1] = 0
     count = sum(count for _, count in sums)
     return sum(total for total, _ in sums) / count if count else None

@@ -95,7 +95,8 @@ def gradients(heights_m: Float64s, step_m: float, dx_m: float, dy_m: float) -> F
 
 
 @lean
-def _amplitude(phi, table):
+def amplitude(phi, table):
+    """f(phi) of a force profile, whose pieces are the rows of `table`, newtons."""
     for p in range(table.shape[0]):
         if table[p, 0] < phi <= table[p, 1]:
             return table[p, 2] + table[p, 3] * phi
@@ -152,7 +153,7 @@ def _flag(begin, end, shape, origin, spacing, lattice, facing, step, heights, sl
                 while k <= last:
                     if flags[bi, bj, k >> 3] == 0:
                         phi = facing * (origin[2] + k * spacing[2] - h) * nz
-                        if np.float32(_amplitude(phi, table) * nz) == np.float32(0.0):
+                        if np.float32(amplitude(phi, table) * nz) == np.float32(0.0):
                             k += 1
                             continue
                         flags[bi, bj, k >> 3] = 1
@@ -183,7 +184,7 @@ def _fill(begin, end, starts, bricks, shape, origin, spacing, lattice, facing, s
                         gk = bricks[s, 2] * 8 + k
                         f = 0.0
                         if gk < shape[2]:
-                            f = facing * _amplitude(facing * (origin[2] + gk * spacing[2] - h) * nz, table)
+                            f = facing * amplitude(facing * (origin[2] + gk * spacing[2] - h) * nz, table)
                         out[s, i, j, k, 0] = f * nx
                         out[s, i, j, k, 1] = f * ny
                         out[s, i, j, k, 2] = f * nz

@@ -26,6 +26,7 @@ from touchfield.medium import Grid
 from touchfield.medium.kernels.placed import close_up
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels import mesh_triangle as tri
+from touchfield.sources.kernels.height import amplitude as amplitude_at
 from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
 
 CLOSED, ONE_SIDED, TWO_SIDED, LIDDED = 0, 1, 2, 3
@@ -50,7 +51,9 @@ class Band(NamedTuple):
 class Motion(NamedTuple):
     """Motion of a surface."""
 
-    triangles: Int32s  # int32 [m, 3]; in the order of the table, each beginning with its longest edge
+    # int32 [m, 3]; those that the rows of the table are, or are pieces of, each beginning with its longest edge
+    triangles: Int32s
+    vertices_m: Float64s  # float64 [n, 3]
     velocities_m_s: Float64s  # float64 [n, 3]; of the vertices
     damping_n_s_per_m: float  # b
 
@@ -116,14 +119,6 @@ def _hand_down(begin, end, start, ids, keep, offsets, out):
 
 # -- a brick --------------------------------------------------------------------------------------------------------
 @njit(nogil=True, forceinline=True)
-def _amplitude(pieces, phi):
-    for i in range(pieces.shape[0]):
-        if pieces[i, 0] < phi <= pieces[i, 1]:
-            return pieces[i, 2] + pieces[i, 3] * phi
-    return 0.0
-
-
-@njit(nogil=True, forceinline=True)
 def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     """The force at (x, y, z), given its nearest triangle t."""
     sidedness, half_wall, tiny = rule
@@ -136,7 +131,7 @@ def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
         if is_inside and not is_enclosed:
             return 0.0, 0.0, 0.0
     is_inside = is_inside and sidedness != TWO_SIDED
-    amplitude = _amplitude(pieces, -distance if is_inside else distance - half_wall)
+    amplitude = amplitude_at(-distance if is_inside else distance - half_wall, pieces)
     if distance <= tiny:
         f = tri.feature(table, t, edge, along)
         return amplitude * normals[t, f, 0], amplitude * normals[t, f, 1], amplitude * normals[t, f, 2]
@@ -264,38 +259,21 @@ def _each_force(begin, end, near, surface, frame, events, rule, pieces, owners, 
 # -- what a motion adds, and where a shell ends -------------------------------------------------------------------
 # `owners` int32 [n, 8, 8, 8]: the nearest triangle of each sample with a force, -1 for the others
 @njit(nogil=True, forceinline=True)
-def _height(table, t, edge, x, y, z):
-    """The height over an edge, in the plane of its triangle."""
-    m, a = 3 + 3 * edge, 21 + 3 * edge
-    dx, dy, dz = x - table[t, a], y - table[t, a + 1], z - table[t, a + 2]
-    return table[t, m] * dx + table[t, m + 1] * dy + table[t, m + 2] * dz
-
-
-@njit(nogil=True, forceinline=True)
-def _share(table, t, edge, x, y, z):
-    """The height over an edge, of that of the corner opposite: the share of that corner."""
-    a = 21 + 3 * ((edge + 2) % 3)
-    whole = _height(table, t, edge, table[t, a], table[t, a + 1], table[t, a + 2])
-    return min(max(_height(table, t, edge, x, y, z) / whole, 0.0), 1.0) if whole != 0.0 else 0.0
-
-
-@njit(nogil=True, forceinline=True)
-def _shares(table, t, x, y, z):
-    """Shares of the last two corners of a triangle in its point nearest to (x, y, z)."""
-    dx, dy, dz, edge, along = tri.nearest(table, t, x, y, z)
-    if edge < 0:
-        px, py, pz = x - dx, y - dy, z - dz
-        third = _share(table, t, 0, px, py, pz)
-        return min(_share(table, t, 2, px, py, pz), 1.0 - third), third
-    length = table[t, 30 + edge]
-    share = along / length if length > 0.0 else 0.0
-    if edge == 0:
-        return share, 0.0
-    return (1.0 - share, share) if edge == 1 else (0.0, 1.0 - share)
+def _shares(vertices, a, b, c, point):
+    """Shares of the corners b and c of a triangle in a point of it; from a to b is its longest edge."""
+    bb = bc = cc = bp = cp = 0.0
+    for i in range(3):
+        first = vertices[a, i]
+        to_b, to_c, to_p = vertices[b, i] - first, vertices[c, i] - first, point[i] - first
+        bb, bc, cc = bb + to_b * to_b, bc + to_b * to_c, cc + to_c * to_c
+        bp, cp = bp + to_b * to_p, cp + to_c * to_p
+    area = bb * cc - bc * bc
+    third = min(max((bb * cp - bc * bp) / area, 0.0), 1.0) if area > 0.0 else 0.0
+    return min(max((bp - third * bc) / bb, 0.0), 1.0 - third) if bb > 0.0 else 0.0, third
 
 
 @njit(cache=True, nogil=True)
-def add_motion(begin, end, bricks, owners, table, lattice, triangles, velocities, damping, forces):
+def add_motion(begin, end, bricks, owners, table, lattice, triangles, vertices, velocities, damping, forces):
     """Add the damping of a surface that moves, where there are forces."""
     for b in range(begin, end):
         for i, j, k in np.ndindex(8, 8, 8):
@@ -303,11 +281,12 @@ def add_motion(begin, end, bricks, owners, table, lattice, triangles, velocities
             if t < 0:
                 continue
             x, y, z = _place(bricks, b, i, j, k, lattice)
-            second, third = _shares(table, t, x, y, z)
+            dx, dy, dz, _, _ = tri.nearest(table, t, x, y, z)
+            p, q, r = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+            second, third = _shares(vertices, p, q, r, (x - dx, y - dy, z - dz))
             for c in range(3):
-                v = velocities[triangles[t, 0], c]
-                at = v + second * (velocities[triangles[t, 1], c] - v)
-                at += third * (velocities[triangles[t, 2], c] - v)
+                v = velocities[p, c]
+                at = v + second * (velocities[q, c] - v) + third * (velocities[r, c] - v)
                 forces[b, i, j, k, c] += damping * at
 
 
@@ -428,9 +407,7 @@ def forces_near(
         about = (near_all, surface, frame, events, rule, band.pieces)
         for_chunks(_fill_bricks, len(bricks), *about, forces, has_force, owners)
     if motion is not None:
-        velocities = np.ascontiguousarray(motion.velocities_m_s, np.float64)
-        moves = motion.triangles, velocities, motion.damping_n_s_per_m
-        for_chunks(add_motion, len(bricks), bricks, owners, surface[0], lattice, *moves, forces)
+        for_chunks(add_motion, len(bricks), bricks, owners, surface[0], lattice, *motion, forces)
     if rim is not None:
         width_m = max(band.inner_m, band.outer_m)
         near_rim = _rim_near(rim, lattice, shape, 2 * width_m, keys)

@@ -8,13 +8,18 @@ division by zero, so that numpy's rule is asked for.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from touchfield.arrays import Float32s
 from touchfield.parallel import for_chunks
+
+if TYPE_CHECKING:
+    from touchfield.sources.camera import Intrinsics
+
+SLOPE_LIMIT_PX: Final = 5.0  # along an image row or column, footprints of a pixel in depth per pixel: 79 degrees
 
 _TILE = 8  # pixels along each edge of a tile of the culling table
 _0, _1, _2, _3, _4, _9, _16 = (np.float32(x) for x in (0, 1, 2, 3, 4, 9, 16))
@@ -67,15 +72,18 @@ def _link(before, here, there, after, step, slope):
 
 
 @njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _line(a, b, x, y):
-    """Weighted line fit over 4 values on each side, given relative to the middle one.
+def _line(r, i, step, a, b):
+    """Line fit over the 4 values behind and before ``r[i]``, by their weights, relative to it.
 
     Returns the fitted middle value, the slope, and the slope's numerator and denominator.
     """
+    c = r[i]
     a1, a2, a3, a4 = a
     b1, b2, b3, b4 = b
-    x1, x2, x3, x4 = x[0] * a1, x[1] * a2, x[2] * a3, x[3] * a4
-    y1, y2, y3, y4 = y[0] * b1, y[1] * b2, y[2] * b3, y[3] * b4
+    x1, x2 = (r[i + step] - c) * a1, (r[i + 2 * step] - c) * a2
+    x3, x4 = (r[i + 3 * step] - c) * a3, (r[i + 4 * step] - c) * a4
+    y1, y2 = (r[i - step] - c) * b1, (r[i - 2 * step] - c) * b2
+    y3, y4 = (r[i - 3 * step] - c) * b3, (r[i - 4 * step] - c) * b4
     s0 = _1 + ((a1 + b1) + (a2 + b2)) + ((a3 + b3) + (a4 + b4))
     s1 = (a1 - b1) + _2 * (a2 - b2) + _3 * (a3 - b3) + _4 * (a4 - b4)
     s2 = (a1 + b1) + _4 * (a2 + b2) + _9 * (a3 + b3) + _16 * (a4 + b4)
@@ -86,7 +94,7 @@ def _line(a, b, x, y):
     spread = s2 - s1 * mean
     moment = t1 - t0 * mean
     slope = moment / max(spread, _QUARTER)
-    return t0 * share - slope * mean, slope, moment, spread
+    return c + (t0 * share - slope * mean), slope, moment, spread
 
 
 @njit(nogil=True)
@@ -122,13 +130,9 @@ def _fit_row(r, n, step, slope):
         r[u + _LINK + 1] = _link(r[i], r[i + 1], r[i + 2], r[i + 3], step, slope)
     for u in range(n):
         i = u + _INVERSE + _PAD
-        c = r[i]
         a = _chain(r, u + _LINK + _PAD, 1)
         b = _chain(r, u + _LINK + _PAD - 1, -1)
-        x = (r[i + 1] - c, r[i + 2] - c, r[i + 3] - c, r[i + 4] - c)
-        y = (r[i - 1] - c, r[i - 2] - c, r[i - 3] - c, r[i - 4] - c)
-        rise, _, moment, spread = _line(a, b, x, y)
-        r[u + _LEVEL + _PAD] = c + rise
+        r[u + _LEVEL + _PAD], _, moment, spread = _line(r, i, 1, a, b)
         r[u + _TILT + _PAD] = moment
         r[u + _WEIGHT + _PAD] = spread
 
@@ -147,14 +151,10 @@ def _fit_column(r, n, fx, fy, left, dv):
     for u in range(n):
         i = u + _PAD + 4 * _ROW
         k = i + _LEVEL
-        c = r[k]
         a = _chain(r, i + _DOWN, _ROW)
         b = _chain(r, i + _DOWN - _ROW, -_ROW)
-        x = (r[k + _ROW] - c, r[k + 2 * _ROW] - c, r[k + 3 * _ROW] - c, r[k + 4 * _ROW] - c)
-        y = (r[k - _ROW] - c, r[k - 2 * _ROW] - c, r[k - 3 * _ROW] - c, r[k - 4 * _ROW] - c)
-        rise, wv, _, along = _line(a, b, x, y)
+        w, wv, _, along = _line(r, k, _ROW, a, b)
         across = _total(r, i + _WEIGHT, a, b)
-        w = c + rise
         wu = _total(r, i + _TILT, a, b) / max(across, _QUARTER)
         du = np.float32(np.int32(u)) - left
         nx = fx * wu
@@ -188,7 +188,7 @@ def _store(r, n, planes):
 
 @njit(nogil=True)
 def _fit_tiles(r, n, rows, bounds):
-    """Bounds of a row of tiles, from the planes of its `rows` image rows: see `fit_planes`."""
+    """Bounds of a row of tiles, from the planes of its `rows` image rows: see `surface_planes`."""
     for i in range(1, rows):
         for u in range(n):
             a, b = r[u + _NEAR + _PAD], r[u + _NEAR + _PAD + i * _ROW]
@@ -236,15 +236,17 @@ def _fit_planes(begin, end, depth, camera, gates, planes, bounds):
             _fit_tiles(r, n, stop - t * _TILE, bounds[t, left // _TILE :])
 
 
-def fit_planes(depth_m: Float32s, camera_px: Float32s, step_per_m: float, slope_px: float) -> SurfacePlanes:
-    """Tangent planes of a depth map, float32 [height, width], C-contiguous, and their bounds in tiles.
+def surface_planes(depth_m: Float32s, camera: Intrinsics, step_per_m: float) -> SurfacePlanes:
+    """Tangent planes of a depth map, metres, and their bounds in tiles.
 
-    `camera_px` float32 [4]: fx, fy, cx, cy; the gates are told in `touchfield.sources.depth_scene`.
+    `depth_m` float32 [height, width], C-contiguous, not positive or not finite where unknown; `step_per_m` is the
+    noise step (see `touchfield.sources.depth_scene`).
     """
     height, width = depth_m.shape
     planes = np.empty(4 * (height * width + 1), np.float32)
     planes[-4:] = 0
     tiles = np.empty((-(-height // _TILE), -(-width // _TILE), 2), np.float32)
-    gates = np.array([step_per_m, slope_px], np.float32)
+    gates = np.array([step_per_m, SLOPE_LIMIT_PX], np.float32)
+    camera_px = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
     for_chunks(_fit_planes, len(tiles), depth_m, camera_px, gates, planes, tiles, chunk=4)
     return SurfacePlanes((height, width), camera_px, planes, tiles)
