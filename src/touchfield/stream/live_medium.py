@@ -22,7 +22,7 @@ from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import FormatError, SourceError, UnsupportedVersion
 from touchfield.filters.resample import halved, rebuilt
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.medium import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 from touchfield.stream.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
 from touchfield.stream.opened import OpenStream
 
@@ -369,10 +369,10 @@ class LiveStream(OpenStream):
     def medium(self) -> HapticMedium:
         """The medium, whose frames are waited for."""
         head = self.reader.head
-        band = VibrationBand(self.grid, ENDLESS, self.frames.vibration) if self._vibrates else None
         return HapticMedium(
             self.grid, head.rate_hz, ENDLESS, self.frames, head.axes, head.friction, head.damping_n_s_per_m,
-            tuple(head.tags), dict(self.reader.provenance), band,
+            tuple(head.tags), dict(self.reader.provenance),
+            self.frames.vibration if self._vibrates else None,
         )  # fmt: skip
 
     @property

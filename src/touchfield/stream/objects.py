@@ -127,7 +127,7 @@ class SceneStream(OpenStream):
 
     @property
     def medium(self) -> HapticMedium:
-        return replace(self.scene.voxelise(), vibration=None if self._vibration is None else self._vibration.band)
+        return replace(self.scene.voxelise(), vibration=self._vibration)
 
     @cached_property
     def bits(self) -> BitAccount:

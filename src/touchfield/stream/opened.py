@@ -194,7 +194,7 @@ class VoxelStream(OpenStream):
         return HapticMedium(
             self.grid, head.rate_hz, head.frame_count, self._frames, head.axes, head.friction,
             head.damping_n_s_per_m, tuple(head.tags), dict(self.reader.provenance),
-            None if self._vibration is None else self._vibration.band,
+            self._vibration,
             segments_of(self.reader, self.decoder.describe()),
         )  # fmt: skip
 
