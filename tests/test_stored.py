@@ -109,7 +109,7 @@ def test_where_nothing_can_be_written(tmp_path: Path) -> None:
 
 def test_npz_keeps_the_medium_and_numpy_reads_it(tmp_path: Path, medium: HapticMedium) -> None:
     path, counted = tmp_path / "a.npz", []
-    write_npz(path, medium, counted.append)
+    write_npz(path, medium, lambda done, of: counted.append(done))
     assert counted == [1, 2, 3]
     read = read_npz(path)
     assert (read.grid, read.rate_hz, read.axes, len(read)) == (medium.grid, medium.rate_hz, medium.axes, 3)
@@ -217,7 +217,7 @@ def test_vti_keeps_one_frame_and_pvd_names_several(tmp_path: Path, medium: Hapti
     one = write_vti(tmp_path / "one.vti", medium.between(0, 1))
     assert one == tmp_path / "one.vti"
     counted: list[int] = []
-    several = write_vti(tmp_path / "film.vti", medium, progress=counted.append)
+    several = write_vti(tmp_path / "film.vti", medium, lambda done, of: counted.append(done))
     assert several == tmp_path / "film.pvd"
     assert counted == [1, 2, 3]
     files = [set_.attrib for set_ in ElementTree.parse(several).iter("DataSet")]

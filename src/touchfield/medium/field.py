@@ -286,8 +286,7 @@ class ForceField(EqualByValue):
             beyond = b[:, axis, None] * BRICK + local >= grid.shape[axis]
             if beyond.any():
                 np.moveaxis(f, axis + 1, 1)[beyond] = 0
-        holds = f.any(axis=(1, 2, 3, 4))
-        return cls(grid, b, f) if holds.all() else cls(grid, b[holds], f[holds])
+        return field_that_holds(grid, b, f)
 
     @classmethod
     def from_dense(cls, grid: Grid, forces_n: ArrayLike) -> ForceField:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float32s, Int32s, Travels
 from touchfield.errors import InvalidArgument, import_extra, is_finite, require_not_negative, require_positive
-from touchfield.medium.budget import memory_budget_bytes
+from touchfield.medium.budget import require_memory
 from touchfield.medium.field import ForceField, frozen, numbers_of
 from touchfield.medium.grid import Grid
 from touchfield.medium.pose_track import PoseTrack
@@ -274,10 +274,8 @@ class HapticMedium(Travels):
         Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames are beyond `memory_budget_bytes`.
         """
         xarray = import_extra("xarray", "a medium as a Dataset", "xarray", "xarray")
-        needed, allowed = 12 * self.grid.voxel_count * self.frame_count, memory_budget_bytes()
-        if needed > allowed:
-            size, most = f"{needed / 2**30:.1f} GiB of dense frames", f"at most {allowed / 2**30:.1f} GiB"
-            raise InvalidArgument("to_xarray", size, most, "Take fewer frames: medium[a:b].")
+        needed = 12 * self.grid.voxel_count * self.frame_count
+        require_memory("to_xarray", "dense frames", needed, "Take fewer frames: medium[a:b].")
         forces = np.stack([self[i].to_dense() for i in range(self.frame_count)])
         places = {name: (name, self.grid.axis_m(axis), {"units": "m"}) for axis, name in enumerate("xyz")}
         times = ("t", np.arange(self.frame_count) / self.rate_hz, {"units": "s"})

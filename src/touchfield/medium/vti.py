@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, Final
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
 from touchfield.medium.medium import HapticMedium
+from touchfield.parallel import Report, silent
 
 BLOCK_BYTES: Final = 1 << 20
 DEFLATE_LEVEL: Final = 1
@@ -31,14 +32,14 @@ _LATER: Final = b"?" * 20
 def write_vti(
     path: str | Path,
     medium: HapticMedium,
-    progress: Callable[[int], None] | None = None,
+    report: Report = silent,
     told: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> Path:
     """Write a medium for ParaView.
 
     path : str or Path; one frame is written to this very file. Several are written to ``NAME_00000.vti`` and so on,
         and ``NAME.pvd`` is the file to open.
-    progress : callable, optional; called with the number of frames written, after each.
+    report : callable; ``report(written, frames)``, after each frame.
     told : mapping of str to numbers; what else is to be told, as field data.
     Returns Path; The file to open.
     Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
@@ -48,8 +49,7 @@ def write_vti(
     files = [path if is_single else path.with_name(f"{path.stem}_{i:05d}.vti") for i in range(len(medium))]
     for i, file in enumerate(files):
         _write_frame(file, medium, i, told)
-        if progress is not None:
-            progress(i + 1)
+        report(i + 1, len(medium))
     if is_single:
         return path
     collection = path.with_suffix(".pvd")
