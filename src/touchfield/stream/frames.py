@@ -40,7 +40,7 @@ class SegmentFrames:
         self._lock = Lock()
         self._cursor: tuple[int, Iterator[ForceField], int] | None = None
         self._latest: tuple[int, ForceField] | None = None
-        self._ahead: dict[int, Future[_Begun]] = {}
+        self._ahead: dict[int, Future[Iterator[ForceField]]] = {}
 
     def __call__(self, frame: int) -> ForceField:
         """One frame; it costs the decoding of its segment up to it, or one frame in sequence."""
@@ -85,16 +85,13 @@ class SegmentFrames:
         if ahead is None or ahead.cancel():
             return self._decode(segment)
         try:
-            return _resumed(*ahead.result())
+            return ahead.result()
         except Exception:
             return self._decode(segment)
 
 
-_Begun = tuple[deque[ForceField], Iterator[ForceField]]
-"""The first fields of a segment, and what makes the others."""
-
-
-def _begun(decode: Decode, segment: int) -> _Begun:
+def _begun(decode: Decode, segment: int) -> Iterator[ForceField]:
+    """The fields of a segment, the first of which are decoded already."""
     coming = decode(segment)
     fields: deque[ForceField] = deque()
     size = 0
@@ -103,13 +100,13 @@ def _begun(decode: Decode, segment: int) -> _Begun:
         size += field.forces_n.nbytes
         if size > MOST_BYTES_AHEAD:
             break
-    return fields, coming
 
+    def resumed() -> Iterator[ForceField]:
+        while fields:
+            yield fields.popleft()
+        yield from coming
 
-def _resumed(fields: deque[ForceField], coming: Iterator[ForceField]) -> Iterator[ForceField]:
-    while fields:
-        yield fields.popleft()
-    yield from coming
+    return resumed()
 
 
 def segments_of(reader: TouchReader, keys: Mapping[str, Any]) -> Segments | None:
