@@ -449,18 +449,15 @@ def test_a_full_disk(body: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(writer_module, "atomic_path", full)
     with pytest.raises(SourceError, match=r"No space left on device.*Free some space"):
         write_until(tmp_path / "a.touch", None, body)
-    with pytest.raises(KeyboardInterrupt):
-        write_until(tmp_path / "a.touch", KeyboardInterrupt())
     with pytest.raises(InvalidArgument, match="a write failed before"):
         write_on_after_a_failure(tmp_path / "a.touch")
 
 
 def write_on_after_a_failure(path: Path) -> None:
     with TouchWriter(path) as writer:
-        writer.write_head(EXAMPLE_HEAD)
         with pytest.raises(SourceError):
-            writer.write_segment(0, 3, bytes(1 << 20))
-        writer.write_segment(0, 3, b"")
+            writer.write_head(EXAMPLE_HEAD)
+        writer.write_head(EXAMPLE_HEAD)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit of file sizes here")

@@ -39,7 +39,7 @@ def test_fit_fills_the_workspace_and_no_more(
 
 def test_crop_and_scale_keep_the_centre_of_the_box() -> None:
     box = [[1.0, 2.0, 3.0], [2.0, 6.0, 3.0]]
-    assert Placement.crop(box) == Placement(1.0, (1.5, 4.0, 3.0))
+    assert Placement.scaled(box, 1.0) == Placement(1.0, (1.5, 4.0, 3.0))
     assert Placement.scaled(box, 0.05) == Placement(0.05, (1.5, 4.0, 3.0))
     assert Placement.fit(box, (0.1, 0.1, math.inf)) == Placement(0.1 / 4, (1.5, 4.0, 3.0))
     grid = device_grid(OMNI, 5)

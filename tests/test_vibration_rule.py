@@ -7,10 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
+from touchfield.filters.device_filter import device_medium
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.medium import VibrationBand, VibrationFrame
+from touchfield.medium.grid import Placement
+from touchfield.sources.laws import LawSpec, profile_of
+from touchfield.sources.stored import StoredScene
 
 GRID = Grid((3, 4, 5), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
 
@@ -68,13 +72,13 @@ def test_each_frame_is_made_once_for_force_and_vibration() -> None:
     medium = vibrating(HapticMedium(GRID, 10.0, 3, make), VibrationRule(), 3.3)
     assert medium.vibration is not None
     for i in range(3):
-        assert medium[i].support_count == len(medium.vibration[i]) == GRID.voxel_count
+        assert medium[i].support_count == len(medium.vibration(i)) == GRID.voxel_count
     assert made == [0, 1, 2]
 
 
-def test_a_band_on_another_grid_of_its_shape() -> None:
-    other = Grid(GRID.shape, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
-    band = VibrationBand(GRID, 2, lambda _: VibrationFrame.empty(GRID)).on_grid(other)
-    assert band.grid == band[1].grid == other and len(band) == 2
-    with pytest.raises(InvalidArgument, match="shape"):
-        band.on_grid(Grid((3, 4, 6), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))
+def test_a_lattice_that_differs_by_rounding_keeps_the_vibration() -> None:
+    made = vibrating(HapticMedium.from_frames([ForceField.empty(GRID)], 10.0), VibrationRule(), 3.3)
+    x, y, z = GRID.origin_m
+    near = Grid(GRID.shape, GRID.spacing_m, (x + 1e-10, y, z))
+    passed = device_medium(StoredScene(made), device("phantom-omni"), near, Placement(), profile_of(LawSpec(), 0.01))
+    assert passed.grid == near and passed.vibration is not None and passed.vibration(0).grid == near

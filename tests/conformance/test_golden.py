@@ -78,7 +78,7 @@ def test_vibration(stream: Path) -> None:
             return
         with np.load(stream.with_suffix(".vibration.npz")) as expected:
             for name, part in (("amplitudes_n", 0), ("frequencies_hz", 1)):
-                ours = np.stack([band[i].as_field().to_dense()[..., part] for i in range(len(band))])
+                ours = np.stack([band(i).as_field().to_dense()[..., part] for i in range(len(opened.medium))])
                 np.testing.assert_array_equal(ours, expected[name])
                 np.testing.assert_array_equal(found[name], expected[name])
 

@@ -18,7 +18,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec
 from touchfield.job.array_medium import array_drives, is_top_first
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.medium import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES
 from touchfield.sources.stored import StoredScene
 from touchfield.sources.tiny_scenes import tiny_scenes
@@ -47,7 +47,7 @@ def with_band(medium: HapticMedium, values: dict[tuple[int, int, int], tuple[flo
     positions = np.array(keys, np.int32).reshape(-1, 3)
     amplitudes, frequencies = (np.array([values[k][n] for k in keys], np.float32) for n in (0, 1))
     frame = VibrationFrame(medium.grid, positions, amplitudes, frequencies)
-    return replace(medium, vibration=VibrationBand(medium.grid, len(medium), lambda i: frame))
+    return replace(medium, vibration=lambda i: frame)
 
 
 def test_row_0_is_the_top_whichever_way_y_points() -> None:

@@ -188,14 +188,14 @@ def test_effects_of_others_become_streams(tmp_path: Path) -> None:
         assert opened.summary()["force_max_n"] == 2 and len(opened.medium) == 11
         assert opened.medium[5].vectors_n()[:, 2] == pytest.approx([1, 1], rel=K)
         vibration = opened.medium.vibration
-        assert vibration is not None and vibration[5].frequencies_hz.tolist() == [150, 150]
-        assert vibration[5].amplitudes_n == pytest.approx([1, 1], rel=MOST_RELATIVE_ERROR)
+        assert vibration is not None and vibration(5).frequencies_hz.tolist() == [150, 150]
+        assert vibration(5).amplitudes_n == pytest.approx([1, 1], rel=MOST_RELATIVE_ERROR)
     export(tmp_path / "e.touch", tmp_path / "f.hjif")
     again = read_hjif_array(tmp_path / "f.hjif").effect.frequencies_hz
     assert again is not None and again[:, 0, 1] == pytest.approx(np.arange(100, 201, 10), abs=1.01)
     import_effect(tmp_path / "e.hjif", tmp_path / "v.touch", replace(FINE, vibration="gain=0.1,frequency=77"))
     with open_stream(tmp_path / "v.touch") as opened:
-        assert opened.medium.vibration is not None and set(opened.medium.vibration[0].frequencies_hz) == {77}
+        assert opened.medium.vibration is not None and set(opened.medium.vibration(0).frequencies_hz) == {77}
     tap: dict[str, Any] = {"Event": {"Time": 0.1, "EventType": "HapticTransient"}}
     written(tmp_path / "t.ahap", {"Pattern": [tap]})
     import_effect(tmp_path / "t.ahap", tmp_path / "t.touch", FINE, rate_hz=200.0)

@@ -79,7 +79,7 @@ def test_a_dense_frame_beyond_memory_is_refused(tmp_path: Path, ending: str, mon
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "1")
     grid = grid_of(LARGEST)
     path = written(tmp_path / "a.touch", grid, TouchSpec(), [ForceField.empty(grid)])
-    with job.open_stream(path) as opened, pytest.raises(InvalidArgument, match=r"768\.0 GiB for each dense frame"):
+    with job.open_stream(path) as opened, pytest.raises(InvalidArgument, match=r"768\.0 GiB of each dense frame"):
         job.write_field(tmp_path / f"b{ending}", opened.medium)
     assert [p.name for p in tmp_path.iterdir()] == ["a.touch"]
 

@@ -22,7 +22,7 @@ from touchfield.filters.contact import VibrationRule, vibrating
 from touchfield.job import EncodeSpec, Target
 from touchfield.job.prepare import StreamScene
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.medium import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 from touchfield.sources.stored import StoredScene
 from touchfield.stream.objects import record_of
 
@@ -49,8 +49,8 @@ def spec(**asked: object) -> EncodeSpec:
 def frames_of(path: Path) -> list[VibrationFrame]:
     with job.open_stream(path) as opened:
         band = opened.medium.vibration
-        assert band is not None and len(band) == len(opened.medium)
-        return [band[i] for i in range(len(band))]
+        assert band is not None
+        return [band(i) for i in range(len(opened.medium))]
 
 
 def assert_near(found: VibrationFrame, expected: VibrationFrame) -> None:
@@ -66,7 +66,7 @@ def test_a_rule_makes_a_band_that_its_stream_has(tmp_path: Path) -> None:
     assert done.summary()["vibration"] is True and prepared.medium.vibration is not None
     rule = VibrationRule(0.25, 80, 240)
     for i, frame in enumerate(frames_of(path)):
-        own = prepared.medium.vibration[i]
+        own = prepared.medium.vibration(i)
         held = prepared.medium[i].support()
         np.testing.assert_array_equal(own.positions, held.positions)
         np.testing.assert_allclose(own.amplitudes_n, rule.gain * held.amplitudes_n, rtol=1e-6)
@@ -106,15 +106,15 @@ def test_a_stored_medium_keeps_its_band(tmp_path: Path) -> None:
     made = vibrating(medium(3), rule, 3.3)
     job.encode(StoredScene(made), path, spec())
     assert made.vibration is not None
-    assert_near(frames_of(path)[2], made.vibration[2])
+    assert_near(frames_of(path)[2], made.vibration(2))
     prepared = job.prepare(StoredScene(made), spec(nw=5))
     assert prepared.medium.vibration is None and any("vibration" in note for note in prepared.notes)
 
 
 def test_a_segment_in_which_nothing_vibrates(tmp_path: Path) -> None:
     path = tmp_path / "a.touch"
-    band = VibrationBand(GRID, 3, lambda _: VibrationFrame.empty(GRID))
-    job.encode(StoredScene(replace(medium(3), vibration=band)), path, spec())
+    still = replace(medium(3), vibration=lambda _: VibrationFrame.empty(GRID))
+    job.encode(StoredScene(still), path, spec())
     assert [len(frame) for frame in frames_of(path)] == [0, 0, 0]
     with job.open_stream(path) as opened:
         assert opened.summary()["vibration_samples"] == 0 and opened.summary()["vibration_lowest_hz"] is None
@@ -135,7 +135,7 @@ def test_the_band_alone_keeps_the_file_open(tmp_path: Path) -> None:
     scene = StreamScene(path)
     band, file = scene.medium.vibration, scene.medium.make_frame._reader._source._file  # type: ignore[attr-defined]
     del scene
-    assert band is not None and len(band[4]) and not file.closed
+    assert band is not None and len(band(4)) and not file.closed
     del band
     assert file.closed
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.medium.medium import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 from touchfield.render.kernels.frames import force_at
 from touchfield.render.kernels.points import force_at_once
 from touchfield.render.sampler import FieldSampler
@@ -195,9 +195,8 @@ def test_a_band_of_vibration_between_frames() -> None:
     at = np.array([[3, 4, 5]], np.int32)
     values = [([2.0], [80.0]), ([4.0], [160.0]), ([], [])]
     frames = [VibrationFrame(GRID, at[: len(a)], np.array(a, np.float32), np.array(f, np.float32)) for a, f in values]
-    band = VibrationBand(GRID, 3, frames.__getitem__)
     fields = [ForceField.empty(GRID)] * 3
-    medium = HapticMedium(GRID, RATE_HZ, 3, fields.__getitem__, vibration=band)
+    medium = HapticMedium(GRID, RATE_HZ, 3, fields.__getitem__, vibration=frames.__getitem__)
     sampler, point = FieldSampler(medium), GRID.to_m(at[0])
     found = [sampler.vibration(place / RATE_HZ, point) for place in (0, 0.25, 0.4, 0.75, 1, 1.75, 2)]
     # the frequency is that of the frame that says more

@@ -12,7 +12,7 @@ from player_makers import laid_out, telling, told
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack, Segments
-from touchfield.medium.medium import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 from touchfield.render.block import words as W
 from touchfield.render.kernels.frames import force_at, vibration_between
 from touchfield.render.sampler import FieldSampler
@@ -205,7 +205,7 @@ def test_what_vibrates_is_not_touched() -> None:
         amplitudes, frequencies = (np.full(len(places), v, np.float32) for v in (0.1 + n / 100, 100 + n))
         return VibrationFrame(SEGMENTED.grid, places, amplitudes, frequencies)
 
-    medium = replace(SEGMENTED, vibration=VibrationBand(SEGMENTED.grid, 30, hum))
+    medium = replace(SEGMENTED, vibration=hum)
     session, memory = laid_out(medium)
     session.feeder(memory).keep_ahead(20)
     for n in range(20):

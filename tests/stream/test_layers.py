@@ -9,6 +9,7 @@ from collections.abc import Sized
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
 from touchfield.job.prepare import Prepared
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.stream.live import ENDLESS, Ended, LiveReceiver, LiveSegment, Lost, Opened
-from touchfield.stream.live_medium import WAITED_S, LiveEnd, LiveFrames, LiveStream, Playing
+from touchfield.stream.live_medium import WAITED_S, LiveEnd, LiveFrames, LiveStream
 
 HALF = halved(GRID)
 UNDER = TouchEncoder(HALF, TouchSpec(k=0.2, f0_n=0.1, effort="fast"))
@@ -378,7 +379,7 @@ class OnAir:
             began = time.monotonic()
             while not self._is_over.wait(max(0.0, began + 0.1 * (self._sent + 1) - time.monotonic())):
                 fine, coarse = (LiveSegment(5 * self._sent, 5, own[self._sent % len(own)]) for own in self._bodies)
-                messages = [self.server.add(fine), self.server.add_coarse(coarse)]
+                messages = [self.server.add(fine), self.server.add(coarse, is_coarse=True)]
                 for one, message in zip(by_datagrams, messages, strict=False):
                     if message is messages[1] or self._sent < self._last:
                         one.add(message)
@@ -414,7 +415,7 @@ def test_a_hand_goes_on_feeling_where_only_the_coarse_layer_comes(
     with OnAir(port) as air:
         keep_up = LiveStream.keep_up
 
-        def played_already(live: LiveStream, player: Playing) -> bool:
+        def played_already(live: LiveStream, player: Any) -> bool:
             air.keep_back()
             return keep_up(live, player)
 

@@ -20,7 +20,7 @@ from touchfield.devices import Device, device, device_names
 from touchfield.errors import InvalidArgument, require_between, require_positive
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.field import frozen
-from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
+from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationFrame
 from touchfield.sources.scene import UP_Y_AXES
 
 if TYPE_CHECKING:
@@ -206,8 +206,7 @@ def effect_medium(effect: ArrayEffect, grid: Grid, force_max_n: float, provenanc
         positions = np.concatenate([driven, np.zeros((len(driven), 1), np.int64)], axis=1).astype(np.int32)
         return VibrationFrame(grid, positions, amplitudes_n[x, y], hertz[x, y])
 
-    band = None if effect.frequencies_hz is None else VibrationBand(grid, len(effect), vibration)
     return HapticMedium(
         grid, effect.rate_hz, len(effect), field, axes=UP_Y_AXES, tags=("symbolic",), provenance=provenance,
-        vibration=band,
+        vibration=None if effect.frequencies_hz is None else vibration,
     )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -94,7 +95,7 @@ def live(
         also = None
         if layer:
             typer.echo(f"coarse layer: ws://{server.address}/coarse/live{word}", err=True)
-            also = layer[0], _sending(server.add_coarse, layer[1], udp, "coarse", stack)
+            also = layer[0], _sending(partial(server.add, is_coarse=True), layer[1], udp, "coarse", stack)
         try:
             sent = broadcast(prepared, send, spec, say, coarse=also)
         finally:

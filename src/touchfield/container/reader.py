@@ -104,8 +104,7 @@ class TouchReader:
         """The body of segment `index`, 0 to ``len(segments) - 1``, checked against its CRC-32 and the index."""
         entry = self._expected(index)
         found = find_record(self._source, entry.offset, entry.offset + entry.length)
-        segment: Segment
-        segment, crc = read_record(self._source, found, "SEGM")
+        segment, crc = read_record(self._source, found, Segment)
         frames = {"first_frame": segment.first_frame, "frame_count": segment.frame_count}
         own = SegmentEntry(**frames, offset=found.offset, length=found.end - found.offset, crc32=crc)
         if own != entry:
@@ -118,8 +117,7 @@ class TouchReader:
         if index not in self._vibrations:
             return None
         found = self._vibrations[index]
-        own: Vibration
-        own, _ = read_record(self._source, found, "VIBR")
+        own, _ = read_record(self._source, found, Vibration)
         if (own.first_frame, own.frame_count) != (entry.first_frame, entry.frame_count):
             wrong = f"{own.frame_count} frames from frame {own.first_frame}"
             right = f"{entry.frame_count} from {entry.first_frame}, as in the segment behind it"
@@ -130,8 +128,7 @@ class TouchReader:
         """Object `index`, 0 to ``object_count - 1``, checked against its CRC-32."""
         if not 0 <= index < self.object_count:
             raise InvalidArgument("object", repr(index), f"0 to {self.object_count - 1}")
-        one: ObjectRecord
-        one, _ = read_record(self._source, self._objects[index], "OBJT")
+        one, _ = read_record(self._source, self._objects[index], ObjectRecord)
         return one
 
     def segment_of(self, frame: int) -> int:
@@ -146,13 +143,11 @@ class TouchReader:
         source = self._source
         opening = read_opening(source)
         head_record = find_record(source, OPENING_SIZE, source.size)
-        self.head: Head
-        self.head, _ = read_record(source, head_record, "HEAD")
+        self.head, _ = read_record(source, head_record, Head)
         end_record, end = self._read_end(head_record.end)
         source.expect(max(end.index_offset, end_record.end - MOST_EXPECTED), end_record.end)
         index_record = find_record(source, end.index_offset, end_record.offset)
-        index: Index
-        index, _ = read_record(source, index_record, "INDX")
+        index, _ = read_record(source, index_record, Index)
         if index.segments and index.segments[0].offset - head_record.end <= MOST_EXPECTED:
             source.expect(head_record.end, index.segments[0].offset)
         self._objects = self._find_objects(head_record.end, index_record.offset)
@@ -182,12 +177,11 @@ class TouchReader:
         source = self._source
         try:
             found = find_record(source, max(head_end, source.size - END_SIZE), source.size)
-            end: End
-            end, _ = read_record(source, found, "TEND")
+            end, _ = read_record(source, found, End)
         except (CorruptFile, TruncatedFile) as error:
             for found in islice(records_between(source, head_end, source.size), MAX_WALKED):
                 if found.tag == "TEND":  # it is whole, and stands elsewhere
-                    read_record(source, found, "TEND")
+                    read_record(source, found, End)
                     surplus = f"{source.size - found.end} bytes after it"
                     raise CorruptFile(found.where, surplus, "none", AGAIN) from error
             expected = "a TEND record, last"
@@ -238,7 +232,7 @@ class TouchReader:
             vibration: FoundRecord | None = None
             for found in records_between(self._source, *self._gaps.get(gap, (0, 0))):
                 if found.tag == "PROV" and provenance is None and gap == 0:
-                    story: Provenance = read_record(self._source, found, "PROV")[0]
+                    story, _ = read_record(self._source, found, Provenance)
                     provenance = {pair.key: pair.value for pair in story.pairs}
                     if len(provenance) < len(story.pairs):
                         raise CorruptFile(found.where, "a key twice", "every key once", AGAIN)

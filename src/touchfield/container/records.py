@@ -232,3 +232,4 @@ RECORDS: Final = (
 )
 
 RECORD_OF: Final = {record.tag: record for record in RECORDS}
+TAG_OF: Final = {record.layout: record.tag for record in RECORDS}

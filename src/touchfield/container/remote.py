@@ -20,7 +20,7 @@ from threading import Lock
 from typing import Any, Final, NamedTuple
 from urllib.parse import urljoin, urlsplit
 
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, SourceError, import_extra
 
 _HEAD: Final = 1 << 12
 _TAIL: Final = 1 << 14
@@ -237,15 +237,11 @@ class _ObjectStore:
     """A file in a store that obstore knows."""
 
     def __init__(self, url: str) -> None:
-        try:
-            import obstore
-            from obstore.store import from_url
-        except ImportError:
-            raise MissingExtra(without_secret(url), "obstore", "remote") from None
+        self._name = without_secret(url)
+        self._ask = import_extra("obstore", self._name, "obstore", "remote")
         folder, _, self._path = url.rpartition("/")
-        self._name, self._ask = without_secret(url), obstore
         with self._refusals():
-            self._store = from_url(folder)
+            self._store = self._ask.store.from_url(folder)
 
     def get(self, offset: int, size: int) -> _Part:
         """At most `size` bytes from `offset` on."""

@@ -15,10 +15,10 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Lock
-from typing import Any, BinaryIO, Final, NamedTuple
+from typing import Any, BinaryIO, Final, NamedTuple, TypeVar
 
 from touchfield.container.fields import Cursor, shown
-from touchfield.container.records import MAGIC, RECORD_OF, REQUIRED, VERSION_MAJOR, VERSION_MINOR, Record
+from touchfield.container.records import MAGIC, RECORD_OF, REQUIRED, TAG_OF, VERSION_MAJOR, VERSION_MINOR, Record
 from touchfield.container.remote import RemoteFile, is_remote
 from touchfield.errors import (
     CorruptFile,
@@ -125,6 +125,7 @@ FRAME_SIZE: Final = FRAME.size
 CRC_SIZE: Final = 4
 OPENING_SIZE: Final = len(MAGIC) + VERSION.size
 CHUNK: Final = 1 << 20
+_Layout = TypeVar("_Layout")
 AGAIN: Final = "Fetch or write the file again."
 
 
@@ -259,13 +260,14 @@ def known_record(found: FoundRecord) -> Record | None:
     return record
 
 
-def read_record(source: ByteSource, found: FoundRecord, tag: str) -> tuple[Any, int]:
-    """The value and the CRC-32 of a record that must be a `tag`.
+def read_record(source: ByteSource, found: FoundRecord, layout: type[_Layout]) -> tuple[_Layout, int]:
+    """The value and the CRC-32 of a record that must be of this layout.
 
     `CorruptFile` if it is another one, its CRC-32 does not hold, or a field is out of bounds; `UnsupportedVersion` if
     it needs a later version.
     """
-    length, kind = found.payload_length, RECORD_OF[tag].kind
+    length, tag = found.payload_length, TAG_OF[layout]
+    kind = RECORD_OF[tag].kind
     if found.tag != tag:
         check_crc(source, found)
         known_record(found)

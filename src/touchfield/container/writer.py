@@ -5,11 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Final
+from typing import Any, BinaryIO, Final
 
 from touchfield.container.records import (
     MAX_OBJECTS,
@@ -37,9 +37,9 @@ MENDS: Final = {
 class TouchWriter:
     """Writes one ``.touch`` file; a context manager.
 
-    Segments go straight to a temporary file beside `path`, so that memory holds one segment and the index. At
+    Segments go straight to a temporary file beside a path, so that memory holds one segment and the index. At
     the end of the ``with`` block the index and the end record follow, and the file gets its name, in place of one
-    that is there already; after any exception nothing is left.
+    that is there already; after any exception nothing is left. A file that is open for bytes is left open.
 
     Every method raises `InvalidArgument` if a value is out of the format's bounds, the calls come in the wrong order,
     or there is no such folder, and `SourceError` if the system refuses to write (no permission, no space).
@@ -51,12 +51,12 @@ class TouchWriter:
     ...     writer.write_segment(0, 8, body)
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._path = Path(path)
-        if "\0" in str(path):
-            raise InvalidArgument("path", repr(str(path)), "a path without NUL")
-        self._stack = ExitStack()
-        self._file: BinaryIO | None = None
+    def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
+        self._name = str(file)
+        if "\0" in self._name:
+            raise InvalidArgument("path", repr(self._name), "a path without NUL")
+        self._stack, self._to = ExitStack(), file
+        self._file: Any = None
         self._head: Head | None = None
         self._entries: list[SegmentEntry] = []
         self._place = 0
@@ -69,17 +69,18 @@ class TouchWriter:
     def __enter__(self) -> TouchWriter:
         if self._file is not None or self._place:
             raise InvalidArgument("TouchWriter", "one that was entered before", mend="Make a new one.")
-        self._file = self._stack.enter_context(_whole_file(self._path))
+        self._file = self._to
+        if isinstance(self._to, (str, os.PathLike)):
+            temporary = self._stack.enter_context(atomic_path(Path(self._to)))
+            # without a buffer, so that closing writes nothing that could fail
+            self._file = self._stack.enter_context(temporary.open("wb", buffering=0))
         return self
 
     def write_head(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
         """Write what all frames have in common; once, before all else."""
         if self._head is not None:
             raise InvalidArgument("write_head", "a second call", "one")
-        record = encode_record("HEAD", head)
-        opening = encode_opening()
-        pairs = tuple(Pair(key=key, value=value) for key, value in (provenance or {}).items())
-        story = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
+        opening, record, story = opening_of(head, provenance or {})
         self._put(opening + record + story)
         self._head = head
         self._chain = opening + record[-CRC_SIZE:]
@@ -145,8 +146,8 @@ class TouchWriter:
         expected = None if self._head is None else self._head.frame_count
         if self._next_frame != expected:
             found = f"{self._next_frame} frames at its end" if expected else "no head at its end"
-            raise InvalidArgument(str(self._path), found, f"{expected} frames" if expected else "a head")
-        self._put(index_and_end(self._entries, self._place, self._chain), flush=True)
+            raise InvalidArgument(self._name, found, f"{expected} frames" if expected else "a head")
+        self._put(index_and_end(self._entries, self._place, self._chain))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -162,21 +163,27 @@ class TouchWriter:
         finally:
             self._file = None
 
-    def _put(self, data: bytes, flush: bool = False) -> None:
+    def _put(self, data: bytes) -> None:
         if self._file is None:
             raise InvalidArgument("TouchWriter", "one that is not open", mend="Use it in a with block.")
         if not self._whole:
-            raise InvalidArgument(str(self._path), "that a write failed before", mend="Begin again.")
-        self._whole = False
+            raise InvalidArgument(self._name, "that a write failed before", mend="Begin again.")
+        self._whole, rest = False, memoryview(data)
         try:
-            self._file.write(data)
-            if flush:
-                self._file.flush()
+            while rest:
+                rest = rest[self._file.write(rest) :]
         except OSError as error:
             mend = MENDS.get(error.errno or 0, "Write to another place.")
-            raise SourceError(str(self._path), reason(error), "a file that can be written", mend) from None
+            raise SourceError(self._name, reason(error), "a file that can be written", mend) from None
         self._whole = True
         self._place += len(data)
+
+
+def opening_of(head: Head, provenance: Mapping[str, str]) -> tuple[bytes, bytes, bytes]:
+    """The beginning of a file: magic and version, HEAD, and PROV if anything is stated."""
+    pairs = tuple(Pair(key=key, value=value) for key, value in provenance.items())
+    story = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
+    return encode_opening(), encode_record("HEAD", head), story
 
 
 def index_and_end(entries: Iterable[SegmentEntry], place: int, chain: bytes) -> bytes:
@@ -185,17 +192,3 @@ def index_and_end(entries: Iterable[SegmentEntry], place: int, chain: bytes) -> 
     length = place + len(index) + FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
     chain_crc32 = zlib.crc32(chain + index[-CRC_SIZE:])
     return index + encode_record("TEND", End(index_offset=place, file_length=length, chain_crc32=chain_crc32))
-
-
-@contextmanager
-def _whole_file(path: Path) -> Iterator[BinaryIO]:
-    """A new file, which is there when the block ends without an error, or not at all."""
-    with atomic_path(path) as temporary:
-        file = temporary.open("wb")
-        try:
-            yield file
-        except BaseException:
-            with suppress(OSError):  # on a full disk closing fails too, as it flushes: that must not hide the error
-                file.close()
-            raise
-        file.close()

@@ -46,7 +46,7 @@ from touchfield.filters.fir import without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationBand, VibrationFrame
+from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationFrame
 
 if TYPE_CHECKING:
     from touchfield.medium import Grid, HapticMedium
@@ -102,8 +102,7 @@ class VibrationRule:
 def vibrating(medium: HapticMedium, rule: VibrationRule, force_max_n: float) -> HapticMedium:
     """The medium with a vibration by a rule beside it, in place of any that it has; F_max is in newtons."""
     latest = lru_cache(maxsize=1)(medium.__getitem__)  # its force and its vibration are asked for one after the other
-    band = VibrationBand(medium.grid, medium.frame_count, lambda i: rule.of(latest(i), force_max_n))
-    return replace(medium, make_frame=latest, vibration=band)
+    return replace(medium, make_frame=latest, vibration=lambda i: rule.of(latest(i), force_max_n))
 
 
 KINDS: Final = ("salt-pepper",)

@@ -294,7 +294,7 @@ def device_medium(
     if isinstance(stored, HapticMedium) and same_lattice(placement.to_scene(grid), stored.grid):
         if stored.grid == grid:
             return stored
-        band = None if stored.vibration is None else stored.vibration.on_grid(grid)
+        band = (vibration := stored.vibration) and (lambda i: replace(vibration(i), grid=grid))
         return replace(stored, grid=grid, make_frame=lambda i: stored[i].on_grid(grid), vibration=band)
     mapping = DeviceFilter(device, grid, placement, spec or DeviceFilterSpec())
     beside = stored if isinstance(stored, HapticMedium) else None

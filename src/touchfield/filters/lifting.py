@@ -34,7 +34,7 @@ from touchfield.arrays import Float32s, Int64s
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField, Grid
-from touchfield.medium.field import brick_keys, dilated, frozen, neighbour_slots
+from touchfield.medium.field import brick_keys, dilated, frozen, slots_around
 from touchfield.parallel import for_chunks
 
 Site = tuple[int, ...]
@@ -246,7 +246,7 @@ class MultiresolutionFilter(FieldFilter):
         grid, splits = field.grid, FCC.splits(self.stages)
         bricks = dilated(grid, field.bricks, self.claims(grid).reach)
         forces = field.forces_at(brick_keys(grid, bricks))
-        place = (bricks, neighbour_slots(grid, bricks), grid.shape)
+        place = (bricks, slots_around(bricks, bricks, grid.brick_shape).astype(np.int32), grid.shape)
         for split in splits:
             _step(place, forces, split, "predict", 1.0, -1)
             _step(place, forces, split, "update", 1.0, 1)

@@ -140,7 +140,7 @@ def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s
         places[axis, : len(place)], weights[axis, : len(place)] = place, row[place]
     before, deep = [tuple(n) for n in zip(*((a.before, len(a.taps) - 1) for a in axes), strict=True)]
     count, (_, columns, depth) = len(keys[3]), grid.brick_shape
-    require_memory("force field", count, count * BYTES_PER_BRICK)
+    require_memory("force field", f"{count} bricks", count * BYTES_PER_BRICK)
     out = np.empty((count, BRICK, BRICK, BRICK, 3), np.float32)  # the kernel sets every row
     tops, flat, masks = np.zeros(count, np.uint32), frozen(forces_n).reshape(-1), np.empty(len(forces_n), np.uint64)
     for_chunks(kernels.row_masks, len(masks), flat.view(np.uint64), masks, chunk=64)

@@ -41,7 +41,7 @@ from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import AxisTaps, keys_of_passes, sums_of_bricks
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
-from touchfield.medium.field import bricks_of, neighbour_slots, tiled
+from touchfield.medium.field import bricks_of, slots_around, tiled
 from touchfield.parallel import for_chunks, worker_count
 
 if TYPE_CHECKING:
@@ -258,7 +258,8 @@ def _diffused(
     """All steps of the samples of bricks that take part, with lambda along each axis; `forces` are used up."""
     from touchfield.filters.kernels import steps as kernels
 
-    slots, count, out = neighbour_slots(grid, bricks), len(bricks), zero_forces(len(bricks))
+    slots = slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)
+    count, out = len(bricks), zero_forces(len(bricks))
     x, y, z = (np.float32(part) for part in lam)
     numbers = (x, y, z), np.float32(1 / law.kappa_n), law.conductance == "rational"
     takes_part = support.reshape(count, BRICK**3)

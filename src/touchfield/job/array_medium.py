@@ -9,6 +9,7 @@ with several the medium fills one, in front by default.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
@@ -21,7 +22,7 @@ from touchfield.job.placing import mapping_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid, HapticMedium
 from touchfield.medium.grid import Placement
-from touchfield.medium.medium import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 from touchfield.sources.stored import StoredScene
 from touchfield.stream.opened import OpenStream
 
@@ -58,7 +59,7 @@ class Drives:
         image_n[support.positions[:, 0], support.positions[:, 1]] = support.amplitudes_n
         band = self.medium.vibration
         if band is not None:
-            one = band[frame]
+            one = band(frame)
             at = (one.positions[:, 0], one.positions[:, 1])
             image_n[at] = np.maximum(image_n[at], one.amplitudes_n)
         with np.errstate(over="ignore"):  # of a stream whose F_max is next to nothing
@@ -73,7 +74,7 @@ class Drives:
         band = self.medium.vibration
         if band is None:
             return None
-        one, image_hz = band[frame], np.zeros(self._shape[:0:-1], np.float32)
+        one, image_hz = band(frame), np.zeros(self._shape[:0:-1], np.float32)
         image_hz[one.positions[:, 0], one.positions[:, 1]] = one.frequencies_hz
         return self._on_panel(image_hz)
 
@@ -108,7 +109,7 @@ def array_drives(stream: OpenStream, device: Device, panel: str = PANELS[0]) -> 
     mapping = mapping_of(scene, device, EncodeSpec())  # as `encode --device` does
     pooled, band = mapping.medium(scene), medium.vibration
     if band is not None:
-        pooled = replace(pooled, vibration=_pooled_band(band, mapping.placement, mapping.grid))
+        pooled = replace(pooled, vibration=_pooled_band(band, medium.grid, mapping.placement, mapping.grid))
     return Drives(pooled, device, device.force_max_n, panel)
 
 
@@ -121,12 +122,14 @@ def is_top_first(axes: str) -> bool:
     return len(words) > 1 and "down" in words[1].split()
 
 
-def _pooled_band(band: VibrationBand, placement: Placement, grid: Grid) -> VibrationBand:
+def _pooled_band(
+    band: Callable[[int], VibrationFrame], own: Grid, placement: Placement, grid: Grid
+) -> Callable[[int], VibrationFrame]:
     """The strongest vibration within the area of each actuator; a mean of frequencies would have no meaning."""
-    reached = [_reached(band.grid, placement, grid, axis) for axis in (0, 1)]
+    reached = [_reached(own, placement, grid, axis) for axis in (0, 1)]
 
     def make(frame: int) -> VibrationFrame:
-        one = band[frame]
+        one = band(frame)
         order = np.argsort(one.amplitudes_n, kind="stable")  # of samples that share an actuator the last one stays
         (first_x, stop_x), (first_y, stop_y) = (
             (first[one.positions[order, axis]], stop[one.positions[order, axis]])
@@ -143,7 +146,7 @@ def _pooled_band(band: VibrationBand, placement: Placement, grid: Grid) -> Vibra
         positions = np.concatenate([driven, np.zeros((len(driven), 1), np.int32)], axis=1)
         return VibrationFrame(grid, positions, one.amplitudes_n[chosen], one.frequencies_hz[chosen])
 
-    return VibrationBand(grid, len(band), make)
+    return make
 
 
 def _reached(source: Grid, placement: Placement, grid: Grid, axis: int) -> tuple[Int64s, Int64s]:

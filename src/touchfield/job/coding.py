@@ -115,7 +115,7 @@ def groups_of(
             size += frame.forces_n.nbytes
         frames.append(frame)
         if medium.vibration is not None:
-            band.append(medium.vibration[i])
+            band.append(medium.vibration(i))
         tell(i + 1)
         is_full = counted == length or len(frames) == longest or size > MOST_BYTES_HELD
         if is_full or i + 1 == stretch.stop:

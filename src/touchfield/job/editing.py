@@ -73,7 +73,7 @@ def taken(medium: HapticMedium, places: Sequence[int]) -> HapticMedium:
     """Some of the frames of a medium, one after the other."""
     count, band = len(places), medium.vibration
     if band is not None:
-        band = replace(band, frame_count=count, make_frame=[band[i] for i in places].__getitem__)
+        band = [band(i) for i in places].__getitem__
     return replace(medium, frame_count=count, make_frame=lambda i: medium[places[i]], vibration=band, segments=None)
 
 

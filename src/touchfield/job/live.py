@@ -264,7 +264,7 @@ def _groups(
             if early_s > 0:
                 pause(early_s)
             if medium.vibration is not None:
-                band.append(medium.vibration[i % count])
+                band.append(medium.vibration(i % count))
             yield medium[i % count]
 
     first = 0

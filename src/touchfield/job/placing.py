@@ -167,7 +167,7 @@ def _placement(box_m: Float64s, workspace_m: tuple[float, float, float], mapping
     if mapping in ("fit", "fill"):
         return Placement.fit(box_m, workspace_m, margin_m=margin_m)
     if mapping == "crop":
-        return Placement.crop(box_m)
+        return Placement.scaled(box_m, 1.0)
     try:
         factor = float(mapping)
     except ValueError:

@@ -278,5 +278,4 @@ def _kept(prepared: Prepared) -> Prepared:
             room -= fresh.forces_n.nbytes
         return fresh
 
-    band = band and replace(band, make_frame=cache(band.make_frame))
-    return replace(prepared, medium=replace(prepared.medium, make_frame=frame, vibration=band))
+    return replace(prepared, medium=replace(prepared.medium, make_frame=frame, vibration=band and cache(band)))

@@ -17,6 +17,7 @@ from touchfield.medium.grid import BRICK
 
 BYTES_PER_BRICK = BRICK**3 * 3 * 4
 _UNKNOWN_MACHINE_BYTES = 4 << 30
+_LESS = "Set TOUCHFIELD_MEMORY_GIB; what is encoded takes less with a smaller --nw or a thinner --thickness-m."
 
 
 @cache
@@ -41,14 +42,13 @@ def zero_forces(count: int) -> Float32s:
 
     Raises `InvalidArgument` if they would take more than `memory_budget_bytes`.
     """
-    require_memory("force field", count, count * BYTES_PER_BRICK)
+    require_memory("force field", f"{count} bricks", count * BYTES_PER_BRICK)
     return np.zeros((count, BRICK, BRICK, BRICK, 3), np.float32)
 
 
-def require_memory(name: str, bricks: int, needed: int) -> None:
+def require_memory(name: str, what: str, needed: int, mend: str = _LESS) -> None:
     """Refuse what would take more than `memory_budget_bytes`; `InvalidArgument` if `needed` bytes are more."""
     allowed = memory_budget_bytes()
     if needed > allowed:
-        expected = f"at most {allowed / 2**30:.1f} GiB"
-        mend = "Set TOUCHFIELD_MEMORY_GIB; what is encoded takes less with a smaller --nw or a thinner --thickness-m."
-        raise InvalidArgument(name, f"{bricks} bricks, {needed / 2**30:.1f} GiB", expected, mend)
+        found, expected = (f"{size / 2**30:.1f} GiB" for size in (needed, allowed))
+        raise InvalidArgument(name, f"{found} of {what}", f"at most {expected}", mend)

@@ -82,7 +82,7 @@ class CellPool:
         for c, corner in enumerate(CORNERS):
             behind = bricks + corner
             sources[:, c] = np.where((behind < box).all(axis=1), slots_of(own, _keys(behind, box)), -1)
-        require_memory("haptic objects", len(bricks), len(bricks) * _BYTES_PER_CELLS)
+        require_memory("haptic objects", f"{len(bricks)} bricks", len(bricks) * _BYTES_PER_CELLS)
         cells = np.zeros((len(bricks), *[BRICK + 1] * 3, 3), np.float32)
         held = np.zeros((len(bricks), BRICK), np.uint64)
         for_chunks(kernels.cells_of, len(bricks), sources, field.forces_n, cells, held, chunk=64)
@@ -106,7 +106,7 @@ class CellPool:
         if len(pools) == 1:
             return pools[0]
         first = np.cumsum([0, *(len(p.bricks) for p in pools)])
-        require_memory("haptic objects", int(first[-1]), int(first[-1]) * _BYTES_PER_CELLS)
+        require_memory("haptic objects", f"{first[-1]} bricks", int(first[-1]) * _BYTES_PER_CELLS)
         tables = np.concatenate([p.tables for p in pools])
         boxes = np.concatenate([p.boxes for p in pools])
         boxes[:, 3] = np.cumsum([0, *(len(p.tables) for p in pools[:-1])])
@@ -169,8 +169,7 @@ class PlacedFields:
         limits = (self._limit_n * _FLOOR_SHARE, self._limit_n)
         work = (bricks, starts, which, lattice, shape, *objects, limits, forces, filled)
         for_chunks(kernels.fill, len(bricks), *work, chunk=_BRICKS_AT_ONCE)
-        count = kernels.close_up(bricks, forces, filled)
-        return ForceField(grid, bricks[:count], forces[:count])
+        return ForceField(grid, bricks[filled], forces[filled])
 
     def _at(self, frame: int) -> tuple[CellPool, Float64s]:
         """Tables of one frame for the kernels; the latest is kept."""

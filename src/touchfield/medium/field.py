@@ -179,14 +179,6 @@ def spread_keys(keys: Int64s, lattice: tuple[int, int, int], axis: int, margins:
     return np.asarray(every[np.diff(every, prepend=-1) > 0])
 
 
-def neighbour_slots(grid: Grid, bricks: Int32s) -> Int32s:
-    """For each of ascending bricks the places of the 27 around it, int32 [n, 27]; -1 where there is none.
-
-    Neighbour ``(di + 1) * 9 + (dj + 1) * 3 + dk + 1`` lies at offset (di, dj, dk); 13 is the brick itself.
-    """
-    return slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)
-
-
 def blocks_around(
     field: ForceField, values: NDArray[Any], bricks: Int32s, before: Sequence[int], after: Sequence[int]
 ) -> Iterator[tuple[slice, NDArray[Any]]]:
@@ -286,8 +278,7 @@ class ForceField(EqualByValue):
             beyond = b[:, axis, None] * BRICK + local >= grid.shape[axis]
             if beyond.any():
                 np.moveaxis(f, axis + 1, 1)[beyond] = 0
-        holds = f.any(axis=(1, 2, 3, 4))
-        return cls(grid, b, f) if holds.all() else cls(grid, b[holds], f[holds])
+        return field_that_holds(grid, b, f)
 
     @classmethod
     def from_dense(cls, grid: Grid, forces_n: ArrayLike) -> ForceField:

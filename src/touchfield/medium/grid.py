@@ -172,13 +172,8 @@ class Placement:
         return cls(scale, tuple(centre.tolist()))
 
     @classmethod
-    def crop(cls, scene_box_m: ArrayLike) -> Placement:
-        """Scale 1: the workspace is a window of its own size about the centre of the scene's box."""
-        return cls.scaled(scene_box_m, 1.0)
-
-    @classmethod
     def scaled(cls, scene_box_m: ArrayLike, factor: float) -> Placement:
-        """A given scale about the centre of the scene's box."""
+        """A given scale about the centre of the scene's box; 1: the workspace is a window of its own size."""
         centre, _ = _centre_and_extent(scene_box_m)
         return cls(factor, tuple(centre.tolist()))
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float32s, Int32s, Travels
 from touchfield.errors import InvalidArgument, import_extra, is_finite, require_not_negative, require_positive
-from touchfield.medium.budget import memory_budget_bytes
+from touchfield.medium.budget import require_memory
 from touchfield.medium.field import ForceField, frozen, numbers_of
 from touchfield.medium.grid import Grid
 from touchfield.medium.pose_track import PoseTrack
@@ -35,7 +35,7 @@ MAX_FREQUENCY_HZ: Final = 10000.0  # as in ISO/IEC 23090-31
 
 @dataclass(frozen=True)
 class VibrationFrame:
-    """One instant of the band: the samples that vibrate, in raster order (x slowest, z fastest).
+    """One instant of a vibration: the samples that vibrate, in raster order (x slowest, z fastest).
 
     positions : int32 [L, 3]; indices into the grid, each once, in raster order.
     amplitudes_n : float32 [L]; amplitude of the sine, newtons, positive.
@@ -89,37 +89,6 @@ def _later(make: Callable[[int], Any], start: int, index: int) -> Any:
 
 
 @dataclass(frozen=True)
-class VibrationBand:
-    """The band over time: as many frames as the medium that it belongs to, on the same grid.
-
-    make_frame : callable; ``make_frame(i) -> VibrationFrame``.
-    """
-
-    grid: Grid
-    frame_count: int
-    make_frame: Callable[[int], VibrationFrame] = field(repr=False)
-
-    def __len__(self) -> int:
-        return self.frame_count
-
-    def __getitem__(self, index: int) -> VibrationFrame:
-        if not -self.frame_count <= index < self.frame_count:
-            raise IndexError(index)
-        return self.make_frame(index % self.frame_count)
-
-    def between(self, start: int, stop: int) -> VibrationBand:
-        """Frames start to stop - 1 as a band of their own."""
-        return VibrationBand(self.grid, stop - start, partial(_later, self.make_frame, start))
-
-    def on_grid(self, grid: Grid) -> VibrationBand:
-        """The same samples on another grid of the same shape (its metres changed, its samples not)."""
-        if grid.shape != self.grid.shape:
-            raise InvalidArgument("grid", f"shape {grid.shape}", f"shape {self.grid.shape}")
-        make = self.make_frame
-        return VibrationBand(grid, self.frame_count, lambda i: replace(make(i), grid=grid))
-
-
-@dataclass(frozen=True)
 class Segments:
     """Runs of frames that were coded without what is before them.
 
@@ -157,7 +126,8 @@ class HapticMedium(Travels):
     friction, damping_n_s_per_m : float; coefficients mu and b, rendered by the receiver (paper section 3.2).
     tags : tuple of str; media tags of figure 1: "direct" or "symbolic".
     provenance : mapping of str to str; where the medium comes from and what was done to it.
-    vibration : VibrationBand or None; what vibrates beside the force, on the same grid (paper section 6.4).
+    vibration : callable or None; ``vibration(i) -> VibrationFrame`` on `grid`, what vibrates beside the force of a
+        frame (paper section 6.4).
     segments : Segments or None; of a medium whose coder keeps a mask; a receiver makes no step where one starts.
     """
 
@@ -170,17 +140,13 @@ class HapticMedium(Travels):
     damping_n_s_per_m: float = 0.0
     tags: tuple[str, ...] = ("direct",)
     provenance: Mapping[str, str] = field(default_factory=dict)
-    vibration: VibrationBand | None = None
+    vibration: Callable[[int], VibrationFrame] | None = field(default=None, repr=False)
     segments: Segments | None = None
 
     def __post_init__(self) -> None:
         require_positive(rate_hz=self.rate_hz)
         if self.frame_count < 1:
             raise InvalidArgument("frame_count", repr(self.frame_count), "at least one frame")
-        band = self.vibration
-        if band is not None and (band.grid != self.grid or band.frame_count != self.frame_count):
-            found = f"{band.frame_count} frames on a grid of {band.grid.shape}"
-            raise InvalidArgument("vibration", found, f"{self.frame_count} frames on the medium's grid")
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
 
     @classmethod
@@ -251,13 +217,13 @@ class HapticMedium(Travels):
         if not 0 <= start < stop <= self.frame_count:
             mend = "Name frames that are there."
             raise InvalidArgument("frames", f"{start}:{stop}", f"a range within 0:{self.frame_count}", mend)
-        band, segments = self.vibration, self.segments
+        vibration, segments = self.vibration, self.segments
         return replace(
             self,
             frame_count=stop - start,
             make_frame=partial(_later, self.make_frame, start),
-            vibration=None if band is None else band.between(start, stop),
-            segments=None if segments is None else segments.between(start, stop),
+            vibration=vibration and partial(_later, vibration, start),
+            segments=segments and segments.between(start, stop),
         )
 
     def at(self, time_s: float) -> ForceField:
@@ -308,10 +274,8 @@ class HapticMedium(Travels):
         Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames are beyond `memory_budget_bytes`.
         """
         xarray = import_extra("xarray", "a medium as a Dataset", "xarray", "xarray")
-        needed, allowed = 12 * self.grid.voxel_count * self.frame_count, memory_budget_bytes()
-        if needed > allowed:
-            size, most = f"{needed / 2**30:.1f} GiB of dense frames", f"at most {allowed / 2**30:.1f} GiB"
-            raise InvalidArgument("to_xarray", size, most, "Take fewer frames: medium[a:b].")
+        needed = 12 * self.grid.voxel_count * self.frame_count
+        require_memory("to_xarray", "dense frames", needed, "Take fewer frames: medium[a:b].")
         forces = np.stack([self[i].to_dense() for i in range(self.frame_count)])
         places = {name: (name, self.grid.axis_m(axis), {"units": "m"}) for axis, name in enumerate("xyz")}
         times = ("t", np.arange(self.frame_count) / self.rate_hz, {"units": "s"})

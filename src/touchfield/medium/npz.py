@@ -18,8 +18,8 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -35,6 +35,7 @@ from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
+from touchfield.parallel import Report, silent
 
 DEFLATE_LEVEL: Final = 1  # of a field that is 3 % force a twentieth of the bytes; level 6 takes longer for little
 SINGLE_FRAME_RATE_HZ: Final = 30.0
@@ -58,12 +59,12 @@ _FAULTS = (
 def write_npz(
     path: str | Path,
     medium: HapticMedium,
-    progress: Callable[[int], None] | None = None,
+    report: Report = silent,
     told: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> None:
     """Write all frames; the file appears when it is whole.
 
-    progress : callable, optional; called with the number of frames written, after each.
+    report : callable; ``report(written, frames)``, after each frame.
     told : mapping of str to numbers; what else is to be told, an array each: ``mapping_scale``, ``mapping_offset_m``.
     Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
     """
@@ -81,8 +82,7 @@ def write_npz(
             for i, field in enumerate(medium):
                 for slab in field.slabs(0):
                     stream.write(np.ascontiguousarray(slab, "<f4").data.cast("B"))
-                if progress is not None:
-                    progress(i + 1)
+                report(i + 1, len(medium))
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
@@ -135,51 +135,45 @@ class _Frames:
 
     def __init__(self, archive: NpzArchive, header: ArrayHeader, grid: Grid, to_the_bit: bool) -> None:
         self._archive, self._header, self._grid, self._to_the_bit = archive, header, grid, to_the_bit
-        self._frame_bytes = header.data_bytes // header.shape[0]
         self._lock = threading.Lock()  # frames may be asked for from several threads
-        self._open = ExitStack()
-        self._stream: IO[bytes] | None = None
+        self._reading: Generator[ForceField | None, int, None] | None = None
         self._next = 0
 
     def __call__(self, index: int) -> ForceField:
         with self._lock:
-            field = None
-            try:
-                field = self._read(index)
-            finally:
-                if field is None or self._next == self._header.shape[0]:
-                    self._close()
+            reading, self._reading = self._reading, None  # after an error nothing is held open
+            if reading is None or index < self._next:
+                reading = self._from_the_first()
+                next(reading)
+            field, self._next = reading.send(index), index + 1
+            assert field is not None
+            if self._next < self._header.shape[0]:
+                self._reading = reading
             return field
 
-    def _read(self, index: int) -> ForceField:
-        if self._stream is None or index < self._next:
-            self._close()
-            _, self._stream = self._open.enter_context(self._archive.open("forces_n"))
-        where = f"{self._archive.path}, array forces_n, frame {index}"
-        skip = (index - self._next) * self._frame_bytes
-        with self._archive.faults("forces_n"):
-            while skip > 0:
-                skip -= len(read_exactly(self._stream, min(skip, 1 << 22), where))
-            field = ForceField.from_slabs(self._grid, self._slabs(where), to_the_bit=self._to_the_bit)
-        self._next = index + 1
-        return field
+    def _from_the_first(self) -> Generator[ForceField | None, int, None]:
+        """The fields of the frames whose numbers are sent, ascending; nothing comes before the first is."""
+        size, at, field = self._header.data_bytes // self._header.shape[0], 0, None
+        with self._archive.open("forces_n") as (_, stream):
+            while True:
+                index = yield field
+                where, skip = f"{self._archive.path}, array forces_n, frame {index}", (index - at) * size
+                while skip > 0:
+                    skip -= len(read_exactly(stream, min(skip, 1 << 22), where))
+                slabs, at = self._slabs(stream, where), index + 1
+                field = ForceField.from_slabs(self._grid, slabs, to_the_bit=self._to_the_bit)
 
-    def _slabs(self, where: str) -> Iterator[Float32s]:
-        assert self._stream is not None
+    def _slabs(self, stream: IO[bytes], where: str) -> Iterator[Float32s]:
         nx, ny, nz = self._grid.shape
         for first in range(0, nx, BRICK):
             depth = min(BRICK, nx - first)
             count = depth * ny * nz * 3
-            data = read_exactly(self._stream, count * self._header.dtype.itemsize, where)
+            data = read_exactly(stream, count * self._header.dtype.itemsize, where)
             with np.errstate(over="ignore", invalid="ignore"):
                 slab = np.frombuffer(data, self._header.dtype).astype(np.float32).reshape(depth, ny, nz, 3)
             if not np.isfinite(slab).all():
                 raise SourceError(where, "a force that is not finite", "finite newtons")
             yield slab
-
-    def _close(self) -> None:
-        self._open.close()
-        self._stream, self._next = None, 0
 
 
 @dataclass(frozen=True)

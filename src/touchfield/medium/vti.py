@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, Final
@@ -20,25 +20,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.medium.atomic import atomic_path
-from touchfield.medium.field import ForceField
 from touchfield.medium.medium import HapticMedium
+from touchfield.parallel import Report, silent
 
 BLOCK_BYTES: Final = 1 << 20
 DEFLATE_LEVEL: Final = 1
-_LATER: Final = b"?" * 20
 
 
 def write_vti(
     path: str | Path,
     medium: HapticMedium,
-    progress: Callable[[int], None] | None = None,
+    report: Report = silent,
     told: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> Path:
     """Write a medium for ParaView.
 
     path : str or Path; one frame is written to this very file. Several are written to ``NAME_00000.vti`` and so on,
         and ``NAME.pvd`` is the file to open.
-    progress : callable, optional; called with the number of frames written, after each.
+    report : callable; ``report(written, frames)``, after each frame.
     told : mapping of str to numbers; what else is to be told, as field data.
     Returns Path; The file to open.
     Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
@@ -48,8 +47,7 @@ def write_vti(
     files = [path if is_single else path.with_name(f"{path.stem}_{i:05d}.vti") for i in range(len(medium))]
     for i, file in enumerate(files):
         _write_frame(file, medium, i, told)
-        if progress is not None:
-            progress(i + 1)
+        report(i + 1, len(medium))
     if is_single:
         return path
     collection = path.with_suffix(".pvd")
@@ -67,27 +65,19 @@ def write_vti(
 
 
 def _write_frame(path: Path, medium: HapticMedium, index: int, told: Mapping[str, Sequence[float]]) -> None:
-    field = medium[index]
-    count = medium.grid.voxel_count
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        head = _head(medium, index, told)
-        stream.write(head)
-        base = stream.tell()
-        _write_blocks(stream, 12 * count, _slabs(field))
-        offset = stream.tell() - base
-        _write_blocks(stream, 4 * count, (np.sqrt((w * w).sum(-1)) for w in _slabs(field, np.float64)))
+        stream.write(_head(medium, index, told))
+        # x fastest, as VTK has it, slab by slab along z
+        _write_blocks(stream, 12 * medium.grid.voxel_count, (s.transpose(2, 1, 0, 3) for s in medium[index].slabs(2)))
         stream.write(b"\n  </AppendedData>\n</VTKFile>\n")
-        stream.seek(head.index(_LATER))
-        stream.write(f"{offset:0{len(_LATER)}d}".encode("ascii"))
 
 
 def _head(medium: HapticMedium, index: int, told: Mapping[str, Sequence[float]]) -> bytes:
-    """Everything before the first blob; where the second one begins is filled in later."""
+    """Everything before the forces."""
     grid = medium.grid
     extent = " ".join(f"0 {n - 1}" for n in grid.shape)
     origin, spacing = (" ".join(repr(x) for x in triple) for triple in (grid.origin_m, grid.spacing_m))
     axes = " ".join(str(byte) for byte in (*medium.axes.encode("utf-8"), 0))
-    array = 'DataArray type="Float32"'
     number = 'DataArray type="Float64" NumberOfTuples="1" format="ascii"'
     more = "".join(
         f'      <DataArray type="Float64" NumberOfTuples="{len(values)}" format="ascii" Name={quoteattr(name)}>'
@@ -104,21 +94,14 @@ compressor="vtkZLibDataCompressor">
       <Array type="String" Name="axes" NumberOfTuples="1" format="ascii">{axes}</Array>
 {more}    </FieldData>
     <Piece Extent="{extent}">
-      <PointData Vectors="force_n" Scalars="force_magnitude_n">
-        <{array} Name="force_n" NumberOfComponents="3" format="appended" offset="0"/>
-        <{array} Name="force_magnitude_n" format="appended" offset="{_LATER.decode()}"/>
+      <PointData Vectors="force_n">
+        <DataArray type="Float32" Name="force_n" NumberOfComponents="3" format="appended" offset="0"/>
       </PointData>
     </Piece>
   </ImageData>
   <AppendedData encoding="raw">
    _"""
     return text.encode("utf-8")
-
-
-def _slabs(field: ForceField, kind: Any = np.float32) -> Iterator[NDArray[Any]]:
-    """Newtons with x fastest, as VTK has it, slab by slab along z."""
-    for slab in field.slabs(2):
-        yield slab.transpose(2, 1, 0, 3).astype(kind, copy=False)
 
 
 def _write_blocks(stream: IO[bytes], total: int, pieces: Iterable[NDArray[Any]]) -> None:

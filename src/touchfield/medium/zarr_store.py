@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
@@ -26,6 +26,7 @@ from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
+from touchfield.parallel import Report, silent
 
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 """First sample and shape of a part of a lattice."""
@@ -123,13 +124,13 @@ def write_box(store: str | Path, frame: int, low: Sequence[int], forces_n: Float
 def write_zarr(
     path: str | Path,
     medium: HapticMedium,
-    progress: Callable[[int], None] | None = None,
+    report: Report = silent,
     told: Mapping[str, Any] = MappingProxyType({}),
     levels: Sequence[HapticMedium] = (),
 ) -> None:
     """Write all frames, packed by zstd; the folder appears when it is whole.
 
-    progress : callable, optional; called with the number of frames written, after each.
+    report : callable; ``report(written, frames)``, after each frame.
     levels : coarser media of the same frames, which follow as levels of detail.
     told : mapping of str to JSON values; what else the attributes are to tell.
     Raises `MissingExtra` without zarr; `InvalidArgument` if something lies at `path`; `SourceError` if refused.
@@ -142,8 +143,7 @@ def write_zarr(
                 field = one[i]
                 for low, shape in parts[n]:
                     write_box(store, i, low, cut(field, low, shape).to_dense(), n)
-            if progress is not None:
-                progress(i + 1)
+            report(i + 1, len(medium))
 
 
 @contextmanager

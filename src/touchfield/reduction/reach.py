@@ -95,7 +95,7 @@ class Reach(NamedTuple):
 def reach_of(medium: HapticMedium, hand: Hand) -> Reach:
     """Where a hand can get to that begins where no force is, and stays between the outermost samples."""
     grid, count = medium.grid, len(medium)
-    require_memory("frame as a dense array", grid.voxel_count // 512 + 1, 100 * grid.voxel_count)
+    require_memory("frame as a dense array", f"{grid.voxel_count} samples", 100 * grid.voxel_count)
     spread = np.unique(np.linspace(0, count - 1, 16).astype(int))
     greatest_n = max(float(np.linalg.norm(medium[int(i)].forces_n, axis=-1).max(initial=0.0)) for i in spread)
     best, stopped_n = np.ones(grid.shape, bool), 0.0

@@ -65,7 +65,7 @@ def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None,
     if not len(keys):
         raise InvalidArgument("medium", "no frame with a force", "a force somewhere")
     most = min(rank or len(places), len(places))
-    require_memory("frames and modes", len(keys), 4 * BRICK_VALUES * len(keys) * (len(places) + 2 * most))
+    require_memory("frames and modes", f"{len(keys)} bricks", 4 * BRICK_VALUES * len(keys) * (len(places) + 2 * most))
     frames = np.stack([medium[i].forces_at(keys).ravel() for i in places])
     return Reduced(medium, kind, pod(frames, rank), keys)
 

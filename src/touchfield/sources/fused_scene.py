@@ -95,7 +95,7 @@ class FusedVolume:
         count = len(self.bricks) + len(bricks)
         if count > len(self._samples.weight):
             room = max(count, len(self._samples.weight) * 3 // 2)
-            require_memory("fused volume", room, room * _BYTES_PER_BRICK)
+            require_memory("fused volume", f"{room} bricks", room * _BYTES_PER_BRICK)
             grown = kernels.no_samples(room)
             grown.first(len(self.bricks)).take(self.samples)
             self._samples = grown

@@ -61,14 +61,9 @@ class Access:
             raise InvalidArgument("--port", f"{self.port}", "0 to 65535")
         if self.token is not None and len(self.token) < 8:
             raise InvalidArgument("--token", f"{len(self.token)} characters", "8 or more, that nobody guesses")
-        if not (self.is_loopback or self.token or self.is_open):
+        if not (_is_loopback(self.host) or self.token or self.is_open):
             mend = "Add --token WORD, or --open if anyone may read."
             raise InvalidArgument("--host", f"{self.host}, which others reach", "a token", mend)
-
-    @property
-    def is_loopback(self) -> bool:
-        """True where only this machine reaches the address."""
-        return _is_loopback(self.host)
 
     def knows(self, request: web.Request) -> bool:
         """True where no token is asked for, or the request brings it."""
@@ -106,8 +101,10 @@ def guarded(access: Access) -> web.Application:
         nonlocal busy
         if busy >= _MOST_BUSY:
             return web.Response(status=503, text="busy", headers={"Retry-After": "1"})
-        if access.is_loopback and not _is_loopback(request.url.host or ""):
+        if _is_loopback(access.host) and not _is_loopback(request.url.host or ""):
             return web.Response(status=403, text="this name is not that of this machine")  # a name bound anew
+        if "Upgrade" in request.headers and access.is_stranger(request):
+            return web.Response(status=403, text="a page elsewhere, which may not read")
         if request.method == "OPTIONS":
             return web.Response(status=204, headers=access.cors(request))
         if not access.knows(request):
@@ -123,14 +120,18 @@ def guarded(access: Access) -> web.Application:
 
 @asynccontextmanager
 async def left_unless_read(request: web.BaseRequest, seconds: float) -> AsyncIterator[None]:
-    """A client that is left, with ConnectionResetError, where it takes longer to read what is sent within."""
+    """A client that is left, with `ConnectionLeft`, where it takes longer to read what is sent within."""
     try:
         async with asyncio.timeout(seconds):
             yield
     except TimeoutError:
         if request.transport is not None:
             request.transport.abort()
-        raise ConnectionResetError from None
+        raise ConnectionLeft from None
+
+
+class ConnectionLeft(ConnectionResetError):
+    """A client was left, as it did not read."""
 
 
 class Pages(NamedTuple):
@@ -278,6 +279,7 @@ def _most_connections() -> int:
 
 
 def _is_loopback(host: str) -> bool:
+    """True where only this machine reaches the address."""
     if host == "localhost":
         return True
     try:

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 from pathlib import Path
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
 
-from touchfield.stream.access import Access, Background, Pages, add_pages, guarded, web
+from touchfield.stream.access import Access, Background, Pages, add_pages, guarded, left_unless_read, web
 from touchfield.stream.live import MEDIA_TYPE
+
+if TYPE_CHECKING:
+    from touchfield.render.player import Player
 
 _PERIOD_S: Final = 1 / 60
 _PATIENCE_S: Final = 5.0
-
-
-class _Hand(Protocol):
-    """As much of a player as is shown."""
-
-    @property
-    def media_s(self) -> float: ...
-
-    @property
-    def position_m(self) -> tuple[float, float, float]: ...
 
 
 class Bridge(Background):
@@ -38,14 +32,14 @@ class Bridge(Background):
     def __init__(self, stream: Path, access: Access, pages: Pages) -> None:
         super().__init__(access, pages)
         self._stream = stream
-        self._hand: _Hand | None = None
+        self._hand: Player | None = None
 
     @property
     def page(self) -> str:
         """The address of the page."""
         return f"http://{self.address}/view/{quote(self._stream.name)}#hand"
 
-    def follow(self, hand: _Hand) -> None:
+    def follow(self, hand: Player) -> None:
         """Show this hand from now on."""
         self._hand = hand
 
@@ -62,21 +56,16 @@ class Bridge(Background):
 
     async def _tell(self, request: web.Request) -> web.StreamResponse:
         """The hand's place in the field, metres, and the medium's time, seconds, where they change."""
-        if self._access.is_stranger(request):
-            raise web.HTTPForbidden(text="a page elsewhere, which may not read")
         socket = web.WebSocketResponse(max_msg_size=1 << 10, compress=False)
         await socket.prepare(request)
         before: tuple[float, ...] = ()
-        try:
+        with suppress(ConnectionError):
             while not socket.closed:
                 hand = self._hand
                 now = () if hand is None else (*hand.position_m, hand.media_s)
                 if now and now != before:
-                    async with asyncio.timeout(_PATIENCE_S):
+                    async with left_unless_read(request, _PATIENCE_S):
                         await socket.send_json(now)
                     before = now
                 await asyncio.sleep(_PERIOD_S)
-        except (TimeoutError, ConnectionError):
-            if request.transport is not None:
-                request.transport.abort()
         return socket

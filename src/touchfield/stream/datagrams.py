@@ -17,14 +17,10 @@ from itertools import zip_longest
 from typing import Any, Final
 
 from touchfield.container.records import MAGIC
-from touchfield.errors import InvalidArgument, MissingExtra
+from touchfield.errors import InvalidArgument, import_extra
 from touchfield.stream.live import MOST_BYTES
 
-try:
-    import raptorq
-except ImportError:
-    raise MissingExtra("datagrams with parity", "raptorq", "broadcast") from None
-
+raptorq = import_extra("raptorq", "datagrams with parity", "raptorq", "broadcast")
 
 _MAGIC: Final = b"TF"
 _HEAD: Final = struct.Struct("<2sIIIHI")

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cache
+from functools import cache, lru_cache, partial
 from threading import Lock
 from typing import Any, Final
 
 from touchfield.container import TouchReader
 from touchfield.medium import ForceField, Grid, Segments
-from touchfield.medium.medium import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 from touchfield.parallel import worker_count
 
 MOST_BYTES_AHEAD: Final = 1 << 28
@@ -40,12 +40,7 @@ class SegmentFrames:
         self._lock = Lock()
         self._cursor: tuple[int, Iterator[ForceField], int] | None = None
         self._latest: tuple[int, ForceField] | None = None
-        self._ahead: dict[int, Future[_Begun]] = {}
-
-    @property
-    def starts(self) -> tuple[int, ...]:
-        """The first frame of each segment."""
-        return tuple(segment.first_frame for segment in self._reader.segments)
+        self._ahead: dict[int, Future[Iterator[ForceField]]] = {}
 
     def __call__(self, frame: int) -> ForceField:
         """One frame; it costs the decoding of its segment up to it, or one frame in sequence."""
@@ -90,16 +85,13 @@ class SegmentFrames:
         if ahead is None or ahead.cancel():
             return self._decode(segment)
         try:
-            return _resumed(*ahead.result())
+            return ahead.result()
         except Exception:
             return self._decode(segment)
 
 
-_Begun = tuple[deque[ForceField], Iterator[ForceField]]
-"""The first fields of a segment, and what makes the others."""
-
-
-def _begun(decode: Decode, segment: int) -> _Begun:
+def _begun(decode: Decode, segment: int) -> Iterator[ForceField]:
+    """The fields of a segment, the first of which are decoded already."""
     coming = decode(segment)
     fields: deque[ForceField] = deque()
     size = 0
@@ -108,13 +100,13 @@ def _begun(decode: Decode, segment: int) -> _Begun:
         size += field.forces_n.nbytes
         if size > MOST_BYTES_AHEAD:
             break
-    return fields, coming
 
+    def resumed() -> Iterator[ForceField]:
+        while fields:
+            yield fields.popleft()
+        yield from coming
 
-def _resumed(fields: deque[ForceField], coming: Iterator[ForceField]) -> Iterator[ForceField]:
-    while fields:
-        yield fields.popleft()
-    yield from coming
+    return resumed()
 
 
 def segments_of(reader: TouchReader, keys: Mapping[str, Any]) -> Segments | None:
@@ -143,29 +135,19 @@ class VibrationFrames:
     """
 
     def __init__(self, reader: TouchReader, grid: Grid) -> None:
-        self._reader, self._grid = reader, grid
-        self._lock = Lock()
-        self._latest: tuple[int, list[VibrationFrame]] | None = None
-
-    @property
-    def band(self) -> VibrationBand:
-        """All frames."""
-        return VibrationBand(self._grid, self._reader.head.frame_count, self)
+        self._reader, self._segment = reader, lru_cache(1)(partial(_vibrations, reader, grid))
 
     def __call__(self, frame: int) -> VibrationFrame:
         """One frame; it costs the decoding of its whole segment, or nothing in sequence."""
         segment = self._reader.segment_of(frame)
-        with self._lock:
-            if self._latest is None or self._latest[0] != segment:
-                self._latest = segment, self._decoded(segment)
-            return self._latest[1][frame - self._reader.segments[segment].first_frame]
+        return self._segment(segment)[frame - self._reader.segments[segment].first_frame]
 
     def summary(self) -> dict[str, Any]:
         """Samples that vibrate, added up over the frames, their lowest and highest frequency, and the bits."""
         samples, lowest, highest, size = 0, float("inf"), 0.0, 0
         for i in range(len(self._reader.segments)):
             size += len(self._reader.read_vibration(i) or b"")
-            for frame in self._decoded(i):
+            for frame in self._segment(i):
                 samples += len(frame)
                 lowest = min(lowest, float(frame.frequencies_hz.min(initial=lowest)))
                 highest = max(highest, float(frame.frequencies_hz.max(initial=highest)))
@@ -176,10 +158,12 @@ class VibrationFrames:
             "bits_vibration": 8 * size,
         }
 
-    def _decoded(self, segment: int) -> list[VibrationFrame]:
-        body, count = self._reader.read_vibration(segment), self._reader.segments[segment].frame_count
-        if body is None:
-            return [VibrationFrame.empty(self._grid)] * count
-        from touchfield.codec.vibration import decode_vibration
 
-        return decode_vibration(body, self._grid, count)
+def _vibrations(reader: TouchReader, grid: Grid, segment: int) -> list[VibrationFrame]:
+    """The frames of a segment."""
+    body, count = reader.read_vibration(segment), reader.segments[segment].frame_count
+    if body is None:
+        return [VibrationFrame.empty(grid)] * count
+    from touchfield.codec.vibration import decode_vibration
+
+    return decode_vibration(body, grid, count)

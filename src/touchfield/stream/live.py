@@ -19,18 +19,16 @@ from dataclasses import dataclass, replace
 from threading import Lock
 from typing import IO, Any, Final
 
-from touchfield.container.records import MAGIC, Head, Pair, Provenance, Segment, SegmentEntry, Vibration
+from touchfield.container.records import MAGIC, Head, Provenance, Segment, Vibration
 from touchfield.container.wire import (
-    CRC_SIZE,
     OPENING_SIZE,
     ByteSource,
-    encode_opening,
     encode_record,
     find_record,
     read_opening,
     read_record,
 )
-from touchfield.container.writer import index_and_end
+from touchfield.container.writer import TouchWriter, opening_of
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, SourceError
 from touchfield.files import exactly
 
@@ -142,26 +140,26 @@ def _opened(message: bytes) -> Opened:
     source = _source(message, "opening")
     read_opening(source)
     is_alone = find_record(source, OPENING_SIZE, source.size).end == source.size
-    head, *story = _values(source, OPENING_SIZE, ("HEAD",) if is_alone else ("HEAD", "PROV"))
+    head, *story = _values(source, OPENING_SIZE, (Head,) if is_alone else (Head, Provenance))
     if head.frame_count != ENDLESS:
         raise CorruptFile("opening: HEAD.frame_count", str(head.frame_count), f"{ENDLESS} of a live stream")
     return Opened(head, {pair.key: pair.value for one in story for pair in one.pairs})
 
 
 def _segment(message: bytes) -> LiveSegment:
-    tags = ("VIBR", "SEGM") if message.startswith(b"VIBR") else ("SEGM",)
-    *beside, frames = _values(_source(message, "segment"), 0, tags)
+    layouts = (Vibration, Segment) if message.startswith(b"VIBR") else (Segment,)
+    *beside, frames = _values(_source(message, "segment"), 0, layouts)
     if any((one.first_frame, one.frame_count) != (frames.first_frame, frames.frame_count) for one in beside):
         raise CorruptFile("segment", "a VIBR of other frames", "one of its own")
     return LiveSegment(frames.first_frame, frames.frame_count, frames.body, beside[0].body if beside else None)
 
 
-def _values(source: ByteSource, place: int, tags: tuple[str, ...]) -> list[Any]:
+def _values(source: ByteSource, place: int, layouts: tuple[type, ...]) -> list[Any]:
     """The values of the records from a place on, which must be these and the last ones."""
-    values = []
-    for tag in tags:
+    values: list[Any] = []
+    for layout in layouts:
         record = find_record(source, place, source.size)
-        values.append(read_record(source, record, tag)[0])
+        values.append(read_record(source, record, layout)[0])
         place = record.end
     if place != source.size:
         raise CorruptFile(source.name, f"{source.size - place} bytes behind it", "none")
@@ -173,31 +171,13 @@ def file_of(opening: bytes, message: bytes) -> bytes:
 
     Raises FormatError if the opening or the message is at fault.
     """
-    live, segment = _opened(opening), replace(_segment(message), first_frame=0)
-    head = replace(live.head, frame_count=segment.frame_count)
-    *beside, frames = _records_of(segment)
-    before = b"".join([_opening_of(head, live.provenance), *beside])
-    crc32 = int.from_bytes(frames[-CRC_SIZE:], "little")
-    entry = SegmentEntry(
-        first_frame=0, frame_count=segment.frame_count, offset=len(before), length=len(frames), crc32=crc32
-    )
-    chain = encode_opening() + encode_record("HEAD", head)[-CRC_SIZE:]
-    return before + frames + index_and_end([entry], len(before) + len(frames), chain)
-
-
-def _opening_of(head: Head, provenance: Mapping[str, str]) -> bytes:
-    pairs = tuple(Pair(key=key, value=value) for key, value in provenance.items())
-    story = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
-    return encode_opening() + encode_record("HEAD", head) + story
-
-
-def _records_of(segment: LiveSegment) -> list[bytes]:
-    """The VIBR of a segment, if it has any, and its SEGM."""
-    frames = {"first_frame": segment.first_frame, "frame_count": segment.frame_count}
-    records = [encode_record("SEGM", Segment(**frames, body=segment.body))]
-    if segment.vibration is not None:
-        records.insert(0, encode_record("VIBR", Vibration(**frames, body=segment.vibration)))
-    return records
+    live, segment, file = _opened(opening), _segment(message), io.BytesIO()
+    with TouchWriter(file) as writer:
+        writer.write_head(replace(live.head, frame_count=segment.frame_count), live.provenance)
+        if segment.vibration is not None:
+            writer.write_vibration(0, segment.frame_count, segment.vibration)
+        writer.write_segment(0, segment.frame_count, segment.body)
+    return file.getvalue()
 
 
 def _source(message: bytes, name: str) -> ByteSource:
@@ -243,7 +223,7 @@ class LiveSender:
 
     def open(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
         """Begin a programme; its frames begin at 0."""
-        opening = _opening_of(replace(head, frame_count=ENDLESS), provenance or {})
+        opening = b"".join(opening_of(replace(head, frame_count=ENDLESS), provenance or {}))
         with self._lock:
             if self.opening:
                 raise InvalidArgument("open", "a second call", "one")
@@ -251,7 +231,10 @@ class LiveSender:
 
     def add(self, segment: LiveSegment) -> bytes:
         """Have a segment sent, behind those before; the message."""
-        message = b"".join(_records_of(segment))
+        frames = {"first_frame": segment.first_frame, "frame_count": segment.frame_count}
+        message = encode_record("SEGM", Segment(**frames, body=segment.body))
+        if segment.vibration is not None:
+            message = encode_record("VIBR", Vibration(**frames, body=segment.vibration)) + message
         if len(message) > MOST_BYTES:
             raise InvalidArgument(
                 "segment", f"{len(message)} bytes", f"at most {MOST_BYTES}", "Take shorter segments."

@@ -13,22 +13,22 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from threading import Condition
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from touchfield.arrays import Int64s
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import BitAccount
 from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import FormatError, SourceError, UnsupportedVersion
 from touchfield.filters.resample import halved, rebuilt
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.medium import VibrationBand, VibrationFrame
+from touchfield.medium.medium import VibrationFrame
 from touchfield.stream.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
 from touchfield.stream.opened import OpenStream
 
 if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
     from touchfield.container import Head
+    from touchfield.render.player import Player
 
 
 KEPT: Final = 4
@@ -61,20 +61,6 @@ GONE_S: Final = 1.0
 
 _AHEAD: Final = 1 << 12
 """A frame so far behind the newest is not waited for."""
-
-
-class Playing(Protocol):
-    """As much of a player as is needed to keep it up."""
-
-    @property
-    def media_s(self) -> float:
-        """The time of the medium that is felt."""
-
-    def seek(self, time_s: float) -> None:
-        """Go to another."""
-
-    def set_speed(self, speed: float) -> None:
-        """Seconds of the medium in one of the clock's."""
 
 
 class LiveEnd(SourceError):
@@ -351,7 +337,7 @@ class LiveStream(OpenStream):
         super().__init__(reader)
         self.frames, self._vibrates = frames, vibrates
 
-    def keep_up(self, player: Playing) -> bool:
+    def keep_up(self, player: Player) -> bool:
         """Have a player stay at what is due; to be asked some times a second. True where it goes there at once."""
         due_s = self.frames.due_s(self.reader.head.rate_hz)
         if due_s is None:
@@ -368,24 +354,16 @@ class LiveStream(OpenStream):
     @property
     def medium(self) -> HapticMedium:
         """The medium, whose frames are waited for."""
-        head = self.reader.head
-        band = VibrationBand(self.grid, ENDLESS, self.frames.vibration) if self._vibrates else None
+        vibration = self.frames.vibration if self._vibrates else None
         return HapticMedium(
-            self.grid, head.rate_hz, ENDLESS, self.frames, head.axes, head.friction, head.damping_n_s_per_m,
-            tuple(head.tags), dict(self.reader.provenance), band,
-        )  # fmt: skip
+            grid=self.grid, frame_count=ENDLESS, make_frame=self.frames, vibration=vibration, **self._beside
+        )
 
     @property
     def bits(self) -> BitAccount:
-        raise SourceError(self.reader.name, "a live stream", "a file, whose bits can be counted")
+        raise SourceError(self.reader.name, "a live stream", "a file, whose bits and symbols can be counted")
 
-    def bits_by_kind(self) -> dict[str, float]:
-        """See `bits`."""
-        raise SourceError(self.reader.name, "a live stream", "a file, whose bits can be counted")
+    def _counted(self) -> Any:
+        return self.bits
 
-    def quantiser(self) -> Callable[[ForceField], Int64s]:
-        """See `bits`."""
-        raise SourceError(self.reader.name, "a live stream", "a file, whose symbols are known")
-
-    def _coder(self) -> dict[str, Any]:
-        return {}
+    bits_by_kind = quantiser = _coder = _counted

@@ -10,7 +10,16 @@ import asyncio
 from contextlib import suppress
 from typing import Final
 
-from touchfield.stream.access import Access, Background, Pages, add_pages, guarded, left_unless_read, web
+from touchfield.stream.access import (
+    Access,
+    Background,
+    ConnectionLeft,
+    Pages,
+    add_pages,
+    guarded,
+    left_unless_read,
+    web,
+)
 from touchfield.stream.live import MEDIA_TYPE, LiveSegment, LiveSender, file_of
 
 _PATIENCE_S: Final = 10.0
@@ -48,16 +57,10 @@ class LiveServer(Background):
         self._sender, self._coarse, self._news = sender, coarse, asyncio.Event()
         self.receivers = self.most_receivers = self.skipped = self.left = 0
 
-    def add(self, segment: LiveSegment) -> bytes:
-        """Have a segment sent; its message."""
-        return self._added(self._sender, segment)
-
-    def add_coarse(self, segment: LiveSegment) -> bytes:
-        """Have a segment of the coarse layer sent; its message."""
-        assert self._coarse is not None
-        return self._added(self._coarse, segment)
-
-    def _added(self, sender: LiveSender, segment: LiveSegment) -> bytes:
+    def add(self, segment: LiveSegment, *, is_coarse: bool = False) -> bytes:
+        """Have a segment sent, or one of the coarse layer; its message."""
+        sender = self._coarse if is_coarse else self._sender
+        assert sender is not None
         message = sender.add(segment)
         self._tell()
         return message
@@ -91,8 +94,6 @@ class LiveServer(Background):
         return self._coarse if self._coarse is not None and request.path.startswith("/coarse") else self._sender
 
     async def _follow(self, request: web.Request) -> web.StreamResponse:
-        if self._access.is_stranger(request):
-            raise web.HTTPForbidden(text="a page elsewhere, which may not read")
         socket = web.WebSocketResponse(heartbeat=_PATIENCE_S, max_msg_size=1 << 10, compress=False)
         await socket.prepare(request)
         sender = self._asked(request)
@@ -105,7 +106,7 @@ class LiveServer(Background):
                 news = self._news
                 message = sender.next(receiver)
                 if message is not None:
-                    async with asyncio.timeout(_PATIENCE_S):
+                    async with left_unless_read(request, _PATIENCE_S):
                         await socket.send_bytes(message)
                 elif receiver.is_over:
                     break
@@ -115,10 +116,8 @@ class LiveServer(Background):
                     waits.cancel()
                     if listener.done():
                         break
-        except TimeoutError:
+        except ConnectionLeft:
             self.left += 1
-            if request.transport is not None:
-                request.transport.abort()
         except ConnectionError:
             pass
         finally:

@@ -25,10 +25,11 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 from xml.etree import ElementTree
 
-from touchfield.container import TouchReader, TouchWriter
-from touchfield.container.records import MAGIC, OBJECTS_CODER, ObjectRecord, Provenance, Segment, Vibration
-from touchfield.container.wire import OPENING_SIZE, ByteSource, find_record, read_opening, read_record
-from touchfield.errors import CorruptFile, InvalidArgument, MissingExtra, SourceError
+from touchfield.container import SegmentEntry, TouchReader
+from touchfield.container.records import MAGIC, OBJECTS_CODER, Segment
+from touchfield.container.wire import CRC_SIZE, OPENING_SIZE, ByteSource, read_opening, read_record, records_between
+from touchfield.container.writer import index_and_end
+from touchfield.errors import CorruptFile, InvalidArgument, SourceError, import_extra
 from touchfield.medium.atomic import atomic_path
 from touchfield.parallel import Report, silent
 from touchfield.stream.live import MEDIA_TYPE
@@ -49,23 +50,16 @@ _FORMS: Final = (".mp4", ".m4v", ".mov", ".ts", ".mpd")
 class Muxed:
     """Counts of a stream that was put beside a movie, or taken out of it."""
 
-    path: Path
+    file: str
     segments: int
     touch_bytes: int
-    seconds: float
+    touch_seconds: float
     at_s: float
-    other_tracks: tuple[str, ...]
+    other_tracks: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
-        return {
-            "file": str(self.path),
-            "segments": self.segments,
-            "touch_bytes": self.touch_bytes,
-            "touch_seconds": self.seconds,
-            "at_s": self.at_s,
-            "other_tracks": list(self.other_tracks),
-        }
+        return {**self.__dict__, "other_tracks": list(self.other_tracks)}
 
 
 def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.0, report: Report = silent) -> Muxed:
@@ -99,7 +93,7 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
         seconds = reader.head.frame_count / reader.head.rate_hz
         if kind == ".mpd":
             names = _write_dash(source, Path(stream), out, at_s, 8 * reader.size / seconds)
-            return Muxed(out, len(reader.segments), reader.size, seconds, at_s, names)
+            return Muxed(str(out), len(reader.segments), reader.size, seconds, at_s, names)
         samples = list(_samples(reader, at_s, is_ts=kind == ".ts"))
         options = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if kind != ".ts" else {}
         kept = [one for one in source.streams if one.type in ("video", "audio", "subtitle")]
@@ -107,7 +101,7 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
         with atomic_path(out) as temporary:
             _copy(source, kept, out, temporary, "mpegts" if kind == ".ts" else "mp4", options, samples, report)
     size = sum(len(data) for _, _, data in samples)
-    return Muxed(out, len(samples), size, seconds, at_s, names)
+    return Muxed(str(out), len(samples), size, seconds, at_s, names)
 
 
 def demux(movie: str | Path, out: str | Path) -> Muxed:
@@ -118,17 +112,17 @@ def demux(movie: str | Path, out: str | Path) -> Muxed:
     """
     with _opened(movie) as source:
         samples, at_s = _found(source, str(movie))
-    head, parts = _parsed(samples, str(movie))
-    with TouchWriter(Path(out)) as writer:
-        writer.write_head(head[0], head[1])
-        for one in head[2]:
-            writer.write_object(one)
-        for beside, segment in parts:
-            if beside is not None:
-                writer.write_vibration(beside.first_frame, beside.frame_count, beside.body)
-            writer.write_segment(segment.first_frame, segment.frame_count, segment.body)
-    size = sum(map(len, samples))
-    return Muxed(Path(out), len(parts), size, head[0].frame_count / head[0].rate_hz, at_s, ())
+    whole: Any = BytesIO(_joined(samples, str(movie)))
+    whole.name = str(movie)
+    with TouchReader(whole) as reader, atomic_path(Path(out)) as temporary:
+        for i in range(reader.object_count):
+            reader.read_object(i)
+        for i in range(len(reader.segments)):
+            reader.read_segment(i)
+            reader.read_vibration(i)
+        temporary.write_bytes(whole.getvalue())
+        seconds = reader.head.frame_count / reader.head.rate_hz
+    return Muxed(str(out), len(reader.segments), sum(map(len, samples)), seconds, at_s)
 
 
 _Sample = tuple[float, float, bytes]
@@ -216,54 +210,40 @@ def _found(source: Any, name: str) -> tuple[list[bytes], float]:
     return [bytes(one) for one in first[1]], max(0.0, times[first[0]] - (begins if name.endswith(".ts") else 0.0))
 
 
-_Head = tuple[Any, dict[str, str], list[ObjectRecord]]
+def _joined(samples: list[bytes], name: str) -> bytes:
+    """The file that the samples are, the first of which begins with its head: index and end are made again."""
 
+    def source_of(data: bytes, where: str) -> ByteSource:
+        file: Any = BytesIO(data)
+        file.name = where
+        return ByteSource(file)
 
-def _parsed(samples: list[bytes], name: str) -> tuple[_Head, list[tuple[Vibration | None, Segment]]]:
-    head: _Head | None = None
-    parts: list[tuple[Vibration | None, Segment]] = []
+    first = source_of(samples[0], f"{name}: sample 0")
+    read_opening(first)
+    records = records_between(first, OPENING_SIZE, first.size)
+    head = samples[0][: next((found.offset for found in records if found.tag == "SEGM"), None)]
     for number, sample in enumerate(samples):
-        file: Any = BytesIO(sample)
-        file.name = f"{name}: sample {number}"
-        source, place, beside = ByteSource(file), 0, None
-        if sample.startswith(MAGIC):
-            read_opening(source)
-            record = find_record(source, OPENING_SIZE, source.size)
-            own: _Head = (read_record(source, record, "HEAD")[0], {}, [])
-            place = record.end
-        while place < source.size:
-            record = find_record(source, place, source.size)
-            place = record.end
-            value, _ = read_record(source, record, record.tag if record.tag in _KNOWN else "SEGM")
-            if isinstance(value, Provenance):
-                own[1].update((pair.key, pair.value) for pair in value.pairs)
-            elif isinstance(value, ObjectRecord):
-                own[2].append(value)
-            elif isinstance(value, Vibration):
-                beside = value
-            else:
-                parts.append((beside, value))
-        if sample.startswith(MAGIC):
-            if head is not None and head != own:
-                raise CorruptFile(f"{name}: sample {number}", "another head", "the first one's")
-            head = own
-    if head is None:
-        raise CorruptFile(name, "no head", "a first sample that begins with one")
-    if parts and parts[0][1].first_frame:
-        first = parts[0][1].first_frame
-        raise CorruptFile(name, f"touch from frame {first} on", "its beginning", "Take the whole movie.")
-    return head, parts
-
-
-_KNOWN: Final = ("PROV", "OBJT", "VIBR", "SEGM")
+        if sample.startswith(MAGIC) and not sample.startswith(head):
+            raise CorruptFile(f"{name}: sample {number}", "another head", "the first one's")
+    data = head + b"".join(sample.removeprefix(head) for sample in samples)
+    entries, chain, source = list[SegmentEntry](), data[:OPENING_SIZE], source_of(data, name)
+    for found in records_between(source, OPENING_SIZE, source.size):
+        if found.tag in ("HEAD", "OBJT"):
+            chain += source.read_at(found.crc_offset, CRC_SIZE)
+        elif found.tag == "SEGM":
+            segment, crc32 = read_record(source, found, Segment)
+            frames = {"first_frame": segment.first_frame, "frame_count": segment.frame_count}
+            length = found.end - found.offset
+            entries.append(SegmentEntry(**frames, offset=found.offset, length=length, crc32=crc32))
+    if entries and entries[0].first_frame:
+        found_late = f"touch from frame {entries[0].first_frame} on"
+        raise CorruptFile(name, found_late, "its beginning", "Take the whole movie.")
+    return data + index_and_end(entries, len(data), chain)
 
 
 @contextmanager
 def _opened(movie: str | Path) -> Iterator[Any]:
-    try:
-        import av
-    except ImportError:
-        raise MissingExtra("touch beside a movie", "av", "video") from None
+    av = import_extra("av", "touch beside a movie", "av", "video")
     try:
         source = av.open(str(movie))
     except (av.FFmpegError, OSError, ValueError) as error:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
-from functools import cache, cached_property
-from threading import Lock
+from functools import cache, cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -16,9 +15,9 @@ from touchfield.codec.objects.layout import MAX_POSES, CodedObject
 from touchfield.codec.registry import field_decoder
 from touchfield.codec.segment import BitAccount, promise_kept
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
-from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
+from touchfield.errors import CorruptFile, UnsupportedVersion
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
-from touchfield.medium.budget import memory_budget_bytes
+from touchfield.medium.budget import require_memory
 from touchfield.parallel import Report, silent
 from touchfield.stream.frames import SegmentFrames, segments_of
 from touchfield.stream.opened import OpenStream
@@ -80,14 +79,10 @@ class SceneStream(OpenStream):
         if poses > MAX_POSES:
             count = f"{head.frame_count} frames of {reader.object_count} objects"
             raise CorruptFile("HEAD.frame_count", count, f"at most {MAX_POSES} poses")
-        if poses * _BYTES_PER_POSE > memory_budget_bytes():
-            allowed = f"at most {memory_budget_bytes() / 2**30:.1f} GiB"
-            size, mend = f"{poses * _BYTES_PER_POSE / 2**30:.1f} GiB of poses", "Set TOUCHFIELD_MEMORY_GIB."
-            raise InvalidArgument("HEAD.frame_count", size, allowed, mend)
+        require_memory("HEAD.frame_count", "poses", poses * _BYTES_PER_POSE, "Set TOUCHFIELD_MEMORY_GIB.")
         objects = [coded_object(reader.read_object(i)) for i in range(reader.object_count)]
         self.decoder = ObjectsDecoder(head.coder_parameters, objects)
-        self._lock = Lock()
-        self._latest: tuple[int, bytes] | None = None
+        self._body = lru_cache(1)(reader.read_segment)  # each object that deforms asks for it
 
     @cached_property
     def tracks(self) -> tuple[PoseTrack, ...]:
@@ -107,27 +102,21 @@ class SceneStream(OpenStream):
     @cached_property
     def scene(self) -> HapticScene:
         """The decoded scene: poses now, the field of an object when it is first asked for."""
-        head = self.reader.head
         return HapticScene(
             grid=self.grid,
-            rate_hz=head.rate_hz,
             objects=tuple(
                 HapticObject(one.name, self._medium(i, one), track)
                 for i, (one, track) in enumerate(zip(self.decoder.objects, self.tracks, strict=True))
             ),
-            force_max_n=head.force_max_n,
+            force_max_n=self.reader.head.force_max_n,
             surface_damping_n_s_per_m=self.decoder.surface_damping_n_s_per_m,
-            axes=head.axes,
-            friction=head.friction,
-            damping_n_s_per_m=head.damping_n_s_per_m,
-            tags=tuple(head.tags),
-            provenance=dict(self.reader.provenance),
             file_bytes=self.file_bytes,
+            **self._beside,
         )
 
     @property
     def medium(self) -> HapticMedium:
-        return replace(self.scene.voxelise(), vibration=None if self._vibration is None else self._vibration.band)
+        return replace(self.scene.voxelise(), vibration=self._vibration)
 
     @cached_property
     def bits(self) -> BitAccount:
@@ -177,10 +166,3 @@ class SceneStream(OpenStream):
         coder: Any = field_decoder(one.field_coder, one.grid, one.field_parameters, f"OBJT {index}")
         frames, segments = SegmentFrames(self.reader, decode), segments_of(self.reader, coder.describe())
         return HapticMedium(one.grid, head.rate_hz, head.frame_count, frames, segments=segments)
-
-    def _body(self, segment: int) -> bytes:
-        """The body of a segment; the latest is kept, as each object that deforms asks for it."""
-        with self._lock:
-            if self._latest is None or self._latest[0] != segment:
-                self._latest = (segment, self.reader.read_segment(segment))
-            return self._latest[1]

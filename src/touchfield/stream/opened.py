@@ -19,7 +19,8 @@ from touchfield.container import TouchReader
 from touchfield.container.remote import is_live
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
-from touchfield.medium.budget import memory_budget_bytes
+from touchfield.medium.budget import require_memory
+from touchfield.medium.grid import Placement
 from touchfield.parallel import Report, silent
 from touchfield.stream import native
 from touchfield.stream.frames import SegmentFrames, VibrationFrames, segments_of
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
     from touchfield.codec.segment import FrameCost
     from touchfield.devices import Device
-    from touchfield.medium.grid import Placement
 
 
 FILTERED: Final = "the device-filtered field, behind any haptic filters"
@@ -78,9 +78,13 @@ class OpenStream(ABC):
     @property
     def placement(self) -> Placement:
         """The place of the scene in the workspace: ``to_hand(points)`` and ``to_scene(points)``."""
-        from touchfield.medium.grid import Placement
-
         return Placement(self.reader.head.mapping_scale, self.reader.head.mapping_offset_m)
+
+    @property
+    def _beside(self) -> dict[str, Any]:
+        """What travels beside the frames, as a medium and a scene have it."""
+        names = ("rate_hz", "axes", "friction", "damping_n_s_per_m", "tags")
+        return {**{name: getattr(self.reader.head, name) for name in names}, "provenance": self.reader.provenance}
 
     @property
     @abstractmethod
@@ -190,13 +194,14 @@ class VoxelStream(OpenStream):
 
     @property
     def medium(self) -> HapticMedium:
-        head = self.reader.head
         return HapticMedium(
-            self.grid, head.rate_hz, head.frame_count, self._frames, head.axes, head.friction,
-            head.damping_n_s_per_m, tuple(head.tags), dict(self.reader.provenance),
-            None if self._vibration is None else self._vibration.band,
-            segments_of(self.reader, self.decoder.describe()),
-        )  # fmt: skip
+            grid=self.grid,
+            frame_count=self.reader.head.frame_count,
+            make_frame=self._frames,
+            vibration=self._vibration,
+            segments=segments_of(self.reader, self.decoder.describe()),
+            **self._beside,
+        )
 
     @property
     def masking(self) -> tuple[float, float] | None:
@@ -287,24 +292,21 @@ def write_field(
     from touchfield.medium.npz import write_npz
     from touchfield.medium.vti import write_vti
 
-    def progress(done: int) -> None:
-        report(done, len(medium))
-
     path = Path(path)
     attributes = placement.told() if placement is not None else {}
     if path.suffix == ".zarr":
         from touchfield.medium.zarr_store import write_zarr
 
-        write_zarr(path, medium, progress, attributes)
+        write_zarr(path, medium, report, attributes)
         return path
-    needed, allowed = 12 * medium.grid.voxel_count, memory_budget_bytes()
-    if needed > allowed:
-        size = f"{needed / 2**30:.1f} GiB for each dense frame of {medium.grid.shape} samples"
-        mend = "Keep the .touch file, which is sparse, or set TOUCHFIELD_MEMORY_GIB."
-        raise InvalidArgument(str(path), size, f"at most {allowed / 2**30:.1f} GiB", mend)
+    what, mend = (
+        f"each dense frame of {medium.grid.shape} samples",
+        "Keep the .touch file, or set TOUCHFIELD_MEMORY_GIB.",
+    )
+    require_memory(str(path), what, 12 * medium.grid.voxel_count, mend)
     if path.suffix == ".npz":
-        write_npz(path, medium, progress, attributes)
+        write_npz(path, medium, report, attributes)
         return path
     if path.suffix == ".vti":
-        return write_vti(path, medium, progress=progress, told=attributes)
+        return write_vti(path, medium, report, attributes)
     raise InvalidArgument(str(path), f"the ending {path.suffix!r}", "FIELD.npz, FIELD.zarr or FIELD.vti")

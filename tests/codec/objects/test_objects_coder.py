@@ -357,7 +357,8 @@ def test_bytes_after_the_last_field_of_a_segment_are_noticed(stream_path: Path) 
         poses, fields = [part.poses for part in parts.objects], parts.objects[2].fields
         assert fields is not None
         longer = [ObjectPart(p, None) for p in poses[:2]] + [ObjectPart(poses[2], fields + b"\0")]
-        stream._latest = (0, SegmentParts(None, longer).to_bytes())
+        body = SegmentParts(None, longer).to_bytes()
+        stream._body = lambda segment: body  # type: ignore[assignment]
         medium[0], medium[1]
         with pytest.raises(CorruptFile, match="1 bytes after the last frame"):
             medium[2]

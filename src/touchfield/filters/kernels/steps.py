@@ -26,7 +26,7 @@ _FACES = (
     (12, 7, 110, (64, 8, 100, 10)),
     (14, 0, 119, (64, 8, 100, 10)),
 )
-"""The six bricks beside a brick: the place in `neighbour_slots`, the first sample of the face in that brick and in
+"""The six bricks beside a brick: the place in `slots_around`, the first sample of the face in that brick and in
 the tile, and how far it is to the next sample along both edges of the face, in that brick and in the tile."""
 
 _FAR = np.float32(16)
@@ -109,7 +109,7 @@ def _step(values, mask, weights, per_kappa, rational, s, flux):
 def diffused_bricks(begin, end, slots, support, forces, weights, per_kappa, rational, out):
     """One explicit step of the samples that take part, from `forces` into `out`, both float32 [n, 512, 3].
 
-    `slots` are `touchfield.medium.field.neighbour_slots`; `weights` float32 (x, y, z) are lambda, `per_kappa` is
+    `slots` are `touchfield.medium.field.slots_around`; `weights` float32 (x, y, z) are lambda, `per_kappa` is
     1/kappa, 0 for a conductance of 1, and `rational` takes 1/(1 + s) in place of exp(-s), s = (|difference|/kappa)^2.
     """
     values, mask = np.zeros((3, _TILE), np.float32), np.zeros(_TILE, np.float32)

@@ -75,34 +75,24 @@ def raster_slots(bricks: Int32s, mask: Bools) -> Int64s:
 
 
 @njit(cache=True, nogil=True)
-def _corner(i, j, k, shape, brick_shape, keys, forces, weight, total):
-    if i < 0 or j < 0 or k < 0 or i >= shape[0] or j >= shape[1] or k >= shape[2]:
-        return
-    key = ((i >> 3) * brick_shape[1] + (j >> 3)) * brick_shape[2] + (k >> 3)
-    slot = first_at_least(keys, key)
-    if slot < keys.shape[0] and keys[slot] == key:
-        for c in range(3):
-            total[c] += weight * forces[slot, i & 7, j & 7, k & 7, c]
-
-
-@njit(cache=True, nogil=True)
 def _sample(index, shape, brick_shape, keys, forces, out):
     total = np.zeros(3)
     for p in range(index.shape[0]):
         total[:] = 0.0
         x, y, z = index[p, 0], index[p, 1], index[p, 2]
-        inside = -1.0 < x < shape[0] and -1.0 < y < shape[1] and -1.0 < z < shape[2]
-        if inside:
-            i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-            fx, fy, fz = x - i, y - j, z - k
-            for a in range(2):
-                wa = fx if a else 1.0 - fx
-                for b in range(2):
-                    wb = wa * (fy if b else 1.0 - fy)
-                    for c in range(2):
-                        w = wb * (fz if c else 1.0 - fz)
-                        if w != 0.0:
-                            _corner(i + a, j + b, k + c, shape, brick_shape, keys, forces, w, total)
+        if -1.0 < x < shape[0] and -1.0 < y < shape[1] and -1.0 < z < shape[2]:
+            x0, y0, z0 = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+            for i in range(max(x0, 0), min(x0 + 2, shape[0])):
+                wx = x - x0 if i > x0 else 1.0 - (x - x0)
+                for j in range(max(y0, 0), min(y0 + 2, shape[1])):
+                    wy = wx * (y - y0 if j > y0 else 1.0 - (y - y0))
+                    for k in range(max(z0, 0), min(z0 + 2, shape[2])):
+                        w = wy * (z - z0 if k > z0 else 1.0 - (z - z0))
+                        key = ((i >> 3) * brick_shape[1] + (j >> 3)) * brick_shape[2] + (k >> 3)
+                        slot = first_at_least(keys, key) if w != 0.0 else keys.shape[0]
+                        if slot < keys.shape[0] and keys[slot] == key:
+                            for c in range(3):
+                                total[c] += w * forces[slot, i & 7, j & 7, k & 7, c]
         for c in range(3):
             out[p, c] = total[c]
 

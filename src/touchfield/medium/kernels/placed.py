@@ -322,21 +322,3 @@ def fill(begin, end, bricks, starts, which, lattice, shape, boxes, placed, table
                         any_force = any_force or force[0] != 0 or force[1] != 0 or force[2] != 0
         full[s] = any_force
         total[:] = 0.0
-
-
-@njit(cache=True, nogil=True)
-def close_up(bricks, forces, filled):
-    """Move the filled bricks to the front, in their order; how many there are."""
-    count = 0
-    for s in range(filled.shape[0]):
-        if filled[s]:
-            if count < s:
-                for a in range(3):
-                    bricks[count, a] = bricks[s, a]
-                for i in range(8):
-                    for j in range(8):
-                        for k in range(8):
-                            for a in range(3):
-                                forces[count, i, j, k, a] = forces[s, i, j, k, a]
-            count += 1
-    return count

@@ -211,7 +211,7 @@ class FrameParts:
         if isinstance(self.medium, HapticScene):
             return self.medium.objects[which].field(max(frame, 0))
         if which == VIBRATION and self.medium.vibration is not None:
-            return self.medium.vibration[max(frame, 0)].as_field()
+            return self.medium.vibration(max(frame, 0)).as_field()
         return self.medium[max(frame, 0)]
 
     def cells(self, name: FieldName) -> CellPool:

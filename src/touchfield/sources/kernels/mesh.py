@@ -23,7 +23,6 @@ from numba import njit
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.cuda import empty, filled, on_host, uses_gpu
 from touchfield.medium import Grid
-from touchfield.medium.kernels.placed import close_up
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels import mesh_triangle as tri
 from touchfield.sources.kernels.height import amplitude as amplitude_at
@@ -413,5 +412,4 @@ def forces_near(
         near_rim = _rim_near(rim, lattice, shape, 2 * width_m, keys)
         beside = rim, near_rim, width_m
         for_chunks(fade, len(bricks), bricks, owners, surface[0], lattice, *beside, forces, has_force)
-    count = close_up(bricks, forces, has_force)
-    return bricks[:count], forces[:count]
+    return bricks[has_force], forces[has_force]
