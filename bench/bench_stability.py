@@ -22,6 +22,7 @@ import itertools
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +142,12 @@ def plain(**given: Any) -> Any:
     return render
 
 
+def watched(bench: Bench, stiffness: float, b: float, delay: int, resolution: float) -> None:
+    """The passivity controller alone, which is told the delay."""
+    bench.device = replace(STRONG, delay_ms=1e3 * delay * TICK_S)
+    plain(passivity=True)(bench, stiffness, b, delay, resolution)
+
+
 def auto(
     bench: Bench, stiffness: float, b: float, delay: int, resolution: float, spec: RenderSpec | None = None
 ) -> None:
@@ -162,6 +169,8 @@ WAYS = {
     "nothing": plain(),
     "damping 2": plain(damping_n_s_per_m=2.0),
     "coupling 1000": plain(coupling_n_per_m=1000.0),
+    "passivity, delay told": watched,
+    "auto, passivity": partial(auto, spec=RenderSpec(passivity=True)),
 }
 
 

@@ -1,4 +1,4 @@
-"""Friction, damping, coupling and vibration, felt by a hand that is simulated."""
+"""Friction, damping, coupling, passivity and vibration, felt by a hand that is simulated."""
 
 from __future__ import annotations
 
@@ -178,6 +178,77 @@ def test_a_coupling_does_not_drag_in_free_space() -> None:
     bench = Bench(wall(1000.0), RenderSpec(coupling_n_per_m=1000.0))
     path = np.array([[0.1 * t / 1000, 0, 0.03] for t in range(300)])  # 0.1 m/s
     assert np.abs([f for _, f in bench.along(path)]).max() < 1e-12
+
+
+# -- passivity --------------------------------------------------------------------------------------------------
+
+CURL = 40.0 * np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]])  # 0.8 N along the way at 20 mm
+
+
+def test_a_field_with_curl_feeds_a_hand_unless_it_is_watched() -> None:
+    path = circle(5, 500)
+    bench = Bench(linear(CURL))
+    free = gained_j(bench, path)
+    assert free == pytest.approx(5 * 0.8 * 2 * math.pi * 0.02, rel=0.02)
+    assert bench.word(W.ENERGY) == pytest.approx(-free, rel=1e-9)
+    bench.restart(RenderSpec(passivity=True))
+    watched = gained_j(bench, path)
+    assert watched < 1e-3 * free
+    assert bench.word(W.ENERGY) == pytest.approx(-watched, abs=1e-12)
+
+
+def test_what_was_put_in_may_come_out_again() -> None:
+    press = 0.02 * np.sin(np.linspace(0, 2 * np.pi, 2000))
+    path = np.stack([0 * press, 0 * press, -np.abs(press)], axis=-1)
+    free, watched = (
+        np.array([f for _, f in Bench(wall(60.0), RenderSpec(passivity=p)).along(path)]) for p in (False, True)
+    )
+    # a spring gives back what it took; what sampling adds to that is braked on the last of the way
+    apart = np.abs(free - watched).max(axis=1)
+    assert apart.max() < 0.15
+    assert (apart > 1e-9).mean() < 0.05
+    assert free.max() > 0.9
+
+
+@given(st.lists(st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)), min_size=2, max_size=6))
+def test_watched_energy_is_not_below_what_one_step_may_give(corners: list[tuple[float, float]]) -> None:
+    bench = WATCHED
+    bench.restart(RenderSpec(passivity=True))
+    knots = np.array([*corners, corners[0]])
+    at = np.linspace(0, len(knots) - 1, 1500)
+    path = np.stack([np.interp(at, np.arange(len(knots)), knots[:, n]) for n in (0, 1)] + [0 * at], axis=-1)
+    fastest = float(np.abs(np.diff(path, axis=0)).max())
+    low, gained = 0.0, 0.0
+    before, force = path[0], bench.tick(*path[0])
+    for place in path[1:]:
+        gained += float(force @ (place - before))
+        low = min(low, bench.word(W.ENERGY))
+        before, force = place, bench.tick(*place)
+    assert bench.word(W.ENERGY) == pytest.approx(-gained, abs=1e-9)
+    # what the low-pass of the velocity cannot foresee at corners, and a creep too slow to be damped
+    assert low >= -20 * 4.0 * fastest - 1e-8
+
+
+WATCHED = Bench(linear(CURL))
+
+
+def test_what_is_owed_is_taken_by_a_damper_that_a_light_hand_bears() -> None:
+    bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(passivity=True))
+    bench.settled(0, 0, 0)
+    bench.memory.f8[W.ENERGY] = -0.01
+    path = np.array([[0.00002 * n, 0, 0] for n in range(3000)])  # 0.02 m/s
+    forces = np.array([f[0] for _, f in bench.along(path)])
+    assert forces.min() == pytest.approx(-0.5 * 0.05 / 0.001 * 0.02, rel=1e-6)
+    assert bench.word(W.ENERGY) == pytest.approx(0, abs=1e-5)
+    assert abs(forces[-1]) < 1e-3
+
+
+def test_the_weight_of_the_handle_is_no_gain() -> None:
+    bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(passivity=True, gravity_n=(0.0, 0.5, 0.0)))
+    bench.settled(0, 0, 0)
+    path = np.array([[0, 0.0001 * n, 0] for n in range(500)])  # the force lifts all the way
+    forces = np.array([f for _, f in bench.along(path)])
+    assert forces == pytest.approx(np.broadcast_to([0, 0.5, 0], forces.shape))
 
 
 # -- vibration --------------------------------------------------------------------------------------------------

@@ -71,6 +71,28 @@ def test_a_coupling_on_a_soft_field_is_still_where_positions_come_in_steps() -> 
     assert deviation < 0.01
 
 
+@pytest.mark.parametrize("delay_ms", [0.0, 1.0, 1.5, 3.0])
+def test_the_observer_takes_the_force_that_acted_while_the_hand_moved(delay_ms: float) -> None:
+    bench = Bench(wall(300.0), RenderSpec(), device=replace(STRONG, delay_ms=delay_ms))
+    path = np.zeros((400, 3))
+    path[:, 2] = -0.01 + 0.005 * np.sin(np.arange(400) / 17)
+    forces = np.array([f[2] for _, f in bench.along(path)])
+    acting = np.interp(np.arange(400) - delay_ms, np.arange(-9, 400), np.concatenate([np.zeros(9), forces]))
+    given = float(acting[:-1] @ np.diff(path[:, 2]))
+    assert abs(given) > 1e-3
+    assert bench.word(W.ENERGY) == pytest.approx(-given, abs=1e-9)
+
+
+def test_passivity_with_a_sample_of_delay_keeps_what_a_wall_would_give() -> None:
+    law = wall(500.0, 12.0)
+    plain = Bench(law, RenderSpec(), device=told(0.5), grid=FINE)
+    watched = Bench(law, RenderSpec(passivity=True), device=told(0.5), grid=FINE)
+    blind = Bench(law, RenderSpec(passivity=True), device=replace(told(0.5), delay_ms=0.0), grid=FINE)
+    free, kept, leaking = (pressed(bench, 0.5, 1, 0.0)[1] for bench in (plain, watched, blind))
+    assert free > 1e-3
+    assert kept < 0.1 * leaking
+
+
 # -- what is chosen ---------------------------------------------------------------------------------------------
 
 

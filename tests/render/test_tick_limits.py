@@ -35,6 +35,7 @@ specs = st.builds(
     friction=st.sampled_from([None, 0.5, 1e300]),
     damping_n_s_per_m=st.sampled_from([None, 2.0, 1e300]),
     coupling_n_per_m=st.sampled_from([0.0, 300.0, 1e9, 1e-300]),
+    passivity=st.booleans(),
     scale=st.sampled_from([1.0, 3.0, 1e-300, 1e300]),
     force_scale=st.sampled_from([1.0, 0.0, 7.0, 1e300]),
     gravity_n=st.tuples(*[st.sampled_from([0.0, -0.4, 50.0])] * 3),

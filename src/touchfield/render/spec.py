@@ -64,6 +64,7 @@ class RenderSpec:
     damping_n_s_per_m: float | None = option(None, "b everywhere; default: the stream's, in contact what is stable.")
     slip_speed_m_s: float = 0.001  # v_s of `touchfield.filters.contact`
     coupling_n_per_m: float | None = option(None, "A virtual coupling's stiffness; 0: none; default: what is stable.")
+    passivity: bool = option(False, "Take out the energy that the loop makes (time-domain passivity control).")
     scale: float = option(1.0, "Metres of the field for one metre of the device.")
     clutch_m: Triple = (0.0, 0.0, 0.0)  # point of the field that lies at the device's origin, the field's axes
     force_scale: float = option(1.0, "Newtons of the device for one of the field.")
@@ -128,6 +129,7 @@ def write_parameters(
         (W.FRICTION, _coefficient("friction of the medium", spec.friction, medium_friction)),
         (W.DAMPING, _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)),
         (W.SLIP_SPEED, spec.slip_speed_m_s),
+        (W.PASSIVITY, float(spec.passivity)),
         (W.SCALE, spec.scale),
         (W.FORCE_SCALE, spec.force_scale),
         (W.THERMAL_S, spec.thermal_s),
@@ -135,6 +137,7 @@ def write_parameters(
         (W.CUTOFF, 2 * math.pi * spec.velocity_cutoff_hz),
         (W.COUPLING, spec.coupling_n_per_m or 0.0),
         (W.BRAKE, 0.0),
+        (W.DELAY, min(delay_s(device) * spec.rate_hz, W.MOST_DELAY)),
         (W.ORIENTATION, 1.0),
     ):
         words[place] = value

@@ -62,28 +62,31 @@ READY, WAITING, RUNNING, STALLED, ENDED = range(5)
 SILENCE_NS: Final = 1_000_000_000  # a player not seen for so long is taken for dead, and the force goes to zero
 
 # -- PARAMETERS: mu; b, N s/m; K, N/m, 0: none; BRAKE, of the damper in contact, N s/m; AXES, row by row, turns a
-# vector of the device into one of the field; CONTINUOUS, 0: none; CUTOFF of the velocity, rad/s; WALL, N/m of the
-# proxy's walls, 0: the field as it is, their level in newtons and the spacing of the samples, metres; MATERIAL, i8:
-# the first word of the materials, and how many there are
+# vector of the device into one of the field; CONTINUOUS, 0: none; CUTOFF of the velocity, rad/s; DELAY, ticks from
+# putting out to acting on the hand, perhaps a fraction; WALL, N/m of the proxy's walls, 0: the field as it is,
+# their level in newtons and the spacing of the samples, metres; MATERIAL, i8: the first word of the materials, and
+# how many there are
 
 (
-    RATE_HZ, FRICTION, DAMPING, SLIP_SPEED, COUPLING, BRAKE, SCALE, CLUTCH, FORCE_SCALE, GRAVITY, AXES,
-    PEAK, CONTINUOUS, SLEW, THERMAL_S, RAMP_S, CUTOFF, WALL, WALL_LEVEL, WALL_SPACING, MATERIAL,
+    RATE_HZ, FRICTION, DAMPING, SLIP_SPEED, COUPLING, BRAKE, PASSIVITY, SCALE, CLUTCH, FORCE_SCALE, GRAVITY, AXES,
+    PEAK, CONTINUOUS, SLEW, THERMAL_S, RAMP_S, CUTOFF, DELAY, WALL, WALL_LEVEL, WALL_SPACING, MATERIAL,
     MATERIAL_COUNT,
-) = _rows(PARAMETERS, 1, 1, 1, 1, 1, 1, 1, 3, 1, 3, 9, 1, 1, 1, 1, 1, 1, 1, 1, 3, 1, 1)  # fmt: skip
-PARAMETER_WORDS: Final = 36
+) = _rows(PARAMETERS, 1, 1, 1, 1, 1, 1, 1, 1, 3, 1, 3, 9, 1, 1, 1, 1, 1, 1, 1, 1, 1, 3, 1, 1)  # fmt: skip
+PARAMETER_WORDS, MOST_DELAY = 38, 4.0
 
-# -- STATE: left by `kernels.tick`. Places in metres; FORCE is what was handed out
+# -- STATE: left by `kernels.tick`. Places in metres, of the device in its own axes; FORCE is what was handed out
 # and WANTED the force before gain and limits, both in the device's axes, field and friction in the field's; HEAT is
-# of |F|^2, LIMIT of |F| at present. The proxy: its place, the part of the frame that carries it and its place there;
-# of the coupling its latest step, what pulled it, what stiffness is added as it went too far, where the hand was.
-# BRAKE_NOW and SOFTNESS (1 / K) are on their way to BRAKE and COUPLING; SLID: metres since friction last gave way
+# of |F|^2, LIMIT of |F| at present; ENERGY is what the hand put in and did not get back; PAST_FORCES the force and
+# the five before it, the latest first, without gravity. The proxy: its place, the part of the frame that carries it
+# and its place there; of the coupling its latest step, what pulled it, what stiffness is added as it went too far,
+# where the hand was. BRAKE_NOW and SOFTNESS (1 / K) are on their way to BRAKE and COUPLING; SLID: metres since
+# friction last gave way
 
 (
-    IS_STARTED, SINCE_S, POSITION, VELOCITY, FIELD_FORCE, FRICTION_FORCE, WANTED, FORCE, GAIN, HEAT,
-    LIMIT, PHASE, IS_COUPLED, PROXY, PROXY_STEP, PROXY_PULL, PROXY_STIFFNESS, PROXY_HAND, BRAKE_NOW, SOFTNESS,
-    IS_HELD, PROXY_PART, PROXY_LOCAL, FRICTION_NOW, SLID, _STATE_END,
-) = _rows(STATE, 1, 1, 3, 3, 3, 3, 3, 3, 1, 1, 1, 1, 1, 3, 3, 3, 1, 3, 1, 1, 1, 1, 3, 1, 1, 0)  # fmt: skip
+    IS_STARTED, SINCE_S, DEVICE_POSITION, POSITION, VELOCITY, FIELD_FORCE, FRICTION_FORCE, WANTED, FORCE, GAIN, HEAT,
+    LIMIT, ENERGY, PHASE, IS_COUPLED, PROXY, PROXY_STEP, PROXY_PULL, PROXY_STIFFNESS, PROXY_HAND, BRAKE_NOW, SOFTNESS,
+    PAST_FORCES, IS_HELD, PROXY_PART, PROXY_LOCAL, FRICTION_NOW, SLID, _STATE_END,
+) = _rows(STATE, 1, 1, 3, 3, 3, 3, 3, 3, 3, 1, 1, 1, 1, 1, 1, 3, 3, 3, 1, 3, 1, 1, 18, 1, 1, 3, 1, 1, 0)  # fmt: skip
 STATE_WORDS = _STATE_END - STATE
 
 # -- WRENCH: set once, i8: the first word of the tool's numbers (`render.tool`) and how many points, 0: the hand is

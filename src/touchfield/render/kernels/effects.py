@@ -1,4 +1,4 @@
-"""Effects that the receiver adds to a field (paper 3.2): coupling, damping, vibration, materials; limits.
+"""Effects that the receiver adds to a field (paper 3.2): coupling, damping, vibration, materials, energy; limits.
 
 **Virtual coupling.** A field that is stiffer than the loop can hold is felt through a spring K: a *proxy* is where
 F(q) + K (h - q) = 0, and the hand at h gets K (q - h). It goes there by one implicit step in each tick, with the
@@ -6,6 +6,10 @@ field's gradient J:: (c - J) dq = F(q) + K (h - q), c = K + max(0, greatest eige
 field it is there after one step. Where J changes within a step it could leap to and fro for ever: when the field
 (not a hand that turned) pulls it back, the stiffness that it met on its way is added to c, and fades within some
 ticks.
+
+**Passivity.** The observer adds up what the hand did: a force F that acted while it went dx gave it F dx. If the
+next step would give more than was taken before, a damper takes out what is lacking, F - a v (Hannaford and Ryu 2002),
+no more than cancels what drives the hand and a hand of 50 g bears in a loop of this rate (m / 2T); the rest later.
 
 **Limits.** Heat, peak and slew are what every force passes last, and a torque with numbers of its own. |F| <= limit
 and |F - F_before| <= slew dt hold of the float64 that are handed out, because the limit itself sinks by at most half
@@ -45,7 +49,9 @@ _TOO_FAR = 0.25
 
 _BEGINNING = 0.5  # of its softness: a coupling that has less has just come up
 _PER_TICK = 0.02  # of the way to another damper in contact, and to another coupling, in each tick
-_LEAST_WAY = 1e-18  # of the proxy, m^2
+_LEAST_HAND_KG = 0.05
+_LEAST_SPEED = 1e-9  # m/s; slower than this nothing can be damped
+_LEAST_WAY = 1e-18  # m; of the proxy, m^2
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -227,6 +233,45 @@ def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt):
     turns = f8[W.PHASE] / (2 * math.pi) + frequency * dt
     f8[W.PHASE] = 2 * math.pi * (turns - math.floor(turns))
     return amplitude * math.sin(f8[W.PHASE])
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def remember(f8):
+    """Keep the force before among those that are still to act, without the steady one for the handle's weight."""
+    for n in range(14, -1, -1):
+        f8[W.PAST_FORCES + n + 3] = f8[W.PAST_FORCES + n]
+    put(f8, W.PAST_FORCES, along(three(f8, W.FORCE), -f8[W.GAIN], three(f8, W.GRAVITY)))
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def observe(f8, way):
+    """Add up the energy of a way of the hand, metres of the device, against the force of `DELAY` ticks before."""
+    whole = int(f8[W.DELAY])
+    work = dot(three(f8, W.PAST_FORCES + 3 * whole), way)
+    if f8[W.DELAY] > whole:
+        work += (f8[W.DELAY] - whole) * (dot(three(f8, W.PAST_FORCES + 3 * whole + 3), way) - work)
+    if math.isfinite(work):
+        f8[W.ENERGY] -= work
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def passive(f8, force, velocity, dt):
+    """The force (device's axes) with the damper of the passivity controller; what is on its way is foreseen."""
+    speed = length(velocity)
+    way = speed * dt
+    if f8[W.PASSIVITY] == 0.0 or not (speed > _LEAST_SPEED and way > _LEAST_WAY):
+        return force
+    energy, left, n = f8[W.ENERGY], f8[W.DELAY], 0
+    while left > 0.0:
+        energy -= min(left, 1.0) * dot(three(f8, W.PAST_FORCES + 3 * n), times(dt, velocity))
+        left, n = left - 1.0, n + 1
+    onwards = velocity[0] / speed, velocity[1] / speed, velocity[2] / speed
+    driving = dot(force, onwards)
+    lacking = driving - energy / way
+    if not lacking > 0.0:
+        return force
+    braking = min(lacking, max(driving, 0.0) + 0.5 * _LEAST_HAND_KG * f8[W.RATE_HZ] * speed)
+    return along(force, -braking, onwards)
 
 
 _BAND_SINES = 4

@@ -1,7 +1,7 @@
 """One turn of the servo: time, orders and frames -> `tick` -> a force for the device, a row of the log, the counts.
 
     place -> axes, scale, clutch -> velocity -> proxy, or field, or coupling -> friction, damping -> vibration
-          -> axes, force scale -> gravity -> gain -> limits -> force
+          -> axes, force scale -> passivity -> gravity -> gain -> limits -> force
 
 `tick` and `release` are the only two that hand out forces, and both do so through `effects.limited`. `cycle` is
 called by the Python loop of the servo and by the callback that a vendor's driver takes; it allocates nothing, waits
@@ -61,6 +61,7 @@ def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
         return three(f8, W.FORCE)
     dt = min(dt, _LONGEST_S)
     f8[W.SINCE_S] += dt
+    effects.remember(f8)
     is_placed = abs(x) <= _FARTHEST_M and abs(y) <= _FARTHEST_M and abs(z) <= _FARTHEST_M  # false of NaN, too
     is_placed = is_placed and is_turned(i8, f8)
     if is_placed:
@@ -106,14 +107,16 @@ def _leave(f8):
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _arrive(f8, device):
-    """Keep a place of the device: where that is in the field, and how fast it came there."""
+    """Keep a place of the device: where that is in the field, how fast it came there, what energy that took."""
     p = along(three(f8, W.CLUTCH), f8[W.SCALE], turned(rows_of(f8, W.AXES), device))
     if f8[W.IS_STARTED] != 0.0:
+        effects.observe(f8, less(device, three(f8, W.DEVICE_POSITION)))
         effects.moved(f8, less(p, three(f8, W.POSITION)), f8[W.SINCE_S])
     else:
         put(f8, W.VELOCITY, _NOTHING)
     effects.adapt(f8)
     f8[W.IS_STARTED], f8[W.SINCE_S] = 1.0, 0.0
+    put(f8, W.DEVICE_POSITION, device)
     put(f8, W.POSITION, p)
 
 
@@ -148,7 +151,7 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
         drag = drag[0], drag[1], drag[2] + sine
     axes = rows_of(f8, W.AXES)
     force = times(f8[W.FORCE_SCALE], turned_back(axes, plus(effects.braked(f8, force, v), drag)))
-    return plus(force, three(f8, W.GRAVITY))
+    return plus(effects.passive(f8, force, times(1.0 / f8[W.SCALE], turned_back(axes, v)), dt), three(f8, W.GRAVITY))
 
 
 @njit(cache=True, nogil=True)
