@@ -56,12 +56,15 @@ class Stretch(NamedTuple):
 
 
 class Coded(NamedTuple):
-    """A segment: its bytes, those of what vibrates if anything does, its frames, and its samples with a force."""
+    """A segment: its bytes, those of what vibrates if anything does, its frames, its samples with a force, and its
+    frames that had some and are decoded without any.
+    """
 
     body: bytes
     vibration: bytes | None
     frames: int
     supported: int
+    lost: int = 0
 
 
 def stretches(
@@ -135,7 +138,9 @@ def coded_segments(encoder: FieldEncoder, vibrates: bool, groups: Iterable[Group
             segment = encoder.encode_segment(frames, anchor)
         else:
             segment = encoder.encode_segment(frames)
-        return Coded(segment.body, beside, len(frames), sum(f.support_count for f in frames))
+        held = [frame.support_count for frame in frames]
+        lost = sum(n > 0 and not one.sent for n, one in zip(held, segment.frames, strict=True))
+        return Coded(segment.body, beside, len(frames), sum(held), lost)
 
     def weight(group: Group) -> int:
         return sum(frame.forces_n.nbytes for frame in group[0])

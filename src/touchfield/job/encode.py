@@ -123,7 +123,7 @@ def encode_prepared(
 
     TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
-    began = time.perf_counter()
+    began, lost = time.perf_counter(), 0
     if prepared.source is not None:
         prepared.source.report = report
     with TouchWriter(Path(out)) as writer:
@@ -146,9 +146,11 @@ def encode_prepared(
             groups = (groups_of(medium, spec, encoder, *one, tell) for one in stretches(medium, spec, encoder))
             coded = coded_segments(encoder, medium.vibration is not None, chain.from_iterable(groups))
             for one in written(writer, coded):
-                done, supported = done + one.frames, supported + one.supported
+                done, supported, lost = done + one.frames, supported + one.supported, lost + one.lost
                 tell(ready)
-    return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported)
+    what = f"In {lost} of {len(prepared.medium)} frames nothing can be felt: every force is below --f0-n"
+    told = (f"{what} (a lower one, a greater --stiffness-n-per-m or --nw)",) if lost else ()
+    return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported, told)
 
 
 def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, str]:
