@@ -5,6 +5,7 @@ Every result is a new file, coded like any medium; its provenance tells what was
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -56,10 +57,15 @@ def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
     """A .touch file, or a stored field on its own lattice; InvalidArgument if the source is no medium yet."""
     if is_stream(path):
         return prepare(path, spec)
-    stored = getattr(open_scene(path, SourceOptions()), "medium", None)
+    if os.path.exists(path) and Path(path).suffix.lower() not in (".npz", ".zarr"):
+        found = "a folder" if os.path.isdir(path) else f"a file named {Path(path).suffix or 'without suffix'}"
+        mend = "Name a file, or make a medium of a scene: touchfield encode."
+        raise InvalidArgument(str(path), found, "a .touch file or a stored field, .npz or .zarr", mend)
+    stored = getattr(open_scene(path, SourceOptions(kind="field")), "medium", None)
     if not isinstance(stored, HapticMedium):
-        mend = "Make it a medium: touchfield encode."
-        raise InvalidArgument(str(path), "a scene", "a .touch file or a stored field", mend)
+        raise InvalidArgument(
+            str(path), "a scene", "a .touch file or a stored field", "Make it a medium: touchfield encode."
+        )
     return prepare(stored, spec)
 
 
@@ -344,10 +350,10 @@ def levels_of_detail(
     store = Path(out) if out is not None and Path(out).suffix == ".zarr" else None
     is_kept = out is not None and store is None
     folder = Path(out) if out is not None and store is None else Path(tempfile.mkdtemp())
-    if is_kept:
-        if folder.is_file():
-            raise InvalidArgument(str(out), "a file", "a folder, or OUT.zarr")
-        folder.mkdir(exist_ok=True)
+    if is_kept and folder.is_file():
+        raise InvalidArgument(str(out), "a file", "a folder, or OUT.zarr")
+    is_for_now = not folder.is_dir() or not is_kept  # what is broken off leaves no folder behind
+    folder.mkdir(exist_ok=True)
     rows: list[dict[str, Any]] = []
     try:
         for level in range(wanted + 1):
@@ -364,8 +370,9 @@ def levels_of_detail(
 
             coarser = [detail_level(medium, n) for n in range(1, wanted + 1)]
             write_zarr(store, medium, told=prepared.placement.told(), levels=coarser)
+        is_for_now = not is_kept
     finally:
-        if not is_kept:
+        if is_for_now:
             shutil.rmtree(folder, ignore_errors=True)
     fits = [row["level"] for row in rows if most_bytes is None or row["file_bytes"] <= most_bytes]
     notes = () if fits else (f"no level takes {most_bytes} bytes or less",)

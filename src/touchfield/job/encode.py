@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import time
 from collections.abc import Mapping
 from concurrent.futures import Executor
@@ -157,7 +159,9 @@ def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, s
     """The file's account of where it comes from."""
     name = "scene" if isinstance(source, Scene) else str(source)
     spec = prepared.spec.to_json(prepared.has_law)
-    said = {"touchfield": __version__, "source": Path(name).name[:255], "spec": spec}
+    told = os.fsencode(Path(name).name).decode("utf-8", "replace")  # a name may be any bytes
+    told = re.sub(r"[\0-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", told)
+    said = {"touchfield": __version__, "source": told[:255], "spec": spec}
     if prepared.reference != FILTERED:
         said["reference"] = prepared.reference
     was = (prepared.scene or prepared.medium).provenance
