@@ -378,7 +378,7 @@ def test_of_options_that_do_nothing_is_told_where_there_are_some(
 def test_a_play_that_would_begin_behind_the_end_is_refused(stream: Path, capsys: pytest.CaptureFixture[str]) -> None:
     play = ["play", str(stream), "--offline", "--start-s"]
     assert _exit_code([*play, "0.2"]) == 2
-    assert "--start-s: found 0.2 s; expected 0 to below 0.2 s, the end of the medium" in capsys.readouterr().err
+    assert "--start-s: found 0.2 s; expected 0 to below 0.2 s, the medium's end" in capsys.readouterr().err
     assert _exit_code([*play, "0.25", "--loop", "--seconds", "0.1"]) == 0  # begins anew
     shown = capsys.readouterr().out
     assert (

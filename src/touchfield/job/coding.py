@@ -56,15 +56,13 @@ class Stretch(NamedTuple):
 
 
 class Coded(NamedTuple):
-    """A segment: its bytes, those of what vibrates if anything does, its frames, its samples with a force, and its
-    frames that had some and are decoded without any.
-    """
+    """A segment: its bytes, those of what vibrates if anything does, its frames, and its samples with a force."""
 
     body: bytes
     vibration: bytes | None
     frames: int
     supported: int
-    lost: int = 0
+    lost: int = 0  # frames that hold a force and are decoded without any
 
 
 def stretches(

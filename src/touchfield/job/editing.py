@@ -5,7 +5,6 @@ Every result is a new file, coded like any medium; its provenance tells what was
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -57,10 +56,6 @@ def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
     """A .touch file, or a stored field on its own lattice; InvalidArgument if the source is no medium yet."""
     if is_stream(path):
         return prepare(path, spec)
-    if os.path.exists(path) and Path(path).suffix.lower() not in (".npz", ".zarr"):
-        found = "a folder" if os.path.isdir(path) else f"a file named {Path(path).suffix or 'without suffix'}"
-        mend = "Name a file, or make a medium of a scene: touchfield encode."
-        raise InvalidArgument(str(path), found, "a .touch file or a stored field, .npz or .zarr", mend)
     stored = getattr(open_scene(path, SourceOptions(kind="field")), "medium", None)
     if not isinstance(stored, HapticMedium):
         raise InvalidArgument(

@@ -157,10 +157,9 @@ def play(
     """
     spec = spec or PlaySpec()
     with open_stream(path, tell, spec.coarse) as stream:
-        head = stream.reader.head
-        if not spec.loop and spec.start_s >= head.frame_count / head.rate_hz and head.frame_count > 1:
-            end = f"0 to below {head.frame_count / head.rate_hz:g} s, the end of the medium"
-            raise InvalidArgument("--start-s", f"{spec.start_s:g} s", end)
+        count, seconds = stream.reader.head.frame_count, stream.reader.head.frame_count / stream.reader.head.rate_hz
+        if spec.start_s >= seconds and count > 1 and not spec.loop:
+            raise InvalidArgument("--start-s", f"{spec.start_s:g} s", f"0 to below {seconds:g} s, the medium's end")
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, tell)
         if spec.device.strip().partition(":")[0].lower() not in {kind.name for kind in point_kinds()}:

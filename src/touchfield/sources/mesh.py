@@ -29,10 +29,9 @@ _GLTF: Final = (".glb", ".gltf")
 _SOLID: Final = re.compile(rb"^\s*(end)?solid", re.MULTILINE)
 _CORNER: Final = re.compile(rb"^\s*vertex\s+(\S+\s+\S+\s+\S+)", re.MULTILINE)
 _STL: Final = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
-_PLY_TYPES: Final = (
-    "char uchar short ushort int uint float double int8 uint8 int16 uint16 int32 uint32 float32 float64"
-)
-_PLY: Final = dict(zip(_PLY_TYPES.split(), 2 * "bBhHiIfd"))  # as NumPy calls them
+_TYPES: Final = "bBhHiIfd"  # as NumPy calls them, and PLY by old names and by NumPy's longer ones
+_PLY: Final = dict(zip(["char", "uchar", "short", "ushort", "int", "uint", "float", "double"], _TYPES))
+_PLY.update((np.dtype(one).name, one) for one in _TYPES)
 _Properties = list[tuple[str, list[np.dtype[Any]]]]  # of each its name and types, of a list first that of its length
 _Polygons = tuple[Float64s, Int64s, Int64s]  # vertices [n, 3]; how many corners each polygon has; those of all
 
@@ -76,11 +75,10 @@ def _obj(data: bytes) -> _Polygons:
     text = re.sub(rb"#.*|/\S*", b"", data.replace(b"\r\n", b"\n").replace(b"\\\n", b" "))
     lines = re.findall(rb"^[ \t]*(?:v[ \t]+(\S*[ \t]*\S*[ \t]*\S*)|f[ \t]+(.*))", text, re.MULTILINE)
     is_face = np.array([bool(face) for _, face in lines], bool)
-    vertices = _numbers((point for point, face in lines if not face), np.float64).reshape(-1, 3)
+    points = [point for point, face in lines if not face]
+    vertices = _numbers(points, np.float64).reshape(len(points), 3)
     counts = np.array([len(face.split()) for _, face in lines if face], np.int64)
     flat, before = _numbers((face for _, face in lines), np.int64), np.repeat(np.cumsum(~is_face)[is_face], counts)
-    if len(vertices) < np.count_nonzero(~is_face):
-        raise ValueError("a vertex of fewer than three numbers")
     return vertices, counts, flat + np.where(flat < 0, before, -1)
 
 
@@ -100,10 +98,8 @@ def _off(data: bytes) -> _Polygons:
 def _ply(data: bytes) -> _Polygons:
     """A PLY: of its elements those of vertices and faces; numbers of a text are read as bytes of float64."""
     head, body = re.split(rb"\nend_header[ \t]*\r?\n", data, maxsplit=1)
-    magic, form, *lines = [line.split() for line in head.decode("latin-1").splitlines()]
+    _, form, *lines = [line.split() for line in head.decode("latin-1").splitlines()]
     is_text, order = "ascii" in form, ">" if "binary_big_endian" in form else "<"
-    if magic != ["ply"]:
-        raise ValueError("it does not begin with ply")
     if is_text:
         body = np.fromstring(body.decode("ascii"), sep=" ").astype("<f8").tobytes()
     elements: list[tuple[str, int, _Properties]] = []
