@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import touchfield as tf
 from touchfield.cli.main import _exit_code
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.job.editing import (
     edit,
     joined,
@@ -173,7 +173,7 @@ def test_nothing_is_written_over_what_is_read_and_nothing_half(stream: Path, tmp
         edit(stream, tmp_path / "e.wav", operators=["erase"])
     with pytest.raises(InvalidArgument, match="operator"):
         edit(stream, tmp_path / "e.touch")
-    with pytest.raises(InvalidArgument, match="encode"):
+    with pytest.raises(SourceError, match="encode"):
         read_medium(_sphere(tmp_path))
     assert stream.read_bytes() == whole and not list(tmp_path.glob("*.touch"))
 
@@ -362,7 +362,7 @@ def test_what_is_no_medium_is_told_as_what_it_is(tmp_path: Path, capsys: pytest.
     (tmp_path / "mesh.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
     np.savez(tmp_path / "heights.npz", heights_m=np.zeros((4, 4)))
     for name, found in ((".", "a folder"), ("mesh.off", "a file named .off"), ("heights.npz", "forces_n")):
-        assert _exit_code(["lod", str(tmp_path / name)]) in (1, 2)
+        assert _exit_code(["lod", str(tmp_path / name)]) == 1
         error = capsys.readouterr().err
         assert found in error and "--as" not in error and "redwood" not in error
 
