@@ -18,7 +18,6 @@ import numpy as np
 
 from touchfield.errors import (
     InvalidArgument,
-    SourceError,
     require_between,
     require_not_negative,
     require_one_of,
@@ -54,12 +53,12 @@ KERNELS: Final = (*LOW_PASSES, "trilinear")
 
 
 def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
-    """A .touch file, or a stored field on its own lattice; SourceError if the source is no medium yet."""
+    """A .touch file, or a stored field on its own lattice; SourceError (InvalidArgument of a sample) if none."""
     if is_stream(path):
         return prepare(path, spec)
     stored = getattr(open_scene(path, SourceOptions(kind="field")), "medium", None)
     if not isinstance(stored, HapticMedium):
-        raise SourceError(str(path), "a scene", "a stored field", "Make it a medium: touchfield encode.")
+        raise InvalidArgument(str(path), "a scene", "a stored field", "Make it a medium: touchfield encode.")
     return prepare(stored, spec)
 
 
