@@ -251,6 +251,8 @@ def _medium(
     if isinstance(source, HapticMedium):
         return source, "medium", (), None, False
     stream = StreamScene(source) if isinstance(source, str | Path) and is_stream(source) else None
+    if stream is not None and not spec.encode.asked():
+        stream.notes = ()  # of options that do nothing
     prepared = prepare(stream or source, spec.encode)
     name = Path(source).name if isinstance(source, str | Path) else "scene"
     if stream is not None:
