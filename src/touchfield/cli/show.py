@@ -57,7 +57,7 @@ def literal_console() -> Console:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command tells: for programs values by stable keys and notes, as one object; for people under a title.
+    """Answer of a command: for programs values by stable keys and notes, as one object; for people under a title.
 
     Of `tables` each is the key of rows that people see beside each other, and the words above them; where `people` is
     given it prints in place of all this.

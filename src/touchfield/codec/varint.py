@@ -61,7 +61,7 @@ class Parts:
 
     @property
     def is_ended(self) -> bool:
-        """Whether all was read."""
+        """True when all was read."""
         return self.at == len(self._data)
 
     def take(self, count: int, what: str) -> bytes:
