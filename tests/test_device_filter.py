@@ -239,9 +239,11 @@ PINS = replace(device("graphiti"), lattice=(42, 3, 1), workspace_mm=(105.0, 7.5,
 
 
 @pytest.mark.parametrize("axes", [UP_Z_AXES, UP_Y_AXES, CAMERA_AXES])
-def test_pins_show_the_height_that_is_met_first(axes: str) -> None:
-    law = profile_of(LawSpec(), math.inf)
-    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
+@pytest.mark.parametrize("wall_m", [math.inf, 0.0066])
+def test_pins_show_the_height_that_is_met_first(axes: str, wall_m: float) -> None:
+    law = profile_of(LawSpec(), wall_m)
+    room_m = 0.0 if math.isinf(wall_m) else wall_m  # so much of the lattice lies beyond the land on both sides
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * room_m), Placement())
     shown = mapping.frames(terraces(axes), law)(0).to_dense()[:, 1, 0, 2]
     middles = [8 + 6 * n for n in range(5)]
     assert shown[middles] / 3.3 == pytest.approx([(h - 0.001) / 0.03 for h in STEPS_M], abs=1 / 128)

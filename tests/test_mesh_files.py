@@ -173,6 +173,24 @@ def test_polygons_of_all_sizes_are_cut_inside(tmp_path: Path, kind: str) -> None
     assert doubled.sum() / 2 == pytest.approx(4 * 4 + 2 * 1 + 3)
 
 
+@pytest.mark.parametrize("order", ["<", ">", "text"])
+@pytest.mark.parametrize(
+    "faces", [[[0, 1, 2], [0, 2, 3]], [[0, 1, 2], [0, 1, 2, 3]], [[0, 1, 2, 3], [2, 3, 0]], [[0, 1, 2, 3]]]
+)
+def test_faces_whose_corners_come_first(tmp_path: Path, order: str, faces: list[list[int]]) -> None:
+    """All of one length are read at once, others one by one, to the same end."""
+    points = [(0, 0, 0), (4, 0, 0), (4, 3, 0), (0, 3, 0)]
+    data = ply(points, faces, order).replace(b"property uchar group\n", b"")
+    head, _, rows = data.partition(b"end_header\n")
+    for face in faces:  # without the number that stands before their corners
+        rows = rows.replace(bytes([7, len(face)]), bytes([len(face)])).replace(b"7 %d" % len(face), b"%d" % len(face))
+    path = tmp_path / "faces.ply"
+    path.write_bytes(head + b"end_header\n" + rows)
+    vertices, triangles, _ = read_triangles(path)
+    fans = [[face[0], face[i], face[i + 1]] for face in faces for i in range(1, len(face) - 1)]
+    assert vertices[triangles].tolist() == np.array(points, float)[fans].tolist()
+
+
 @pytest.mark.parametrize("order", ["<", "text"])
 def test_a_ply_cut_anywhere_is_refused(tmp_path: Path, order: str) -> None:
     """At every byte of its rows (of a text: before its last numbers)."""
