@@ -162,6 +162,15 @@ def test_an_array_shows_forces_or_heights(tmp_path: Path) -> None:
         device(mine)
 
 
+@pytest.mark.parametrize("key", ["axes", "columns", "rows", "pitch_mm", "depth_mm", "force_max_n"])
+def test_an_array_without_what_it_needs_is_refused(tmp_path: Path, key: str) -> None:
+    text = (resources.files("touchfield.devices") / "profiles" / "graphiti.toml").read_text()
+    before, _, rest = text.partition(f"[{key}]")
+    mine = written(tmp_path, before + "[".join(["", *rest.split("[")[1:]]))
+    with pytest.raises(DeviceError, match=rf"mine\.toml: {key}: found nothing"):
+        device(mine)
+
+
 def test_files_that_are_no_profile(tmp_path: Path) -> None:
     for data in (b"\xff\xfe", b"[", b"a = " + b"[" * 50_000, b"x" * 70_000):
         (tmp_path / "mine.toml").write_bytes(data)
