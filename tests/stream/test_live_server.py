@@ -7,7 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -271,6 +271,29 @@ def test_a_connection_that_is_cut_is_made_again() -> None:
                 live.medium[i]
         done.set()
     assert sum("connecting again" in note for note in notes) == 2
+
+
+@pytest.mark.parametrize("form", ["ws://{}/live", "http://{}/live.json"])
+def test_a_server_that_is_started_again_is_felt_again(form: str) -> None:
+    notes: list[str] = []
+    with ExitStack() as second:
+        with ExitStack() as first:
+            server = first.enter_context(on_air())
+            live = second.enter_context(open_stream(form.format(server.address), notes.append))
+            for i in range(30):  # numbers that the second one's are below
+                live.medium[i]
+            server.end = lambda: None  # type: ignore[method-assign]  # it is killed: nobody is told
+        second.enter_context(on_air(Access(port=int(server.address.rpartition(":")[2]))))
+        frames = live.medium.make_frame
+        number = frames.stream_frame(0)  # type: ignore[attr-defined]
+        for after in range(30, 200):
+            live.medium[after]
+            if frames.stream_frame(0) != number:  # type: ignore[attr-defined]
+                break
+        for i in range(after, after + 10):
+            got, number = live.medium[i], frames.stream_frame(i)  # type: ignore[attr-defined]
+            np.testing.assert_allclose(got.to_dense(), field(number % 60).to_dense(), atol=0.2)
+    assert "another programme begins" in notes and not any("of no use" in note for note in notes), notes
 
 
 def test_a_segment_is_a_file_of_its_own(tmp_path: Path) -> None:

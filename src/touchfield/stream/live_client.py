@@ -108,9 +108,13 @@ class _Client:
         events = self._receiver.receive(message)
         for event in events:
             if isinstance(event, Opened):
-                if self._frames is not None:  # another programme: who plays the old one opens anew
+                if self._opened is None or self._frames is None:
+                    self._opened, self._frames = event, LiveFrames(event, self._tell, under=self._under)
+                elif event.head == self._opened.head:
+                    self._tell("another programme begins")
+                    self._frames.begin_anew()
+                else:  # who plays the old one opens anew
                     raise SourceError(self._name, "another programme", "the one that was opened", "Open it again.")
-                self._opened, self._frames = event, LiveFrames(event, self._tell, under=self._under)
             elif self._frames is not None:
                 self._vibrates |= isinstance(event, LiveSegment) and event.vibration is not None
                 self._frames.take(event)
@@ -184,6 +188,8 @@ class _Client:
         next_number: int | None = None
         while True:
             is_over, numbers = _manifest(await got(parts.path, _MOST_MANIFEST), self._name)
+            if numbers and next_number is not None and numbers[-1] + 1 < next_number:
+                return False  # another programme
             numbers = [n for n in numbers if next_number is None or n >= next_number]
             for number in numbers[-1:] if next_number is None else numbers:
                 await asyncio.to_thread(self._take, await got(f"{folder}/{number}", MOST_BYTES))
