@@ -23,6 +23,7 @@ from touchfield.stream.live_medium import PATIENCE_S, LiveFrames, LiveStream
 
 _PAUSES_S: Final = (0.1, 0.3, 1.0, 2.0)
 _POLL_S: Final = 0.05
+_FIRST_S, _TOLD_S = 60.0, 3.0  # a first segment is waited for longer, as its sender may be starting; told after
 _MOST_MANIFEST: Final = 1 << 16
 _MOST_TRIES: Final = 8
 
@@ -36,7 +37,7 @@ def open_live(
     `coarse` is the address of its coarse layer, felt where the stream itself has lost something, or is late; where
     that layer does not come, it is told, and the stream is felt alone.
 
-    Raises SourceError if there is none, or nothing has come for ten seconds.
+    Raises SourceError if there is none, or no first segment has come for a minute.
     """
     with ExitStack() as stack:
         under: LiveFrames | None = None
@@ -79,7 +80,9 @@ class _Client:
 
     def stream(self) -> LiveStream:
         """The stream, once a first segment is there."""
-        self._begun.wait(PATIENCE_S)
+        if not self._begun.wait(_TOLD_S):
+            self._tell(f"waiting for a first segment of {self._name}, a minute at most: its sender may be starting")
+            self._begun.wait(_FIRST_S - _TOLD_S)
         if self._opened is None or self._frames is None:
             raise self._error
         return LiveStream(self._name, self._opened, self._frames, self._vibrates)
