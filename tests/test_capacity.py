@@ -89,23 +89,41 @@ def test_the_ratios_sum_to_one(h: float, d: float, room: float, reading: str) ->
     assert (c.capacity.unit, c.wmr.unit, c.hil.unit) == ("bit/frame", "1", "1")
 
 
-@given(st.tuples(bits, bits, shares), bits, bits)
-def test_the_interval_of_c_is_that_of_what_is_rendered(d: tuple[float, float, float], h: float, room: float) -> None:
-    low, high = sorted(d[:2])
-    rendered = entropy(min(room, low + d[2] * (high - low)), low, high)
-    found = capacity(entropy(h), rendered, room).capacity
-    assert found.interval is not None and 0 <= found.interval.low <= found.value <= found.interval.high
-    assert found.interval.high <= max(room, found.value) and found.interval.level == 0.95
-    if high <= min(h, room):
-        assert (found.interval.low, found.interval.high) == (min(low, found.value), max(high, found.value))
+@given(st.tuples(bits, bits, shares), st.tuples(bits, bits, shares), bits, shares, shares)
+def test_no_pair_of_entropies_within_the_intervals_leaves_the_carried_ones(
+    h: tuple[float, float, float], d: tuple[float, float, float], room: float, at_h: float, at_d: float
+) -> None:
+    quantities, inside = [], []
+    for (a, b, share), place, most in ((h, at_h, math.inf), (d, at_d, room)):
+        low, high = sorted((min(a, most), min(b, most)))
+        point = min(high, low + share * (high - low))
+        quantities.append(entropy(point, low, high))
+        inside.append(min(high, low + place * (high - low)))
+    assume(quantities[0].value > 1e-300 and inside[0] > 1e-300)
+    found = capacity(*quantities, room)
+    other = capacity(entropy(inside[0]), entropy(inside[1]), room)
+    for name in ("capacity", "wmr", "hil"):
+        spread = getattr(found, name).interval
+        slack = 1e-12 * max(1.0, abs(spread.high))
+        for c in (found, other):
+            assert spread.low - slack <= getattr(c, name).value <= spread.high + slack
+        assert spread.level == pytest.approx(0.90) and "interval arithmetic" in spread.method
 
 
-def test_without_a_pair_there_is_no_interval_of_the_ratio() -> None:
-    found = capacity(entropy(8, 5, 10), entropy(4, 3, 5), 6)
-    assert found.wmr.interval is None and found.hil.interval is None
-    assert found.capacity.interval == Interval(3, 5, 0.95, "block bootstrap")
+def test_one_interval_keeps_its_level_and_none_gives_none() -> None:
+    plain = capacity(entropy(8), entropy(4), 6)
+    assert plain.wmr.interval is None and plain.hil.interval is None and plain.capacity.interval is None
+    one = capacity(entropy(8, 5, 10), entropy(4), 6).wmr.interval
+    assert one is not None
+    assert (one.low, one.high, one.level) == (0.4, 0.8, pytest.approx(0.95))
     literal = capacity(entropy(8), entropy(4, 3, 5), 6, "literal")
-    assert literal.capacity.interval is None  # the device's own bits are no estimate
+    assert literal.wmr.interval is None  # the device's own bits are no estimate
+
+
+def test_an_interval_that_misses_its_estimate_is_widened_to_it() -> None:
+    spread = capacity(entropy(8, 9, 10), entropy(4, -1, 3), 6).wmr.interval
+    assert spread is not None
+    assert (spread.low, spread.high) == (0.0, 0.5)
 
 
 # -- guards -----------------------------------------------------------------------------------------------------
@@ -151,8 +169,7 @@ def test_what_the_ratios_are_of() -> None:
 
 
 def test_the_summary_is_json() -> None:
-    ratio = Interval(0.5, 0.75, 0.95, "paired")
-    table = json.loads(json.dumps(capacity(entropy(5, 4, 6), entropy(3), 8, ratio=ratio).summary()))
+    table = json.loads(json.dumps(capacity(entropy(5, 4, 6), entropy(3), 8).summary()))
     assert set(table) == {
         "reading", "reference", "rendered", "codomain_bits", "capacity", "wmr", "hil", "notes"
     }  # fmt: skip

@@ -131,6 +131,7 @@ def test_a_preview_shows_where_the_scene_lies(tmp_path: Path, monkeypatch: pytes
     prepared = prepare(box, EncodeSpec(nw=5))
     draw_preview(prepared, tmp_path / "a.png")
     (figure,) = drawn
+    assert "frame 1 of 1" in figure.get_suptitle()
     front, side, above = figure.axes[:3]
     half_mm = 1e3 * prepared.placement.scale * np.array([0.04, 0.02, 0.05])
     seen = ((0, 2), (1, 2), (0, 1)) if axes == UP_Z_AXES else ((0, 1), (2, 1), (0, 2))

@@ -74,7 +74,7 @@ def test_damaged_files_are_one_clear_error(tmp_path: Path, suffix: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "what"), [("ply", r"triangles where it tells of 80 faces"), ("off", r"of 80 faces"), ("stl", "endsolid")]
+    ("kind", "what"), [("ply", "20 rows before the end"), ("off", "60 faces .* of 80 faces"), ("stl", "endsolid")]
 )
 def test_a_text_that_is_cut_between_lines_is_told(tmp_path: Path, kind: str, what: str) -> None:
     ball = trimesh.creation.icosphere(1)
@@ -136,12 +136,61 @@ def test_concave_polygons_are_not_folded(tmp_path: Path, suffix: str, start: int
     assert areas.sum() == pytest.approx(2 * 3 + 8)  # caps and walls; what is folded would cover more
 
 
-def test_a_concave_quad_is_cut_inside(tmp_path: Path) -> None:
-    path = tmp_path / "dart.obj"
-    path.write_text("v 0 0 0\nv 4 0 0\nv 1 1 0\nv 0 4 0\nf 2 3 4 1\n")
-    surface = KIND.open(path, SourceOptions()).surface
-    sides = np.diff(surface.vertices_m[surface.triangles], axis=1)
-    assert (np.cross(sides[:, 0], sides[:, 1])[:, 2] > 0).all()
+def ply(points: list[tuple[int, ...]], faces: list[list[int]], order: str) -> bytes:
+    """A PLY of one byte order, or of text; its faces have a number before their corners, and one behind."""
+    name = {"<": "binary_little_endian", ">": "binary_big_endian"}.get(order, "ascii")
+    head = f"ply\nformat {name} 1.0\ncomment of a test\nelement vertex {len(points)}\nproperty float x\n"
+    head += f"property double y\nproperty float32 z\nelement face {len(faces)}\nproperty uchar group\n"
+    head += "property list uint8 int vertex_indices\nproperty short flags\nend_header\n"
+    if order not in "<>":
+        rows = [*points, *([7, len(face), *face, 1] for face in faces)]
+        return head.encode() + "\n".join(" ".join(map(str, row)) for row in rows).encode()
+    body = b"".join(struct.pack(order + "fdf", *point) for point in points)
+    corners = (struct.pack(f"{order}BB{len(face)}ih", 7, len(face), *face, 1) for face in faces)
+    return head.encode() + body + b"".join(corners)
+
+
+@pytest.mark.parametrize("kind", ["obj", "off", "ply<", "ply>", "ply text"])
+def test_polygons_of_all_sizes_are_cut_inside(tmp_path: Path, kind: str) -> None:
+    """Darts one after another, between triangles, and an L of six corners."""
+    points = [(0, 0, 0), (4, 0, 0), (1, 1, 0), (0, 4, 0), *((x + 9, y, 0) for x, y in L_OUTLINE)]
+    faces = [[1, 2, 3, 0], [2, 3, 0, 1], [4, 5, 6], [0, 1, 2, 3], [4, 5, 6], [6, 7, 8, 9, 4, 5], [3, 0, 1, 2]]
+    path = tmp_path / f"darts.{kind[:3]}"
+    if kind == "obj":
+        rows = [("v", *point) for point in points] + [("f", *(f"{i + 1}//1" for i in face)) for face in faces]
+        path.write_text("\n".join(" ".join(map(str, row)) for row in rows))
+    elif kind == "off":
+        rows = [*points, *([len(face), *face, 255, 0, 0] for face in faces)]
+        path.write_text(
+            f"OFF # of a test\n{len(points)} 7 0\n\n" + "\n".join(" ".join(map(str, row)) for row in rows)
+        )
+    else:
+        path.write_bytes(ply(points, faces, kind[3:].strip()))
+    vertices, triangles, _ = read_triangles(path)
+    sides = np.diff(vertices[triangles], axis=1)
+    doubled = np.cross(sides[:, 0], sides[:, 1])[:, 2]
+    assert len(triangles) == 4 * 2 + 2 + 4 and (doubled >= 0).all()
+    assert doubled.sum() / 2 == pytest.approx(4 * 4 + 2 * 1 + 3)
+
+
+@pytest.mark.parametrize("order", ["<", "text"])
+def test_a_ply_cut_anywhere_is_refused(tmp_path: Path, order: str) -> None:
+    """At every byte of its rows (of a text: before its last numbers)."""
+    data = ply([(0, 0, 0), (4, 0, 0), (1, 1, 0), (0, 4, 0)], [[0, 1, 2], [1, 2, 3, 0], [0, 1, 3]], order)
+    path = tmp_path / "cut.ply"
+    for end in range(data.index(b"end_header"), len(data) - (order == "text")):
+        path.write_bytes(data[:end])
+        with pytest.raises(SourceError, match=r"cut\.ply"):
+            read_triangles(path)
+
+
+@pytest.mark.parametrize("count", [-1, -5, 255])
+def test_a_ply_whose_lists_have_no_length_is_refused(tmp_path: Path, count: int) -> None:
+    path = tmp_path / "bad.ply"
+    data = ply([(0, 0, 0), (4, 0, 0), (1, 1, 0)], [[0, 1, 2]], "<").replace(b"list uint8", b"list int32")
+    path.write_bytes(data[:-15] + struct.pack("<i3ih", count, 0, 1, 2, 1))
+    with pytest.raises(SourceError, match=r"bad\.ply"):
+        read_triangles(path)
 
 
 def test_numbers_of_vertices_before_a_face(tmp_path: Path) -> None:

@@ -145,6 +145,17 @@ def test_notes_name_their_quantity(measured: Measurement, capsys: Capture, monke
     assert "note: dotpad, H(M(W)): few samples: 1" in printed
 
 
+def test_no_interval_of_a_capacity_without_that_of_its_entropy(
+    measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = measured.capacities["dotpad"]
+    bare = replace(of, rendered=of.rendered.of(interval=None))
+    printed = _printed(replace(measured, capacities={"dotpad": bare}), capsys, monkeypatch)
+    shown = printed.split("capacity of devices")[1].split("energy")[0]
+    rows = [line for line in shown.splitlines() if line.startswith(("dotpad", "  WMR", "  HIL"))]
+    assert len(rows) == 3 and not any(" to " in row for row in rows)
+
+
 def test_energy_that_could_not_be_seen(
     measured: Measurement, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -142,6 +142,7 @@ def test_wmr_has_the_interval_of_the_pair_and_hil_its_mirror_image() -> None:
     assert (found.hil.interval.low, found.hil.interval.high) == pytest.approx((0.3, 0.45))
     apart = capacity(frame_bits(10.0), frame_bits(6.0), 20.0)
     assert found.capacity == apart.capacity and found.wmr.value == apart.wmr.value
+    assert apart.wmr.interval is not None and apart.wmr.interval.high == 1
 
 
 @pytest.mark.parametrize(

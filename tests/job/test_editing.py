@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 import touchfield as tf
 from touchfield.cli.main import _exit_code
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.job.editing import (
     edit,
     joined,
@@ -172,7 +173,7 @@ def test_nothing_is_written_over_what_is_read_and_nothing_half(stream: Path, tmp
         edit(stream, tmp_path / "e.wav", operators=["erase"])
     with pytest.raises(InvalidArgument, match="operator"):
         edit(stream, tmp_path / "e.touch")
-    with pytest.raises(InvalidArgument, match="encode"):
+    with pytest.raises(SourceError, match="encode"):
         read_medium(_sphere(tmp_path))
     assert stream.read_bytes() == whole and not list(tmp_path.glob("*.touch"))
 
@@ -300,6 +301,18 @@ def test_each_level_of_detail_tells_its_bytes_and_its_error(stream: Path, tmp_pa
         levels_of_detail(stream, stream, spec=EXACT)
 
 
+def test_levels_that_are_broken_off_leave_no_folder(stream: Path, tmp_path: Path) -> None:
+    def broken_off(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for folder in (tmp_path / "new", mine):
+        with pytest.raises(KeyboardInterrupt):
+            levels_of_detail(stream, folder, spec=EXACT, report=broken_off)
+    assert not (tmp_path / "new").exists() and mine.is_dir()
+
+
 # -- the command line -----------------------------------------------------------------------------------------------
 
 
@@ -343,3 +356,47 @@ def test_the_commands_as_their_user_meets_them(
         assert _exit_code([str(word) for word in bad]) == 2, bad
         error = capsys.readouterr().err
         assert error.count("\n") == 1 and error.startswith("touchfield: ")
+
+
+def test_what_is_no_medium_is_told_as_what_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mesh.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    np.savez(tmp_path / "heights.npz", heights_m=np.zeros((4, 4)))
+    for name, found in ((".", "a folder"), ("mesh.off", "a file named .off"), ("heights.npz", "forces_n")):
+        assert _exit_code(["lod", str(tmp_path / name)]) == 1
+        error = capsys.readouterr().err
+        assert found in error and "--as" not in error and "redwood" not in error
+
+
+def test_of_options_that_do_nothing_is_told_where_there_are_some(
+    stream: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for options, is_told in (((), False), (("--unit-m", "0.001"), True)):
+        notes = told(capsys, "measure", stream, "--no-limits", *options)["notes"]
+        assert isinstance(notes, list) and any("options of the scene" in note for note in notes) == is_told
+
+
+def test_a_play_that_would_begin_behind_the_end_is_refused(stream: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    play = ["play", str(stream), "--offline", "--start-s"]
+    assert _exit_code([*play, "0.2"]) == 2
+    assert "--start-s: found 0.2 s; expected 0 to below 0.2 s, the medium's end" in capsys.readouterr().err
+    assert _exit_code([*play, "0.25", "--loop", "--seconds", "0.1"]) == 0  # begins anew
+    shown = capsys.readouterr().out
+    assert (
+        "ticks" in shown and "jitter" not in shown and "lateness" not in shown
+    )  # which a run without a clock has not
+
+
+def test_places_are_no_sizes(stream: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _exit_code(["info", str(stream)]) == 0
+    shown = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines() if len(line.split()) > 1)
+    assert shown["grid_shape"].strip() == "32 x 32 x 32" and shown["spacing_mm"].strip() == "2.5 x 2.5 x 2.5"
+    assert shown["mapping_offset_m"].strip() == "0, 0, 0"
+
+
+def test_a_name_that_is_not_utf_8_is_encoded(tmp_path: Path) -> None:
+    source = os.fsencode(tmp_path) + b"/ball\xff\x07.npz"
+    with open(source, "wb") as file:
+        np.savez(file, forces_n=rolling()[0].to_dense(), origin_m=GRID.origin_m, spacing_m=GRID.spacing_m)
+    tf.encode(os.fsdecode(source), tmp_path / "out.touch")
+    with tf.open_stream(tmp_path / "out.touch") as opened:
+        assert opened.reader.provenance["source"] == "ball\ufffd\ufffd.npz"

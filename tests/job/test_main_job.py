@@ -33,6 +33,16 @@ def moving(frames: int = 7) -> StoredScene:
     return StoredScene(HapticMedium.from_frames(made, 25.0, "x right, y up, z towards the viewer"))
 
 
+def test_frames_that_are_decoded_without_a_force_are_told(tmp_path: Path) -> None:
+    """Forces below F_0 may be left out, within the promise; a hand feels nothing, and the user is told."""
+    grid = prepare(ball(), EncodeSpec(nw=3)).medium.grid
+    weak, strong = (ForceField.from_dense(grid, np.full((8, 8, 8, 3), n / 3**0.5)) for n in (0.03, 1.0))
+    empty = ForceField.empty(grid)
+    for frames, told in (((strong, weak, empty), "In 1 of 3 frames nothing"), ((strong, empty, strong), "")):
+        notes = encode(HapticMedium.from_frames(frames, 30.0), tmp_path / "out.touch").notes
+        assert [told in note and "--f0-n" in note for note in notes[1:]] == [True] * bool(told)
+
+
 def test_a_field_on_the_devices_lattice_is_encoded_untouched(tmp_path: Path) -> None:
     spec = EncodeSpec(nw=5, thickness_m=0.01)
     field = write_field(tmp_path / "field.npz", prepare(ball(), spec).medium)

@@ -418,9 +418,7 @@ def test_a_hand_goes_on_feeling_where_only_the_coarse_layer_comes(
     hand, port, notes = tmp_path / "hand.csv", free_port(), list[str]()
     hand.write_text("t_s,x_m,y_m,z_m\n0,0,0,-0.07\n60,0,0,-0.07\n")
     spec = PlaySpec("sim", seconds=60.0, trajectory=hand, is_logged=True, coarse=f"udp://127.0.0.1:{port + 1}")
-    alone: list[
-        tuple[float, int]
-    ] = []  # where play was, and how much was felt coarse, once nothing fine came any more
+    alone: list[tuple[float, int]] = []  # place of play, and frames felt coarse, once nothing fine came any more
     with OnAir(port) as air:
         keep_up = LiveStream.keep_up
 

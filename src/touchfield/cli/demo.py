@@ -59,7 +59,7 @@ def run_demo(folder: Path, as_json: bool) -> None:
 
 
 def _made(stem: Path, draws: bool) -> list[str]:
-    """What there is to look at."""
+    """Things to look at."""
     pictures = f"look at {stem}.png, and at {stem}.forces.png: a simulated hand comes, presses, slides and leaves"
     page = f"open {stem}.html in a browser: see it, cut it open, probe it, hear it"
     return [f"stream: {stem}.touch, report: {stem}.json", page, *([pictures] if draws else [])]

@@ -57,7 +57,7 @@ def literal_console() -> Console:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command tells: for programs values by stable keys and notes, as one object; for people under a title.
+    """Answer of a command: for programs values by stable keys and notes, as one object; for people under a title.
 
     Of `tables` each is the key of rows that people see beside each other, and the words above them; where `people` is
     given it prints in place of all this.
@@ -78,7 +78,7 @@ class Answer:
             self.people()
         else:
             literal_console().print(self.title, style="bold", soft_wrap=True)
-            lines = [(name, _text(value)) for name, value in self.values.items() if name not in self.tables]
+            lines = [(name, _text(value, name)) for name, value in self.values.items() if name not in self.tables]
             if lines:
                 show_table(lines)
             show_notes(self.notes)
@@ -109,7 +109,7 @@ def show_rows(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     if title:
         console.print(title, style="bold", soft_wrap=True)
     keys = [key for key in rows[0] if key != "error_thirds_mn"]  # 39 numbers for programs
-    columns = [[_text(row[key]) for key in keys] for row in rows]
+    columns = [[_text(row[key], key) for key in keys] for row in rows]
     room = console.width - max(map(len, keys))
     while columns:
         ends = accumulate(_GAP + max(map(len, column)) for column in columns)
@@ -160,16 +160,16 @@ def _unsigned_zeros(value: Any) -> Any:
     return value
 
 
-def _text(value: Any) -> str:
+def _text(value: Any, name: str = "") -> str:
     if isinstance(value, float):
         return f"{value + 0.0:.6g}" if math.isfinite(value) else str(value)
     if isinstance(value, list | tuple) and any(isinstance(v, Mapping) for v in value):
         return f"{len(value)}, told by --json"
     if isinstance(value, list | tuple):
-        is_named = any(isinstance(v, str) for v in value)  # names are no sizes
-        return (", " if is_named else " x ").join(_text(v) for v in value)
+        is_size = name.endswith(("shape", "spacing_mm", "points"))  # a place is none
+        return (" x " if is_size else ", ").join(_text(v) for v in value)
     if isinstance(value, Mapping):
-        return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
+        return ", ".join(f"{k} {_text(v, k)}" for k, v in value.items())
     return "-" if value is None else str(value)
 
 

@@ -308,11 +308,11 @@ class Samples(NamedTuple):
 
 @entry
 def code_samples(bits, contexts_at, sets_at, samples, wanted):
-    """Tell which samples are set, when writing those `wanted`, uint8 [n, 512]; returns whether the code held them."""
+    """Tell which samples are set, when writing those `wanted`, uint8 [n, 512]; a code that is too short ends it."""
     held, window, old = samples.held, samples.window, samples.old
     for brick in range(wanted.shape[0]):
         if bits.state[TASK] == READING and bits.state[PLACE] > bits.buffer.shape[0] + 6:
-            return False
+            return
         for n in range(1728):
             x, y, z = n // 144 + 6, n // 12 % 12 + 6, n % 12 + 6
             near, place = (x >> 3) * 9 + (y >> 3) * 3 + (z >> 3), (x & 7) << 6 | (y & 7) << 3 | (z & 7)
@@ -331,7 +331,6 @@ def code_samples(bits, contexts_at, sets_at, samples, wanted):
                     bits.inputs[1] = contexts_at + _OLD + (late << 3 | mask & 7)
                     window[here] = mix(bits, 2, sets_at + (mask & 7), np.int64(wanted[brick, place]))
                     held[brick, place] = window[here]
-    return True
 
 
 _LONGEST: Final = 62  # binary digits of the largest

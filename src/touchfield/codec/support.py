@@ -100,11 +100,17 @@ def _level(
     )  # fmt: skip
 
 
+def check_read(bits: Bits, where: str) -> None:
+    """Refuse a payload that ends before its code does."""
+    size, used = len(bits.buffer), int(bits.state[PLACE])
+    if size < used - 6:  # what is held in the interval, and left away where it is zero
+        raise TruncatedFile(where, f"the end of the code after {size} bytes", f"{used - 6} or more")
+
+
 def check_end(bits: Bits, count: int, where: str) -> None:
     """Refuse a payload that ends before its code does, or goes on behind it and the zeros of `padded`."""
+    check_read(bits, where)
     size, used = len(bits.buffer), int(bits.state[PLACE])
-    if size < used - 6:
-        raise TruncatedFile(where, f"{size} bytes", f"{used - 6} or more")
     if size > max(used, len(padded(b"", count))) or bits.buffer[used:].any():
         raise CorruptFile(where, "bytes behind the end of the code", f"{used} at most")
 
@@ -140,11 +146,12 @@ def code_support(
     )  # fmt: skip
     truth = held[:-1] if wanted is None else _rows(wanted[1])
     at = contexts_at + kernels.LIST_CONTEXTS, sets_at + kernels.LIST_SETS
-    if not kernels.code_samples(bits, *at, samples, truth):
-        raise TruncatedFile(_WHERE, f"the end of the code after {len(bits.buffer)} bytes", f"{len(bricks)} bricks")
+    kernels.code_samples(bits, *at, samples, truth)
     mask = held[:-1].view(np.bool_).reshape(-1, BRICK, BRICK, BRICK)
-    if bits.state[TASK] == READING and not mask.any(axis=(1, 2, 3)).all():
-        raise CorruptFile(_WHERE, "a brick without samples", "none")
+    if bits.state[TASK] == READING:
+        check_read(bits, _WHERE)
+        if not mask.any(axis=(1, 2, 3)).all():
+            raise CorruptFile(_WHERE, "a brick without samples", "none")
     return bricks, mask
 
 

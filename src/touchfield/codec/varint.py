@@ -23,12 +23,14 @@ def write_varint(value: int) -> bytes:
     return bytes(out)
 
 
-def read_varint(data: bytes, offset: int, where: str = "varint", limit: int = VARINT_LIMIT) -> tuple[int, int]:
+def read_varint(
+    data: bytes, offset: int, where: str = "varint", limit: int = VARINT_LIMIT, least: int = 0
+) -> tuple[int, int]:
     """The value at `offset` of `data`, and the offset behind it; TruncatedFile or CorruptFile, which name `where`.
 
-    It must lie below `limit`, and be in its shortest form.
+    It must be `least` or more, below `limit`, and in its shortest form.
     """
-    value = 0
+    value, expected = 0, f"a number from {least} to below {limit}"
     for place in range(8):
         if offset + place >= len(data):
             raise TruncatedFile(where, f"the end of the bytes at offset {len(data)}", "a whole number")
@@ -37,10 +39,10 @@ def read_varint(data: bytes, offset: int, where: str = "varint", limit: int = VA
         if byte < 128:
             if byte == 0 and place:
                 raise CorruptFile(where, f"a padded number at offset {offset}", "its shortest form")
-            if value >= limit:
-                raise CorruptFile(where, f"{value} at offset {offset}", f"a number below {limit}")
+            if not least <= value < limit:
+                raise CorruptFile(where, f"{value} at offset {offset}", expected)
             return value, offset + place + 1
-    raise CorruptFile(where, f"a number of more than 8 bytes at offset {offset}", f"a number below {limit}")
+    raise CorruptFile(where, f"a number of more than 8 bytes at offset {offset}", expected)
 
 
 def chunk(data: bytes) -> bytes:
@@ -49,29 +51,41 @@ def chunk(data: bytes) -> bytes:
 
 
 class Parts:
-    """The body of a segment, read from front to end; TruncatedFile or CorruptFile say what a part is."""
+    """Bytes, such as the body of a segment, read from front to end.
 
-    def __init__(self, body: bytes) -> None:
-        self._body, self.at = body, 0
+    TruncatedFile or CorruptFile name `where` the bytes stand, and what the part is.
+    """
+
+    def __init__(self, data: bytes, where: str = "SEGM.body") -> None:
+        self._data, self._where, self.at = data, where, 0
+
+    @property
+    def is_ended(self) -> bool:
+        """True when all was read."""
+        return self.at == len(self._data)
 
     def take(self, count: int, what: str) -> bytes:
         """The next `count` bytes."""
-        taken = self._body[self.at : self.at + count]
+        taken = self._data[self.at : self.at + count]
         if len(taken) < count:
-            raise TruncatedFile(f"SEGM.body {what}", f"{len(taken)} bytes", f"{count} bytes")
+            raise TruncatedFile(f"{self._where} {what}", f"{len(taken)} bytes", f"{count} bytes")
         self.at += count
         return taken
 
-    def varint(self, what: str, limit: int = VARINT_LIMIT) -> int:
-        """The next whole number, below `limit`."""
-        number, self.at = read_varint(self._body, self.at, f"SEGM.body {what}", limit)
+    def rest(self) -> bytes:
+        """All bytes that are left."""
+        return self.take(len(self._data) - self.at, "rest")
+
+    def varint(self, what: str, limit: int = VARINT_LIMIT, least: int = 0) -> int:
+        """The next whole number, from `least` to below `limit`."""
+        number, self.at = read_varint(self._data, self.at, f"{self._where} {what}", limit, least)
         return number
 
-    def chunk(self, what: str) -> bytes:
-        """Bytes behind their number."""
-        return self.take(self.varint(what), what)
+    def chunk(self, what: str, least: int = 0) -> bytes:
+        """Bytes behind their number, `least` of them or more."""
+        return self.take(self.varint(what, least=least), what)
 
     def check_end(self, what: str = "frame") -> None:
         """Refuse bytes behind the last part."""
-        if self.at != len(self._body):
-            raise CorruptFile("SEGM.body", f"{len(self._body) - self.at} bytes after the last {what}", "none")
+        if not self.is_ended:
+            raise CorruptFile(self._where, f"{len(self._data) - self.at} bytes after the last {what}", "none")

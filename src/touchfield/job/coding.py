@@ -62,6 +62,7 @@ class Coded(NamedTuple):
     vibration: bytes | None
     frames: int
     supported: int
+    lost: int = 0  # frames that hold a force and are decoded without any
 
 
 def stretches(
@@ -135,7 +136,9 @@ def coded_segments(encoder: FieldEncoder, vibrates: bool, groups: Iterable[Group
             segment = encoder.encode_segment(frames, anchor)
         else:
             segment = encoder.encode_segment(frames)
-        return Coded(segment.body, beside, len(frames), sum(f.support_count for f in frames))
+        held = [frame.support_count for frame in frames]
+        lost = sum(n > 0 and not one.sent for n, one in zip(held, segment.frames, strict=True))
+        return Coded(segment.body, beside, len(frames), sum(held), lost)
 
     def weight(group: Group) -> int:
         return sum(frame.forces_n.nbytes for frame in group[0])

@@ -5,9 +5,10 @@ Every result is a new file, coded like any medium; its provenance tells what was
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial, reduce
 from pathlib import Path
@@ -53,13 +54,12 @@ KERNELS: Final = (*LOW_PASSES, "trilinear")
 
 
 def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
-    """A .touch file, or a stored field on its own lattice; InvalidArgument if the source is no medium yet."""
+    """A .touch file, or a stored field on its own lattice; SourceError (InvalidArgument of a sample) if none."""
     if is_stream(path):
         return prepare(path, spec)
-    stored = getattr(open_scene(path, SourceOptions()), "medium", None)
+    stored = getattr(open_scene(path, SourceOptions(kind="field")), "medium", None)
     if not isinstance(stored, HapticMedium):
-        mend = "Make it a medium: touchfield encode."
-        raise InvalidArgument(str(path), "a scene", "a .touch file or a stored field", mend)
+        raise InvalidArgument(str(path), "a scene", "a stored field", "Make it a medium: touchfield encode.")
     return prepare(stored, spec)
 
 
@@ -346,11 +346,14 @@ def levels_of_detail(
     if kept and kept.is_file():
         raise InvalidArgument(str(out), "a file", "a folder, or OUT.zarr")
     rows: list[dict[str, Any]] = []
-    with nullcontext(kept) if kept else tempfile.TemporaryDirectory() as folder:
-        Path(folder).mkdir(exist_ok=True)
+    with ExitStack() as leaving:
+        folder = kept or Path(leaving.enter_context(tempfile.TemporaryDirectory()))
+        if not folder.is_dir():
+            folder.mkdir()
+            leaving.callback(shutil.rmtree, folder, ignore_errors=True)  # what is broken off leaves no folder behind
         for level in range(wanted + 1):
             one = detail_level(medium, level)
-            path = _write(prepared, [source], one, Path(folder) / f"level-{level}.touch", silent).path
+            path = _write(prepared, [source], one, folder / f"level-{level}.touch", silent).path
             meter = fidelity_of(prepared, one)
             row = {"level": level, "grid_shape": list(one.grid.shape), "file_bytes": path.stat().st_size}
             beyond = meter.mask_violations / max(1, meter.supported_voxels)
@@ -362,6 +365,8 @@ def levels_of_detail(
 
             coarser = [detail_level(medium, n) for n in range(1, wanted + 1)]
             write_zarr(store, medium, told=prepared.placement.told(), levels=coarser)
+        if kept:
+            leaving.pop_all()
     fits = [row["level"] for row in rows if most_bytes is None or row["file_bytes"] <= most_bytes]
     best = min(fits, default=None)
     note = f"no level takes {most_bytes} bytes or less" if best is None else f"level {best} is the finest that fits"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import time
 from collections.abc import Mapping
 from concurrent.futures import Executor
@@ -123,7 +125,7 @@ def encode_prepared(
 
     TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
-    began = time.perf_counter()
+    began, lost = time.perf_counter(), 0
     if prepared.source is not None:
         prepared.source.report = report
     with TouchWriter(Path(out)) as writer:
@@ -146,16 +148,20 @@ def encode_prepared(
             groups = (groups_of(medium, spec, encoder, *one, tell) for one in stretches(medium, spec, encoder))
             coded = coded_segments(encoder, medium.vibration is not None, chain.from_iterable(groups))
             for one in written(writer, coded):
-                done, supported = done + one.frames, supported + one.supported
+                done, supported, lost = done + one.frames, supported + one.supported, lost + one.lost
                 tell(ready)
-    return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported)
+    what = f"In {lost} of {len(prepared.medium)} frames nothing can be felt: every force is below --f0-n"
+    told = (f"{what} (a lower one, a greater --stiffness-n-per-m or --nw)",) if lost else ()
+    return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported, told)
 
 
 def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, str]:
     """The file's account of where it comes from."""
     name = "scene" if isinstance(source, Scene) else str(source)
     spec = prepared.spec.to_json(prepared.has_law)
-    said = {"touchfield": __version__, "source": Path(name).name[:255], "spec": spec}
+    told = os.fsencode(Path(name).name).decode("utf-8", "replace")  # a name may be any bytes
+    told = re.sub(r"[\0-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", told)
+    said = {"touchfield": __version__, "source": told[:255], "spec": spec}
     if prepared.reference != FILTERED:
         said["reference"] = prepared.reference
     was = (prepared.scene or prepared.medium).provenance

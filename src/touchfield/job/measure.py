@@ -251,6 +251,8 @@ def _medium(
     if isinstance(source, HapticMedium):
         return source, "medium", (), None, False
     stream = StreamScene(source) if isinstance(source, str | Path) and is_stream(source) else None
+    if stream is not None and not spec.encode.asked():
+        stream.notes = ()  # of options that do nothing
     prepared = prepare(stream or source, spec.encode)
     name = Path(source).name if isinstance(source, str | Path) else "scene"
     if stream is not None:
@@ -287,6 +289,5 @@ def _capacity(
         both = shared_counts((reference, frames), (shown.own_grid, shown.medium.grid), (counts, rendered_counts))
         per_lattice = reference.medium.grid.voxel_count, voxels
         ratio = None if both is None else paired_ratio(both, per_lattice, most, spec.estimator)
-    why = () if ratio else ("no interval of WMR: the two lattices share too few samples",)
     result = capacity(per_frame, rendered, most, ratio=ratio)
-    return result, (*shown.notes, *result.notes, *why, f"its Q is {quantise.words}")
+    return result, (*shown.notes, *result.notes, f"its Q is {quantise.words}")

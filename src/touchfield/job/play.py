@@ -155,6 +155,9 @@ def play(
     """
     spec = spec or PlaySpec()
     with open_stream(path, tell, spec.coarse) as stream:
+        count, seconds = stream.reader.head.frame_count, stream.reader.head.frame_count / stream.reader.head.rate_hz
+        if spec.start_s >= seconds and count > 1 and not spec.loop:
+            raise InvalidArgument("--start-s", f"{spec.start_s:g} s", f"0 to below {seconds:g} s, the medium's end")
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, tell)
         if spec.device.strip().partition(":")[0].lower() not in {kind.name for kind in point_kinds()}:
@@ -191,7 +194,9 @@ def _play_point(
     if spec.offline:
         error: Exception | None
         run = run_offline(field_of, profile, choice.opener, spec.render, seconds=seconds, keeps_error=True, **times)
-        statistics, rows, notes, error = run.statistics, run.log, run.notes, run.error
+        rows, notes, error = run.log, run.notes, run.error
+        of_a_clock = "jitter", "lateness"  # that it has not
+        statistics = {key: value for key, value in run.statistics.items() if not key.startswith(of_a_clock)}
     else:
         log_rows = _MOST_ROWS if spec.is_logged else _FEW_ROWS
         player = Player(field_of, profile, choice.opener, spec.render, log_rows=log_rows, **times)

@@ -173,7 +173,9 @@ def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
 def _shadows(medium: HapticMedium, where: str, caption: str, turn: Float64s) -> Any:
     """The first frame of a medium, the middle one and the last in one figure."""
     frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
-    title = f"frame{'s' * (len(frames) > 1)} {', '.join(map(str, frames))} of {len(medium)}, {where} (dashed)"
+    title = (
+        f"frame{'s' * (len(frames) > 1)} {', '.join(str(n + 1) for n in frames)} of {len(medium)}, {where} (dashed)"
+    )
     return shadows([medium[i] for i in frames], f"{title}\n{caption}", turn)
 
 

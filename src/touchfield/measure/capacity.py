@@ -90,9 +90,11 @@ def capacity(
     `reference`, `rendered`: H(W) and H(M(W)), "bit/frame", of one weighting: of the whole quantised frame, or of a
     sample times the samples of a frame (`Quantity.times`). `codomain_bits`: C_dev, from the function of this name.
     `reading`: "realised" (C = H(M(W))) or "literal" (C = C_dev). `ratio`: an interval of H(M(W)) / H(W), resampled
-    together (`paired_ratio`), for the realised reading: WMR then has it, cut at 1, and HIL its mirror image; without
-    it they have none, since the two estimates come from one medium and err together. C has that of H(M(W)), cut at
-    C_dev and with C itself in it; none in the literal reading, where C_dev is no estimate.
+    together (`paired_ratio`), for the realised reading: WMR then has it, cut at 1, and HIL its mirror image.
+
+    Without it the intervals of the two entropies are carried over by interval arithmetic: min(C / H, 1) rises with C
+    and falls with H, so that its bounds are those of opposite corners, at the level 1 - a - b of Bonferroni. It is
+    wider than need be, since the two estimates come from one medium and err together. That of C is always made so.
 
     InvalidArgument if a unit is not "bit/frame", a number is negative or not finite, the weightings differ, the
     reading is unknown or has no use for `ratio`, or a rendered entropy that cannot be overestimated is above C_dev
@@ -165,21 +167,21 @@ def _of(
         mine, theirs = getattr(reference, name), getattr(rendered, name)
         return str(mine) if mine == theirs else f"W: {mine}; M(W): {theirs}"
 
-    i = rendered.interval if reading == "realised" else None
-    spread = i and replace(i, low=max(0.0, min(i.low, bits)), high=max(min(i.high, device_bits), bits))
-    quantiser, estimator = of_both("quantiser"), of_both("estimator")
-    c = Quantity(
-        "C", bits, _UNIT, quantiser, rendered.weighting, estimator, rendered.samples, rendered.symbols, spread, notes
-    )
-    base = c.of(unit="1", interval=None)
+    base = rendered.of(unit="1", quantiser=of_both("quantiser"), estimator=of_both("estimator"), notes=notes)
+    spread = _spread(reference, rendered if reading == "realised" else None, device_bits)
+    c = base.of(name="C", value=bits, unit=_UNIT, interval=None if spread is None else spread[0])
     if reference.value == 0:
         why = "H(W) = 0: a medium that tells nothing has nothing to lose, and the ratio does not exist"
-        nothing = base.of(value=math.nan, notes=(*notes, why))
+        nothing = base.of(value=math.nan, interval=None, notes=(*notes, why))
         return Capacity(reading, reference, rendered, device_bits, c, nothing.of(name="WMR"), nothing.of(name="HIL"))
     ratio, loss = bits / reference.value, max(reference.value - bits, 0.0) / reference.value
-    cut = paired and replace(paired, low=min(paired.low, ratio), high=min(max(paired.high, ratio), 1.0))
-    wmr = base.of(name="WMR", value=ratio, interval=cut)
-    mirrored = cut and replace(cut, low=1.0 - cut.high, high=1.0 - cut.low)
+    of_ratio = None if spread is None else spread[1]
+    if paired is not None:
+        low, high = min(paired.low, ratio), min(max(paired.high, ratio), 1.0)
+        of_ratio = Interval(low, high, paired.level, paired.method)
+    wmr = base.of(name="WMR", value=ratio, interval=of_ratio)
+    i = of_ratio  # HIL = 1 - WMR
+    mirrored = None if i is None else Interval(1.0 - i.high, 1.0 - i.low, i.level, i.method)
     hil = base.of(name="HIL", value=loss, interval=mirrored)
     return Capacity(reading, reference, rendered, device_bits, c, wmr, hil)
 
@@ -202,3 +204,30 @@ def _guards(reference: Quantity, rendered: Quantity, device_bits: float, reading
     if reference.estimator != rendered.estimator:
         notes.append(f"two estimators: {reference.estimator} for H(W), {rendered.estimator} for H(M(W))")
     return tuple(notes)
+
+
+def _spread(reference: Quantity, rendered: Quantity | None, device_bits: float) -> tuple[Interval, Interval] | None:
+    """Intervals of C and of WMR; `rendered` is None in the literal reading (C_dev is no estimate)."""
+    intervals = [q.interval for q in (reference, rendered) if q is not None and q.interval is not None]
+    if not intervals:
+        return None
+    h_low, h_high = _range(reference)
+    c_low, c_high = (device_bits, device_bits) if rendered is None else _range(rendered)
+    c_low, c_high = min(c_low, device_bits), min(c_high, device_bits)
+    level = max(0.0, 1.0 - sum(1.0 - i.level for i in intervals))
+    told = "" if rendered is None else f" and H(M(W)) in [{c_low:.6g}, {c_high:.6g}]"
+    method = f"interval arithmetic, H(W) in [{h_low:.6g}, {h_high:.6g}]{told}; {intervals[0].method}"
+    low = 1.0 if h_high == 0 else min(c_low / h_high, 1.0)
+    high = 1.0 if h_low <= c_high else c_high / h_low
+    return (
+        Interval(min(c_low, h_low), min(c_high, h_high), level, method),
+        Interval(low, high, level, method),
+    )
+
+
+def _range(entropy: Quantity) -> tuple[float, float]:
+    """The interval of an entropy with the estimate itself in it, and without impossible values."""
+    i = entropy.interval
+    if i is None:
+        return entropy.value, entropy.value
+    return max(0.0, min(i.low, entropy.value)), max(i.high, entropy.value)

@@ -1,6 +1,7 @@
-"""Mesh files: OBJ, STL, PLY and OFF, read with trimesh; GLB and glTF, as `touchfield.sources.gltf_model` reads them.
+"""Mesh files: OBJ, STL, PLY and OFF; GLB and glTF, as `touchfield.sources.gltf_model` reads them.
 
-All geometries are joined, and vertices at one place become one, so that triangles without shared indices close.
+Polygons of any number of corners are cut into triangles, concave ones along their outline. All geometries are joined,
+and vertices at one place become one, so that triangles without shared indices close.
 Animation (skins, morph targets, node tracks) is not evaluated: a glTF that has it is read in its rest pose
 (`touchfield.sources.animated_mesh` evaluates it). Units are metres unless ``unit_m`` says, as glTF has it.
 """
@@ -8,14 +9,14 @@ Animation (skins, morph targets, node tracks) is not evaluated: a glTF that has 
 from __future__ import annotations
 
 import re
-from importlib import import_module
-from io import BytesIO
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.arrays import Float64s, Int32s
+from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import SourceError
 from touchfield.sources.gltf_model import Model
 from touchfield.sources.mesh_scene import MeshScene
@@ -25,13 +26,14 @@ from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import size_note
 
 _GLTF: Final = (".glb", ".gltf")
-_SUFFIXES: Final = (".obj", ".stl", ".ply", ".off", *_GLTF)
-_RELATIVE: Final = re.compile(rb"^[ \t]*f[ \t].*-", re.MULTILINE)
 _SOLID: Final = re.compile(rb"^\s*(end)?solid", re.MULTILINE)
-_FACES: Final = {  # where a head says how many there are
-    "ply": re.compile(rb"^element\s+face\s+(\d{1,18})\s", re.MULTILINE),
-    "off": re.compile(rb"OFF(?:\s|#[^\n]*\n)*\d+\s+(\d{1,18})\s"),
-}
+_CORNER: Final = re.compile(rb"^\s*vertex\s+(\S+\s+\S+\s+\S+)", re.MULTILINE)
+_STL: Final = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
+_TYPES: Final = "bBhHiIfd"  # as NumPy calls them, and PLY by old names and by NumPy's longer ones
+_PLY: Final = dict(zip(["char", "uchar", "short", "ushort", "int", "uint", "float", "double"], _TYPES))
+_PLY.update((np.dtype(one).name, one) for one in _TYPES)
+_Properties = list[tuple[str, list[np.dtype[Any]]]]  # of each its name and types, of a list first that of its length
+_Polygons = tuple[Float64s, Int64s, Int64s]  # vertices [n, 3]; how many corners each polygon has; those of all
 
 
 def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
@@ -47,57 +49,127 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
             vertices = model.at_rest()
         notes = ("The file is animated (skin, morph targets or tracks); it is read in its rest pose.",)
         return *welded(vertices, model.triangles), (*model.notes, *notes[: model.is_animated])
-    trimesh: Any = import_module("trimesh")
     try:
-        with np.errstate(all="ignore"), path.open("rb") as stream:  # an empty resolver: no other file is read
-            kind, data = path.suffix[1:].lower(), stream.read()
-            plain = {"obj": _absolute, "stl": _whole}.get(kind, bytes)(data)
-            loaded = trimesh.load_scene(BytesIO(plain), kind, resolver={}, process=False, skip_materials=True)
-            meshes = [one for one in loaded.geometry.values() if isinstance(one, trimesh.Trimesh) and len(one.faces)]
-            arrays = [one.vertices for one in meshes], [one.faces for one in meshes]
-            corners, faces = trimesh.util.append_faces(*arrays) if meshes else arrays
-            told = _FACES[kind].search(data[:4096]) if kind in _FACES else None
-            if told and len(faces) < int(told[1]):  # trimesh leaves out what of a text is cut off
-                raise ValueError(f"{len(faces)} triangles where it tells of {int(told[1])} faces")
-    except Exception as error:  # trimesh raises what its loaders and numpy happen to raise on damaged files
+        with np.errstate(all="ignore"):
+            vertices, counts, flat = _READERS[path.suffix.lower()](path.read_bytes())
+        if len(flat) and not 0 <= flat.min() <= flat.max() < len(vertices):
+            raise ValueError(f"a face of vertices that are not there; there are {len(vertices)}")
+    except (ArithmeticError, LookupError, ValueError) as error:
         found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
-        raise SourceError(str(path), found, "a whole mesh file", "Export it again, as triangles.") from error
-    if not meshes:
+        raise SourceError(str(path), found, "a whole mesh file", "Export it again.") from error
+    sizes = np.maximum(counts - 2, 0)  # triangles of each polygon, a fan from its first corner
+    if not sizes.any():
         raise SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")
-    return *welded(np.asarray(corners, np.float64), np.asarray(faces, np.int64)), ()
+    first = np.repeat(np.cumsum(counts) - counts, sizes)
+    after = first + np.arange(1, len(first) + 1) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    with np.errstate(all="ignore"):
+        return *welded(vertices, flat[np.stack([first, after, after + 1], axis=1)], sizes[sizes > 0]), ()
 
 
-def _whole(data: bytes) -> bytes:
+def _numbers(texts: Iterable[bytes], kind: type) -> NDArray[Any]:
+    return np.fromstring(b" ".join(texts).decode("ascii"), kind, sep=" ")
+
+
+def _obj(data: bytes) -> _Polygons:
+    """An OBJ: its lines of vertices and faces, in which -1 is the vertex before the line."""
+    text = re.sub(rb"#.*|/\S*", b"", data.replace(b"\r\n", b"\n").replace(b"\\\n", b" "))
+    lines = re.findall(rb"^[ \t]*(?:v[ \t]+(\S*[ \t]*\S*[ \t]*\S*)|f[ \t]+(.*))", text, re.MULTILINE)
+    is_face = np.array([bool(face) for _, face in lines], bool)
+    points = [point for point, face in lines if not face]
+    vertices = _numbers(points, np.float64).reshape(len(points), 3)
+    counts = np.array([len(face.split()) for _, face in lines if face], np.int64)
+    flat, before = _numbers((face for _, face in lines), np.int64), np.repeat(np.cumsum(~is_face)[is_face], counts)
+    return vertices, counts, flat + np.where(flat < 0, before, -1)
+
+
+def _off(data: bytes) -> _Polygons:
+    """An OFF of text: lines with a vertex each, then with how many corners, which, and perhaps a colour."""
+    text = re.sub(rb"#.*", b"", data).partition(b"OFF")[2]
+    rows = [words for words in map(bytes.split, text.splitlines()) if words]
+    n, told = map(int, rows[0][:2])
+    points, faces = rows[1 : n + 1], rows[n + 1 : n + told + 1]
+    counts = np.array([int(face[0]) for face in faces], np.int64)
+    flat = _numbers((b" ".join(face[1 : count + 1]) for face, count in zip(faces, counts.tolist())), np.int64)
+    if len(faces) < told or len(flat) < counts.sum():
+        raise ValueError(f"{len(faces)} faces with {len(flat)} corners where it tells of {told} faces")
+    return _numbers((b" ".join(point[:3]) for point in points), np.float64).reshape(n, 3), counts, flat
+
+
+def _ply(data: bytes) -> _Polygons:
+    """A PLY: of its elements those of vertices and faces; numbers of a text are read as bytes of float64."""
+    head, body = re.split(rb"\nend_header[ \t]*\r?\n", data, maxsplit=1)
+    _, form, *lines = [line.split() for line in head.decode("latin-1").splitlines()]
+    is_text, order = "ascii" in form, ">" if "binary_big_endian" in form else "<"
+    if is_text:
+        body = np.fromstring(body.decode("ascii"), sep=" ").astype("<f8").tobytes()
+    elements: list[tuple[str, int, _Properties]] = []
+    for first, *words in filter(None, lines):
+        if first == "element":
+            elements.append((words[0], int(words[1]), []))
+        elif first == "property":
+            types = [np.dtype(order + ("d" if is_text else _PLY[word])) for word in words[:-1] if word != "list"]
+            elements[-1][2].append((words[-1], types))
+    at, vertices, corners, counts, corner = 0, np.zeros((0, 3)), list[bytes](), list[int](), np.dtype("i4")
+    for name, count, properties in elements:
+        rows = _equal_rows(body, at, count, properties)
+        if rows is not None:
+            at += rows.nbytes
+            if name == "vertex":
+                vertices = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float64)
+            what, (*counted, kind) = properties[0]
+            if counted and name == "face" and what.startswith("vert"):
+                corners, counts, corner = [rows[what].tobytes()], [rows[what].shape[1]] * count, kind
+            continue
+        for row in range(count):
+            for what, (*counted, kind) in properties:
+                n = 1
+                if counted:
+                    n = int(np.frombuffer(body, counted[0], 1, at)[0]) if at < len(body) else -1
+                    at += counted[0].itemsize
+                    if name == "face" and what.startswith("vert"):
+                        corners.append(body[at : at + n * kind.itemsize])
+                        counts.append(n)
+                        corner = kind
+                at += n * kind.itemsize
+                if n < 0 or at > len(body):
+                    raise ValueError(f"it ends {count - row} rows before the end that it tells of")
+    return vertices, np.array(counts, np.int64), np.frombuffer(b"".join(corners), corner).astype(np.int64)
+
+
+def _equal_rows(body: bytes, at: int, count: int, properties: _Properties) -> NDArray[Any] | None:
+    """The rows of an element if they are of one length, as faces are in a mesh of triangles; else None."""
+    (name, (*counted, kind)), *others = properties
+    if any(len(types) > 1 for _, types in others) or (counted and at + counted[0].itemsize > len(body)):
+        return None
+    n = int(np.frombuffer(body, counted[0], 1, at)[0]) if counted else 0
+    first = [("#", counted[0]), (name, kind, (n,))] if counted else [(name, kind)]
+    row = np.dtype([*first, *((what, types[0]) for what, types in others)])
+    if counted and (n < 0 or at + count * row.itemsize > len(body)):
+        return None
+    rows = np.frombuffer(body, row, count, at)
+    return rows if not counted or (rows["#"] == n).all() else None
+
+
+def _stl(data: bytes) -> _Polygons:
     """An STL, a binary one without what stands behind its triangles; ValueError where some of them are not there."""
     count = data[80:84]
-    if b"\0" not in count:  # in a text there is no such byte
-        words = _SOLID.findall(data.lower())
+    if b"\0" in count:  # in a text there is no such byte
+        size = 84 + 50 * int.from_bytes(count, "little")
+        if len(data) < size:
+            raise ValueError(f"{len(data)} bytes where its triangles take {size}")
+        vertices = np.frombuffer(data[84:size], _STL)["corners"].reshape(-1, 3).astype(np.float64)
+    else:
+        text = data.lower()
+        words = _SOLID.findall(text)
         solids, ends = words.count(b""), words.count(b"end")
-        if ends < solids:  # trimesh leaves out the one that is cut off
+        if ends < solids:
             raise ValueError(f"{solids} solids, of which {ends} end with endsolid")
-        return data
-    size = 84 + 50 * int.from_bytes(count, "little")
-    if len(data) < size:
-        raise ValueError(f"{len(data)} bytes where its triangles take {size}")
-    return data[:size]
+        vertices = _numbers(_CORNER.findall(text), np.float64).reshape(-1, 3)
+    return vertices, np.full(len(vertices) // 3, 3), np.arange(len(vertices))
 
 
-def _absolute(data: bytes) -> bytes:
-    """An OBJ whose faces name vertices by their number, also where -1 was the vertex before."""
-    if _RELATIVE.search(data) is None:
-        return data
-    count, lines = 0, []
-    for line in data.replace(b"\r\n", b"\n").replace(b"\\\n", b" ").split(b"\n"):
-        words = line.split()
-        count += words[:1] == [b"v"]
-        if words[:1] == [b"f"]:
-            numbers = [int(word.partition(b"/")[0]) for word in words[1:]]
-            numbers = [n + (count + 1) * (n < 0) for n in numbers]
-            if min(numbers, default=1) < 1:
-                raise ValueError(f"a face of vertices that are not there: {line[:40]!r}")
-            line = b"f " + b" ".join(b"%d" % n for n in numbers)
-        lines.append(line)
-    return b"\n".join(lines)
+_READERS: Final[dict[str, Callable[[bytes], _Polygons]]] = {".obj": _obj, ".stl": _stl, ".ply": _ply, ".off": _off}
+_SUFFIXES: Final = (*_READERS, *_GLTF)
 
 
 def _open(path: Path, options: SourceOptions) -> MeshScene:

@@ -227,39 +227,37 @@ def places(points: NDArray[Any], tolerance: float = 0.0) -> tuple[Int64s, Int64s
 
 
 # -- which vertices are one: those at one place, and in a mesh that moves only if they stay together ---------
-def welded(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[Float64s, Int32s]:
-    """The mesh with equal vertices made one; nearly equal ones too, if that closes it; and `unfolded`."""
+def welded(vertices: NDArray[Any], triangles: NDArray[Any], sizes: Int64s | None = None) -> tuple[Float64s, Int32s]:
+    """The mesh with equal vertices made one; nearly equal ones too, if that closes it.
+
+    `sizes` int64 [p]: how many triangles in a row are a polygon each, cut as a fan; these are `unfolded`.
+    """
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         return vertices, triangles.astype(np.int32)  # the scene will say so
     points, faces = joined(vertices, triangles)
-    faces = unfolded(points, faces)
+    if sizes is not None:
+        faces = unfolded(points, faces, sizes)
     if not np.isfinite(points).all():
         return points, faces  # the scene will say so
     kept, faces = welded_in_motion(points[None], faces)
     return points[kept], faces
 
 
-def unfolded(points: Float64s, triangles: Int32s) -> Int32s:
-    """The triangles with concave polygons cut anew.
+def unfolded(points: Float64s, fans: Int32s, sizes: Int64s) -> Int32s:
+    """Polygons cut as fans from their first corner, with those that are concave cut anew.
 
-    Readers cut a polygon into a fan from its first corner, or a quad into two triangles. Where it is concave, some of
-    them lie upside down, partly outside; `_patch` cuts it along its outline.
+    Of a concave one some triangles of the fan lie upside down, partly outside; `_patch` cuts it along its outline.
     """
-    fans, faces = triangles.copy(), triangles.copy()
-    is_quad = (fans[1:, 0] == fans[:-1, 2]) & (fans[1:, 2] == fans[:-1, 0])
-    fans[1:][is_quad] = np.roll(triangles[1:][is_quad], 1, axis=1)
-    goes_on = (fans[1:, 0] == fans[:-1, 0]) & (fans[1:, 1] == fans[:-1, 2])
-    first = np.flatnonzero(np.append(True, ~goes_on))
-    count = np.diff(np.append(first, len(fans)))
+    faces, first = fans.copy(), np.cumsum(sizes) - sizes
     corners = points[fans]
     with np.errstate(all="ignore"):  # what is not finite, the scene will say
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        whole = np.repeat(np.add.reduceat(normals, first), count, axis=0)
+        whole = np.repeat(np.add.reduceat(normals, first), sizes, axis=0)
         along, size = np.einsum("ij,ij->i", normals, whole), _lengths(normals) * _lengths(whole)
         is_turned, is_flat = along < -_FLAT * size, np.abs(along) >= _FLAT * size
     is_folded = np.logical_or.reduceat(is_turned, first) & np.logical_and.reduceat(is_flat, first)
     most = _LONGEST if np.count_nonzero(is_folded) <= _MANY else _LONGEST_OF_MANY
-    for begin, end in zip(first[is_folded], (first + count)[is_folded]):
+    for begin, end in zip(first[is_folded], (first + sizes)[is_folded]):
         loop = np.append(fans[begin, :2], fans[begin:end, 2]).astype(np.int64)
         faces[begin:end] = _patch(loop, points, most)
     return faces

@@ -2,7 +2,7 @@
 
 A new kind is one new module that ends in ``KIND = SourceKind(...)`` and one line in `MODULES`, or a row of the table
 of depth layouts (``touchfield.sources.depth_layouts``) and a line that names module and row. The modules must be
-cheap to import: what is heavy (numba, trimesh, Pillow) is imported when it is used.
+cheap to import: what is heavy (numba, Pillow) is imported when it is used.
 """
 
 from __future__ import annotations

@@ -60,7 +60,9 @@ def _open(path: Path, options: SourceOptions) -> Scene:
         return StoredScene(read_npz(path), lambda: read_npz(path, to_the_bit=True))
     if path.suffix.lower() == ".zarr":
         return StoredScene(read_zarr(path))
-    raise SourceError(str(path), f"a file named {path.suffix or 'without suffix'}", ".npz or .zarr")
+    found = "a folder" if path.is_dir() else f"a file named {path.suffix or 'without suffix'}"
+    mend = "Make it a medium: touchfield encode."
+    raise SourceError(str(path), found, "a .touch file or a stored field, .npz or .zarr", mend)
 
 
 KIND = SourceKind("field", "a stored force field: .npz or .zarr with forces_n", _recognise, _open)

@@ -82,7 +82,7 @@ class OpenStream(ABC):
 
     @property
     def _beside(self) -> dict[str, Any]:
-        """What travels beside the frames, as a medium and a scene have it."""
+        """Companions of the frames, as a medium and a scene have it."""
         names = ("rate_hz", "axes", "friction", "damping_n_s_per_m", "tags")
         return {**{name: getattr(self.reader.head, name) for name in names}, "provenance": self.reader.provenance}
 

@@ -124,7 +124,7 @@ def test_a_damaged_frame_is_refused_or_is_another(data: st.DataObject) -> None:
 
 def test_what_no_frame_begins_with() -> None:
     known = coded(hills(17, 5), SPECS[0], None)[1]
-    with pytest.raises(TruncatedFile, match="no bytes"):
+    with pytest.raises(TruncatedFile, match="course"):
         decode_frame(b"", known)
     for head in (3, 7, 31, 1 << 5, 255):
         with pytest.raises(CorruptFile, match="course"):

@@ -36,8 +36,6 @@ def test_there_and_back(axis: int, down: tuple[bool, bool, bool]) -> None:
     cells = np.zeros((len(bricks), 512, 8), np.int32)
     cells[..., :3], cells[..., 3] = turned, turned.any(-1)
     assert np.array_equal(course.turned_back(cells, order), vectors)
-    cells[..., 3] = 0  # a cell of length 0 holds no force, whatever else it holds
-    assert not course.turned_back(cells, order).any()
 
 
 @given(st.sampled_from(COURSES), st.integers(0, 99))

@@ -37,7 +37,7 @@ from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, field_that_holds
 from touchfield.medium.kernels import raster_slots
 
 RUN_SYMBOLS: Final = 21  # runs of up to 2^21 - 1 held samples in one symbol
@@ -133,12 +133,6 @@ class FrameSymbols:
     directions: NDArray[np.uint16]
 
 
-def field_of(grid: Grid, bricks: Int32s, forces_n: Float32s) -> ForceField:
-    """Forces [n, 8, 8, 8, 3] as a field; bricks whose forces are all zero are left out."""
-    held = forces_n.any(axis=(1, 2, 3, 4))
-    return ForceField(grid, bricks[held], forces_n[held])
-
-
 def rebuilt(
     grid: Grid, symbols: FrameSymbols, levels_n: Float32s, codebook: Codebook, previous: ForceField | None
 ) -> ForceField:
@@ -152,10 +146,10 @@ def rebuilt(
         before = previous.forces_at(brick_keys(grid, symbols.bricks)).reshape(-1, 3)
         flat[slots] = before[slots]
         flat[slots[symbols.sent]] += values
-        return field_of(grid, symbols.bricks, forces)
+        return field_that_holds(grid, symbols.bricks, forces)
     latest = np.cumsum(symbols.sent)  # the last sent value is held; zero before the first
     flat[slots] = np.concatenate([np.zeros((1, 3), np.float32), values])[latest]
-    alone = field_of(grid, symbols.bricks, forces)
+    alone = field_that_holds(grid, symbols.bricks, forces)
     if symbols.kind == FrameKind.INTRA:
         return alone
     assert previous is not None

@@ -24,13 +24,14 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.paper.body import MOST_NEWTONS, BitStream, BodyReader, FrameParts, SegmentReader, field_of
+from touchfield.codec.paper.body import MOST_NEWTONS, BitStream, BodyReader, FrameParts, SegmentReader
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.segment import FrameCost, FrameKind
 from touchfield.codec.support import decode_numbers, decode_support
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
+from touchfield.medium.field import field_that_holds
 from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels import raster_slots
 
@@ -72,7 +73,7 @@ class StageReader(SegmentReader):
         if vectors.size and np.abs(vectors).max() > MOST_NEWTONS:
             raise CorruptFile("SEGM.body", "a force that is too large", f"at most {MOST_NEWTONS:g} N")
         forces.reshape(-1, 3)[slots] = vectors.astype(np.float32)
-        return field_of(self._grid, bricks, forces)
+        return field_that_holds(self._grid, bricks, forces)
 
     def quantise(self, field: ForceField) -> Int64s:
         """Each supported force as one number: the triple of its components in whole steps."""

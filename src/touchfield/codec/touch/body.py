@@ -18,11 +18,10 @@ from touchfield.arrays import Float32s, Int64s
 from touchfield.codec.segment import BitAccount, FrameCost, FrameKind, Worst
 from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.spec import EFFORTS, MODES, SUPPORTS, TouchSpec
-from touchfield.codec.varint import Parts, chunk, read_varint, write_varint
-from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile, UnsupportedVersion
+from touchfield.codec.varint import Parts, chunk, write_varint
+from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.medium import ForceField, Grid
-from touchfield.medium.budget import zero_forces
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, bricks_of, field_that_holds
 
 _WHERE: Final = "SEGM.body"
 _APART: Final = "SEGM.body exceptions"
@@ -131,12 +130,9 @@ class BodyReader:
             raise CorruptFile(f"{_WHERE} frame", "a first frame that needs the one before", "one that stands alone")
         if support + amplitude > 255:
             raise CorruptFile(f"{_WHERE} frame shares", f"{support} and {amplitude}", "255 together at most")
-        guess = self._parts.chunk("guess") if how & _GUESS else b""
+        guess = self._parts.chunk("guess", 1) if how & _GUESS else b""
         payload = self._parts.chunk("payload")
-        exceptions = self._parts.chunk("exceptions") if how & _EXCEPTIONS else b""
-        for what, bit, part in (("guess", _GUESS, guess), ("exceptions", _EXCEPTIONS, exceptions)):
-            if how & bit and not part:
-                raise CorruptFile(f"{_WHERE} {what}", "an empty chunk", "a byte at least, or none named")
+        exceptions = self._parts.chunk("exceptions", 1) if how & _EXCEPTIONS else b""
         return FrameRecord(bool(how & _INTER), guess, payload, (support, amplitude), exceptions)
 
     def _worst(self, grid: Grid) -> Worst:
@@ -189,11 +185,9 @@ class Exceptions(NamedTuple):
 
     @classmethod
     def of(cls, original: ForceField, keys: Int64s, places: Int64s) -> Exceptions:
-        """The forces of a field at some voxels, in any order and perhaps named twice."""
-        pairs = np.unique(np.stack([keys, places], axis=1), axis=0)
-        bricks, slot = np.unique(pairs[:, 0], return_inverse=True)
-        forces = original.forces_at(bricks).reshape(-1, _SAMPLES, 3)[slot.reshape(-1), pairs[:, 1]]
-        return cls(pairs[:, 0], pairs[:, 1], forces)
+        """The forces of a field at some voxels."""
+        bricks, slot = np.unique(keys, return_inverse=True)
+        return cls(keys, places, original.forces_at(bricks).reshape(-1, _SAMPLES, 3)[slot, places])
 
     def to_bytes(self) -> bytes:
         """The chunk (docs/format/touch.md, "Exceptions")."""
@@ -211,23 +205,16 @@ class Exceptions(NamedTuple):
         keys: list[int] = []
         places: list[int] = []
         forces: list[bytes] = []
-        at, key, place = 0, 0, -1
-        limit = math.prod(grid.brick_shape)
-        while at < len(data):
-            gap, at = read_varint(data, at, f"{_APART}, brick", limit - key)
-            coded, at = read_varint(data, at, f"{_APART}, sample", 2 * _SAMPLES)
+        parts, key, place = Parts(data, _APART), 0, -1
+        while not parts.is_ended:
+            gap = parts.varint("brick", math.prod(grid.brick_shape) - key)
+            coded = parts.varint("sample", 2 * _SAMPLES)
             if keys and gap == 0 and coded >> 1 <= place:
                 raise CorruptFile(_APART, f"sample {coded >> 1} after sample {place}", "ascending samples")
             key, place = key + gap, coded >> 1
-            vector = bytes(_VECTOR)
-            if not coded & 1:
-                vector = data[at : at + _VECTOR]
-                if len(vector) < _VECTOR:
-                    raise TruncatedFile(_APART, f"{len(vector)} bytes", f"{_VECTOR} bytes of a force")
-                at += _VECTOR
             keys.append(key)
             places.append(place)
-            forces.append(vector)
+            forces.append(bytes(_VECTOR) if coded & 1 else parts.take(_VECTOR, "force"))
         vectors = np.frombuffer(b"".join(forces), "<f4").astype(np.float32).reshape(-1, 3)
         if not np.isfinite(vectors).all():
             raise CorruptFile(_APART, "a force that is not finite", "finite newtons")
@@ -240,10 +227,6 @@ class Exceptions(NamedTuple):
     def applied(self, field: ForceField) -> ForceField:
         """A field with these forces in place of its own; bricks without any force are left out."""
         keys = np.union1d(brick_keys(field.grid, field.bricks), self.keys)
-        bricks = np.stack(np.unravel_index(keys, field.grid.brick_shape), axis=-1).astype(np.int32)
-        own = np.searchsorted(keys, brick_keys(field.grid, field.bricks))
-        forces = zero_forces(len(keys))
-        forces[own] = field.forces_n
+        forces = field.forces_at(keys)
         forces.reshape(-1, _SAMPLES, 3)[np.searchsorted(keys, self.keys), self.places] = self.forces_n
-        some = forces.any(axis=(1, 2, 3, 4))
-        return ForceField(field.grid, bricks[some], forces[some])
+        return field_that_holds(field.grid, bricks_of(field.grid, keys), forces)

@@ -1,8 +1,9 @@
 """Encoder of the coder `touch`: frames to the body of a segment, which is written only when it keeps its promise.
 
-Each frame is coded in closed loop by the ways that its effort tries (`frame_encoder`); then the finished body is
-decoded as any receiver would, every voxel of every frame is compared with the original, and what is beyond the
-promise is sent apart. In the exact mode levels and a codebook are searched for of which all forces are products.
+Each frame is coded in closed loop by the ways that its effort tries (`frame_encoder`); every voxel of what a decoder
+makes of it is compared with the original, and what is beyond the promise is sent apart. Then the finished body is
+decoded as any receiver would, and compared once more. In the exact mode levels and a codebook are searched for of
+which all forces are products.
 """
 
 from __future__ import annotations
@@ -30,9 +31,7 @@ from touchfield.codec.touch.promise import Compared, compared, hidden_of
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import FormatError, InvalidArgument
 from touchfield.medium import ForceField, Grid
-from touchfield.medium.grid import BRICK
 
-_ROUNDS = 4
 _STANDING = 0.02  # share of the mask by which a standing world may differ from its anchor
 
 
@@ -114,42 +113,26 @@ class TouchEncoder:
         return longest_n
 
     def _verified(
-        self, frames: Sequence[ForceField], lattice: Lattice | None, records: list[FrameRecord]
+        self, frames: Sequence[ForceField], lattice: Lattice | None, records: Sequence[FrameRecord]
     ) -> CodedSegment:
         """The body whose decoded frames keep the promise, and the worst voxel."""
         decoder = TouchDecoder(self._grid, self.parameters)
-        for _ in range(_ROUNDS):
-            body = write_body(lattice, records, None)
-            try:
-                pairs = zip(frames, decoder.frames(body, len(frames)), strict=True)
-                results = [compared(*pair, self._spec, hidden_n=hidden_of(pair[0], self._spec)) for pair in pairs]
-            except FormatError as error:
-                raise AssertionError("a body that its own decoder refuses") from error
-            if not any(len(one.keys) for one in results):
-                return self._sealed(lattice, records, results)
-            for i, one in enumerate(results):
-                if len(one.keys):
-                    keys, places, _ = Exceptions.from_bytes(records[i].exceptions, self._grid)
-                    keys, places = np.append(keys, one.keys), np.append(places, one.places)
-                    records[i] = replace(records[i], exceptions=Exceptions.of(frames[i], keys, places).to_bytes())
-        raise AssertionError("a voxel that was sent as it is does not keep the promise")
+        try:
+            pairs = zip(frames, decoder.frames(write_body(lattice, records, None), len(frames)), strict=True)
+            results = [compared(*pair, self._spec, hidden_n=hidden_of(pair[0], self._spec)) for pair in pairs]
+        except FormatError as error:
+            raise AssertionError("a body that its own decoder refuses") from error
+        if any(len(one.keys) for one in results):
+            raise AssertionError("a body that does not keep the promise when it is decoded")
+        return self._sealed(lattice, records, results)
 
     def _sealed(
-        self, lattice: Lattice | None, records: list[FrameRecord], results: Sequence[Compared]
+        self, lattice: Lattice | None, records: Sequence[FrameRecord], results: Sequence[Compared]
     ) -> CodedSegment:
-        worst = None if self._spec.mode == "nmse" else self._worst(results)
-        stats = (FrameStats(r.kind, f.decoded, f.decoded, r.cost.bits) for r, f in zip(records, results, strict=True))
-        return CodedSegment(write_body(lattice, records, worst), tuple(stats))
-
-    def _worst(self, results: Sequence[Compared]) -> Worst:
         frame = max(range(len(results)), key=lambda i: results[i].worst)
-        one = results[frame]
-        if one.worst_key < 0:
-            return Worst(0.0, 0, (0, 0, 0))
-        brick = np.unravel_index(one.worst_key, self._grid.brick_shape)
-        local = np.unravel_index(one.worst_place, (BRICK,) * 3)
-        x, y, z = (BRICK * int(b) + int(n) for b, n in zip(brick, local, strict=True))
-        return Worst(min(one.worst, 1.0), frame, (x, y, z))
+        worst = Worst(min(results[frame].worst, 1.0), frame, results[frame].voxel)
+        stats = (FrameStats(r.kind, f.decoded, f.decoded, r.cost.bits) for r, f in zip(records, results, strict=True))
+        return CodedSegment(write_body(lattice, records, None if self._spec.mode == "nmse" else worst), tuple(stats))
 
 
 _Shares = tuple[float, float, float]

@@ -27,7 +27,7 @@ from touchfield.codec.touch.kernels import workspace as kernels
 from touchfield.codec.touch.kernels.decode_pass import CONTEXTS, SETS, decode_bricks
 from touchfield.codec.touch.kernels.workspace import CLASSES, FEATURES, Law, Scan, fresh_work
 from touchfield.codec.touch.lattice import FixedField, Lattice, warp_of
-from touchfield.codec.varint import read_varint
+from touchfield.codec.varint import Parts
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium import ForceField
 from touchfield.medium.field import slots_around
@@ -72,17 +72,16 @@ class Course:
 
     def turned(self, vectors: NDArray[Any], slots: Int64s, scale: float = 1.0) -> NDArray[Any]:
         """Vectors [n, 8, 8, 8, 3] of the grid as [n, 512, 3] of the scan: int32 stay whole, floats become float64."""
-        whole = vectors.dtype == np.int32
-        out = np.empty((len(slots), _SAMPLES, 3), np.int32 if whole else np.float64)
-        factor = np.int32(1) if whole else np.float64(scale)
-        kernels.turned(vectors.reshape(-1, _SAMPLES, 3), slots, self.axes, np.array(self.down), factor, out)
+        kind, axes = np.int32 if vectors.dtype == np.int32 else np.float64, np.argsort(self.axes)
+        out, flat = np.empty((len(slots), _SAMPLES, 3), kind), vectors.reshape(-1, _SAMPLES, 3)
+        kernels.turned(flat, np.argsort(slots), axes, np.array(self.down)[axes], kind(scale), out)
         return out
 
     def turned_back(self, cells: Int32s, slots: Int64s) -> Int32s:
         """Vectors int32 [n, 8, 8, 8, 3] of the grid, of the cells [n, 512, 8] of a scan."""
-        out = np.empty((len(slots), BRICK, BRICK, BRICK, 3), np.int32)
-        kernels.turned_back(cells, slots, self.axes, np.array(self.down), out.reshape(-1, _SAMPLES, 3))
-        return out
+        out = np.empty((len(slots), _SAMPLES, 3), np.int32)
+        kernels.turned(cells, slots, self.axes, np.array(self.down), np.int32(1), out)
+        return out.reshape(-1, BRICK, BRICK, BRICK, 3)
 
     def scan(self, bricks: Int64s, reference: FixedField | None) -> Scan:
         """Walk of a pass: bricks in scan order, as `order` gives them, beside a reference."""
@@ -94,12 +93,13 @@ class Course:
         low = np.where(down & (bricks == 0), rest, 0)
         high = np.where(~down & (bricks == count - 1), BRICK - rest, BRICK)
         if reference is None:
-            vectors, around = np.zeros((1, _SAMPLES, 3), np.int32), np.zeros((0, 27), np.int64)
+            known, around = np.zeros((1, _SAMPLES, 4), np.int32), np.zeros((0, 27), np.int64)
         else:
             theirs, slots = self.order(reference.bricks)
-            vectors, around = self.turned(reference.vectors, slots), slots_around(bricks, theirs, count, 27)
+            known, around = np.empty((len(theirs), _SAMPLES, 4), np.int32), slots_around(bricks, theirs, count)
+            kernels.fill_cells(self.turned(reference.vectors, slots), known)
         cells = np.zeros((len(bricks), _SAMPLES, 8), np.int32)
-        return Scan(slots_around(bricks, bricks, count, 13), around, low, high, vectors, cells)
+        return Scan(slots_around(bricks, bricks, count, 13), around, low, high, known, cells)
 
 
 class Memory(NamedTuple):
@@ -136,21 +136,18 @@ def law_of(lattice: Lattice, slope: Int64s) -> Law:
 
 def decode_frame(payload: bytes, known: Known) -> FixedField:
     """Decode a frame. CorruptFile or TruncatedFile if the bytes are not what `frame_encoder.encode_frame` writes."""
-    if not payload:
-        raise TruncatedFile(_WHERE, "no bytes", "the course of the scan")
-    if payload[0] & 3 == 3 or payload[0] > 31:
-        raise CorruptFile(_WHERE, f"a course of {payload[0]}", "an axis of 0 to 2, and three bits")
-    slope, at = np.zeros(3, np.int64), 1
-    for n in range(3):
-        slope[n], at = read_varint(payload, at, f"{_WHERE}, slope", SLOPE_LIMIT)
-    bits = reader(payload[at:], known.memory.models)
+    parts = Parts(payload, _WHERE)
+    (code,) = parts.take(1, "course of the scan")
+    if code & 3 == 3 or code > 31:
+        raise CorruptFile(_WHERE, f"a course of {code}", "an axis of 0 to 2, and three bits")
+    slope = np.array([parts.varint("slope", SLOPE_LIMIT) for _ in range(3)])
+    bits = reader(parts.rest(), known.memory.models)
     before = None if known.reference is None else known.reference.bricks
     bricks = code_bricks(bits, CONTEXTS, SETS, known.grid.brick_shape, None, before)
-    course = Course.of_code(known.grid, payload[0])
+    course = Course.of_code(known.grid, code)
     places, order = course.order(bricks)
     scan = course.scan(places, known.reference)
-    if not decode_bricks(bits, scan, law_of(known.lattice, slope), fresh_work(known.memory.weights)):
-        raise TruncatedFile(_WHERE, f"the end of the code after {len(payload)} bytes", f"{len(bricks)} bricks")
+    decode_bricks(bits, scan, law_of(known.lattice, slope), fresh_work(known.memory.weights))
     check_end(bits, len(bricks), _WHERE)
     return FixedField(bricks, course.turned_back(scan.cells, order))
 

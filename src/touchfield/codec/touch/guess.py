@@ -23,12 +23,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Int32s, Int64s
-from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, PLACE, fresh, reader
-from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE, code_bricks
+from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, fresh, reader
+from touchfield.codec.support import BRICKS_FREE, BRICKS_PER_BYTE, check_read, code_bricks
 from touchfield.codec.touch.kernels import guess as kernels
 from touchfield.codec.touch.kernels.guess import NODE_CONTEXTS, code_nodes
 from touchfield.codec.touch.lattice import TOP, FixedField
-from touchfield.codec.varint import read_varint, write_varint
+from touchfield.codec.varint import Parts, write_varint
 from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK, Grid
@@ -53,20 +53,14 @@ class Head(NamedTuple):
 
     def to_bytes(self) -> bytes:
         """Seven varints."""
-        return b"".join(write_varint(n) for n in (*self.shifts, self.step, *self.scales))
+        return b"".join(map(write_varint, (*self.shifts, self.step, *self.scales)))
 
     @classmethod
-    def read(cls, data: bytes) -> tuple[Head, int]:
-        """The head at the begin of `data`, and the offset behind it."""
-        values, at = [], 0
-        for n in range(7):
-            least, limit = (2, 6) if n < 3 else (1, 1 << 20)
-            value, at = read_varint(data, at, f"{_WHERE}, head {n}", limit)
-            if value < least:
-                raise CorruptFile(f"{_WHERE}, head {n}", f"{value}", f"{least} or more")
-            values.append(value)
-        x, y, z, step, a, b, c = values
-        return cls((x, y, z), step, (a, b, c)), at
+    def read(cls, parts: Parts) -> Head:
+        """The inverse of `to_bytes`."""
+        x, y, z = (parts.varint("head", 6, 2) for _ in range(3))
+        step, a, b, c = (parts.varint("head", 1 << 20, 1) for _ in range(4))
+        return cls((x, y, z), step, (a, b, c))
 
 
 class Nodes:
@@ -149,16 +143,15 @@ def _mixed(v: Int64s, along: int) -> Int64s:
 
 def spline_of(data: bytes, grid: Grid) -> FixedField:
     """The spline's field from its bytes; see `synthesise`."""
-    head, at = Head.read(data)
-    bits = reader(data[at:], fresh(SPLINE_CONTEXTS, LIST_SETS))
+    parts = Parts(data, _WHERE)
+    head, bits = Head.read(parts), reader(parts.rest(), fresh(SPLINE_CONTEXTS, LIST_SETS))
     bricks = code_bricks(bits, 0, 0, grid.brick_shape, None, None)
     if not len(bricks):
         raise CorruptFile(_WHERE, "no brick", "one at least")
     nodes = Nodes(bricks, head.shifts)
     values = np.zeros((2, len(nodes.before)), np.int64)
     code_nodes(bits, LIST_CONTEXTS, nodes.before, head.step, *values)
-    if bits.state[PLACE] > len(bits.buffer) + 6:  # what is held in the interval, and left away where it is zero
-        raise TruncatedFile(_WHERE, f"the end of the code after {len(bits.buffer)} bytes", "more of it")
+    check_read(bits, _WHERE)
     return forces_of(head, grid, bricks, values[0][nodes.around])
 
 
@@ -257,24 +250,23 @@ def columns_of_bytes(data: bytes, grid: Grid) -> FixedField:
 
     TruncatedFile or CorruptFile if they are not what the encoder writes.
     """
-    axis, at = read_varint(data, 0, f"{_COLUMNS}, axis", 6)
+    parts = Parts(data, _COLUMNS)
+    axis = parts.varint("axis", 6)
     across = [n for c, n in enumerate(grid.brick_shape) if c != axis >> 1]
-    head = []
-    for n, limit in enumerate((*across, *across, *kernels.HEADS)):
-        value, at = read_varint(data, at, f"{_COLUMNS}, head {n}", limit)
-        head.append(value)
-    a, b, tiles_a, tiles_b = head[0], head[1], head[2] + 1, head[3] + 1
-    view, size = View(grid, axis >> 1, bool(axis & 1), (a, b, tiles_a, tiles_b)), len(data) - at
+    a, b = (parts.varint("first tile", n) for n in across)
+    tiles_a, tiles_b = (1 + parts.varint("number of tiles", n) for n in across)
+    heads = np.array([parts.varint(f"head {n}", limit) for n, limit in enumerate(kernels.HEADS)])
+    view, code = View(grid, axis >> 1, bool(axis & 1), (a, b, tiles_a, tiles_b)), parts.rest()
+    size = len(code)
     if a + tiles_a > across[0] or b + tiles_b > across[1] or view.depth > DEEPEST:
         found = f"tiles {a} to {a + tiles_a}, {b} to {b + tiles_b}"
         raise CorruptFile(_COLUMNS, found, "a box within the grid", _CHANGED)
     if size < least_size(view, 0):
         raise TruncatedFile(_COLUMNS, f"{size} bytes for {tiles_a * tiles_b} tiles", "a byte each", _CHANGED)
-    bits = reader(data[at:], fresh(kernels.COLUMN_CONTEXTS, kernels.COLUMN_SETS))
-    columns = columns_of(view, np.array(head[4:], np.int64))
+    bits = reader(code, fresh(kernels.COLUMN_CONTEXTS, kernels.COLUMN_SETS))
+    columns = columns_of(view, heads)
     rows, count = view.told
     for row in range(rows):
-        kernels.code_row(bits, columns, row, np.zeros((count, kernels.WISHES), np.int64))
-    if bits.state[PLACE] > size + 6:  # what is held in the interval, and left away where it is zero
-        raise TruncatedFile(_COLUMNS, f"the end of the code after {size} bytes", "more of it", _CHANGED)
+        kernels.read_row(bits, columns, row, count)
+    check_read(bits, _COLUMNS)
     return column_forces(view, columns, size)

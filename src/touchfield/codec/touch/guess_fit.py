@@ -16,25 +16,10 @@ import numpy as np
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, end_of, fresh, writer
 from touchfield.codec.support import code_bricks, padded
-from touchfield.codec.touch.guess import (
-    COLUMNS,
-    DEEPEST,
-    SPLINE,
-    SPLINE_CONTEXTS,
-    TILES_FREE,
-    Head,
-    Nodes,
-    View,
-    column_forces,
-    columns_of,
-    forces_of,
-    least_size,
-    weights,
-)
+from touchfield.codec.touch import guess as synthesis
 from touchfield.codec.touch.kernels import guess as kernels
-from touchfield.codec.touch.kernels.columns_fit import Fits, choose_row
+from touchfield.codec.touch.kernels.columns_fit import Fits, write_row
 from touchfield.codec.touch.kernels.encode_pass import Limits
-from touchfield.codec.touch.kernels.guess import REACH, code_nodes
 from touchfield.codec.touch.lattice import TOP, FixedField, Lattice
 from touchfield.codec.touch.promise import agreement
 from touchfield.codec.touch.spec import TouchSpec
@@ -62,7 +47,7 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
     heads = _heads(view, frame, lattice.unit_n, mask)
     if heads is None:
         return None
-    columns = columns_of(view, heads)
+    columns = synthesis.columns_of(view, heads)
     # of nine numbers of some 70 bits each: an adaptive bit costs 14 bits at most, but few of them do
     bits = writer(len(columns.surfaces) * 200 + 64, fresh(kernels.COLUMN_CONTEXTS, kernels.COLUMN_SETS))
     ramp = np.array([heads[kernels.TOP], heads[kernels.RAMP] / 65536])
@@ -74,17 +59,15 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
         places = np.flatnonzero(forces[row % BRICK, :, -1, 3] > 0)
         spans, surfaces = np.zeros((len(places), 2), np.int64), np.zeros((len(places), 3, 4))
         fits = Fits(places, forces[row % BRICK, places], spans, surfaces, mask, ramp, *room)
-        wishes = np.zeros((count, kernels.WISHES), np.int64)
-        choose_row(columns, row, fits, wishes)
-        kernels.code_row(bits, columns, row, wishes)
-    made = column_forces(view, columns)
+        write_row(bits, columns, row, count, fits)
+    made = synthesis.column_forces(view, columns)
     a, b, tiles_a, tiles_b = view.box
     told = (2 * view.axis + view.inverted, a, b, tiles_a - 1, tiles_b - 1, *heads.tolist())
-    code = end_of(bits).ljust(least_size(view, len(made.bricks)), b"\0")
+    code = end_of(bits).ljust(synthesis.least_size(view, len(made.bricks)), b"\0")
     return b"".join(map(write_varint, told)) + code, made
 
 
-def _view_of(frame: ForceField) -> View | None:
+def _view_of(frame: ForceField) -> synthesis.View | None:
     """Along the main axis of the force; None if there is none, few tiles reach the border, or it is too large."""
     if not len(frame.bricks):
         return None
@@ -95,15 +78,15 @@ def _view_of(frame: ForceField) -> View | None:
         return None
     tiles = np.unique(np.delete(frame.bricks, axis, axis=1), axis=0)
     (a, b), (rows, row) = tiles.min(axis=0).tolist(), (np.ptp(tiles, axis=0) + 1).tolist()
-    view = View(frame.grid, axis, bool(total[axis] > 0), (a, b, rows, row))
+    view = synthesis.View(frame.grid, axis, bool(total[axis] > 0), (a, b, rows, row))
     inner = 0 if view.inverted else frame.grid.brick_shape[axis] - 1
     if np.count_nonzero(frame.bricks[:, axis] == inner) < _LEAST_REACHING * len(tiles):
         return None
-    large = view.depth > DEEPEST or rows * row > TILES_FREE + 4 * len(tiles)
+    large = view.depth > synthesis.DEEPEST or rows * row > synthesis.TILES_FREE + 4 * len(tiles)
     return None if large or row * BRICK**2 * view.depth > _ROOM else view
 
 
-def _heads(view: View, frame: ForceField, unit_n: float, mask: Float64s) -> Int64s | None:
+def _heads(view: synthesis.View, frame: ForceField, unit_n: float, mask: Float64s) -> Int64s | None:
     """Numbers that all columns share; None where no force grows behind a surface, or none is above the mask."""
     forces = frame.forces_n
     lengths = np.moveaxis(np.sqrt(np.einsum("...i,...i", forces, forces)), 1 + view.axis, -1) / unit_n
@@ -129,7 +112,7 @@ def _heads(view: View, frame: ForceField, unit_n: float, mask: Float64s) -> Int6
     return whole
 
 
-def _laid_out(view: View, frame: ForceField, tiles: int, scale: float) -> Float32s:
+def _laid_out(view: synthesis.View, frame: ForceField, tiles: int, scale: float) -> Float32s:
     """Columns of a row of tiles, [8, columns, depth, 4]: across, across, outward and length, units, from outside."""
     a, b, axis = view.order
     bricks = np.flatnonzero(frame.bricks[:, a] == view.box[0] + tiles)
@@ -226,13 +209,13 @@ def _coded(seen: _Frame, shifts: tuple[int, int, int]) -> tuple[bytes, FixedFiel
     grid, bricks = seen.grid, seen.bricks
     x, y, z = np.clip(2**35 / 864 / seen.stiffness / np.array(grid.spacing_m), 1, (1 << 20) - 1).astype(int).tolist()
     step = int(np.clip(_STEP * max(seen.f0, _RAMP[0] * seen.k), 1, (1 << 20) - 1))
-    head = Head(shifts, step, (x, y, z))
-    nodes = Nodes(bricks, shifts)
-    values = np.rint(np.clip(_coefficients(seen, shifts, nodes), -REACH, REACH)).astype(np.int64)
-    bits = writer(320 * len(bricks) + 64 * len(values) + 64, fresh(SPLINE_CONTEXTS, LIST_SETS))
+    head = synthesis.Head(shifts, step, (x, y, z))
+    nodes = synthesis.Nodes(bricks, shifts)
+    values = np.rint(np.clip(_coefficients(seen, shifts, nodes), -kernels.REACH, kernels.REACH)).astype(np.int64)
+    bits = writer(320 * len(bricks) + 64 * len(values) + 64, fresh(synthesis.SPLINE_CONTEXTS, LIST_SETS))
     code_bricks(bits, 0, 0, grid.brick_shape, bricks, None)
-    code_nodes(bits, LIST_CONTEXTS, nodes.before, step, values, np.zeros_like(values))
-    guess = forces_of(head, grid, bricks, values[nodes.around])
+    kernels.code_nodes(bits, LIST_CONTEXTS, nodes.before, step, values, np.zeros_like(values))
+    guess = synthesis.forces_of(head, grid, bricks, values[nodes.around])
     return head.to_bytes() + padded(end_of(bits), len(bricks)), guess
 
 
@@ -242,13 +225,13 @@ class _Samples:
     `around`, int64 [bricks, nodes]; `basis`, float32 [bricks, samples, 4, nodes]; `forces`, float32 [.., .., 3].
     """
 
-    def __init__(self, seen: _Frame, shifts: tuple[int, int, int], nodes: Nodes) -> None:
+    def __init__(self, seen: _Frame, shifts: tuple[int, int, int], nodes: synthesis.Nodes) -> None:
         from scipy.sparse import csr_array, eye_array
 
         x, y, z = (np.arange((1 << shift) // 4, BRICK, (1 << shift) // 2) for shift in shifts)
         basis = []
         for shift, pick, place, spacing in zip(shifts, (x, y, z), seen.bricks.T, seen.grid.spacing_m, strict=True):
-            table = weights(shift)
+            table = synthesis.weights(shift)
             corners = table[place % len(table)] / (6 << 3 * shift)
             low, high = corners[:, :, pick], corners[:, :, pick + 1]
             basis.append(np.stack([low + high, 2 * (high - low) / spacing]).astype(np.float32) / 2)
@@ -298,7 +281,7 @@ class _Samples:
         return c + cg(matrix, goal, rtol=_SETTLED, maxiter=_TURNS, M=scaled)[0]
 
 
-def _coefficients(seen: _Frame, shifts: tuple[int, int, int], nodes: Nodes) -> Any:
+def _coefficients(seen: _Frame, shifts: tuple[int, int, int], nodes: synthesis.Nodes) -> Any:
     """The coefficients in units, float64 [nodes]."""
     samples = _Samples(seen, shifts, nodes)
     forces, stiffness = samples.forces, np.float32(seen.stiffness)
@@ -341,7 +324,7 @@ def fit(
     best, most = None, _LEAST
     if spec.mode == "nmse":
         limits, most = limits._replace(f0=_FINENESS * lattice.floor), 0.0
-    for kind, provider in ((SPLINE, fit_spline), (COLUMNS, fit_columns)):
+    for kind, provider in ((synthesis.SPLINE, fit_spline), (synthesis.COLUMNS, fit_columns)):
         fitted = provider(frame, lattice, limits) if most < _ENOUGH else None
         if fitted is not None:
             share = agreement(frame, fitted[1], lattice.unit_n, spec)

@@ -18,6 +18,7 @@ from touchfield.arrays import Int32s, Int64s
 from touchfield.codec.varint import Parts, write_varint
 from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.field import field_that_holds
 
 TOP: Final = 1 << 16  # an encoder takes the unit so that the longest original of a segment has this length
 
@@ -33,13 +34,8 @@ class FixedField:
 
     def field(self, grid: Grid, unit_n: float) -> ForceField:
         """The forces in newtons: one float32 product each, the only floating-point step of decoding."""
-        from touchfield.codec.touch.kernels.workspace import newtons
-
-        forces, there = np.empty(self.vectors.shape, np.float32), np.empty(len(self.vectors), np.bool_)
-        newtons(self.vectors.reshape(-1), np.float32(unit_n), forces.reshape(-1), there)
-        if there.all():
-            return ForceField(grid, self.bricks, forces)
-        return ForceField(grid, self.bricks[there], forces[there])
+        forces = np.multiply(self.vectors, np.float32(unit_n), dtype=np.float32, casting="unsafe")
+        return field_that_holds(grid, self.bricks, forces)
 
 
 BUCKET: Final = 5  # binary digits of the units in which `warp_of` looks for an amplitude together
@@ -84,17 +80,12 @@ class Lattice:
         (unit_n,) = struct.unpack("<f", parts.take(4, "unit"))
         if not SMALLEST_UNIT_N <= unit_n <= MOST_NEWTONS / 65536:
             raise CorruptFile("SEGM.body unit", f"{unit_n} N", "2^-126 to 2^104 N")
-        steps: list[int] = []
-        for what, limit in zip(("floor", "rate", "cross floor", "cross rate"), (FLOOR_LIMIT, RATE_LIMIT) * 2):
-            least = int(limit == FLOOR_LIMIT)
-            value = parts.varint(what, limit)
-            if value < least:
-                raise CorruptFile(f"SEGM.body {what}", str(value), f"{least} or more")
-            steps.append(value)
-        if steps[0] < LEAST_UNIFORM and steps[1] < LEAST_RATE:
-            found = f"a floor of {steps[0]} with a rate of {steps[1]}"
+        floor, rate = parts.varint("floor", FLOOR_LIMIT, 1), parts.varint("rate", RATE_LIMIT)
+        cross_floor, cross_rate = parts.varint("cross floor", FLOOR_LIMIT, 1), parts.varint("cross rate", RATE_LIMIT)
+        if floor < LEAST_UNIFORM and rate < LEAST_RATE:
+            found = f"a floor of {floor} with a rate of {rate}"
             raise CorruptFile("SEGM.body lattice", found, f"{LEAST_UNIFORM} or {LEAST_RATE} at least")
-        return cls(unit_n, *steps)
+        return cls(unit_n, floor, rate, cross_floor, cross_rate)
 
 
 @lru_cache(maxsize=8)

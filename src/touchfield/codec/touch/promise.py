@@ -13,11 +13,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float32s, Int64s
-from touchfield.codec.touch.kernels.encode_pass import DIRECTION, MASK, compare
+from touchfield.codec.touch.kernels.encode_pass import compare
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, keys_of_both, slots_of
 from touchfield.perception.mask import SpatialMasking
 
 _NOTHING: Final = np.empty((0, 512), np.float32)
@@ -30,8 +30,7 @@ class Compared(NamedTuple):
     keys: Int64s
     places: Int64s
     worst: float  # the largest error as a share of what is allowed; infinite where nothing is
-    worst_key: int  # worst_key, worst_place: where it is
-    worst_place: int
+    voxel: tuple[int, int, int]  # where it is; zeros where there is no error
     # supported, within, decoded: voxels of the original with a force, how many of them keep the rule, and decoded
     # voxels with a force
     supported: int
@@ -54,25 +53,26 @@ def compared(
     hidden_n: Float32s = _NOTHING,
 ) -> Compared:
     """How a decoded frame keeps what was asked for, or in mode "nmse" half a step; "lossless" is every bit."""
-    mine, theirs = ((brick_keys(f.grid, f.bricks), f.forces_n.reshape(-1, 512, 3)) for f in (original, decoded))
+    keys, fields = keys_of_both(original, decoded), (original, decoded)
     if spec.mode == "lossless":
-        keys = np.union1d(mine[0], theirs[0])
-        bits, other = (f.forces_at(keys).reshape(-1, 512, 3).view(np.int32) for f in (original, decoded))
+        bits, other = (field.forces_at(keys).reshape(-1, 512, 3).view(np.int32) for field in fields)
         brick, place = np.nonzero((bits != other).any(axis=2))
-        supported, sent = (int(np.count_nonzero(forces.any(axis=2))) for _, forces in (mine, theirs))
-        return Compared(keys[brick], place, math.inf if len(brick) else 0.0, -1, 0, supported, supported, sent)
+        supported, worst = original.support_count, math.inf if len(brick) else 0.0
+        return Compared(keys[brick], place, worst, (0, 0, 0), supported, supported, decoded.support_count)
     angle, exact = math.radians(spec.direction_jnd_deg), spec.support == "exact" and not within_step
-    rule, k, f0_n = DIRECTION if spec.mode == "mask-direction" else MASK, spec.k, spec.f0_n
+    k, f0_n, sine = spec.k, spec.f0_n, math.sin(angle) if spec.mode == "mask-direction" else 0.0
     if spec.mode == "nmse":  # which promises nothing
         k, f0_n = 0.0, spec.step_n / 2 if within_step else math.inf
-    room = 64
-    while True:
-        beyond = np.empty((2, room), np.int64)
-        limits = k, f0_n, math.sin(angle), angle
-        count, worst, *rest = compare(*mine, *theirs, rule, exact, limits, hidden_n, beyond)
-        if count <= room:
-            return Compared(beyond[0, :count], beyond[1, :count], math.sqrt(worst), *rest)
-        room = count
+    mine, theirs = ((slots_of(brick_keys(f.grid, f.bricks), keys), f.forces_n.reshape(-1, 512, 3)) for f in fields)
+    beyond = np.zeros((len(keys), 512), np.bool_)
+    worst2, where, *counts = compare(*mine, *theirs, (k, f0_n, sine, angle), exact, hidden_n, beyond)
+    voxel = (0, 0, 0)
+    if where >= 0:
+        bricks, local = np.unravel_index(keys[where >> 9], original.grid.brick_shape), where & 511
+        x, y, z = (int(b) << 3 | local >> shift & 7 for b, shift in zip(bricks, (6, 3, 0), strict=True))
+        voxel = x, y, z
+    brick, place = np.nonzero(beyond)
+    return Compared(keys[brick], place, math.sqrt(worst2), voxel, *counts)
 
 
 def agreement(original: ForceField, guess: FixedField, unit_n: float, spec: TouchSpec) -> float:

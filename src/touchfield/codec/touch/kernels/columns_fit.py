@@ -221,11 +221,13 @@ def _choose(columns, at, fits, n):
 
 
 @entry
-def choose_row(columns, row, fits, wishes):
-    """Choose what `code_row` is to write of a row, of what was fitted: `wishes`, zeros before."""
-    for n in range(fits.places.shape[0]):
-        j = fits.places[n]
-        _choose(columns, (row + 1) * columns.row + 2 * j + 2, fits, n)
-        wishes[j, 0], wishes[j, 1] = columns.told[0], columns.told[1]
-        for c in range(8):
-            wishes[j, 2 + c] = columns.residuals[c >> 2, c & 3]
+def write_row(bits, columns, row, count, fits):
+    """Fit, choose and write a row of columns; those that cannot be told have no surface."""
+    n = 0
+    for j in range(count):
+        place = (row + 1) * columns.row + 2 * j + 2
+        columns.told[0] = 0
+        if n < fits.places.shape[0] and fits.places[n] == j:
+            _choose(columns, place, fits, n)
+            n += 1
+        layout.code_column(bits, columns, place)

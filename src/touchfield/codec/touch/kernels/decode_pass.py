@@ -123,10 +123,10 @@ def look_at_support(bits, work, here, near, then):
 @lean
 def enter(scan, work, n):
     """Lay out what is around brick n, and its reference; True if the reference knows the brick."""
-    ws.load(work.window, scan.cells, scan.near, n)
+    ws.load(work.window, ws.WIDTH, scan.cells, scan.near, n, 2)
     if scan.around.shape[0] == 0:
         return False
-    ws.load_reference(work.old, scan.reference, scan.around, n)
+    ws.load(work.old, 4, scan.reference, scan.around, n, 1)
     return scan.around[n, 13] >= 0
 
 
@@ -146,11 +146,11 @@ def settle(law, work, here, still):
 
 @entry
 def decode_bricks(bits, scan, law, work):
-    """Fill ``scan.cells``; False where the code ends too early."""
+    """Fill ``scan.cells``, as far as the code goes."""
     last = np.int64(0)
     for n in range(scan.near.shape[0]):
         if bits.state[PLACE] > bits.buffer.shape[0] + _SPARE:
-            return False
+            return
         known, state = enter(scan, work, n), np.int64(0)
         if known:
             last = state = code_brick(bits, last, np.int64(0))
@@ -166,7 +166,6 @@ def decode_bricks(bits, scan, law, work):
                         here = ((x + ws.LOW) * ws.SIDE + y + ws.LOW) * ws.SIDE + z + ws.LOW
                         _decode_voxel(bits, law, work, here, known, state)
         ws.keep(work.window, scan.cells, n)
-    return True
 
 
 @inlined
@@ -177,9 +176,9 @@ def _decode_voxel(bits, law, work, here, known, state):
         return
     voxel.expect(law, work, here, near, state == 1)
     voxel.look(law, work, here, near)
-    still = voxel.code_still(bits, law, work, here, then, np.int64(0))
+    still = voxel.code_still(bits, work, here, then, np.int64(0))
     if not still:
         voxel.aim(law, work, here)
         for c in range(3):
-            voxel.code_step(bits, law, work, c)
+            voxel.code_step(bits, work, c)
     settle(law, work, here, still)

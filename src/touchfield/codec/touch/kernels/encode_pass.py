@@ -8,17 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from touchfield.codec.kernels import PLACE, mix, mixed_chance, price
+from touchfield.codec.touch.kernels import decode_pass as shared
 from touchfield.codec.touch.kernels import voxel
 from touchfield.codec.touch.kernels import workspace as ws
-from touchfield.codec.touch.kernels.decode_pass import (
-    code_blocks,
-    code_brick,
-    enter,
-    look_at_support,
-    near_of,
-    settle,
-    then_of,
-)
 from touchfield.lean import entry, inlined, lean
 
 _ROOM = 1 << 14  # bytes that a brick cannot fill
@@ -148,15 +140,15 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
     for n in range(scan.near.shape[0]):
         if bits.state[PLACE] + _ROOM > bits.buffer.shape[0]:
             return False
-        known, state = enter(scan, work, n), np.int64(0)
+        known, state = shared.enter(scan, work, n), np.int64(0)
         if known:
-            last = state = code_brick(bits, last, _state_of(work.old, forces[n], rule))
+            last = state = shared.code_brick(bits, last, _state_of(work.old, forces[n], rule))
         if state == 2:
             ws.copy_reference(work.window, work.old, law.slope)
             ws.keep(work.window, scan.cells, n)
             continue
         paid = price(bits)
-        blocks = code_blocks(bits, work, known, _blocks_of(forces[n], rule))
+        blocks = shared.code_blocks(bits, work, known, _blocks_of(forces[n], rule))
         prices[0] += price(bits) - paid
         for x in range(scan.low[n, 0], scan.high[n, 0]):
             for y in range(scan.low[n, 1], scan.high[n, 1]):
@@ -212,11 +204,11 @@ def _held(bits, law, work, here, near, trusted, f, size, chosen, rule):
 
 @inlined
 def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
-    near = near_of(work.window, here)
-    then = then_of(work.old, here, known)
+    near = shared.near_of(work.window, here)
+    then = shared.then_of(work.old, here, known)
     size = _size_of(f)
     begun = price(bits)
-    chosen = look_at_support(bits, work, here, near, then)
+    chosen = shared.look_at_support(bits, work, here, near, then)
     bit = mix(bits, 3, chosen, _held(bits, law, work, here, near, state == 1, f, size, chosen, rule))
     told = price(bits)
     prices[0] += told - begun
@@ -226,31 +218,25 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     voxel.look(law, work, here, near)
     expected = work.rows[ws.EXPECTED]
     still = np.int64(kept(expected[0], expected[1], expected[2], f, size, rule))
-    voxel.code_still(bits, law, work, here, then, still)
+    voxel.code_still(bits, work, here, then, still)
     prices[1] += price(bits) - told
     told = price(bits)
     if not still:
         voxel.aim(law, work, here)
         choose(law, work, f, size, rule)
         for c in range(3):
-            voxel.code_step(bits, law, work, c)
+            voxel.code_step(bits, work, c)
             if c == 0:
                 prices[1] += price(bits) - told
                 told = price(bits)
     prices[2] += price(bits) - told
-    settle(law, work, here, still)
-
-
-# An original beside what a decoder makes of it, voxel by voxel of both supports, in float64: bricks of both are
-# merged by their keys, and what neither holds is zero in both.
-MASK, DIRECTION = 0, 1
-
-_BEHIND = np.iinfo(np.int64).max
+    shared.settle(law, work, here, still)
 
 
 @inlined
-def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle, hidden):
+def _ratio2(x, y, z, u, v, w, limits, hidden):
     """The square of |error| / allowed, of an original (x, y, z) and a decoded (u, v, w)."""
+    k, f0, sine, angle = limits
     size2 = x * x + y * y + z * z
     error2 = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
     if error2 == 0.0:
@@ -258,7 +244,7 @@ def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle, hidden):
     allowed2 = max(f0 * f0, k * k * size2)
     if hidden > 0.0:
         allowed2 = max(allowed2, (k * math.sqrt(size2) + hidden) ** 2)
-    if rule == DIRECTION:
+    if sine > 0.0:
         size = math.sqrt(size2)
         if size * sine > f0:
             radial = abs(math.sqrt(u * u + v * v + w * w) - size) / math.sqrt(allowed2)
@@ -270,45 +256,39 @@ def _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle, hidden):
 
 
 @entry
-def compare(keys, forces, other_keys, other, rule, exact, limits, hidden, found):
-    """Compare voxel by voxel; `found`, int64 [2, n], takes the first n that are beyond, of which all are counted.
+def compare(mine, forces, theirs, other, limits, exact, hidden, beyond):
+    """An original beside what a decoder makes of it, voxel by voxel of both supports, in float64.
 
-    `hidden`: what forces around hide, newtons, float32 [bricks of the original, 512], or [0, 512].
+    `mine` and `theirs` are the places of the same bricks in both, int64 [n], -1 where one has none, so that all is
+    zero; `limits` k, F_0, sine and angle of the direction JND, 0 where only the mask rules; `hidden` what forces
+    around hide, newtons, float32 [bricks of the original, 512], or [0, 512]. `beyond`, bool [n, 512], False before,
+    takes the voxels that break the rule. Returns the square of the largest share of what is allowed, where in
+    `beyond` that is, and how many voxels there are with a force, such within the rule, and decoded ones with a force.
     """
-    k, f0, sine, angle = limits
-    worst, worst_key, worst_place = 0.0, -1, 0
-    supported, within, decoded, beyond = 0, 0, 0, 0
-    i, j = 0, 0
-    while i < keys.shape[0] or j < other_keys.shape[0]:
-        mine = keys[i] if i < keys.shape[0] else _BEHIND
-        theirs = other_keys[j] if j < other_keys.shape[0] else _BEHIND
-        key = min(mine, theirs)
+    worst, where, supported, within, decoded = 0.0, -1, 0, 0, 0
+    for n in range(mine.shape[0]):
+        i, j = mine[n], theirs[n]
         for place in range(512):
             x, y, z, u, v, w = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            if mine == key:
+            if i >= 0:
                 x, y, z = 1.0 * forces[i, place, 0], 1.0 * forces[i, place, 1], 1.0 * forces[i, place, 2]
-            if theirs == key:
+            if j >= 0:
                 u, v, w = 1.0 * other[j, place, 0], 1.0 * other[j, place, 1], 1.0 * other[j, place, 2]
             held = x != 0.0 or y != 0.0 or z != 0.0
             sent = u != 0.0 or v != 0.0 or w != 0.0
             if not held and not sent:
                 continue
-            around = 1.0 * hidden[i, place] if mine == key and hidden.shape[0] else 0.0
-            ratio2 = _ratio2(x, y, z, u, v, w, rule, k, f0, sine, angle, around)
+            around = 1.0 * hidden[i, place] if i >= 0 and hidden.shape[0] else 0.0
+            ratio2 = _ratio2(x, y, z, u, v, w, limits, around)
             if exact and held != sent:
                 ratio2 = np.inf
             supported += held
             decoded += sent
             within += held and ratio2 <= 1.0
+            beyond[n, place] = ratio2 > 1.0
             if ratio2 > worst:
-                worst, worst_key, worst_place = ratio2, key, place
-            if ratio2 > 1.0:
-                if beyond < found.shape[1]:
-                    found[0, beyond], found[1, beyond] = key, place
-                beyond += 1
-        i += mine == key
-        j += theirs == key
-    return beyond, worst, worst_key, worst_place, supported, within, decoded
+                worst, where = ratio2, n << 9 | place
+    return worst, where, supported, within, decoded
 
 
 @entry

@@ -81,8 +81,6 @@ X, Y, Z, A, U, NUMBERS = 0, 1, 2, 3, 4, 11
 """Of a surface: four numbers that are told, the direction (along a, b and outward), and the four residuals' sizes."""
 _SIZES = 7
 
-# what an encoder chooses of a column: how many surfaces, the mode of prediction, and the residuals of two
-WISHES: Final = 10
 MODES: Final = 4
 _TORN = 768  # neighbours whose starts differ by three samples may not speak for one surface
 _FAR = 1 << 24
@@ -240,9 +238,9 @@ def _number(bits, kind, first, second, r):
     return sign * (_LONGEST + gamma(bits, size - _LONGEST, np.int64(24)))
 
 
-@inlined
-def _code_column(bits, columns, place):
-    """Code the column at a place: how many surfaces, and these."""
+@lean
+def code_column(bits, columns, place):
+    """Code the column at a place: how many surfaces, and these; a writer's are in `told` and `residuals`."""
     surfaces, row, r, told = columns.surfaces, columns.row, columns.residuals, columns.told
     here = twos = few = np.int64(0)
     for side in (place - 2, place - row, place - row - 2, place - row + 2):
@@ -273,13 +271,10 @@ def _code_column(bits, columns, place):
 
 
 @entry
-def code_row(bits, columns, row, wishes):
-    """Code a row of columns; `wishes`, int64 [columns, WISHES], may be anything when reading."""
-    for j in range(wishes.shape[0]):
-        columns.told[0], columns.told[1] = wishes[j, 0], wishes[j, 1]
-        for c in range(8):
-            columns.residuals[c >> 2, c & 3] = wishes[j, 2 + c]
-        _code_column(bits, columns, (row + 1) * columns.row + 2 * j + 2)
+def read_row(bits, columns, row, count):
+    """Read a row of columns."""
+    for j in range(count):
+        code_column(bits, columns, (row + 1) * columns.row + 2 * j + 2)
 
 
 @lean

@@ -217,10 +217,10 @@ _SET_ZERO, _SET_SIGN, _SET_SIZE = 16, 40, 43
 SETS = _SET_SIZE + 48  # sets of weights: of still from 0 on
 _UNARY = 14  # steps told one by one; the rest in Elias' gamma code
 
-_LOUD, _NEAR, _CLASS_0, _CLASS_1, _QUIET, _APART, _LENGTH, LEVEL, BASED = range(9)
+_LOUD, _NEAR, _CLASS_0, _CLASS_1, _QUIET, _APART, _STEP, LEVEL, BASED = range(9)
 """Places in ``Work.of``: the length, in 1/16 of the top; neighbours across a face that hold a force; classes of the
-sizes of their residuals along, across, and in all; how far the opinions lie apart; length and level of the centre;
-whether anything was followed."""
+sizes of their residuals along, across, and in all; how far the opinions lie apart; the step at what is expected, and
+then at the centre; the centre's level; whether anything was followed."""
 
 _CLASS = np.array([0, 1, 2, 2] + 3 * [3] + 4 * [4] + 5 * [5] + 8 * [6] + 8 * [7], np.int64)
 """Class of a mean size of residuals, in quarters."""
@@ -237,17 +237,20 @@ def _digits(a):
 
 
 @lean
-def _quiet(window, at):
-    """State of a cell: without a force, or by how much it was corrected, 0 to 3."""
-    if held(window, at) == 0:
-        return np.int64(0)
-    sizes = np.int64(window[at * ws.WIDTH + ws.SIZES])
-    return min(1 + (sizes & 255) + (sizes >> 8 & 255), np.int64(3))
+def _sizes(window, at):
+    return np.int64(window[at * ws.WIDTH + ws.SIZES]) if held(window, at) else np.int64(0)
 
 
 @lean
-def _sizes(window, at):
-    return np.int64(window[at * ws.WIDTH + ws.SIZES]) if held(window, at) else np.int64(0)
+def _quiet(window, at):
+    """State of a cell: without a force, or by how much it was corrected, 0 to 3."""
+    sizes = _sizes(window, at)
+    return held(window, at) * min(1 + (sizes & 255) + (sizes >> 8 & 255), np.int64(3))
+
+
+@lean
+def _length(rows, row):
+    return ws.length_of(rows[row, 0], rows[row, 1], rows[row, 2])
 
 
 @lean
@@ -264,8 +267,8 @@ def look(law, work, here, near):
     window, of = work.window, work.of
     d, u, left = _sizes(window, here - ws.DEEP), _sizes(window, here - ws.UP), _sizes(window, here - ws.LEFT)
     count = (near & 1) + (near >> 1 & 1) + (near >> 2)
-    length = ws.length_of(work.rows[ws.EXPECTED, 0], work.rows[ws.EXPECTED, 1], work.rows[ws.EXPECTED, 2])
-    step = ws.step_at(length, law.floor, law.rate)
+    length = _length(work.rows, ws.EXPECTED)
+    of[_STEP] = ws.step_at(length, law.floor, law.rate)
     of[_NEAR], of[_LOUD] = count, min(length >> 12, 15)
     along = (d & 255) + (u & 255) + (left & 255)
     across = (d >> 8 & 255) + (u >> 8 & 255) + (left >> 8 & 255)
@@ -278,21 +281,20 @@ def look(law, work, here, near):
     rows = work.rows
     for k in range(3):
         rows[ws.APART, k] = (rows[ws.BLEND, k] if of[BASED] else rows[ws.BASE, k]) - rows[ws.EXPECTED, k]
-    of[_APART] = _digits((ws.length_of(rows[ws.APART, 0], rows[ws.APART, 1], rows[ws.APART, 2]) << 3) // step)
+    of[_APART] = _digits((_length(rows, ws.APART) << 3) // of[_STEP])
 
 
 @lean
-def code_still(bits, law, work, here, then, still):
+def code_still(bits, work, here, then, still):
     """Code that the expected force stands; `then` is what the reference says of the support here."""
-    window, of, expected = work.window, work.of, work.rows[ws.EXPECTED]
+    window, of, rows = work.window, work.of, work.rows
     deep, up, left = here - ws.DEEP, here - ws.UP, here - ws.LEFT
     quiet = (_quiet(window, deep) << 2 | _quiet(window, up)) << 2 | _quiet(window, left)
     far = np.int64(7)  # how far the reference lies, where it is not followed
     if work.old[here * 4 + 3] > 0 and of[FOLLOWED] != REFERENCE:
-        d = np.int64(work.old[here * 4]) - expected[0], np.int64(work.old[here * 4 + 1]) - expected[1]
-        length = ws.length_of(expected[0], expected[1], expected[2])
-        step = ws.step_at(length, law.floor, law.rate)
-        far = _digits((ws.length_of(d[0], d[1], np.int64(work.old[here * 4 + 2]) - expected[2]) << 3) // step)
+        for k in range(3):
+            rows[ws.OTHER, k] = np.int64(work.old[here * 4 + k]) - rows[ws.EXPECTED, k]
+        far = _digits((_length(rows, ws.OTHER) << 3) // of[_STEP])
     b, apart = bits.inputs, of[_APART]
     b[0] = _STILL[0] + (quiet << 3 | apart)
     b[1] = _STILL[1] + ((apart << 4 | of[_LOUD]) << 2 | of[_NEAR])
@@ -308,13 +310,12 @@ def aim(law, work, here):
         rows[ws.CENTRE, k] = rows[ws.BLEND, k]
         if of[BASED]:  # seen from the blend the other opinion lies the other way
             rows[ws.APART, k] = -rows[ws.APART, k]
-    length = ws.length_of(rows[ws.CENTRE, 0], rows[ws.CENTRE, 1], rows[ws.CENTRE, 2])
+    length = _length(rows, ws.CENTRE)
     if rows[ws.CENTRE, 0] == 0 and rows[ws.CENTRE, 1] == 0 and rows[ws.CENTRE, 2] == 0:
         rows[ws.CENTRE, 2] = 1
     ws.axes_along(rows, length)
     of[LEVEL] = ws.level_of(min(length, (1 << 18) - 1), law.border, law.first)
-    of[_LENGTH] = length
-    step = ws.step_at(length, law.floor, law.rate)
+    of[_STEP] = ws.step_at(length, law.floor, law.rate)
     for n in range(ws.ALTERNATIVES):
         if n < 3:
             there = held(work.window, before(here, n)) > 0
@@ -330,7 +331,7 @@ def aim(law, work, here):
                 d = np.int64(0)
                 for k in range(3):
                     d += (work.rows[ws.OTHER, k] - rows[ws.CENTRE, k]) * work.rows[ws.AXES + c, k]
-                work.rows[ws.SIDES + n, c] = _side((d >> 12) // step)
+                work.rows[ws.SIDES + n, c] = _side((d >> 12) // of[_STEP])
 
 
 @lean
@@ -362,15 +363,14 @@ def _code_size(bits, work, c, toward, size):
 
 
 @lean
-def code_step(bits, law, work, c):
+def code_step(bits, work, c):
     """Code component c of the residual, in the row `STEPS`; those before it are known."""
     of, rows = work.of, work.rows
-    step = ws.step_at(of[_LENGTH], law.floor, law.rate)
     d = np.int64(0)
     for k in range(3):
         d += work.rows[ws.APART, k] * work.rows[ws.AXES + c, k]
     d >>= 14
-    toward, side = _digits((abs(d) << 3) // step), np.int64(d < 0)  # how far off the other opinion is, and where
+    toward, side = _digits((abs(d) << 3) // of[_STEP]), np.int64(d < 0)  # how far off the other opinion is, and where
     if of[BASED] or c < 2 or rows[ws.STEPS, 0] != 0 or rows[ws.STEPS, 1] != 0:  # else it did not stand for this one
         group, table = of[_CLASS_0] if c == 0 else of[_CLASS_1], _ZERO + c * _TABLE
         _pairs(bits, work, c, table + (group >> 2 << 9))

@@ -20,7 +20,7 @@ import numpy as np
 
 from touchfield.arrays import Int32s, Int64s
 from touchfield.codec.touch.lattice import BUCKET
-from touchfield.lean import entry, lean
+from touchfield.lean import entry, inlined, lean
 
 FEATURES = 13  # differences of neighbours that the blend is made of
 # sets of weights of the blend: which neighbours across a face hold a force, and whether the reference does
@@ -46,7 +46,7 @@ class Scan(NamedTuple):
     around: Int64s
     low: Int64s  # low, high: [n, 3]; samples within the grid, from low to below high
     high: Int64s
-    reference: Int32s  # [m, 512, 3]; vectors of the reference, units
+    reference: Int32s  # [m, 512, 4]; cells of the reference, units
     cells: Int32s  # [n, 512, 8]; takes what is decoded, as said above
 
 
@@ -114,34 +114,34 @@ def store(window, at, vector, a, sizes, slope):
     window[c + LENGTH], window[c + SIZES] = a, sizes
 
 
-@lean
-def load(window, cells, near, n):
-    """The halo of brick n: two cells deep before it, one behind, of the bricks that are decoded; `near` [n, 13]."""
+@inlined
+def load(window, width, cells, around, n, back):
+    """Brick n and what is around it, `back` cells deep before it and one behind; a cell has `width` numbers.
+
+    `around` are the slots of the bricks in `cells`, in raster order up to some place, below 0 for none.
+    """
     for at in range(_CELLS):
-        window[at * WIDTH + LENGTH] = 0
-    for s in range(13):
-        dx, dy, dz, slot = s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1, near[n, s]
+        window[at * width + LENGTH] = 0
+    for s in range(around.shape[1]):
+        dx, dy, dz, slot = s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1, around[n, s]
         if slot < 0:
             continue
-        z0, z1 = 6 if dz < 0 else 0, 1 if dz > 0 else 8
-        for x in range(6 if dx < 0 else 0, 8):
-            for y in range(6 if dy < 0 else 0, 1 if dy > 0 else 8):
-                to = (((x + 8 * dx + LOW) * SIDE + y + 8 * dy + LOW) * SIDE + z0 + 8 * dz + LOW) * WIDTH
-                at = (x * 8 + y) * 8 + z0
-                for z in range(z1 - z0):
-                    for q in range(WIDTH):
-                        window[to + z * WIDTH + q] = cells[slot, at + z, q]
+        for x in range(8 - back if dx < 0 else 0, 1 if dx > 0 else 8):
+            for y in range(8 - back if dy < 0 else 0, 1 if dy > 0 else 8):
+                for z in range(8 - back if dz < 0 else 0, 1 if dz > 0 else 8):
+                    to = (((x + 8 * dx + LOW) * SIDE + y + 8 * dy + LOW) * SIDE + z + 8 * dz + LOW) * width
+                    for q in range(width):
+                        window[to + q] = cells[slot, (x * 8 + y) * 8 + z, q]
 
 
 @lean
 def keep(window, cells, n):
-    """The brick's own cells out of the window."""
-    for x in range(8):
-        for y in range(8):
-            at = ((x + LOW) * SIDE + y + LOW) * SIDE + LOW
-            for z in range(8):
-                for q in range(WIDTH):
-                    cells[n, (x * 8 + y) * 8 + z, q] = window[(at + z) * WIDTH + q]
+    """The brick's own cells that hold a force out of the window; the others are zero."""
+    for at in range(512):
+        c = (((at >> 6) + LOW) * SIDE + (at >> 3 & 7) + LOW) * SIDE + (at & 7) + LOW
+        if window[c * WIDTH + LENGTH] > 0:
+            for q in range(WIDTH):
+                cells[n, at, q] = window[c * WIDTH + q]
 
 
 @lean
@@ -155,25 +155,6 @@ def copy_reference(window, old, slope):
                 if a > 0:
                     vector = np.int64(old[at * 4]), np.int64(old[at * 4 + 1]), np.int64(old[at * 4 + 2])
                     store(window, at, vector, a, np.int64(0), slope)
-
-
-@lean
-def load_reference(old, vectors, around, n):
-    """Brick n of the reference and one cell around it; `around` [n, 27] holds its slots, below 0 for none."""
-    for at in range(_CELLS):
-        old[at * 4 + 3] = 0
-    for s in range(27):
-        dx, dy, dz, slot = s // 9 - 1, s // 3 % 3 - 1, s % 3 - 1, around[n, s]
-        if slot < 0:
-            continue
-        for x in range(7 if dx < 0 else 0, 1 if dx > 0 else 8):
-            for y in range(7 if dy < 0 else 0, 1 if dy > 0 else 8):
-                for z in range(7 if dz < 0 else 0, 1 if dz > 0 else 8):
-                    to = (((x + 8 * dx + LOW) * SIDE + y + 8 * dy + LOW) * SIDE + z + 8 * dz + LOW) * 4
-                    v0, v1, v2 = vectors[slot, (x * 8 + y) * 8 + z]
-                    old[to], old[to + 1], old[to + 2] = v0, v1, v2
-                    if v0 != 0 or v1 != 0 or v2 != 0:
-                        old[to + 3] = length_of(np.int64(v0), np.int64(v1), np.int64(v2))
 
 
 LIMIT = (1 << 17) - 1  # no component of a decoded vector is beyond it, units
@@ -236,50 +217,25 @@ def rebuild(along, s1, s2, rows):
         rows[VECTOR, c] = min(max(x, -LIMIT), LIMIT)
 
 
-@lean
-def _place_of(x, y, z, axes, down):
-    """Sample of the grid that sample (x, y, z) of a scan is."""
-    place = 0
-    for i in range(3):
-        c = x if i == 0 else (y if i == 1 else z)
-        if down[i]:
-            c = 7 - c
-        place += c * (64 >> (3 * axes[i]))
-    return place
-
-
 @entry
 def turned(vectors, slots, axes, down, scale, out):
-    """``out[n, sample, component]`` in a scan of ``vectors[slots[n]]`` in the grid, times `scale`."""
+    """``out[slots[n]]`` is brick n of the grid in a scan, or back, times `scale`; `axes` and `down` tell the way."""
     for n in range(slots.shape[0]):
         for at in range(512):
-            place = _place_of(at >> 6, at >> 3 & 7, at & 7, axes, down)
+            place = 0
             for i in range(3):
-                v = vectors[slots[n], place, axes[i]] * scale
-                out[n, at, i] = -v if down[i] else v
-
-
-@entry
-def turned_back(cells, slots, axes, down, out):
-    """Vectors ``out[slots[n]]`` in the grid, of cells of a scan; zeros where a cell holds no force."""
-    for n in range(slots.shape[0]):
-        for at in range(512):
-            place = _place_of(at >> 6, at >> 3 & 7, at & 7, axes, down)
+                c = at >> 6 - 3 * i & 7
+                place += (7 - c if down[i] else c) << 6 - 3 * axes[i]
             for i in range(3):
-                v = cells[n, at, i] if cells[n, at, 3] > 0 else 0
+                v = vectors[n, at, i] * scale
                 out[slots[n], place, axes[i]] = -v if down[i] else v
 
 
-_BRICK = 512 * 3
-
-
 @entry
-def newtons(vectors, unit_n, forces, held):
-    """`forces`, float32, of `vectors`, int32, both flat: a float32 product each; which bricks hold any, bool [n]."""
-    for n in range(held.shape[0]):
-        any_set = np.int32(0)
-        for at in range(n * _BRICK, (n + 1) * _BRICK):
-            v = vectors[at]
-            any_set |= v
-            forces[at] = np.float32(v) * unit_n
-        held[n] = any_set != 0
+def fill_cells(vectors, cells):
+    """Cells of the reference, [m, 512, 4], of vectors [m, 512, 3]; the length of none is 0."""
+    for n in range(cells.shape[0]):
+        for at in range(512):
+            v0, v1, v2 = np.int64(vectors[n, at, 0]), np.int64(vectors[n, at, 1]), np.int64(vectors[n, at, 2])
+            cells[n, at, 0], cells[n, at, 1], cells[n, at, 2] = v0, v1, v2
+            cells[n, at, 3] = root(v0 * v0 + v1 * v1 + v2 * v2)
