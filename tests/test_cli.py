@@ -190,6 +190,17 @@ def test_interruption_leaves_nothing(tmp_path: Path, number: signal.Signals) -> 
     assert list(tmp_path.iterdir()) == [source]
 
 
+def test_who_writes_no_file_is_told_of_none_when_interrupted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("touchfield.job.play.play", interrupted)
+    assert _exit_code(["play", "room.touch"]) == 1
+    assert capsys.readouterr().err == "touchfield: interrupted\n"
+
+
 LIMITED = """
 import resource, sys
 from touchfield.cli.main import run

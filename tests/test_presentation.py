@@ -15,6 +15,7 @@ from touchfield import job
 from touchfield.cli.look import show_measurement
 from touchfield.cli.main import _exit_code
 from touchfield.cli.show import show, show_rows
+from touchfield.devices import devices
 from touchfield.job import EncodeSpec, Measurement, MeasureSpec
 from touchfield.measure import Interval, Quantity, capacity
 from touchfield.medium import ForceField, Grid
@@ -95,6 +96,15 @@ def test_nothing_is_cut_off(capsys: Capture, monkeypatch: pytest.MonkeyPatch) ->
     for i in range(6):
         assert printed.count(f"multiresolution-{i}") == 1 and printed.count(str(14942 + i)) == 1
     assert printed.count("supported_voxels") == 2, "the keys stand again beside further columns"
+
+
+def test_devices_fit_a_terminal_a_line_each(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert _exit_code(["devices"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(devices()) + 3 and max(map(len, lines)) <= 80
+    for one, line in zip(devices(), lines[2:], strict=False):
+        assert line.startswith(one.name) and "x".join(f"{x:.0f}" for x in one.workspace_mm) in line.split()
 
 
 def test_names_are_listed_and_sizes_multiplied(capsys: Capture) -> None:

@@ -167,6 +167,14 @@ def test_a_stream_that_is_too_slow_is_thinned_out_and_keeps_time(ticks: int, sta
     assert len(set(desk.decoded)) > 0.3 * 10_000 / ticks
 
 
+def test_a_rate_that_suffices_is_not_told_as_the_cause() -> None:
+    desk = Desk(500, 50, ())
+    desk.play()
+    assert "This machine decodes" in desk.feeder.note and "left out" in desk.feeder.note
+    desk.feeder._pace.frame_s = 6.4e-6  # the latest frames were quick: something else held up the others
+    assert "decodes" not in desk.feeder.note and "had to be fetched" in desk.feeder.note
+
+
 def test_a_stream_that_is_quick_enough_loses_no_frame() -> None:
     desk = Desk(500, 15, tuple(range(0, 500, 10)))
     desk.play()

@@ -69,6 +69,22 @@ def test_repeated_mixed_up_damaged_and_foreign_datagrams() -> None:
     assert len(out) >= 7 and out == MESSAGES[-len(out) :] and gathering.refused >= len(bad) + len(foreign) > 20
 
 
+def test_a_sender_that_is_started_again_takes_the_place_of_the_one_before() -> None:
+    """Once that one has been silent for two seconds; pieces of its opening are not taken for the other's."""
+    now, (_, before), (_, again) = [0.0], sender_of(2), sender_of(3)
+    first, second, gathering = Datagrams(7), Datagrams(8), Gathering(clock_s=lambda: now[0])
+    out = [whole for m in before for one in first.add(m) for whole in gathering.receive(one)]
+    now[0] = 1.9
+    assert not any(gathering.receive(one) for one in Datagrams(9).add(again[0])) and gathering.refused
+    assert out == before[: len(out)] and out
+    now[0] = 4.0
+    assert [
+        whole
+        for one in [*(one for m in again for one in second.add(m)), *second.flush()]
+        for whole in gathering.receive(one)
+    ] == again
+
+
 def test_an_opening_that_is_told_again_holds_up_no_short_segment() -> None:
     """One datagram of it is enough; another message of its length is not taken for it."""
     sender = LiveSender()

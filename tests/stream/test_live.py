@@ -27,10 +27,9 @@ from touchfield.stream.live import (
 def test_messages_become_events_again() -> None:
     _, messages = sender_of(3)
     receiver = LiveReceiver()
-    events = [event for message in [*messages, END] for event in receiver.receive(message)]
-    assert events == [
-        Opened(replace(HEAD, frame_count=ENDLESS), {"source": "test"}), *(segment(5 * i) for i in range(3)), Ended(),
-    ]  # fmt: skip
+    opened, *events = [event for message in [*messages, END] for event in receiver.receive(message)]
+    assert isinstance(opened, Opened) and opened.head == replace(HEAD, frame_count=ENDLESS)
+    assert opened.provenance["source"] == "test" and events == [*(segment(5 * i) for i in range(3)), Ended()]
     assert [type(e) for e in receiver.receive(messages[1])] == [Refused]
 
 
@@ -52,6 +51,15 @@ def test_a_message_that_is_lost_late_told_twice_or_damaged_costs_only_itself() -
     for garbage in (b"x", segments[5][:-1], segments[5] + b"x", opening[:-3], opening + segments[5], bytes(100)):
         assert [type(e) for e in receiver.receive(garbage)] == [Refused]
     assert receiver.receive(segments[5]) == [segment(25)]
+
+
+def test_a_sender_that_is_started_again_begins_anew() -> None:
+    (_, before), (_, again) = sender_of(4), sender_of(2)
+    receiver = LiveReceiver()
+    for message in before:
+        receiver.receive(message)
+    events = [event for message in (again[0], again[1], again[0], again[2]) for event in receiver.receive(message)]
+    assert isinstance(events[0], Opened) and events[1:] == [segment(0), segment(5)]
 
 
 @settings(max_examples=200, deadline=None)

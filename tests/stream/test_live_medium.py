@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.stream.test_layers import COARSE, UNDER_HEAD
 
 from live_makers import HEAD, Hand, field, segment
 from touchfield.errors import SourceError
@@ -91,6 +92,27 @@ def test_a_segment_that_cannot_be_decoded_costs_only_itself() -> None:
     bad = LiveSegment(5, 5, b"\0" * 50)
     frames = frames_of(segment(0), bad, segment(10))
     assert frames.lost == 5 and not frames(5).support_count and frames(10).support_count
+
+
+@pytest.mark.parametrize("is_layered", [False, True])
+def test_another_programme_goes_on_behind_the_one_before(is_layered: bool) -> None:
+    opened = Opened(replace(HEAD, frame_count=ENDLESS), {})
+    now = [2.2]
+    under = LiveFrames(Opened(UNDER_HEAD, {}), clock_s=lambda: now[0]) if is_layered else None
+    frames = LiveFrames(opened, clock_s=lambda: now[0], under=under)
+    frames.take(segment(100))
+    frames.take(segment(105))
+    if under is not None:
+        under.take(COARSE[5])  # its numbers are of no use behind the other programme's
+    frames.begin_anew()
+    assert frames(9).support_count and not frames.is_there(10)  # what is there stays until more comes
+    now[0] = 5.0
+    frames.take(segment(0))
+    for i in range(5):
+        np.testing.assert_allclose(frames(10 + i).to_dense(), field(i).to_dense(), atol=0.2)
+    assert frames.stream_frame(10) == 0 and not frames.is_there(15)
+    now[0] = 5.1
+    assert frames.due_s(50) == pytest.approx(0.27) and frames.skipped == 0
 
 
 def test_the_end_and_silence_are_told() -> None:

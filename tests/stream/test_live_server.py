@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -15,12 +16,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from live_makers import field, medium, segment, sender_of
+from live_makers import GRID, HEAD, field, medium, segment, sender_of
+from touchfield.cli.main import _exit_code
 from touchfield.errors import FormatError, InvalidArgument, SourceError
-from touchfield.job import EncodeSpec
-from touchfield.job.live import LiveSpec, broadcast, opened_sender
+from touchfield.job import EncodeSpec, encode
+from touchfield.job.live import LiveSpec, _Lane, broadcast, opened_sender
 from touchfield.job.play import PlaySpec, play
+from touchfield.medium import ForceField, HapticMedium
 from touchfield.render.player import Player
+from touchfield.sources.stored import StoredScene
+from touchfield.stream import live_client
 from touchfield.stream.access import Access
 from touchfield.stream.live import (
     ENDLESS,
@@ -52,6 +57,33 @@ def test_frames_go_on_the_air_in_time() -> None:
     assert sent.frames + sent.left_out == 150 and sent.segments == len(took) >= 3
     assert all(one.first_frame % 5 == 0 for _, one in took)
     assert all(at - one.stop / 50 >= -1e-9 for at, one in took)  # nothing before its time
+
+
+def test_an_interrupt_ends_a_broadcast_in_order() -> None:
+    prepared, sender = opened_sender(medium(), EncodeSpec())
+    now, notes = [0.0], list[str]()
+
+    def pause(seconds: float) -> None:
+        now[0] += seconds
+        if now[0] > 0.5:
+            raise KeyboardInterrupt
+
+    sent = broadcast(prepared, sender.add, LiveSpec(0.1, loop=True), notes.append, lambda: now[0], pause)
+    assert 0 < sent.frames <= 25 and sent.frames + sent.left_out >= 24 and notes[-1].startswith("interrupted")
+
+
+def test_who_makes_frames_too_slowly_is_told_at_once() -> None:
+    notes, now = list[str](), [0.0]
+
+    def slow(index: int) -> ForceField:
+        now[0] += 0.1
+        return field(index)
+
+    slow_medium = HapticMedium(grid=GRID, rate_hz=50.0, axes=HEAD.axes, frame_count=50, make_frame=slow)
+    prepared, sender = opened_sender(slow_medium, EncodeSpec())
+    spec = LiveSpec(0.1, seconds=0.2)
+    broadcast(prepared, sender.add, spec, notes.append, lambda: now[0], ready=lambda: notes.append("ready"))
+    assert "makes some 10 frames a second, and the medium has 50" in notes[0] and notes[1] == "ready"
 
 
 @pytest.mark.parametrize("wrong", [{"segment_s": 0.0}, {"segment_s": 11.0}, {"seconds": 0.0}])
@@ -221,6 +253,33 @@ def test_who_may_not_receive() -> None:
         assert asyncio.run(from_page(f"http://{server.address}")) == 101
 
 
+def test_addresses_are_told_once_the_code_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    encode(StoredScene(medium()), tmp_path / "some.touch", EncodeSpec(nw=4))
+    warm = _Lane.warm
+
+    def told(lane: _Lane, frame: ForceField) -> float:
+        print("compiling", file=sys.stderr)
+        return warm(lane, frame)
+
+    monkeypatch.setattr(_Lane, "warm", told)
+    assert _exit_code(["live", str(tmp_path / "some.touch"), "--port", "0", "--on-air-s", "0.1"]) == 0
+    said = capsys.readouterr().err
+    assert 0 <= said.rindex("compiling") < said.index("ws://")
+
+
+def test_a_first_segment_is_waited_for_longer_than_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_client, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(live_client, "_TOLD_S", 0.1, raising=False)
+    sender, notes = sender_of(0)[0], list[str]()
+    with LiveServer(sender, Access(port=0)) as server:
+        threading.Timer(1.5, lambda: server.add(segment(0))).start()
+        with open_live(f"ws://{server.address}/live", notes.append) as live:
+            assert live.medium[0].support_count
+    assert "its sender may be starting" in notes[0]
+
+
 def test_what_is_not_there_is_told() -> None:
     with pytest.raises(SourceError, match="Check the address"), open_live("ws://127.0.0.1:1/live"):
         pass
@@ -282,6 +341,29 @@ def test_a_connection_that_is_cut_is_made_again() -> None:
                 live.medium[i]
         done.set()
     assert sum("connecting again" in note for note in notes) == 2
+
+
+@pytest.mark.parametrize("form", ["ws://{}/live", "http://{}/live.json"])
+def test_a_server_that_is_started_again_is_felt_again(form: str) -> None:
+    notes: list[str] = []
+    with ExitStack() as second:
+        with ExitStack() as first:
+            server = first.enter_context(on_air())
+            live = second.enter_context(open_stream(form.format(server.address), notes.append))
+            for i in range(30):  # numbers that the second one's are below
+                live.medium[i]
+            server.end = lambda: None  # type: ignore[method-assign]  # it is killed: nobody is told
+        second.enter_context(on_air(Access(port=int(server.address.rpartition(":")[2]))))
+        frames = live.medium.make_frame
+        number = frames.stream_frame(0)  # type: ignore[attr-defined]
+        for after in range(30, 200):
+            live.medium[after]
+            if frames.stream_frame(0) != number:  # type: ignore[attr-defined]
+                break
+        for i in range(after, after + 10):
+            got, number = live.medium[i], frames.stream_frame(i)  # type: ignore[attr-defined]
+            np.testing.assert_allclose(got.to_dense(), field(number % 60).to_dense(), atol=0.2)
+    assert "another programme begins" in notes and not any("of no use" in note for note in notes), notes
 
 
 def test_a_segment_is_a_file_of_its_own(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def _access(asked: dict[str, Any]) -> Access:
     return Access(asked["host"], asked["port"], asked["token"], asked["open"], tuple(asked["cors"] or ()))
 
 
-@command("Broadcast", "live sample:falling-4 --loop", "live watch:pictures --world causal --depth-scale 1000")
+@command("Broadcast", "live sample:falling-4 --rate-hz 20", "live watch:pictures --world causal --depth-scale 1000")
 @asks(address_rows(8076, "receive"), SCENE)
 def live(
     asked: Asked,
@@ -89,15 +89,19 @@ def live(
     pages = Pages(served_page(), empty_page())
     with LiveServer(sender, _access(asked), pages, under) as server, ExitStack() as stack:
         word = "?token=..." if asked["token"] else ""
-        typer.echo(f"ws://{server.address}/live{word}  http://{server.address}/live.json{word}", err=True)
-        typer.echo(f"in a browser: http://{server.address}/view{word}", err=True)
+
+        def tell_addresses() -> None:
+            typer.echo(f"ws://{server.address}/live{word}  http://{server.address}/live.json{word}", err=True)
+            typer.echo(f"in a browser: http://{server.address}/view{word}", err=True)
+            if layer:
+                typer.echo(f"coarse layer: ws://{server.address}/coarse/live{word}", err=True)
+
         send = _sending(server.add, sender, udp, "fine" if layer else "alone", stack)
         also = None
         if layer:
-            typer.echo(f"coarse layer: ws://{server.address}/coarse/live{word}", err=True)
             also = layer[0], _sending(partial(server.add, is_coarse=True), layer[1], udp, "coarse", stack)
         try:
-            sent = broadcast(prepared, send, spec, say, coarse=also)
+            sent = broadcast(prepared, send, spec, say, coarse=also, ready=tell_addresses)
         finally:
             server.end()
     sums = {**sent.summary(), "most_receivers": server.most_receivers, "skipped": server.skipped, "left": server.left}

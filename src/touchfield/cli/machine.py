@@ -44,15 +44,14 @@ def _show_profiles(verbose: bool) -> None:
         rows.append(
             (
                 d.name,
-                "array" if d.is_array else "point",
-                "x".join(f"{x:g}" for x in d.workspace_mm),
-                "x".join(str(n) for n in d.lattice),
+                "x".join(map(str, (*d.lattice[:2], d.panels)[: 2 + (d.panels > 1)])) if d.is_array else "-",
+                "x".join(f"{x:.0f}" for x in d.workspace_mm),
                 f"{d.force_max_n:g}",
                 "-" if d.rate_hz is None else f"{d.rate_hz:g}",
                 f"{unverified} of {len(d.sources)}",
             )
         )
-    headings = ("name", "type", "workspace mm", "samples", "peak N", "rate Hz", "unverified")
+    headings = ("name", "actuators", "workspace mm", "peak N", "rate Hz", "unverified")
     show_table(rows, headings, "device profiles")
     console = literal_console()
     if not verbose:

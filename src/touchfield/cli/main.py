@@ -109,6 +109,9 @@ COMMANDS: Final = {
 """Module of each command, which registers it when it is imported; in the order of the help."""
 
 
+_FILELESS: Final = ("live", "play", "serve")
+
+
 def open_rooms(arguments: Sequence[str] = ()) -> typer.Typer:
     """The app with the command that these arguments name, or with all where they name none."""
     named = COMMANDS.get(arguments[0]) if arguments else None
@@ -161,7 +164,8 @@ def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
     except TouchfieldError as error:
         return say(str(error), error.exit_code, type(error).__name__)
     except (KeyboardInterrupt, typer.Abort):
-        return say("interrupted; nothing was written under the final name", 1, "Interrupted")
+        kept = "" if given[:1] and given[0] in _FILELESS else "; nothing was written under the final name"
+        return say(f"interrupted{kept}", 1, "Interrupted")
     except USAGE_ERROR as error:
         own = f"{given[0]} " if commands is app and given and given[0] in COMMANDS else ""
         return say(f"{error.format_message()} (touchfield {own}--help tells more)", 2, "UsageError")

@@ -130,19 +130,27 @@ def broadcast(
     clock_s: Callable[[], float] = time.monotonic,
     pause: Callable[[float], None] = time.sleep,
     coarse: tuple[Prepared, Send] | None = None,
+    ready: Callable[[], None] = lambda: None,
 ) -> Sent:
-    """Make, code and send frames in time, until the source or the time is over.
+    """Make, code and send frames in time, until the source or the time is over, or an interrupt comes.
 
     ``send(segment) -> message`` must not wait for anyone; ``tell(note)`` gets what could not keep up. `coarse` is a
-    coarse layer (`coarse_layer`) and who sends its segments.
+    coarse layer (`coarse_layer`) and who sends its segments. ``ready()`` is called where time begins.
     """
     lanes = [_Lane(prepared, send, clock_s)]
     if coarse is not None:
         lanes.append(_Lane(*coarse, clock_s, _coarse))
     sent = lanes[0].sent
-    for lane in lanes:  # code is loaded or compiled first, and is no part of the time
-        lane.warm(prepared.medium[0])
     try:
+        for lane in lanes:  # code is loaded or compiled first, and is no part of the time
+            lane.warm(prepared.medium[0])
+        began = clock_s()
+        frame, rate_hz = prepared.medium[0], prepared.medium.rate_hz
+        most = 1 / max(clock_s() - began, *(lane.warm(frame) for lane in lanes), 1e-9)
+        if most < rate_hz:
+            mend = "a lower --rate-hz or a smaller --nw keeps up"
+            tell(f"this machine makes some {most:.2g} frames a second, and the medium has {rate_hz:g}: {mend}")
+        ready()
         for first, frames, band in _groups(prepared, spec, sent, tell, clock_s, pause):
             begun = [lane.begin(first, band if lane is lanes[0] else []) for lane in lanes]
             count, is_over = 0, False
@@ -162,6 +170,8 @@ def broadcast(
                     lane.sent.leave_out(count, f"{what} cannot keep up", tell)
             if is_over:
                 break
+    except KeyboardInterrupt:
+        tell("interrupted: the stream ends here")
     finally:
         for lane in lanes:
             lane.close()
@@ -190,9 +200,14 @@ class _Lane:
         self._under_way: deque[Future[None]] = deque()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="touchfield-live")
 
-    def warm(self, frame: ForceField) -> None:
-        """Code two frames that nobody gets."""
-        self._encoder.encode_segment([self._make(frame)] * 2)
+    def warm(self, frame: ForceField) -> float:
+        """Code two frames that nobody gets; seconds of one."""
+        began, frames = self._clock_s(), [self._make(frame)] * 2
+        if isinstance(self._encoder, TouchEncoder):
+            self._encoder.encode_segment(frames, self._encoder.anchor(*frames), self._force_max_n)
+        else:
+            self._encoder.encode_segment(frames)
+        return (self._clock_s() - began) / 2
 
     def begin(self, first: int, band: list[VibrationFrame]) -> SimpleQueue[ForceField | None]:
         """Begin a segment; its frames, and a None behind them, are put into the queue. Raises what has failed."""

@@ -221,10 +221,10 @@ class Feeder:
     def note(self) -> str:
         """Note for the user where frames are left out."""
         wanted, most = self._source.rate_hz, 1 / max(self._pace.frame_s, 1e-6)
-        return (
-            f"This machine decodes {most:.3g} frames a second at present, and {wanted:.3g} are needed at speed 1: "
-            "frames that would come too late are left out, so that time is kept"
-        )
+        why = f"This machine decodes {most:.3g} frames a second at present, and {wanted:g} are needed at speed 1"
+        if most >= wanted * float(self._memory.f8[W.SPEED_NOW]):
+            why = "Frames were not there in time, as they had to be fetched, or other work held up their decoding"
+        return f"{why}: frames that would come too late are left out, so that time is kept"
 
     @property
     def is_ahead(self) -> bool:

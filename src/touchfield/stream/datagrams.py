@@ -11,8 +11,10 @@ then RaptorQ's packet of 4 bytes and a symbol.
 from __future__ import annotations
 
 import struct
+import time
 import zlib
 from collections import deque
+from collections.abc import Callable
 from itertools import zip_longest
 from typing import Any, Final
 
@@ -43,6 +45,7 @@ MOST_OPEN: Final = 24
 _MOST_WAITING: Final = 1 << 27
 """Bytes of the messages that are waited for; beyond, the oldest is given up."""
 
+_SILENT_S: Final = 2.0
 _WINDOW: Final = 1 << 16
 """A number so far from the newest is of another stream, or forged."""
 
@@ -111,10 +114,14 @@ class _Part:
 class Gathering:
     """The receiving end of the first stream that comes: datagrams in, messages out, in their order, whatever comes.
 
+    Where none of its datagrams has come for two seconds, another stream that comes takes its place.
+
     Parameters
     ----------
     most_open : int
         Messages that are waited for at once; fewer where something else is felt meanwhile, 1 to 24.
+    clock_s : callable
+        Seconds.
 
     Attributes
     ----------
@@ -124,8 +131,9 @@ class Gathering:
         Messages that were given up.
     """
 
-    def __init__(self, most_open: int = MOST_OPEN) -> None:
+    def __init__(self, most_open: int = MOST_OPEN, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._stream: int | None = None
+        self._clock_s, self._came_s = clock_s, clock_s()
         self._next, self._newest = 0, -1
         self._most_open, self._opening = most_open, b""
         self._parts: dict[int, _Part] = {}
@@ -169,9 +177,14 @@ class Gathering:
         is_ours &= packet[0] * _BLOCK * symbol < length <= symbol * 65536
         if not is_ours or zlib.crc32(packet, zlib.crc32(_HEAD.pack(magic, stream, number, length, symbol, 0))) != crc:
             return None
-        if self._stream is None:
+        now = self._clock_s()
+        if self._stream is None or (stream != self._stream and now - self._came_s > _SILENT_S):
             self._stream, self._next, self._newest = stream, number, number
-        return (number, length, symbol, packet) if stream == self._stream else None
+            self._parts, self._opening = {}, b""
+        if stream != self._stream:
+            return None
+        self._came_s = now
+        return number, length, symbol, packet
 
     def _released(self) -> list[bytes]:
         messages: list[bytes] = []

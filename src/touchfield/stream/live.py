@@ -12,6 +12,7 @@ is moved on to the newest segment.
 from __future__ import annotations
 
 import io
+import secrets
 import struct
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -222,8 +223,9 @@ class LiveSender:
         self._count, self._is_ended = 0, False
 
     def open(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
-        """Begin a programme; its frames begin at 0."""
-        opening = b"".join(opening_of(replace(head, frame_count=ENDLESS), provenance or {}))
+        """Begin a programme, whose frames begin at 0; a random word in its opening tells it from all others."""
+        story = {**(provenance or {}), "programme": secrets.token_hex(8)}
+        opening = b"".join(opening_of(replace(head, frame_count=ENDLESS), story))
         with self._lock:
             if self.opening:
                 raise InvalidArgument("open", "a second call", "one")

@@ -23,6 +23,7 @@ from touchfield.stream.live_medium import PATIENCE_S, LiveFrames, LiveStream
 
 _PAUSES_S: Final = (0.1, 0.3, 1.0, 2.0)
 _POLL_S: Final = 0.05
+_FIRST_S, _TOLD_S = 60.0, 3.0  # a first segment is waited for longer, as its sender may be starting; told after
 _MOST_MANIFEST: Final = 1 << 16
 _MOST_TRIES: Final = 8
 
@@ -36,7 +37,7 @@ def open_live(
     `coarse` is the address of its coarse layer, felt where the stream itself has lost something, or is late; where
     that layer does not come, it is told, and the stream is felt alone.
 
-    Raises SourceError if there is none, or nothing has come for ten seconds.
+    Raises SourceError if there is none, or no first segment has come for a minute.
     """
     with ExitStack() as stack:
         under: LiveFrames | None = None
@@ -79,7 +80,9 @@ class _Client:
 
     def stream(self) -> LiveStream:
         """The stream, once a first segment is there."""
-        self._begun.wait(PATIENCE_S)
+        if not self._begun.wait(_TOLD_S):
+            self._tell(f"waiting for a first segment of {self._name}, a minute at most: its sender may be starting")
+            self._begun.wait(_FIRST_S - _TOLD_S)
         if self._opened is None or self._frames is None:
             raise self._error
         return LiveStream(self._name, self._opened, self._frames, self._vibrates)
@@ -108,9 +111,13 @@ class _Client:
         events = self._receiver.receive(message)
         for event in events:
             if isinstance(event, Opened):
-                if self._frames is not None:  # another programme: who plays the old one opens anew
+                if self._opened is None or self._frames is None:
+                    self._opened, self._frames = event, LiveFrames(event, self._tell, under=self._under)
+                elif event.head == self._opened.head:
+                    self._tell("another programme begins")
+                    self._frames.begin_anew()
+                else:  # who plays the old one opens anew
                     raise SourceError(self._name, "another programme", "the one that was opened", "Open it again.")
-                self._opened, self._frames = event, LiveFrames(event, self._tell, under=self._under)
             elif self._frames is not None:
                 self._vibrates |= isinstance(event, LiveSegment) and event.vibration is not None
                 self._frames.take(event)
@@ -184,6 +191,8 @@ class _Client:
         next_number: int | None = None
         while True:
             is_over, numbers = _manifest(await got(parts.path, _MOST_MANIFEST), self._name)
+            if numbers and next_number is not None and numbers[-1] + 1 < next_number:
+                return False  # another programme
             numbers = [n for n in numbers if next_number is None or n >= next_number]
             for number in numbers[-1:] if next_number is None else numbers:
                 await asyncio.to_thread(self._take, await got(f"{folder}/{number}", MOST_BYTES))

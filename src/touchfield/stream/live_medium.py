@@ -129,6 +129,7 @@ class LiveFrames:
         self._news: Condition = Condition() if under is None else under._news
         self._kept: deque[_Decoded] = deque()
         self._base: int | None = None
+        self._is_anew = False
         self._error: SourceError | None = None
         self.lost = self.refused = self.skipped = self.covered = 0
         self.came_s = -math.inf
@@ -148,6 +149,10 @@ class LiveFrames:
             self._tell(f"a message was of no use: {event.reason}")
         elif isinstance(event, Ended):
             self.fail(LiveEnd("the sender has ended the stream"))
+
+    def begin_anew(self) -> None:
+        """Another programme on the same lattice follows: its frames count on behind the latest one that is there."""
+        self._is_anew = True
 
     def fail(self, error: SourceError) -> None:
         """Nothing more will come: who waits for a frame is told."""
@@ -184,6 +189,12 @@ class LiveFrames:
 
     def _keep(self, one: _Decoded) -> None:
         """Keep a segment whose first frame has been decoded, and of the others what there is room for."""
+        if self._is_anew:
+            self._base = None if self._base is None else one.first + self._base - self._stop
+            for layer in filter(None, (self, self._under)):  # what is there has the numbers of the programme before
+                layer._kept.clear()
+                layer._begins_s = None
+            self._is_anew, self._rebuilt = False, (-1, self._rebuilt[1])
         self._kept.append(one)
         while len(self._kept) > 1 and (
             len(self._kept) > self._room or sum(one.size for one in self._kept) > MOST_BYTES
