@@ -255,6 +255,15 @@ def test_pins_show_the_height_that_is_met_first(axes: str, wall_m: float) -> Non
     )
 
 
+def test_of_a_symbolic_scene_pins_show_the_force() -> None:
+    law, scene = profile_of(LawSpec(), math.inf), terraces()
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
+    relief = mapping.frames(scene, law)(0)
+    scene.tags = ("symbolic",)
+    by_force = replace(mapping, spec=DeviceFilterSpec(pool="max")).frames(scene, law)(0)
+    assert mapping.frames(scene, law)(0) == by_force != relief
+
+
 def test_pins_of_a_stored_field_and_of_an_image() -> None:
     mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
     fine = Grid((210, 15, 120), (0.0005, 0.0005, 0.00025), (-0.05225, -0.0035, -0.014875))

@@ -173,6 +173,40 @@ def test_polygons_of_all_sizes_are_cut_inside(tmp_path: Path, kind: str) -> None
     assert doubled.sum() / 2 == pytest.approx(4 * 4 + 2 * 1 + 3)
 
 
+def test_a_text_as_windows_and_old_macs_write_it(tmp_path: Path) -> None:
+    text, path = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", tmp_path / "corner.obj"
+    ends = [text.replace("\n", end).encode() for end in ("\r", "\r\n")]
+    for data in (text.encode("utf-8-sig"), text.encode("utf-16"), *ends):
+        path.write_bytes(data)
+        vertices, triangles, _ = read_triangles(path)
+        assert vertices[triangles].tolist() == [[[0, 0, 0], [1, 0, 0], [0, 1, 0]]]
+
+
+@pytest.mark.parametrize("lines", [[3], [3, 10, 11]])
+def test_an_stl_text_without_some_of_its_corners_is_refused(tmp_path: Path, lines: list[int]) -> None:
+    rows = trimesh.exchange.stl.export_stl_ascii(trimesh.creation.box((1, 1, 1))).splitlines()
+    path = tmp_path / "gap.stl"
+    path.write_text("\n".join(row for n, row in enumerate(rows) if n not in lines))
+    with pytest.raises(SourceError, match=r"gap\.stl: .*corners of 12 facets"):
+        read_triangles(path)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "data", "told"),
+    [
+        ("off", b"", "no OFF"),
+        ("off", b"3 1 0\n", "no OFF"),
+        ("ply", b"", "no PLY"),
+        ("ply", b"ply\nformat odd 1.0\nend_header\n", "no PLY"),
+    ],
+)
+def test_what_is_no_such_file_is_told(tmp_path: Path, suffix: str, data: bytes, told: str) -> None:
+    path = tmp_path / f"none.{suffix}"
+    path.write_bytes(data)
+    with pytest.raises(SourceError, match=told):
+        read_triangles(path)
+
+
 @pytest.mark.parametrize("order", ["<", ">", "text"])
 @pytest.mark.parametrize(
     "faces", [[[0, 1, 2], [0, 2, 3]], [[0, 1, 2], [0, 1, 2, 3]], [[0, 1, 2, 3], [2, 3, 0]], [[0, 1, 2, 3]]]

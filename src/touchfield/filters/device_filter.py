@@ -229,12 +229,17 @@ class DeviceFilter:
 
 
 def array_pool(scene: Scene, device: Device, pool: str) -> str:
-    """The way in which an array's depth is pooled: as was asked, or of "auto" what suits scene and device."""
+    """The way in which an array's depth is pooled: as was asked, or of "auto" what suits scene and device.
+
+    An image for an array has no depth, and of a symbolic scene the force itself is what is to be shown.
+    """
     if pool != "auto":
         return pool
-    stored = getattr(scene, "medium", None)
-    is_image = isinstance(stored, HapticMedium) and stored.grid.shape[2] == 1
-    return "relief" if device.shows == "height" and not is_image else "max"
+    stored, is_image, tags = getattr(scene, "medium", None), False, scene.tags
+    if isinstance(stored, HapticMedium):
+        is_image, tags = stored.grid.shape[2] == 1, stored.tags
+    has_relief = not is_image and "symbolic" not in tags
+    return "relief" if device.shows == "height" and has_relief else "max"
 
 
 def array_room_m(law: ForceProfile) -> float:

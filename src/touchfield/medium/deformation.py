@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_between
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import frozen
 from touchfield.medium.npz import NpzArchive
@@ -96,6 +96,7 @@ class Deformation:
     def at_rest(cls, low_m: ArrayLike, high_m: ArrayLike, controls: int = 8, **yields: float) -> Deformation:
         """One frame without any displacement over a box; `yields` as of the class."""
         low, high = (np.asarray(m, np.float64) for m in (low_m, high_m))
+        require_between(4, MOST_CONTROLS, controls=controls)
         spacing = (high - low) / (controls - 3)
         return cls(np.zeros((1, controls, controls, controls, 3)), tuple(low), tuple(spacing), **yields)
 

@@ -9,6 +9,7 @@ Animation (skins, morph targets, node tracks) is not evaluated: a glTF that has 
 from __future__ import annotations
 
 import re
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
@@ -70,9 +71,16 @@ def _numbers(texts: Iterable[bytes], kind: type) -> NDArray[Any]:
     return np.fromstring(b" ".join(texts).decode("ascii"), kind, sep=" ")
 
 
+def _text(data: bytes) -> bytes:
+    """A text without a mark of its byte order, and with the line ends of today."""
+    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        data = data.decode("utf-16").encode()
+    return data.removeprefix(BOM_UTF8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+
+
 def _obj(data: bytes) -> _Polygons:
     """An OBJ: its lines of vertices and faces, in which -1 is the vertex before the line."""
-    text = re.sub(rb"#.*|/\S*", b"", data.replace(b"\r\n", b"\n").replace(b"\\\n", b" "))
+    text = re.sub(rb"#.*|/\S*", b"", _text(data).replace(b"\\\n", b" "))
     lines = re.findall(rb"^[ \t]*(?:v[ \t]+(\S*[ \t]*\S*[ \t]*\S*)|f[ \t]+(.*))", text, re.MULTILINE)
     is_face = np.array([bool(face) for _, face in lines], bool)
     points = [point for point, face in lines if not face]
@@ -84,8 +92,10 @@ def _obj(data: bytes) -> _Polygons:
 
 def _off(data: bytes) -> _Polygons:
     """An OFF of text: lines with a vertex each, then with how many corners, which, and perhaps a colour."""
-    text = re.sub(rb"#.*", b"", data).partition(b"OFF")[2]
+    _, mark, text = re.sub(rb"#.*", b"", _text(data)).partition(b"OFF")
     rows = [words for words in map(bytes.split, text.splitlines()) if words]
+    if not mark or not rows:
+        raise ValueError("no OFF with numbers behind it")
     n, told = map(int, rows[0][:2])
     points, faces = rows[1 : n + 1], rows[n + 1 : n + told + 1]
     counts = np.array([int(face[0]) for face in faces], np.int64)
@@ -97,8 +107,11 @@ def _off(data: bytes) -> _Polygons:
 
 def _ply(data: bytes) -> _Polygons:
     """A PLY: of its elements those of vertices and faces; numbers of a text are read as bytes of float64."""
-    head, body = re.split(rb"\nend_header[ \t]*\r?\n", data, maxsplit=1)
-    _, form, *lines = [line.split() for line in head.decode("latin-1").splitlines()]
+    head, *bodies = re.split(rb"\nend_header[ \t]*\r?\n", data, maxsplit=1)
+    (kind, *_), form, *lines = [line.split() for line in head.decode("latin-1").splitlines()] + [[""], [""]]
+    if kind != "ply" or not bodies or not {"ascii", "binary_little_endian", "binary_big_endian"} & {*form}:
+        raise ValueError("no PLY with a format and an end_header")
+    body = bodies[0]
     is_text, order = "ascii" in form, ">" if "binary_big_endian" in form else "<"
     if is_text:
         body = np.fromstring(body.decode("ascii"), sep=" ").astype("<f8").tobytes()
@@ -164,7 +177,10 @@ def _stl(data: bytes) -> _Polygons:
         solids, ends = words.count(b""), words.count(b"end")
         if ends < solids:
             raise ValueError(f"{solids} solids, of which {ends} end with endsolid")
-        vertices = _numbers(_CORNER.findall(text), np.float64).reshape(-1, 3)
+        corners, facets = _CORNER.findall(text), text.count(b"outer loop")
+        if len(corners) != 3 * facets:
+            raise ValueError(f"{len(corners)} corners of {facets} facets")
+        vertices = _numbers(corners, np.float64).reshape(len(corners), 3)
     return vertices, np.full(len(vertices) // 3, 3), np.arange(len(vertices))
 
 
