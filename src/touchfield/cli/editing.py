@@ -9,7 +9,7 @@ import typer
 
 from touchfield.cli.main import Asked, command
 from touchfield.cli.options import BESIDE, CODER, asks, coder_spec, fields_of, frames_of, numbers_of, rows_of
-from touchfield.cli.show import Answer, check_results, progress
+from touchfield.cli.show import Answer, check_results, progress, show_notes, show_rows
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import length_m
 from touchfield.job import editing
@@ -112,7 +112,12 @@ def lod(
     """Make levels of detail of MEDIUM, each a file with its bytes and its error."""
     with progress("lod", "level") as report:
         done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(asked), report)
-    return Answer(done.summary(), f"levels of detail of {medium}", done.notes, {"levels": ""})
+
+    def people() -> None:
+        show_rows(done.shown["levels"], f"levels of detail of {medium}")
+        show_notes(done.notes)
+
+    return Answer(done.summary(), "", done.notes, people=people)
 
 
 @command("Make", "partition room.touch --depth 1 --penalty-bits 100")

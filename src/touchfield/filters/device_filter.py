@@ -302,21 +302,22 @@ def device_medium(
         band = (vibration := stored.vibration) and (lambda i: replace(vibration(i), grid=grid))
         return replace(stored, grid=grid, make_frame=lambda i: stored[i].on_grid(grid), vibration=band)
     mapping = DeviceFilter(device, grid, placement, spec or DeviceFilterSpec())
+    told = _provenance(mapping, array_pool(scene, device, mapping.spec.pool))
     beside = stored if isinstance(stored, HapticMedium) else None
     medium = HapticMedium(
         grid, scene.rate_hz, scene.frame_count, mapping.frames(scene, profile_hand), axes=scene.axes
     )
     if beside is None:
-        return replace(medium, tags=scene.tags, provenance=_provenance(mapping))
+        return replace(medium, tags=scene.tags, provenance=told)
     own = {**beside.beside, "rate_hz": medium.rate_hz, "axes": medium.axes}
-    return replace(medium, **own, provenance={**beside.provenance, **_provenance(mapping)})
+    return replace(medium, **own, provenance={**beside.provenance, **told})
 
 
-def _provenance(mapping: DeviceFilter) -> dict[str, str]:
+def _provenance(mapping: DeviceFilter, pool: str) -> dict[str, str]:
     spec, placement = mapping.spec, mapping.placement
     words = f"{spec.low_pass}, oversample {spec.oversample}, floor {spec.force_floor_share:g} of F_max"
     if mapping.device.is_array:
-        words += f", pool {spec.pool}, cut-off {spec.cutoff}"
+        words += f", pool {pool}, cut-off {spec.cutoff}"
     return {
         "device": mapping.device.name,
         "device_filter": words,

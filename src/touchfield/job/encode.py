@@ -151,7 +151,8 @@ def encode_prepared(
                 done, supported, lost = done + one.frames, supported + one.supported, lost + one.lost
                 tell(ready)
     what = f"In {lost} of {len(prepared.medium)} frames nothing can be felt: every force is below --f0-n"
-    told = (f"{what} (a lower one, a greater --stiffness-n-per-m or --nw)",) if lost else ()
+    mend = " (a lower one, a greater --stiffness-n-per-m or --nw)" if prepared.has_law else ""
+    told = (what + mend,) if lost else ()
     return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported, told)
 
 

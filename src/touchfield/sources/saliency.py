@@ -258,8 +258,8 @@ def _recognise(path: Path) -> bool:
 
 KIND = SourceKind(
     "saliency",
-    "ordinary video (MKV, AVI, MOV, MP4; extra: video), GIF, or with --as saliency pictures or a folder of them: what "
-    "catches the eye, for arrays of actuators",
+    "ordinary video (MKV, AVI, MOV, MP4; extra: video), GIF, or with --as saliency pictures or a folder of them: "
+    "what catches the eye, for arrays of actuators",
     _recognise,
     open_saliency,
 )

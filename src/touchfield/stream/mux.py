@@ -110,6 +110,9 @@ def demux(movie: str | Path, out: str | Path) -> Muxed:
     Raises SourceError if the movie cannot be read, or has no touch; FormatError if the touch is damaged, or its
     beginning is missing.
     """
+    if Path(movie).suffix.lower() == ".mpd":
+        mend = f"Its touch stands beside it: {Path(movie).with_suffix('.touch').name}."
+        raise InvalidArgument(str(movie), "a DASH manifest", "a movie with touch in it", mend)
     with _opened(movie) as source:
         samples, at_s = _found(source, str(movie))
     whole: Any = BytesIO(_joined(samples, str(movie)))
