@@ -149,6 +149,22 @@ def test_the_same_content_has_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "again.touch").read_bytes() == example_file()
 
 
+class Slow(io.BytesIO):
+    """A file that takes some bytes at a time, as the system does of many."""
+
+    def write(self, data: Any) -> int:
+        return super().write(bytes(data)[:7])
+
+
+def test_a_file_that_takes_a_few_bytes_at_a_time(tmp_path: Path) -> None:
+    write(tmp_path / "a.touch", EXAMPLE_HEAD, [(EXAMPLE_HEAD.frame_count, b"body of a segment")])
+    slow = Slow()
+    with TouchWriter(slow) as writer:
+        writer.write_head(EXAMPLE_HEAD)
+        writer.write_segment(0, EXAMPLE_HEAD.frame_count, b"body of a segment")
+    assert slow.getvalue() == (tmp_path / "a.touch").read_bytes()
+
+
 def test_opening_reads_no_segment(tmp_path: Path) -> None:
     write(tmp_path / "a.touch", dataclasses.replace(EXAMPLE_HEAD, frame_count=8), [(2, bytes(1 << 20))] * 4)
     file = CountingFile((tmp_path / "a.touch").read_bytes())
