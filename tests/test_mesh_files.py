@@ -182,6 +182,17 @@ def test_a_text_as_windows_and_old_macs_write_it(tmp_path: Path) -> None:
         assert vertices[triangles].tolist() == [[[0, 0, 0], [1, 0, 0], [0, 1, 0]]]
 
 
+def test_a_file_that_may_not_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(path: Path) -> bytes:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    path = tmp_path / "closed.obj"
+    path.write_text("v 0 0 0\n")
+    monkeypatch.setattr(Path, "read_bytes", refused)
+    with pytest.raises(SourceError, match=r"closed\.obj: found Permission denied"):
+        read_triangles(path)
+
+
 @pytest.mark.parametrize("lines", [[3], [3, 10, 11]])
 def test_an_stl_text_without_some_of_its_corners_is_refused(tmp_path: Path, lines: list[int]) -> None:
     rows = trimesh.exchange.stl.export_stl_ascii(trimesh.creation.box((1, 1, 1))).splitlines()

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import SourceError
+from touchfield.files import readable
 from touchfield.sources.gltf_model import Model
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.mesh_surface import welded
@@ -51,7 +52,7 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
         notes = ("The file is animated (skin, morph targets or tracks); it is read in its rest pose.",)
         return *welded(vertices, model.triangles), (*model.notes, *notes[: model.is_animated])
     try:
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), readable(path, "a whole mesh file"):
             vertices, counts, flat = _READERS[path.suffix.lower()](path.read_bytes())
         if len(flat) and not 0 <= flat.min() <= flat.max() < len(vertices):
             raise ValueError(f"a face of vertices that are not there; there are {len(vertices)}")
