@@ -152,11 +152,6 @@ def checks() -> list[Check]:
 
 
 KIND = DeviceKind(
-    "osc",
-    "osc:HOST:PORT",
-    "any array of actuators, by Open Sound Control (UDP)",
-    "tactile-vest-8x8",
-    _make,
-    checks,
-    takes_any=True,
-)
+    "osc", "osc:HOST:PORT", "any array of actuators, by Open Sound Control (UDP)", "tactile-vest-8x8",
+    _make, checks, takes_any=True,
+)  # fmt: skip

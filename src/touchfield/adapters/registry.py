@@ -147,8 +147,9 @@ def array_device(words: str, profile: Device | None = None, own: Device | None =
     name, _, rest = words.strip().partition(":")
     kind = _kind(words, name.lower(), array_kinds())
     usual = device(str(kind.profile))
-    suits = kind.takes_any and own is not None and own.is_array and own.shows == usual.shows
-    chosen = profile or (own if suits and own is not None else usual)
+    if kind.takes_any and own is not None and own.is_array and own.shows == usual.shows:
+        usual = own
+    chosen = profile or usual
     if not chosen.is_array:
         raise InvalidArgument(f"profile of {name}", f"{chosen.name}, a point", "an array of actuators (type 2)")
     array: ArrayDevice = kind.make(rest, chosen)

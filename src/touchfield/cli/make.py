@@ -100,7 +100,7 @@ def filter_(
     from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 
     spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
-    beside = {row.name: getattr(spec, row.name.replace("-", "_")) for row in BESIDE}
+    beside = {row.name: getattr(spec, row.key) for row in BESIDE}
     if not spec.filters and all(words is None for words in beside.values()):
         names = ", ".join(f"--{row.name}" for row in (*filter_rows(), *BESIDE))
         raise InvalidArgument(f"touchfield filter has no filter to apply: name at least one of {names}")
@@ -196,7 +196,7 @@ def _options(plan: Plan, asked: dict[str, Any]) -> list[str]:
     if plan.chosen.spec.coder == "touch":
         words += ["--effort", plan.chosen.spec.touch.effort]
     for row in SCENE:
-        value = asked[row.name.replace("-", "_")]
+        value = asked[row.key]
         if value != row.default and row.name not in ("nw", "representation"):
             words += [f"--{row.name}"] if value is True else [f"--{row.name}", str(value)]
     return words

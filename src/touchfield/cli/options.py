@@ -41,6 +41,11 @@ class Row(NamedTuple):
     words: str
     panel: str | None = None
 
+    @property
+    def key(self) -> str:
+        """The name of the field, and of the parameter, of the option."""
+        return self.name.replace("-", "_")
+
 
 _KINDS: Final = {
     name: kind
@@ -147,7 +152,7 @@ def _parameter(row: Row) -> inspect.Parameter:
     words = row.words.replace("[", r"\[")  # what stands in brackets is no markup
     group = "What most people need" if row.panel and row.name in _FIRST else row.panel
     option = typer.Option(f"--{row.name}", help=words, rich_help_panel=group)
-    key = "as_" if row.name == "as" else row.name.replace("-", "_")
+    key = "as_" if row.name == "as" else row.key
     return inspect.Parameter(key, BY_NAME, default=row.default, annotation=Annotated[row.kind, option])
 
 
@@ -222,7 +227,7 @@ def encode_spec(asked: dict[str, Any]) -> EncodeSpec:
 
 def coder_spec(asked: dict[str, Any]) -> EncodeSpec:
     """The coder's options alone, without a scene's."""
-    return encode_spec(asked | {row.name.replace("-", "_"): row.default for row in SCENE})
+    return encode_spec(asked | {row.key: row.default for row in SCENE})
 
 
 def target_of(asked: dict[str, Any]) -> Target | None:

@@ -32,7 +32,7 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.resample import axis_weights, low_pass, resample
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
-from touchfield.medium.grid import Placement
+from touchfield.medium.grid import Placement, axis_words
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -153,37 +153,42 @@ class DeviceFilter:
 
     def _pooled(self, scene: Scene, frame: int, profile_hand: ForceProfile) -> tuple[Float64s, Grid]:
         """|F| pooled along the depth, float64 [x, y], and the lattice that it was taken on."""
-        from touchfield.filters.kernels import forces as kernels
-
         pool, fine = array_pool(scene, self.device, self.spec.pool), self._array_lattice(scene, profile_hand)
         stored = getattr(scene, "medium", None)
         if isinstance(stored, HapticMedium):
-            greatest, mean, first, last = kernels.pooled(stored[frame], self.placement.to_scene(fine))
+            from touchfield.filters.kernels.forces import pooled
+
+            greatest, mean, first, last = pooled(stored[frame], self.placement.to_scene(fine))
             rise = np.where(last > 0, fine.shape[2] + 1 - first, 0) if is_met_from_low(scene.axes) else last
-            if pool == "relief":
-                return self._relief(rise, fine, profile_hand), fine
-            return (greatest if pool == "max" else mean), fine
+            image = {"max": greatest, "mean": mean, "relief": rise}[pool]
+        else:
+            image = self._columns(scene, frame, profile_hand.rescaled(self.placement.scale), pool, fine)
+        return (self._relief(image, fine, profile_hand) if pool == "relief" else image), fine
+
+    def _columns(self, scene: Scene, frame: int, law: ForceProfile, pool: str, fine: Grid) -> Float64s:
+        """Of the columns of a lattice the greatest or mean |F|, or how many samples from the far end they begin."""
         bricks_x, bricks_y, _ = fine.brick_shape
-        greatest, total, count, rise = np.zeros((4, bricks_x, bricks_y, BRICK, BRICK))
-        law, (nx, ny, nz) = profile_hand.rescaled(self.placement.scale), fine.shape
+        image, count = np.zeros((2, bricks_x, bricks_y, BRICK, BRICK))
+        nx, ny, nz = fine.shape
         depth = max(1, MAX_SLAB_SAMPLES // (nx * ny))  # so that even a solid scene needs bounded memory
         for begin in range(0, nz, depth):
             origin_m = tuple(fine.to_m((0, 0, begin)).tolist())
             slab = Grid((nx, ny, min(depth, nz - begin)), fine.spacing_m, origin_m)
             field = scene.field(frame, self.placement.to_scene(slab), law)
-            lengths = np.linalg.norm(field.forces_n.astype(np.float64), axis=-1)
             columns = tuple(field.bricks[:, :2].T)
-            np.maximum.at(greatest, columns, lengths.max(axis=-1))
-            np.add.at(total, columns, lengths.sum(axis=-1))
-            np.add.at(count, columns, np.count_nonzero(field.mask, axis=-1))
-            number = begin + BRICK * field.bricks[:, 2, None, None, None] + np.arange(1, BRICK + 1)
-            number = nz + 1 - number if is_met_from_low(scene.axes) else number
-            np.maximum.at(rise, columns, np.where(field.mask, number, 0).max(axis=-1))
-        image = greatest if pool == "max" else total / np.maximum(count, 1)
-        if pool == "relief":
-            image = self._relief(rise, fine, profile_hand)
-        dense = image.transpose(0, 2, 1, 3).reshape(bricks_x * BRICK, bricks_y * BRICK)
-        return dense[:nx, :ny], fine
+            if pool == "relief":
+                number = begin + BRICK * field.bricks[:, 2, None, None, None] + np.arange(1, BRICK + 1)
+                number = nz + 1 - number if is_met_from_low(scene.axes) else number
+                np.maximum.at(image, columns, np.where(field.mask, number, 0).max(axis=-1))
+                continue
+            lengths = np.linalg.norm(field.forces_n.astype(np.float64), axis=-1)
+            if pool == "max":
+                np.maximum.at(image, columns, lengths.max(axis=-1))
+            else:
+                np.add.at(image, columns, lengths.sum(axis=-1))
+                np.add.at(count, columns, np.count_nonzero(field.mask, axis=-1))
+        dense = (image / np.maximum(count, 1)).transpose(0, 2, 1, 3).reshape(bricks_x * BRICK, bricks_y * BRICK)
+        return dense[:nx, :ny]
 
     def _relief(self, rise: Float64s, fine: Grid, law: ForceProfile) -> Float64s:
         """Newtons of pins whose columns have their first force `rise` samples from the far end; 0 without any."""
@@ -255,8 +260,7 @@ def relief_m(grid: Grid, law: ForceProfile) -> tuple[float, float]:
 
 def is_met_from_low(axes: str) -> bool:
     """True where who looks at a scene stands at low z, a camera's "..., z forward"; else z is up or to the viewer."""
-    words = axes.lower().split(",")
-    return len(words) > 2 and "forward" in words[2].split()
+    return "forward" in axis_words(axes, 2)
 
 
 @lru_cache(maxsize=8)

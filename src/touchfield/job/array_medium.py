@@ -21,7 +21,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.placing import mapping_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid, HapticMedium
-from touchfield.medium.grid import Placement
+from touchfield.medium.grid import Placement, axis_words
 from touchfield.medium.medium import VibrationFrame
 from touchfield.sources.stored import StoredScene
 from touchfield.stream.opened import OpenStream
@@ -118,8 +118,7 @@ def is_top_first(axes: str) -> bool:
 
     "y north" of a map is up, too: the north is at the top.
     """
-    words = axes.lower().split(",")
-    return len(words) > 1 and "down" in words[1].split()
+    return "down" in axis_words(axes, 1)
 
 
 def _pooled_band(

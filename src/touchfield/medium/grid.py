@@ -209,6 +209,12 @@ class Placement:
         return {"mapping_scale": [self.scale], "mapping_offset_m": list(self.offset_m)}
 
 
+def axis_words(axes: str, axis: int) -> list[str]:
+    """The words of one axis in those of a medium, ["y", "down"] of "x right, y down"; none where it is not told."""
+    words = axes.lower().split(",")
+    return words[axis].split() if axis < len(words) else []
+
+
 def _centre_and_extent(scene_box_m: ArrayLike) -> tuple[Float64s, Float64s]:
     box = np.asarray(scene_box_m, np.float64)
     extent = box[1] - box[0] if box.shape == (2, 3) and np.isfinite(box).all() else np.zeros(3)
