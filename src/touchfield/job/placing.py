@@ -87,6 +87,9 @@ def mapping_of(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForcePro
     if own:
         length += "; the field keeps its own lattice, as it is kept without loss: --nw is not used"
     notes = (length, *unit_notes(scene, *_fitted(scene, spec)))
+    idle = ("nw", "nominal") if chosen.is_array else ("pool", "cutoff")
+    if words := ", ".join(f"--{name}" for name in idle if name in spec.asked()):
+        notes += (f"Options that do nothing for {chosen.name}: {words}.",)
     return Mapping(chosen, grid, placement, of_law, spec, notes, own is not None)
 
 
