@@ -115,6 +115,13 @@ def test_options_of_another_kind_of_device_are_told() -> None:
         assert told[-1] == f"Options that do nothing for {name}: {idle}."
 
 
+def test_a_wall_between_the_samples_is_told() -> None:
+    scene = HeightScene(np.zeros((5, 5)), (10.0, 10.0))
+    for thickness_m, nw, is_told in ((0.002, 5, True), (0.002, 7, False), (None, 5, False)):
+        notes = prepare(scene, EncodeSpec(nw=nw, thickness_m=thickness_m)).notes
+        assert any("2 mm is thinner than the 5 mm" in note for note in notes) == is_told
+
+
 def test_an_array_has_its_own_lattice() -> None:
     pad = device("dotpad")
     grid = device_grid(pad, 7)
