@@ -134,7 +134,7 @@ class OpenStream(ABC):
     def bits_of_voxels(self, supported: int) -> dict[str, Any]:
         """Stable keys: all bits of the file for each voxel that holds a force once it is decoded."""
         each = 8 * self.file_bytes / supported if supported else None
-        return {"decoded_supported_voxels": supported, "bits_per_supported_voxel": each}
+        return {"decoded_supported_voxels": supported, "bits_per_decoded_voxel": each}
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; those of the vibration only where there is one."""
