@@ -269,9 +269,9 @@ def test_addresses_are_told_once_the_code_is_there(
     assert 0 <= said.rindex("compiling") < said.index("ws://")
 
 
-def test_a_first_segment_is_waited_for_longer_than_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_client, "PATIENCE_S", 1.0)
-    monkeypatch.setattr(live_client, "_TOLD_S", 0.1, raising=False)
+def test_a_first_segment_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_client, "_ANSWER_S", 1.0)
+    monkeypatch.setattr(live_client, "TOLD_S", 0.1)
     sender, notes = sender_of(0)[0], list[str]()
     with LiveServer(sender, Access(port=0)) as server:
         threading.Timer(1.5, lambda: server.add(segment(0))).start()
@@ -344,7 +344,9 @@ def test_a_connection_that_is_cut_is_made_again() -> None:
 
 
 @pytest.mark.parametrize("form", ["ws://{}/live", "http://{}/live.json"])
-def test_a_server_that_is_started_again_is_felt_again(form: str) -> None:
+def test_a_server_that_is_started_again_is_felt_again(form: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However often it is not there meanwhile."""
+    monkeypatch.setattr(live_client, "_LONGEST_PAUSE_S", 0.1)
     notes: list[str] = []
     with ExitStack() as second:
         with ExitStack() as first:
@@ -353,6 +355,7 @@ def test_a_server_that_is_started_again_is_felt_again(form: str) -> None:
             for i in range(30):  # numbers that the second one's are below
                 live.medium[i]
             server.end = lambda: None  # type: ignore[method-assign]  # it is killed: nobody is told
+        time.sleep(2.0)
         second.enter_context(on_air(Access(port=int(server.address.rpartition(":")[2]))))
         frames = live.medium.make_frame
         number = frames.stream_frame(0)  # type: ignore[attr-defined]
@@ -364,6 +367,19 @@ def test_a_server_that_is_started_again_is_felt_again(form: str) -> None:
             got, number = live.medium[i], frames.stream_frame(i)  # type: ignore[attr-defined]
             np.testing.assert_allclose(got.to_dense(), field(number % 60).to_dense(), atol=0.2)
     assert "another programme begins" in notes and not any("of no use" in note for note in notes), notes
+    assert sum("connecting again" in note for note in notes[: notes.index("another programme begins")]) == 1, notes
+
+
+def test_a_server_that_is_gone_for_good_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_client, "PATIENCE_S", 1.0)
+    with ExitStack() as first, ExitStack() as second:
+        server = first.enter_context(on_air())
+        live = second.enter_context(open_stream(f"ws://{server.address}/live"))
+        live.medium[0]
+        server.end = lambda: None  # type: ignore[method-assign]  # it is killed: nobody is told
+        first.close()
+        with pytest.raises(SourceError, match="Check the address"):
+            [live.medium[i] for i in range(1, 200)]
 
 
 def test_a_segment_is_a_file_of_its_own(tmp_path: Path) -> None:

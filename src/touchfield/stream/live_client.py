@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
@@ -19,13 +21,12 @@ from touchfield.container.remote import without_secret
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.files import standard_input
 from touchfield.stream.live import MOST_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
-from touchfield.stream.live_medium import PATIENCE_S, LiveFrames, LiveStream
+from touchfield.stream.live_medium import PATIENCE_S, TOLD_S, LiveFrames, LiveStream
 
-_PAUSES_S: Final = (0.1, 0.3, 1.0, 2.0)
+_SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 2.0  # between two tries to connect
 _POLL_S: Final = 0.05
-_FIRST_S, _TOLD_S = 60.0, 3.0  # a first segment is waited for longer, as its sender may be starting; told after
+_ANSWER_S: Final = 10.0
 _MOST_MANIFEST: Final = 1 << 16
-_MOST_TRIES: Final = 8
 
 
 @contextmanager
@@ -80,9 +81,9 @@ class _Client:
 
     def stream(self) -> LiveStream:
         """The stream, once a first segment is there."""
-        if not self._begun.wait(_TOLD_S):
+        if not self._begun.wait(TOLD_S):
             self._tell(f"waiting for a first segment of {self._name}, a minute at most: its sender may be starting")
-            self._begun.wait(_FIRST_S - _TOLD_S)
+            self._begun.wait(PATIENCE_S - TOLD_S)
         if self._opened is None or self._frames is None:
             raise self._error
         return LiveStream(self._name, self._opened, self._frames, self._vibrates)
@@ -128,30 +129,32 @@ class _Client:
     async def _receive(self) -> None:
         import aiohttp
 
-        tries = 0
-        timeout = aiohttp.ClientTimeout(total=PATIENCE_S, sock_connect=PATIENCE_S)
+        told_s: float | None = None
+        timeout = aiohttp.ClientTimeout(total=_ANSWER_S, sock_connect=_ANSWER_S)
         async with aiohttp.ClientSession(timeout=timeout) as session:
             form = self._url.lower().partition(":")[0].removesuffix("s")
             follow = {"w": self._by_socket, "udp": self._by_datagrams}.get(form, self._by_manifest)
             while True:
-                came_s = None if self._frames is None else self._frames.came_s
                 try:
                     if await follow(session):
                         return
                     found = "a connection that ended"
                 except (aiohttp.ClientError, OSError, TimeoutError) as error:
                     found = str(error) or type(error).__name__
-                tries = 0 if self._frames is not None and self._frames.came_s != came_s else tries + 1
-                if tries >= _MOST_TRIES or self._opened is None:
+                came_s = -math.inf if self._frames is None else self._frames.came_s
+                silent_s = time.monotonic() - came_s
+                if silent_s > PATIENCE_S:
                     raise SourceError(self._name, found, "a live stream", "Check the address, and that it is on.")
-                self._tell(f"{found}: connecting again")
-                await asyncio.sleep(_PAUSES_S[min(tries, len(_PAUSES_S) - 1)])
+                if came_s != told_s:
+                    self._tell(f"{found}: connecting again")
+                    told_s = came_s
+                await asyncio.sleep(min(max(_SHORTEST_PAUSE_S, silent_s / 2), _LONGEST_PAUSE_S))
 
     async def _by_socket(self, session: Any) -> bool:
         """Receive until the connection ends; True where the stream is over."""
         import aiohttp
 
-        async with session.ws_connect(self._url, max_msg_size=MOST_BYTES, heartbeat=PATIENCE_S, compress=0) as socket:
+        async with session.ws_connect(self._url, max_msg_size=MOST_BYTES, heartbeat=_ANSWER_S, compress=0) as socket:
             async for message in socket:
                 if message.type is aiohttp.WSMsgType.BINARY and await asyncio.to_thread(self._take, message.data):
                     return True

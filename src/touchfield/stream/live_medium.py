@@ -37,7 +37,12 @@ KEPT: Final = 4
 MOST_BYTES: Final = 1 << 30
 """Of the fields that are kept; fewer segments are, where they are larger."""
 
-PATIENCE_S: Final = 10.0
+PATIENCE_S: Final = 60.0
+"""So long a segment is waited for: its sender may be starting, or be started again."""
+
+TOLD_S: Final = 3.0
+"""From here on, beyond the length of a segment, it is told that one is waited for."""
+
 FORGOTTEN: Final = 0.2
 """Share of a delay that is forgotten with each segment that came sooner: one that was late once holds nobody back for
 long, and the delays that keep coming do."""
@@ -105,7 +110,7 @@ class LiveFrames:
     skipped : int
         Frames that play was moved on over, because it had fallen behind.
     came_s : float
-        When the latest segment came, seconds of the clock; -inf before the first.
+        When the latest segment came, seconds of the clock; before the first, when it was begun to wait.
     """
 
     def __init__(
@@ -132,7 +137,7 @@ class LiveFrames:
         self._is_anew = False
         self._error: SourceError | None = None
         self.lost = self.refused = self.skipped = self.covered = 0
-        self.came_s = -math.inf
+        self.came_s, self._told_s = clock_s(), -math.inf
         self._begins_s: float | None = None
         self._played, self._room = (math.inf, 0.0), KEPT
         if under is not None:
@@ -261,8 +266,8 @@ class LiveFrames:
     def __call__(self, index: int) -> ForceField:
         """A frame, once it has come; one that was lost holds no force.
 
-        Raises LiveEnd where the sender has ended the stream before it; SourceError where nothing came for ten
-        seconds, or the frame lies far ahead.
+        Raises LiveEnd where the sender has ended the stream before it; SourceError where nothing came for a minute,
+        or the frame lies far ahead.
         """
         wanted, one = self._place_of(index)
         if one is not None:
@@ -281,13 +286,23 @@ class LiveFrames:
         with self._news:
             if not self._kept or self._base is None:
                 return self._error is not None
-            is_late = self._clock_s() - self._latest_s > PATIENCE_S
-            return self._is_settled(self._base + index) or self._is_over or is_late
+            return self._is_settled(self._base + index) or self._is_over or self._is_silent
 
     @property
     def _latest_s(self) -> float:
         """When something came last, in any layer, seconds of the clock."""
         return self.came_s if self._under is None else max(self.came_s, self._under.came_s)
+
+    @property
+    def _is_silent(self) -> bool:
+        """True where no segment is waited for any longer; that one is waited for is told once."""
+        latest_s = self._latest_s
+        silent_s = self._clock_s() - latest_s
+        usual_s = len(self._kept[-1].fields) / self._rate_hz if self._kept else 0.0
+        if silent_s > TOLD_S + usual_s and self._told_s != latest_s:
+            self._told_s = latest_s
+            self._tell(f"nothing has come for {silent_s:.0f} s: waiting, for {PATIENCE_S:g} s in all")
+        return silent_s > PATIENCE_S
 
     @property
     def _is_over(self) -> bool:
@@ -301,11 +316,10 @@ class LiveFrames:
 
     def _place_of(self, index: int) -> tuple[int, _Decoded | None]:
         """The stream's number of a frame, and the segment that holds it, if it came: once it is known."""
-        began = self._clock_s()
         with self._news:
             while True:
                 if self._kept and self._base is not None:
-                    began, wanted, newest = self._latest_s, self._base + index, self._kept[-1]
+                    wanted, newest = self._base + index, self._kept[-1]
                     if wanted > newest.first + _AHEAD:
                         raise SourceError("live stream", f"frame {index}, far ahead", "one that comes soon")
                     if wanted < self._kept[0].first and not (self._under and self._under._holding(wanted)):
@@ -317,10 +331,9 @@ class LiveFrames:
                         return wanted, self._holding(wanted)
                 if self._error is not None and self._is_over:
                     raise self._error
-                left = PATIENCE_S - (self._clock_s() - began)
-                if left <= 0:
+                if self._is_silent:
                     raise SourceError("live stream", f"no segment for {PATIENCE_S:g} s", "one that comes in time")
-                self._news.wait(left if self._under is None else min(left, SPARE_S))  # what is due tells nobody
+                self._news.wait(SPARE_S)  # what is due tells nobody
 
 
 class _LiveReader(NamedTuple):
