@@ -61,7 +61,7 @@ class _Client:
             raise MissingExtra("a live stream", "aiohttp", "broadcast")
         self._url, self._tell, self._under, self._is_layered = url, tell, under, is_layered
         self._name = "standard input" if url == "-" else without_secret(url)
-        self._receiver = LiveReceiver()
+        self._receiver = LiveReceiver(is_open=url.lower().startswith("udp:"))
         self._opened: Opened | None = None
         self._frames: LiveFrames | None = None
         self._vibrates = False

@@ -11,7 +11,13 @@ from typing import Any, Final, Literal
 
 from touchfield.errors import InvalidArgument
 from touchfield.stream.datagrams import MOST_DATAGRAM, MOST_OPEN, Datagrams, Gathering
-from touchfield.stream.live import LiveSender
+from touchfield.stream.live import END, LiveSender
+
+_LAST: Final = b"\0"
+"""The end, which has no byte, as a message that has one."""
+
+_LAST_S: Final = 2.0
+"""So long nothing may come behind the end."""
 
 _OPENED_EVERY: Final = 4
 """Segments, before which the opening is told again for those who come."""
@@ -62,7 +68,7 @@ class UdpSender:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._send(self._datagrams.flush())
+        self._send([*self._datagrams.add(_LAST), *self._datagrams.flush()])
         self._socket.close()
 
     def add(self, message: bytes) -> None:
@@ -102,10 +108,17 @@ async def listen(address: str, take: Callable[[bytes], bool], is_layered: bool =
 
     loop = asyncio.get_running_loop()
     transport, _ = await loop.create_datagram_endpoint(lambda: _Protocol(queue), local_addr=(host, port))
+    is_last = False
     try:
         while True:
-            for message in gathering.receive(await coming.get()):
-                if await asyncio.to_thread(take, message):
+            try:
+                datagram = await asyncio.wait_for(coming.get(), _LAST_S if is_last else None)
+            except TimeoutError:
+                await asyncio.to_thread(take, END)
+                return
+            for message in gathering.receive(datagram):
+                is_last = message == _LAST
+                if not is_last and await asyncio.to_thread(take, message):
                     return
     finally:
         transport.close()
