@@ -128,6 +128,43 @@ def test_a_stream_that_fails_goes_on_coarse_until_both_have_ended() -> None:
         both.frames(5)
 
 
+@pytest.mark.parametrize("comes", ["coarse alone", "coarse first", "fine first"])
+def test_another_programme_of_which_the_coarse_layer_comes_first_or_alone(comes: str) -> None:
+    pair = Pair()
+    pair.now_s = 2.2
+    for first in (100, 105):
+        pair.under.take(replace(COARSE[0], first_frame=first))
+        pair.frames.take(replace(FINE[0], first_frame=first))
+    fine = (pair.frames, FINE), (pair.under, COARSE)
+    for step in range(8):
+        pair.now_s = 5.0 + 0.1 * step
+        for layer, own in fine if comes == "fine first" else fine[::-1]:
+            if layer is pair.frames and (comes == "coarse alone" or (comes == "coarse first" and step < 2)):
+                continue
+            if step == 0 or (step == 2 and layer is pair.frames and comes == "coarse first"):
+                layer.begin_anew()
+            layer.take(own[5 * step])
+    assert pair.frames.stream_frame(10) == 0, "what comes next is behind what was there"
+    pair.now_s = 5.65
+    assert [pair.kind(10 + number) for number in (8, 31)] == [
+        "coarse",
+        "coarse" if comes == "coarse alone" else "fine",
+    ]
+    due_s = pair.frames.due_s(50.0)
+    assert due_s == pytest.approx(5.65 - 5.0 - 0.03 + 0.2, abs=0.03)
+    pair.now_s = 7.0
+    assert not pair.frames.is_there(10 + 40) and pair.frames.skipped == 0
+
+
+def test_what_only_the_coarse_layer_could_have_is_nothing_where_it_lost_it() -> None:
+    """A hand that asks frame by frame, as an array does, is not held up for ever."""
+    pair = Pair()
+    pair.frames.take(FINE[0])
+    for one in (COARSE[0], COARSE[10], replace(COARSE[0], first_frame=65)):
+        pair.under.take(one)
+    assert [pair.kind(i) for i in (4, 7, 10, 16, 21)] == ["fine", "nothing", "coarse", "nothing", "waits"]
+
+
 def test_a_layer_of_another_lattice_is_refused() -> None:
     other = LiveFrames(OPENED)
     with pytest.raises(SourceError, match="half of"):

@@ -103,8 +103,8 @@ class _Client:
             self._error = error
             if self._frames is not None:
                 self._frames.fail(error)
-            self._begun.set()
         finally:
+            self._begun.set()
             self._loop.close()
 
     def _take(self, message: bytes) -> bool:
@@ -119,7 +119,9 @@ class _Client:
                     self._frames.begin_anew()
                 else:  # who plays the old one opens anew
                     raise SourceError(self._name, "another programme", "the one that was opened", "Open it again.")
-            elif self._frames is not None:
+            elif self._frames is None:
+                self._error = SourceError(self._name, getattr(event, "reason", "its end"), "a live stream")
+            else:
                 self._vibrates |= isinstance(event, LiveSegment) and event.vibration is not None
                 self._frames.take(event)
                 if isinstance(event, LiveSegment):

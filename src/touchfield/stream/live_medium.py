@@ -134,14 +134,15 @@ class LiveFrames:
         self._news: Condition = Condition() if under is None else under._news
         self._kept: deque[_Decoded] = deque()
         self._base: int | None = None
-        self._is_anew = False
+        self._over: LiveFrames | None = None
+        self._programmes = self._begun = 0  # of this layer, and in those of both that are kept
         self._error: SourceError | None = None
         self.lost = self.refused = self.skipped = self.covered = 0
         self.came_s, self._told_s = clock_s(), -math.inf
         self._begins_s: float | None = None
         self._played, self._room = (math.inf, 0.0), KEPT
         if under is not None:
-            under._room = 2 * KEPT  # the stream over it may be that much later
+            under._over, under._room = self, 2 * KEPT  # the stream over it may be that much later
 
     def take(self, event: Event) -> None:
         """Take an event; a segment is decoded here, in the thread that receives."""
@@ -157,7 +158,7 @@ class LiveFrames:
 
     def begin_anew(self) -> None:
         """Another programme on the same lattice follows: its frames count on behind the latest one that is there."""
-        self._is_anew = True
+        self._programmes += 1
 
     def fail(self, error: SourceError) -> None:
         """Nothing more will come: who waits for a frame is told."""
@@ -194,12 +195,13 @@ class LiveFrames:
 
     def _keep(self, one: _Decoded) -> None:
         """Keep a segment whose first frame has been decoded, and of the others what there is room for."""
-        if self._is_anew:
-            self._base = None if self._base is None else one.first + self._base - self._stop
-            for layer in filter(None, (self, self._under)):  # what is there has the numbers of the programme before
+        top = self._over or self
+        if self._programmes > top._begun:  # what is there has the numbers of the programme before
+            top._base = None if top._base is None else one.first + top._base - top._there
+            for layer in filter(None, (top, top._under)):
                 layer._kept.clear()
                 layer._begins_s = None
-            self._is_anew, self._rebuilt = False, (-1, self._rebuilt[1])
+            top._begun, top._rebuilt = self._programmes, (-1, top._rebuilt[1])
         self._kept.append(one)
         while len(self._kept) > 1 and (
             len(self._kept) > self._room or sum(one.size for one in self._kept) > MOST_BYTES
@@ -214,8 +216,7 @@ class LiveFrames:
             begins_s = self._zero_s
             if begins_s is None or self._base is None:
                 return None
-            there = max(self._stop, self._under._stop if self._under else 0)  # nothing beyond it can be felt
-            due_s = min(self._clock_s() - begins_s - SPARE_S, there / rate_hz) - self._base / rate_hz
+            due_s = min(self._clock_s() - begins_s - SPARE_S, self._there / rate_hz) - self._base / rate_hz
             return due_s if self._under is None else max(0.0, due_s)  # a layer may have begun later
 
     @property
@@ -235,6 +236,11 @@ class LiveFrames:
         """The frame of the stream behind the newest that is there; 0 before the first."""
         return self._kept[-1].first + len(self._kept[-1].fields) if self._kept else 0
 
+    @property
+    def _there(self) -> int:
+        """The frame behind the newest in any layer: nothing beyond it can be felt."""
+        return max(self._stop, self._under._stop if self._under else 0)
+
     def _holding(self, wanted: int) -> _Decoded | None:
         """The segment that holds a frame of the stream, if it is kept."""
         return next((one for one in self._kept if one.first <= wanted < one.first + len(one.fields)), None)
@@ -244,6 +250,7 @@ class LiveFrames:
         under, is_past = self._under, wanted < self._stop
         if under is None or self._holding(wanted) is not None:
             return is_past
+        is_past |= wanted < under._stop - GONE_S * self._rate_hz
         if under._holding(wanted) is not None:
             return is_past or self._error is not None or self._is_due(wanted)
         return is_past and (wanted < under._stop or self._is_due(wanted))
@@ -284,7 +291,7 @@ class LiveFrames:
     def is_there(self, index: int) -> bool:
         """True where `__call__` answers at once, be it with an error."""
         with self._news:
-            if not self._kept or self._base is None:
+            if not self._there or self._base is None:
                 return self._error is not None
             return self._is_settled(self._base + index) or self._is_over or self._is_silent
 
@@ -318,12 +325,13 @@ class LiveFrames:
         """The stream's number of a frame, and the segment that holds it, if it came: once it is known."""
         with self._news:
             while True:
-                if self._kept and self._base is not None:
-                    wanted, newest = self._base + index, self._kept[-1]
-                    if wanted > newest.first + _AHEAD:
+                kept = self._kept or (self._under._kept if self._under else self._kept)
+                if kept and self._base is not None:
+                    wanted = self._base + index
+                    if wanted > kept[-1].first + _AHEAD:
                         raise SourceError("live stream", f"frame {index}, far ahead", "one that comes soon")
-                    if wanted < self._kept[0].first and not (self._under and self._under._holding(wanted)):
-                        missed = newest.first - wanted
+                    if wanted < kept[0].first and not (self._under and self._under._holding(wanted)):
+                        missed = kept[-1].first - wanted
                         self.skipped, self._base = self.skipped + missed, self._base + missed
                         self._tell(f"play had fallen behind, and goes on {missed} frames later")
                         continue
