@@ -234,8 +234,10 @@ def test_who_asks_for_a_segment_and_does_not_read_it_is_left(monkeypatch: pytest
 def test_who_may_not_receive() -> None:
     access = Access(port=0, token="a long word")
     with on_air(access) as server:
-        with pytest.raises(SourceError, match="401"), open_live(f"ws://{server.address}/live"):
+        wrong = open_live(f"ws://{server.address}/live?token=not%20that")
+        with pytest.raises(SourceError, match="found 401 ") as told, wrong:
             pass
+        assert "that" not in str(told.value).replace("and that it is on", "")
         with open_live(f"ws://{server.address}/live?token=a%20long%20word") as live:
             assert live.medium[0].support_count
     with on_air() as server:

@@ -143,6 +143,8 @@ class _Client:
                     found = "a connection that ended"
                 except (aiohttp.ClientError, OSError, TimeoutError) as error:
                     found = str(error) or type(error).__name__
+                    if isinstance(error, aiohttp.ClientResponseError):  # whose text has the address, with its word
+                        found = f"{error.status} {error.message}"
                 came_s = -math.inf if self._frames is None else self._frames.came_s
                 silent_s = time.monotonic() - came_s
                 if silent_s > PATIENCE_S:
