@@ -17,9 +17,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.adapters import links, pins
-from touchfield.adapters.links import address
 from touchfield.adapters.pins import Pins, checked_line
 from touchfield.adapters.registry import array_device, array_kinds, is_array_device
+from touchfield.asked import address
 from touchfield.devices import Device, device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.array_player import ArrayPlayer

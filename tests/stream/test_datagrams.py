@@ -22,7 +22,7 @@ pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
 from live_makers import HEAD, field, segment, sender_of
 from touchfield.stream.datagrams import MOST_DATAGRAM, Datagrams, Gathering
 from touchfield.stream.live_client import open_live
-from touchfield.stream.udp import UdpSender, listen, place_of
+from touchfield.stream.udp import UdpSender, _place_of, listen
 
 MESSAGES = [np.random.default_rng(i).bytes(n) for i, n in enumerate((300, 40_000, 1, 5_000, 70_000, 128, 12_345, 20))]
 
@@ -145,7 +145,7 @@ def test_repair_that_cannot_be(repair: float) -> None:
 @pytest.mark.parametrize("text", ["", "host", "host:", ":9", "host:0", "host:99999", "host:x"])
 def test_addresses_that_are_none(text: str) -> None:
     with pytest.raises(InvalidArgument):
-        place_of(text)
+        _place_of(text)
 
 
 def free_port() -> int:

@@ -27,6 +27,7 @@ from touchfield.errors import (
     SourceError,
     TruncatedFile,
     UnsupportedVersion,
+    reason,
 )
 from touchfield.files import require_plain
 from touchfield.medium.budget import memory_budget_bytes
@@ -110,11 +111,6 @@ def _opened(path: Path) -> BinaryIO:
         raise SourceError(str(path), "no such file", "a .touch file", "Check the path.") from None
     except (OSError, ValueError) as error:
         raise SourceError(str(path), reason(error), "a readable .touch file") from None
-
-
-def reason(error: Exception) -> str:
-    """Why the system refused, in its own words."""
-    return (isinstance(error, OSError) and error.strerror) or str(error) or type(error).__name__
 
 
 FRAME: Final = struct.Struct("<4sIQ")

@@ -23,8 +23,8 @@ from touchfield.container.records import (
     Provenance,
     SegmentEntry,
 )  # fmt: skip
-from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, encode_opening, encode_record, reason
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, encode_opening, encode_record
+from touchfield.errors import InvalidArgument, SourceError, reason
 from touchfield.medium.atomic import atomic_path
 
 MENDS: Final = {

@@ -105,7 +105,7 @@ class LiveReceiver:
     """The receiving end of a live stream; `is_open` to anyone, as datagrams are, one message decides little."""
 
     def __init__(self, is_open: bool = False) -> None:
-        self._is_open = is_open
+        self.is_open = is_open
         self._opening, self._is_over = b"", False
         self._next: int | None = None
         self._length = 0
@@ -139,7 +139,7 @@ class LiveReceiver:
         if segment.first_frame < expected:
             return [Refused(f"frames from {segment.first_frame}, late or again: {expected} is next")]
         came = [segment]
-        if self._is_open and self._next is not None and segment.stop - expected > _FAR * self._length:
+        if self.is_open and self._next is not None and segment.stop - expected > _FAR * self._length:
             doubted, self._doubted = self._doubted, segment
             if doubted is None or doubted.stop > segment.first_frame:
                 return []

@@ -18,7 +18,7 @@ from typing import Any, Final, Self
 from urllib.parse import urlsplit, urlunsplit
 
 from touchfield.container.remote import without_secret
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError, reason
 from touchfield.files import standard_input
 from touchfield.stream.live import MOST_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
 from touchfield.stream.live_medium import PATIENCE_S, TOLD_S, LiveFrames, LiveStream
@@ -99,7 +99,7 @@ class _Client:
             pass
         except Exception as error:
             if not isinstance(error, SourceError):
-                error = SourceError(self._name, str(error), "a live stream")
+                error = SourceError(self._name, reason(error), "a live stream")
             self._error = error
             if self._frames is not None:
                 self._frames.fail(error)
@@ -129,20 +129,24 @@ class _Client:
         return any(isinstance(event, Ended) for event in events)
 
     async def _receive(self) -> None:
+        if self._receiver.is_open:
+            from touchfield.stream.udp import listen
+
+            await listen(self._url, self._take, self._is_layered)
+            return
         import aiohttp
 
         told_s: float | None = None
         timeout = aiohttp.ClientTimeout(total=_ANSWER_S, sock_connect=_ANSWER_S)
         async with aiohttp.ClientSession(timeout=timeout) as session:
-            form = self._url.lower().partition(":")[0].removesuffix("s")
-            follow = {"w": self._by_socket, "udp": self._by_datagrams}.get(form, self._by_manifest)
+            follow = self._by_socket if self._url.lower().startswith("ws") else self._by_manifest
             while True:
                 try:
                     if await follow(session):
                         return
                     found = "a connection that ended"
                 except (aiohttp.ClientError, OSError, TimeoutError) as error:
-                    found = str(error) or type(error).__name__
+                    found = reason(error)
                     if isinstance(error, aiohttp.ClientResponseError):  # whose text has the address, with its word
                         found = f"{error.status} {error.message}"
                 came_s = -math.inf if self._frames is None else self._frames.came_s
@@ -170,13 +174,6 @@ class _Client:
             if self._take(message):
                 return
         raise SourceError(self._name, "its end", "a live stream, of touchfield live SOURCE -")
-
-    async def _by_datagrams(self, session: Any) -> bool:
-        """Receive at the address until the stream is over."""
-        from touchfield.stream.udp import listen
-
-        await listen(self._url, self._take, is_layered=self._is_layered)
-        return True
 
     async def _by_manifest(self, session: Any) -> bool:
         """Ask for what the manifest names, again and again; True where the stream is over."""

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from threading import Condition
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from touchfield.codec.registry import coder
@@ -27,7 +28,6 @@ from touchfield.stream.opened import OpenStream
 
 if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
-    from touchfield.container import Head
     from touchfield.render.player import Player
 
 
@@ -131,6 +131,7 @@ class LiveFrames:
             raise SourceError("coarse layer", found, f"half of {self.grid.shape} at {head.rate_hz:g} Hz")
         self._tell, self._clock_s = tell, clock_s
         self._under, self._rebuilt = under, (-1, ForceField.empty(self.grid))
+        self._layers: tuple[LiveFrames, ...] = (self,) if under is None else (self, under)
         self._news: Condition = Condition() if under is None else under._news
         self._kept: deque[_Decoded] = deque()
         self._base: int | None = None
@@ -198,7 +199,7 @@ class LiveFrames:
         top = self._over or self
         if self._programmes > top._begun:  # what is there has the numbers of the programme before
             top._base = None if top._base is None else one.first + top._base - top._there
-            for layer in filter(None, (top, top._under)):
+            for layer in top._layers:
                 layer._kept.clear()
                 layer._begins_s = None
             top._begun, top._rebuilt = self._programmes, (-1, top._rebuilt[1])
@@ -239,7 +240,7 @@ class LiveFrames:
     @property
     def _there(self) -> int:
         """The frame behind the newest in any layer: nothing beyond it can be felt."""
-        return max(self._stop, self._under._stop if self._under else 0)
+        return max(layer._stop for layer in self._layers)
 
     def _holding(self, wanted: int) -> _Decoded | None:
         """The segment that holds a frame of the stream, if it is kept."""
@@ -298,7 +299,7 @@ class LiveFrames:
     @property
     def _latest_s(self) -> float:
         """When something came last, in any layer, seconds of the clock."""
-        return self.came_s if self._under is None else max(self.came_s, self._under.came_s)
+        return max(layer.came_s for layer in self._layers)
 
     @property
     def _is_silent(self) -> bool:
@@ -314,7 +315,7 @@ class LiveFrames:
     @property
     def _is_over(self) -> bool:
         """True where nothing will come any more, in no layer."""
-        return self._error is not None and (self._under is None or self._under._error is not None)
+        return all(layer._error is not None for layer in self._layers)
 
     def vibration(self, index: int) -> VibrationFrame:
         """Vibrations in a frame; see `__call__`."""
@@ -325,12 +326,12 @@ class LiveFrames:
         """The stream's number of a frame, and the segment that holds it, if it came: once it is known."""
         with self._news:
             while True:
-                kept = self._kept or (self._under._kept if self._under else self._kept)
+                kept = self._kept or self._layers[-1]._kept
                 if kept and self._base is not None:
                     wanted = self._base + index
                     if wanted > kept[-1].first + _AHEAD:
                         raise SourceError("live stream", f"frame {index}, far ahead", "one that comes soon")
-                    if wanted < kept[0].first and not (self._under and self._under._holding(wanted)):
+                    if wanted < kept[0].first and not self._layers[-1]._holding(wanted):
                         missed = kept[-1].first - wanted
                         self.skipped, self._base = self.skipped + missed, self._base + missed
                         self._tell(f"play had fallen behind, and goes on {missed} frames later")
@@ -344,16 +345,6 @@ class LiveFrames:
                 self._news.wait(SPARE_S)  # what is due tells nobody
 
 
-class _LiveReader(NamedTuple):
-    """As much of a reader as a stream without an end has."""
-
-    name: str
-    head: Head
-    provenance: Mapping[str, str]
-    has_vibration: bool = False
-    size: int = 0
-
-
 class LiveStream(OpenStream):
     """A live stream, as far as it has come; its medium has no end.
 
@@ -365,7 +356,9 @@ class LiveStream(OpenStream):
     is_live = True
 
     def __init__(self, name: str, opened: Opened, frames: LiveFrames, vibrates: bool) -> None:
-        reader: Any = _LiveReader(name, opened.head, opened.provenance)
+        reader: Any = SimpleNamespace(
+            name=name, head=opened.head, provenance=opened.provenance, has_vibration=False, size=0
+        )  # as much of one as a stream without an end has
         super().__init__(reader)
         self.frames, self._vibrates = frames, vibrates
 

@@ -29,7 +29,8 @@ from touchfield.container import SegmentEntry, TouchReader
 from touchfield.container.records import MAGIC, OBJECTS_CODER, Segment
 from touchfield.container.wire import CRC_SIZE, OPENING_SIZE, ByteSource, read_opening, read_record, records_between
 from touchfield.container.writer import index_and_end
-from touchfield.errors import CorruptFile, InvalidArgument, SourceError, import_extra
+from touchfield.errors import CorruptFile, InvalidArgument, SourceError, import_extra, reason
+from touchfield.files import readable
 from touchfield.medium.atomic import atomic_path
 from touchfield.parallel import Report, silent
 from touchfield.stream.live import MEDIA_TYPE
@@ -250,45 +251,26 @@ def _opened(movie: str | Path) -> Iterator[Any]:
     try:
         source = av.open(str(movie))
     except (av.FFmpegError, OSError, ValueError) as error:
-        found = getattr(error, "strerror", None) or str(error)
-        raise SourceError(str(movie), found, "a movie that ffmpeg reads") from None
+        raise SourceError(str(movie), reason(error), "a movie that ffmpeg reads") from None
     with source:
         yield source
 
 
 def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: float) -> tuple[str, ...]:
-    """Write `out`, the movie's tracks as .mp4 files beside it, and a copy of the stream; the kinds of the tracks.
-
-    Raises InvalidArgument if the form cannot hold a track of the movie; SourceError if a file cannot be written.
-
-    Parameters
-    ----------
-    source : av.container.InputContainer
-        The movie.
-    stream : Path
-        A ``.touch`` file.
-    out : Path
-        NAME.mpd; the files beside it are NAME-N.mp4 and NAME.touch.
-    at_s : float
-        The movie's second at which the touch begins.
-    rate_bits : float
-        Bits a second of the stream.
-    """
+    """Write NAME.mpd, beside it tracks as NAME-N.mp4 and the stream as NAME.touch; the kinds of the tracks."""
     kept = [one for one in source.streams if one.type in ("video", "audio")]
     names = {"single_file": "1", "single_file_name": f"{out.stem}-$RepresentationID$.mp4"}
     with TemporaryDirectory(prefix=".touchfield-", dir=out.parent) as folder:
         manifest = Path(folder) / out.name
         _copy(source, kept, out, manifest, "dash", names)
         _add_touch(manifest, f"{out.stem}.touch", at_s, rate_bits)
-        try:
+        with readable(out, "a folder that can be written"):
             shutil.copyfile(stream, Path(folder) / f"{out.stem}.touch")
             for path in Path(folder).iterdir():
                 if (out.parent / path.name).exists() and (out.parent / path.name).samefile(source.name):
                     raise InvalidArgument(str(out.parent / path.name), "the movie that is read", "another name")
             for path in sorted(Path(folder).iterdir(), key=lambda path: path.suffix == ".mpd"):  # what it names first
                 os.replace(path, out.parent / path.name)
-        except OSError as error:
-            raise SourceError(str(out), error.strerror or str(error), "a folder that can be written") from None
     return tuple(one.type for one in kept)
 
 
