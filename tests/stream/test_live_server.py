@@ -151,6 +151,18 @@ def test_what_is_live_is_played_until_its_end() -> None:
     assert played.statistics["frames_used"] > 20 and played.statistics["last_force_n"] == 0
 
 
+def test_what_is_live_is_shown_on_an_array_until_its_end() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as array:
+        array.bind(("127.0.0.1", 0))
+        heard: list[int] = []
+        listens = threading.Thread(target=lambda: heard.append(len(array.recv(1 << 14))), daemon=True)
+        listens.start()
+        with on_air(is_over=lambda: bool(heard)) as server:
+            device = f"osc:127.0.0.1:{array.getsockname()[1]}"
+            played = play(f"ws://{server.address}/live", PlaySpec(device, seconds=60.0))
+    assert "the sender has ended the stream" in played.notes and played.statistics["sent"] > 0
+
+
 def test_connections_that_say_nothing_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """A hundred connections where sixty fit: the others are closed, and soon the sixty, and a receiver hears all."""
     monkeypatch.setattr("touchfield.stream.access._most_connections", lambda: 60)

@@ -293,13 +293,14 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
             while not player.wait_begun(_LOOK_S):  # preparation is no playing time
                 pass
             _wait(player, spec.seconds, report, tell, stream)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, LiveEnd):
             pass
-    if player.error is not None:
-        raise player.error
-    figures = asdict(player.statistics)
+    error, figures = player.error, asdict(player.statistics)
+    if error is not None and not (isinstance(error, LiveEnd) and figures["sent"]):
+        raise error
+    notes = (*player.notes, *([] if error is None else [str(error)]))
     figures["stalled_share"] = figures["stalled"] / max(figures["sent"], 1)
-    return Played({"device": spec.device, "profile": chosen.profile.name, **figures}, None, None, player.notes)
+    return Played({"device": spec.device, "profile": chosen.profile.name, **figures}, None, None, notes)
 
 
 def _for_points(option: str) -> InvalidArgument:
