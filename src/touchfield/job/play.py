@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.adapters.registry import array_device, array_kinds, is_array_device, point_device, point_kinds
+from touchfield.adapters.registry import array_device, is_array_device, point_device
 from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
 from touchfield.asked import option
@@ -160,9 +160,6 @@ def play(
             raise InvalidArgument("--start-s", f"{spec.start_s:g} s", f"0 to below {seconds:g} s, the medium's end")
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, tell)
-        if spec.device.strip().partition(":")[0].lower() not in {kind.name for kind in point_kinds()}:
-            forms = ", ".join([kind.form for kind in point_kinds()] + [kind.form for kind in array_kinds()])
-            raise InvalidArgument("--device", repr(spec.device[:80]), f"one of {forms}")
         return _play_point(stream, Path(path).name, spec, report, tell, watch)
 
 
