@@ -356,7 +356,7 @@ def felt_share(has_layer: bool, segments: int = 150) -> float:
         ends = Datagrams(7, repair), Gathering(most_open=11 if has_layer else 24), LiveReceiver()
         layers.append((frames, own, bodies, *ends))
     frames, hand = layers[-1][0], Hand(0.0)
-    live, ticks, felt = LiveStream("live", opened, frames, False), 0, 0
+    live, ticks, felt = LiveStream("live", frames), 0, 0
     for step in range(10 * segments):
         now[0] = 0.01 * step
         number = step // 10

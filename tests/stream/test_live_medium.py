@@ -50,7 +50,7 @@ def test_play_stays_at_what_is_due(begins_s: float) -> None:
     now, rng = [0.0], np.random.default_rng(4)
     opened = Opened(replace(HEAD, frame_count=ENDLESS), {})
     frames = LiveFrames(opened, clock_s=lambda: now[0])
-    live, hand, waits = LiveStream("live", opened, frames, False), Hand(begins_s), 0
+    live, hand, waits = LiveStream("live", frames), Hand(begins_s), 0
     late, sent = rng.uniform(0, 0.03, 60), 0
     bodies = [segment(5 * i) for i in range(12)]
     for step in range(500):
@@ -72,7 +72,7 @@ def test_a_clock_that_jumps_is_followed(here_s: float, there_s: float) -> None:
     """The receiver's clock jumps after two seconds, or the sender's: half a second later play is where it was."""
     now, sent = 0.0, 0
     frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), clock_s=lambda: now + here_s * (now >= 2))
-    live, hand = LiveStream("live", Opened(HEAD, {}), frames, False), Hand(0.0)
+    live, hand = LiveStream("live", frames), Hand(0.0)
     bodies = [segment(5 * i) for i in range(12)]
     for step in range(500):
         now = 0.01 * step

@@ -62,9 +62,7 @@ class _Client:
         self._url, self._tell, self._under, self._is_layered = url, tell, under, is_layered
         self._name = "standard input" if url == "-" else without_secret(url)
         self._receiver = LiveReceiver(is_open=url.lower().startswith("udp:"))
-        self._opened: Opened | None = None
         self._frames: LiveFrames | None = None
-        self._vibrates = False
         self._begun, self._error = Flag(), SourceError(self._name, "nothing in time", "a live stream")
         self._loop = asyncio.new_event_loop()
         self._task: asyncio.Task[None] | None = None
@@ -84,9 +82,9 @@ class _Client:
         if not self._begun.wait(TOLD_S):
             self._tell(f"waiting for a first segment of {self._name}, a minute at most: its sender may be starting")
             self._begun.wait(PATIENCE_S - TOLD_S)
-        if self._opened is None or self._frames is None:
+        if self._frames is None:
             raise self._error
-        return LiveStream(self._name, self._opened, self._frames, self._vibrates)
+        return LiveStream(self._name, self._frames)
 
     def _run(self) -> None:
         try:
@@ -112,9 +110,9 @@ class _Client:
         events = self._receiver.receive(message)
         for event in events:
             if isinstance(event, Opened):
-                if self._opened is None or self._frames is None:
-                    self._opened, self._frames = event, LiveFrames(event, self._tell, under=self._under)
-                elif event.head == self._opened.head:
+                if self._frames is None:
+                    self._frames = LiveFrames(event, self._tell, under=self._under)
+                elif event.head == self._frames.opened.head:
                     self._tell("another programme begins")
                     self._frames.begin_anew()
                 else:  # who plays the old one opens anew
@@ -122,7 +120,6 @@ class _Client:
             elif self._frames is None:
                 self._error = SourceError(self._name, getattr(event, "reason", "its end"), "a live stream")
             else:
-                self._vibrates |= isinstance(event, LiveSegment) and event.vibration is not None
                 self._frames.take(event)
                 if isinstance(event, LiveSegment):
                     self._begun.set()

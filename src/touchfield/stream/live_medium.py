@@ -91,7 +91,7 @@ class LiveFrames:
     Parameters
     ----------
     opened : Opened
-        The programme.
+        The programme; `vibrates` if anything in it does, so far.
     tell : callable
         ``tell(note)``: what was lost, refused or moved on over.
     clock_s : callable
@@ -120,7 +120,8 @@ class LiveFrames:
         clock_s: Callable[[], float] = time.monotonic,
         under: LiveFrames | None = None,
     ) -> None:
-        head = opened.head
+        self.opened, head = opened, opened.head
+        self.vibrates = False
         if coder(head.coder).spec is None:
             raise UnsupportedVersion("live stream", f"coder {head.coder}", "a coder of fields, such as touch")
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
@@ -176,6 +177,7 @@ class LiveFrames:
     def _take_segment(self, segment: LiveSegment) -> None:
         """Decode a segment, frame by frame: the first can be felt while the last is not there yet."""
         came, first, fields = self._clock_s(), segment.first_frame, list[ForceField]()
+        self.vibrates |= segment.vibration is not None
         begins_s = came - first / self._rate_hz  # when the stream's frame 0 would have been in time
         try:
             band = decode_vibration(segment.vibration, self.grid, segment.frame_count) if segment.vibration else []
@@ -355,12 +357,10 @@ class LiveStream(OpenStream):
 
     is_live = True
 
-    def __init__(self, name: str, opened: Opened, frames: LiveFrames, vibrates: bool) -> None:
-        reader: Any = SimpleNamespace(
-            name=name, head=opened.head, provenance=opened.provenance, has_vibration=False, size=0
-        )  # as much of one as a stream without an end has
-        super().__init__(reader)
-        self.frames, self._vibrates = frames, vibrates
+    def __init__(self, name: str, frames: LiveFrames) -> None:
+        reader: Any = SimpleNamespace(name=name, has_vibration=False, size=0, **frames.opened.__dict__)
+        super().__init__(reader)  # as much of one as a stream without an end has
+        self.frames = frames
 
     def keep_up(self, player: Player) -> bool:
         """Have a player stay at what is due; to be asked some times a second. True where it goes there at once."""
@@ -379,7 +379,7 @@ class LiveStream(OpenStream):
     @property
     def medium(self) -> HapticMedium:
         """The medium, whose frames are waited for."""
-        vibration = self.frames.vibration if self._vibrates else None
+        vibration = self.frames.vibration if self.frames.vibrates else None
         return HapticMedium(
             grid=self.grid, frame_count=ENDLESS, make_frame=self.frames, vibration=vibration, **self._beside
         )
