@@ -119,18 +119,14 @@ FRAME: Final = struct.Struct("<4sIQ")
 VERSION: Final = struct.Struct("<HH")
 FRAME_SIZE: Final = FRAME.size
 CRC_SIZE: Final = 4
-OPENING_SIZE: Final = len(MAGIC) + VERSION.size
+OPENING: Final = MAGIC + VERSION.pack(VERSION_MAJOR, VERSION_MINOR)
+OPENING_SIZE: Final = len(OPENING)
 CHUNK: Final = 1 << 20
 _Layout = TypeVar("_Layout")
 AGAIN: Final = "Fetch or write the file again."
 
 
 # -- writing ----------------------------------------------------------------------------------------------
-
-
-def encode_opening() -> bytes:
-    """The magic and our version."""
-    return MAGIC + VERSION.pack(VERSION_MAJOR, VERSION_MINOR)
 
 
 def encode_record(tag: str, value: Any) -> bytes:
