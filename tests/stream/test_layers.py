@@ -163,6 +163,9 @@ def test_what_only_the_coarse_layer_could_have_is_nothing_where_it_lost_it() -> 
     for one in (COARSE[0], COARSE[10], replace(COARSE[0], first_frame=65)):
         pair.under.take(one)
     assert [pair.kind(i) for i in (4, 7, 10, 16, 21)] == ["fine", "nothing", "coarse", "nothing", "waits"]
+    pair.under.take(replace(COARSE[0], first_frame=10_000))
+    pair.now_s = 200.0
+    assert pair.frames(10_001).support_count, "the coarse layer alone has been felt for minutes"
 
 
 def test_a_layer_of_another_lattice_is_refused() -> None:

@@ -331,7 +331,7 @@ class LiveFrames:
                 kept = self._kept or self._layers[-1]._kept
                 if kept and self._base is not None:
                     wanted = self._base + index
-                    if wanted > kept[-1].first + _AHEAD:
+                    if wanted > self._there + _AHEAD:
                         raise SourceError("live stream", f"frame {index}, far ahead", "one that comes soon")
                     if wanted < kept[0].first and not self._layers[-1]._holding(wanted):
                         missed = kept[-1].first - wanted

@@ -78,13 +78,13 @@ class UdpSender:
 
 
 class _Protocol(asyncio.DatagramProtocol):
-    def __init__(self, take: Callable[[bytes], None]) -> None:
-        self._take = take
+    def __init__(self, coming: asyncio.Queue[bytes]) -> None:
+        self._coming = coming
 
     def datagram_received(self, data: bytes, addr: object) -> None:
-        """Take a datagram; one that is too long is none of ours."""
-        if len(data) <= MOST_DATAGRAM:
-            self._take(data)
+        """Queue a datagram; one too many is as if lost on its way, one that is too long is none of ours."""
+        if len(data) <= MOST_DATAGRAM and not self._coming.full():
+            self._coming.put_nowait(data)
 
 
 async def listen(place: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
@@ -94,13 +94,8 @@ async def listen(place: str, take: Callable[[bytes], bool], is_layered: bool = F
     """
     host, port = _place_of(place)
     gathering, coming = Gathering(most_open=_LAYERED_OPEN if is_layered else MOST_OPEN), asyncio.Queue[bytes](1 << 14)
-
-    def queue(datagram: bytes) -> None:
-        with suppress(asyncio.QueueFull):  # as if it had been lost on its way
-            coming.put_nowait(datagram)
-
     loop = asyncio.get_running_loop()
-    transport, _ = await loop.create_datagram_endpoint(lambda: _Protocol(queue), local_addr=(host, port))
+    transport, _ = await loop.create_datagram_endpoint(lambda: _Protocol(coming), local_addr=(host, port))
     is_last = False
     try:
         while True:
