@@ -44,12 +44,12 @@ COARSE = {
 
 
 class Pair:
-    """A stream and its coarse layer, and their clock."""
+    """A stream and its coarse layer, their clock, and what the stream tells."""
 
     def __init__(self) -> None:
-        self.now_s = 0.0
+        self.now_s, self.notes = 0.0, list[str]()
         self.under = LiveFrames(Opened(UNDER_HEAD, {}), clock_s=lambda: self.now_s)
-        self.frames = LiveFrames(OPENED, clock_s=lambda: self.now_s, under=self.under)
+        self.frames = LiveFrames(OPENED, self.notes.append, lambda: self.now_s, self.under)
 
     def kind(self, index: int) -> str:
         """What a frame is answered with."""
@@ -166,6 +166,8 @@ def test_what_only_the_coarse_layer_could_have_is_nothing_where_it_lost_it() -> 
     pair.under.take(replace(COARSE[0], first_frame=10_000))
     pair.now_s = 200.0
     assert pair.frames(10_001).support_count, "the coarse layer alone has been felt for minutes"
+    pair.under.take(replace(COARSE[0], first_frame=10_005))
+    assert not pair.frames.is_there(10_010) and pair.notes == ["nothing has come for 200 s: its coarse layer is felt"]
 
 
 def test_a_layer_of_another_lattice_is_refused() -> None:

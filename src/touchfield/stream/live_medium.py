@@ -306,13 +306,14 @@ class LiveFrames:
     @property
     def _is_silent(self) -> bool:
         """True where no segment is waited for any longer; that one is waited for is told once."""
-        latest_s = self._latest_s
-        silent_s = self._clock_s() - latest_s
-        usual_s = len(self._kept[-1].fields) / self._rate_hz if self._kept else 0.0
-        if silent_s > TOLD_S + usual_s and self._told_s != latest_s:
-            self._told_s = latest_s
-            self._tell(f"nothing has come for {silent_s:.0f} s: waiting, for {PATIENCE_S:g} s in all")
-        return silent_s > PATIENCE_S
+        told_s = TOLD_S + (len(self._kept[-1].fields) / self._rate_hz if self._kept else 0.0)
+        now = self._clock_s()
+        if now - self.came_s > told_s and self._told_s != self.came_s:
+            self._told_s = self.came_s
+            is_alone = now - self._latest_s < told_s
+            meanwhile = "its coarse layer is felt" if is_alone else f"waiting, for {PATIENCE_S:g} s in all"
+            self._tell(f"nothing has come for {now - self.came_s:.0f} s: {meanwhile}")
+        return now - self._latest_s > PATIENCE_S
 
     @property
     def _is_over(self) -> bool:
