@@ -23,7 +23,7 @@ from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
-from xml.etree import ElementTree
+from xml.sax.saxutils import escape
 
 from touchfield.container import SegmentEntry, TouchReader
 from touchfield.container.records import MAGIC, OBJECTS_CODER, Segment
@@ -36,7 +36,6 @@ from touchfield.parallel import Report, silent
 from touchfield.stream.live import MEDIA_TYPE
 
 BEGINS: Final = "urn:touchfield:begins-s"
-_SPACE: Final = "urn:mpeg:dash:schema:mpd:2011"
 _CLOCK: Final = Fraction(1, 90000)
 _MOST_BYTES: Final = 1 << 30
 """Of all touch in a movie that is taken out."""
@@ -263,7 +262,7 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
     with TemporaryDirectory(prefix=".touchfield-", dir=out.parent) as folder:
         manifest = Path(folder) / out.name
         _copy(source, kept, out, manifest, "dash", names)
-        _add_touch(manifest, f"{out.stem}.touch", at_s, rate_bits)
+        _add_touch(manifest, at_s, rate_bits)
         with readable(out, "a folder that can be written"):
             shutil.copyfile(stream, Path(folder) / f"{out.stem}.touch")
             for path in Path(folder).iterdir():
@@ -274,19 +273,15 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
     return tuple(one.type for one in kept)
 
 
-def _add_touch(manifest: Path, name: str, at_s: float, rate_bits: float) -> None:
-    """Add the set of the touch to a manifest."""
-    ElementTree.register_namespace("", _SPACE)
-    tree = ElementTree.parse(manifest)  # ffmpeg's own, written a moment ago
-    period = tree.getroot().find(f"{{{_SPACE}}}Period")
-    assert period is not None
-
-    def add(parent: ElementTree.Element, kind: str, **attributes: str) -> ElementTree.Element:
-        return ElementTree.SubElement(parent, f"{{{_SPACE}}}{kind}", attributes)
-
-    touch = add(period, "AdaptationSet", contentType="application", mimeType=MEDIA_TYPE)
-    add(touch, "SupplementalProperty", schemeIdUri=BEGINS, value=f"{at_s:g}")
-    whole = add(touch, "Representation", id="touch", bandwidth=str(max(1, round(rate_bits))))
-    add(whole, "BaseURL").text = name
-    ElementTree.indent(tree)
-    tree.write(manifest, encoding="utf-8", xml_declaration=True)
+def _add_touch(manifest: Path, at_s: float, rate_bits: float) -> None:
+    """Add the set of the touch to a manifest, which ffmpeg wrote a moment ago, in one period."""
+    stem = escape(manifest.stem)
+    touch = f"""\t<AdaptationSet contentType="application" mimeType="{MEDIA_TYPE}">
+\t\t\t<SupplementalProperty schemeIdUri="{BEGINS}" value="{at_s:g}"/>
+\t\t\t<Representation id="touch" bandwidth="{max(1, round(rate_bits))}">
+\t\t\t\t<BaseURL>{stem}.touch</BaseURL>
+\t\t\t</Representation>
+\t\t</AdaptationSet>
+\t</Period>"""
+    text = manifest.read_text("utf-8").replace(manifest.stem, stem)  # which is told there as it is
+    manifest.write_text(text.replace("</Period>", touch), "utf-8")
