@@ -119,7 +119,7 @@ def on_air(access: Access = Access(port=0), is_over: Callable[[], bool] = lambda
 
 
 def test_a_manifest_whose_numbers_have_no_end_is_told() -> None:
-    with pytest.raises(InvalidArgument, match="a manifest that is none"):
+    with pytest.raises(SourceError, match="a manifest that is none"):
         _manifest(b'{"is_ended": false, "segments": [{"number": 1e999}]}', "live.json")
 
 
@@ -295,6 +295,8 @@ def test_a_first_segment_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_is_not_there_is_told() -> None:
+    with pytest.raises(InvalidArgument, match="address of datagrams: found 'here'"), open_live("udp://here"):
+        pass
     with pytest.raises(SourceError, match="Check the address"), open_live("ws://127.0.0.1:1/live"):
         pass
     with (

@@ -18,7 +18,7 @@ from typing import Any, Final, Self
 from urllib.parse import urlsplit, urlunsplit
 
 from touchfield.container.remote import without_secret
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError, reason
+from touchfield.errors import MissingExtra, SourceError, TouchfieldError, reason
 from touchfield.files import standard_input
 from touchfield.stream.live import MOST_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
 from touchfield.stream.live_medium import PATIENCE_S, TOLD_S, LiveFrames, LiveStream
@@ -63,7 +63,8 @@ class _Client:
         self._name = "standard input" if url == "-" else without_secret(url)
         self._receiver = LiveReceiver(is_open=url.lower().startswith("udp:"))
         self._frames: LiveFrames | None = None
-        self._begun, self._error = Flag(), SourceError(self._name, "nothing in time", "a live stream")
+        self._begun = Flag()
+        self._error: TouchfieldError = SourceError(self._name, "nothing in time", "a live stream")
         self._loop = asyncio.new_event_loop()
         self._task: asyncio.Task[None] | None = None
         self._thread = Thread(target=self._run, name="touchfield-receiver", daemon=True)
@@ -96,7 +97,7 @@ class _Client:
         except asyncio.CancelledError:
             pass
         except Exception as error:
-            if not isinstance(error, SourceError):
+            if not isinstance(error, TouchfieldError):
                 error = SourceError(self._name, reason(error), "a live stream")
             self._error = error
             if self._frames is not None:
@@ -210,7 +211,7 @@ def _manifest(data: bytes, name: str) -> tuple[bool, list[int]]:
         numbers = [int(one["number"]) for one in manifest["segments"]]
         is_over = bool(manifest["is_ended"])
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
-        raise InvalidArgument(name, "a manifest that is none", "one of a live stream") from None
+        raise SourceError(name, "a manifest that is none", "one of a live stream") from None
     if sorted(set(numbers)) != numbers or (numbers and numbers[0] < 0):
-        raise InvalidArgument(name, "numbers that do not ascend", "those of a live stream")
+        raise SourceError(name, "numbers that do not ascend", "those of a live stream")
     return is_over, numbers

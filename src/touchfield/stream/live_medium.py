@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import BitAccount
 from touchfield.codec.vibration import decode_vibration
-from touchfield.errors import FormatError, SourceError, UnsupportedVersion
+from touchfield.errors import FormatError, SourceError, TouchfieldError, UnsupportedVersion
 from touchfield.filters.resample import halved, rebuilt
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
@@ -138,7 +138,7 @@ class LiveFrames:
         self._base: int | None = None
         self._over: LiveFrames | None = None
         self._programmes = self._begun = 0  # of this layer, and in those of both that are kept
-        self._error: SourceError | None = None
+        self._error: TouchfieldError | None = None
         self.lost = self.refused = self.skipped = self.covered = 0
         self.came_s, self._told_s = clock_s(), -math.inf
         self._begins_s: float | None = None
@@ -162,7 +162,7 @@ class LiveFrames:
         """Another programme on the same lattice follows: its frames count on behind the latest one that is there."""
         self._programmes += 1
 
-    def fail(self, error: SourceError) -> None:
+    def fail(self, error: TouchfieldError) -> None:
         """Nothing more will come: who waits for a frame is told."""
         with self._news:
             self._error = self._error or error
