@@ -298,7 +298,7 @@ def test_words_that_name_no_device() -> None:
     assert is_array_device(" BHaptics:vest") and isinstance(array_device(" Pins:/dev/none", SMALL), Pins)
     with pytest.raises(InvalidArgument, match=r"bhaptics\[:HOST:PORT\], osc:HOST:PORT, pins:.*Did you mean bhaptics"):
         array_device("bhaptic:1")
-    with pytest.raises(InvalidArgument, match=r"^device: found 'vest'; expected bhaptics.*PORT$"):
+    with pytest.raises(InvalidArgument, match=r"^--device: found 'vest'; expected sim.*bhaptics.*PORT$"):
         array_device("vest")
     with pytest.raises(InvalidArgument, match="phantom-omni, a point"):
         array_device("osc:localhost:9000", device("phantom-omni"))

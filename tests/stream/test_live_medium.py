@@ -128,16 +128,19 @@ def test_the_end_and_silence_are_told() -> None:
 @pytest.mark.parametrize("length", [5, 250])
 def test_silence_is_waited_for_a_minute_and_told_once(length: int) -> None:
     now, notes, usual_s = [0.0], list[str](), length / 50
-    opened = Opened(replace(HEAD, frame_count=ENDLESS), {})
-    frames = LiveFrames(opened, notes.append, clock_s=lambda: now[0])
+    frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), notes.append, clock_s=lambda: now[0])
+    now[0] = 61.0
+    assert frames.is_there(0) and notes.pop(), "to be told that no first one has come"
+    now[0] = 100.0
     frames.take(segment(0, length))
-    for now[0] in (0.0, usual_s + 2.9, usual_s + 3.1, 40.0, 59.0):
-        assert not frames.is_there(length) and len(notes) == (now[0] > usual_s + 3)
+    for silent_s in (0.0, usual_s + 2.9, usual_s + 3.1, 40.0, 59.0):
+        now[0] = 100.0 + silent_s
+        assert not frames.is_there(length) and len(notes) == (silent_s > usual_s + 3)
     frames.take(segment(length, length))
     assert frames.is_there(length) and not frames.is_there(2 * length)
-    now[0] = 118.0
+    now[0] = 218.0
     assert not frames.is_there(2 * length) and len(notes) == 2
-    now[0] = 120.0
+    now[0] = 220.0
     assert frames.is_there(2 * length)
     with pytest.raises(SourceError, match="no segment for 60 s"):
         frames(2 * length)

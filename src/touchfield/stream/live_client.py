@@ -26,6 +26,7 @@ from touchfield.stream.live_medium import PATIENCE_S, TOLD_S, LiveFrames, LiveSt
 _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 2.0  # between two tries to connect
 _POLL_S: Final = 0.05
 _ANSWER_S: Final = 10.0
+_MEND: Final = "Check the address, and that it is on."
 _MOST_MANIFEST: Final = 1 << 16
 
 
@@ -64,7 +65,7 @@ class _Client:
         self._receiver = LiveReceiver(is_open=url.lower().startswith("udp:"))
         self._frames: LiveFrames | None = None
         self._begun = Flag()
-        self._error: TouchfieldError = SourceError(self._name, "nothing in time", "a live stream")
+        self._error: TouchfieldError = SourceError(self._name, "nothing in time", "a live stream", _MEND)
         self._loop = asyncio.new_event_loop()
         self._task: asyncio.Task[None] | None = None
         self._thread = Thread(target=self._run, name="touchfield-receiver", daemon=True)
@@ -150,7 +151,7 @@ class _Client:
                 came_s = -math.inf if self._frames is None else self._frames.came_s
                 silent_s = time.monotonic() - came_s
                 if silent_s > PATIENCE_S:
-                    raise SourceError(self._name, found, "a live stream", "Check the address, and that it is on.")
+                    raise SourceError(self._name, found, "a live stream", _MEND)
                 if came_s != told_s:
                     self._tell(f"{found}: connecting again")
                     told_s = came_s

@@ -294,9 +294,8 @@ class LiveFrames:
     def is_there(self, index: int) -> bool:
         """True where `__call__` answers at once, be it with an error."""
         with self._news:
-            if not self._there or self._base is None:
-                return self._error is not None
-            return self._is_settled(self._base + index) or self._is_over or self._is_silent
+            is_settled = self._base is not None and self._there > 0 and self._is_settled(self._base + index)
+            return is_settled or self._is_over or self._is_silent
 
     @property
     def _latest_s(self) -> float:
