@@ -188,9 +188,8 @@ class VoxelStream(OpenStream):
         def decoded(segment: int) -> Iterator[ForceField]:
             return decoder.frames(reader.read_segment(segment), reader.segments[segment].frame_count)
 
-        self.is_native = native.is_for(reader)
-        decode = native.decoder(reader, self.grid, decoded) if self.is_native else decoded
-        self._frames = SegmentFrames(reader, decode)
+        by_core = native.decoder(reader, self.grid, decoded)
+        self.is_native, self._frames = by_core is not None, SegmentFrames(reader, by_core or decoded)
 
     @property
     def medium(self) -> HapticMedium:
