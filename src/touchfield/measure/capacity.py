@@ -19,7 +19,7 @@ meaning WMR = 0, HIL = 1 and is allowed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any, Final
 
@@ -29,7 +29,7 @@ from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument, require_not_negative
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import estimate_bits
-from touchfield.measure.quantity import Interval, Quantity, interval
+from touchfield.measure.quantity import Interval, Quantity, Told, interval
 
 _UNIT: Final = "bit/frame"
 _NEVER_TOO_HIGH: Final = ("exact", "plug-in")  # these cannot exceed log2 of the number of symbols
@@ -37,7 +37,7 @@ _ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True)
-class Capacity:
+class Capacity(Told):
     """Eq. 1 to 3 for one medium, device and mapping, all in bits per frame but for the ratios.
 
     `reference`: H(W). `rendered`: H(M(W)). `codomain_bits`: C_dev. `capacity`: C. `wmr`, `hil`: workspace mapping
@@ -57,10 +57,8 @@ class Capacity:
         return self.wmr.notes
 
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        table = {f.name: getattr(self, f.name) for f in fields(self)}
-        plain = {name: v.summary() if isinstance(v, Quantity) else v for name, v in table.items()}
-        return {**plain, "notes": list(self.notes)}
+        """See `Told`."""
+        return super().summary() | {"notes": list(self.notes)}
 
 
 def codomain_bits(samples_per_frame: int, alphabet: int) -> float:

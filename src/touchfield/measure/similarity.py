@@ -34,8 +34,8 @@ from __future__ import annotations
 import lzma
 import math
 import warnings
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,7 +52,7 @@ from touchfield.measure.information import (
     normalised_mutual_information,
     variation_of_information,
 )
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.quantity import FewSamplesWarning, Quantity, Told
 from touchfield.medium.field import brick_keys, numbers_of, values_at
 from touchfield.medium.grid import BRICK
 
@@ -120,7 +120,7 @@ def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 @dataclass(frozen=True)
-class Similarity:
+class Similarity(Told):
     """Measures that tell two media apart; each a `Quantity`.
 
     `normalised` I(S;T): 1 where each symbol of one medium tells that of the other, 0 where it tells nothing.
@@ -132,11 +132,6 @@ class Similarity:
     variation: Quantity
     jensen_shannon: Quantity
     compression: Quantity | None
-
-    def summary(self) -> dict[str, Any]:
-        """Plain values by name."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {name: None if value is None else value.summary() for name, value in values.items()}
 
 
 def similarity(
@@ -241,7 +236,7 @@ _ESTIMATOR: Final = "miller-madow"  # plug-in is high by about (classes - 1)^2 /
 
 
 @dataclass(frozen=True)
-class Correlation:
+class Correlation(Told):
     """Information of a picture about a haptic medium.
 
     `mutual`: I(V;A), bits a pixel. `null_mean_bits`, `null_spread_bits`: mean and standard deviation of I over the
@@ -259,11 +254,6 @@ class Correlation:
     block_px: int
     blocks: int
     share: float
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs; NaN becomes None."""
-        table = {f.name: getattr(self, f.name) for f in fields(self)}
-        return table | {"mutual": self.mutual.summary(), "z": None if math.isnan(self.z) else self.z}
 
 
 def picture_correlation(
