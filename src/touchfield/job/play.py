@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
@@ -297,7 +297,7 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
             pass
     if player.error is not None:
         raise player.error
-    figures = asdict(player.statistics)
+    figures = player.statistics()
     figures["stalled_share"] = figures["stalled"] / max(figures["sent"], 1)
     return Played({"device": spec.device, "profile": chosen.profile.name, **figures}, None, None, player.notes)
 
