@@ -37,7 +37,7 @@ def started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Started:
 
 def compiled_passes(cache: Path) -> list[Path]:
     """The files of what the group `passes` compiles last but one."""
-    return list(cache.glob("*/scan_pass.code_scan*.nbc"))
+    return list(cache.glob("*/encode_pass.encode_bricks*.nbc"))
 
 
 def test_helpers_start_with_the_first_kernel_to_be_compiled_and_end_with_the_job(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
-from touchfield.codec.touch.kernels.choice import Limits
+from touchfield.codec.touch.kernels.encode_pass import Limits
 from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField

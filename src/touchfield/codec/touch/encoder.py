@@ -25,7 +25,7 @@ from touchfield.codec.touch.decoder import NAME, TouchDecoder
 from touchfield.codec.touch.frame import AS_THEY_ARE, BRICK_COUNTS, Palette, Told, components, frame_of, models_after
 from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
 from touchfield.codec.touch.kernels import exact as kernels
-from touchfield.codec.touch.kernels.choice import largest
+from touchfield.codec.touch.kernels.encode_pass import largest
 from touchfield.codec.touch.lattice import MOST_NEWTONS, Lattice
 from touchfield.codec.touch.promise import Compared, compared, hidden_of
 from touchfield.codec.touch.spec import TouchSpec

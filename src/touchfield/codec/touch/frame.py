@@ -3,7 +3,7 @@
 Bricks are walked from deep to shallow: axis 0 of a scan is the slowest, and along each axis it goes the way that the
 force points. In its coordinates components are turned and signed alike, so that nothing else knows of axes. The bytes
 of a frame: the course, a byte; what a force loses along each axis, three varints; then one arithmetic code of the
-list of bricks and of the bricks (`kernels.scan_pass`).
+list of bricks and of the bricks (`kernels.decode_pass`).
 
 The exact mode keeps a field that is quantised already to the bit of each float32 (docs/format/touch-exact.md). A
 force is a few symbols, its planes: a level and a vertex of a direction codebook, whose float32 product it is, as the
@@ -24,7 +24,7 @@ from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.support import check_end, code_bricks, padded
 from touchfield.codec.touch.kernels import exact
 from touchfield.codec.touch.kernels import workspace as kernels
-from touchfield.codec.touch.kernels.scan_pass import CONTEXTS, SETS, code_scan
+from touchfield.codec.touch.kernels.decode_pass import CONTEXTS, SETS, decode_bricks
 from touchfield.codec.touch.kernels.workspace import CLASSES, FEATURES, Law, Scan, fresh_work
 from touchfield.codec.touch.lattice import FixedField, Lattice, warp_of
 from touchfield.codec.varint import Parts
@@ -147,7 +147,7 @@ def decode_frame(payload: bytes, known: Known) -> FixedField:
     course = Course.of_code(known.grid, code)
     places, order = course.order(bricks)
     scan = course.scan(places, known.reference)
-    code_scan(bits, scan, law_of(known.lattice, slope), fresh_work(known.memory.weights), None)
+    decode_bricks(bits, scan, law_of(known.lattice, slope), fresh_work(known.memory.weights))
     check_end(bits, len(bricks), _WHERE)
     return FixedField(bricks, course.turned_back(scan.cells, order))
 

@@ -18,8 +18,8 @@ from touchfield.codec.kernels import end_of, writer
 from touchfield.codec.support import code_bricks, padded
 from touchfield.codec.touch.frame import Course, Known, Memory, fresh_memory, law_of
 from touchfield.codec.touch.guess_fit import fit
-from touchfield.codec.touch.kernels.choice import Limits
-from touchfield.codec.touch.kernels.scan_pass import CONTEXTS, SETS, Truth, code_scan
+from touchfield.codec.touch.kernels.decode_pass import CONTEXTS, SETS
+from touchfield.codec.touch.kernels.encode_pass import Limits, encode_bricks
 from touchfield.codec.touch.kernels.workspace import fresh_work
 from touchfield.codec.touch.lattice import (
     FLOOR_LIMIT,
@@ -138,13 +138,13 @@ def encode_frame(sketch: Sketch, known: Known, limits: Limits) -> CodedFrame:
         code_bricks(bits, CONTEXTS, SETS, known.grid.brick_shape, sketch.bricks, before)
         listed = 8.0 * len(head) + 8.0 * float(bits.state[2])
         scan = sketch.course.scan(sketch.places, known.reference)
-        law, truth = law_of(known.lattice, np.zeros(3, np.int64)), Truth(sketch.forces, limits, np.zeros(3))
-        if code_scan(bits, scan, law, fresh_work(memory.weights), truth):
+        law, prices = law_of(known.lattice, np.zeros(3, np.int64)), np.zeros(3)
+        if encode_bricks(bits, scan, law, fresh_work(memory.weights), sketch.forces, limits, prices):
             break
         room *= 4
     payload = head + padded(end_of(bits), len(sketch.bricks))
     decoded = FixedField(sketch.bricks, sketch.course.turned_back(scan.cells, sketch.order))
-    support, amplitude, direction = truth.prices.tolist()
+    support, amplitude, direction = prices.tolist()
     return CodedFrame(payload, decoded, (support + listed, amplitude, direction), memory)
 
 

@@ -19,8 +19,8 @@ from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, end_of, fresh, wr
 from touchfield.codec.support import code_bricks, padded
 from touchfield.codec.touch import guess as synthesis
 from touchfield.codec.touch.kernels import guess as kernels
-from touchfield.codec.touch.kernels.choice import Limits
 from touchfield.codec.touch.kernels.columns_fit import Fits, write_row
+from touchfield.codec.touch.kernels.encode_pass import Limits
 from touchfield.codec.touch.lattice import TOP, FixedField, Lattice
 from touchfield.codec.touch.promise import agreement
 from touchfield.codec.touch.spec import TouchSpec

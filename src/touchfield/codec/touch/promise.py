@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float32s, Int64s
-from touchfield.codec.touch.kernels.choice import compare
+from touchfield.codec.touch.kernels.encode_pass import compare
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField

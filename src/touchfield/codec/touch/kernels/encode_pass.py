@@ -1,4 +1,4 @@
-"""Choices of an encoder that the decoder only hears of, and the comparison of what both hold (floats)."""
+"""Encoding of a frame: the pass of `decode_pass`, with the choices that the decoder only hears of (floats)."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from touchfield.codec.kernels import PLACE, mix, mixed_chance, price
+from touchfield.codec.touch.kernels import decode_pass as shared
 from touchfield.codec.touch.kernels import voxel
 from touchfield.codec.touch.kernels import workspace as ws
 from touchfield.lean import entry, inlined, lean
 
+_ROOM = 1 << 14  # bytes that a brick cannot fill
 _AROUND = np.array([0, -1, 1], np.int64)
 _ROUNDING = 2e-7  # of a force, lost where whole units become newtons of 32 bits
 _LARGER = 0.43  # bits, about, of a component by each step that it is larger
@@ -26,7 +29,7 @@ class Limits(NamedTuple):
 
 
 @lean
-def size_of(f):
+def _size_of(f):
     return np.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
 
 
@@ -60,6 +63,16 @@ def kept(d0, d1, d2, f, size, rule):
     return e0 * e0 + e1 * e1 + e2 * e2 <= tol * tol
 
 
+@inlined
+def fits(d0, d1, d2, f, rule):
+    """True where the vector of the reference may stand for a force; (0, 0, 0) is none."""
+    size = _size_of(f)
+    there = d0 != 0 or d1 != 0 or d2 != 0
+    if rule.exact and there != (size > 0):
+        return False
+    return kept(d0, d1, d2, f, size, rule)
+
+
 @lean
 def _guessed(r):
     """Likely bits of a component; only to compare candidates."""
@@ -70,7 +83,7 @@ def _guessed(r):
 def choose(law, work, f, size, rule):
     """Put the residual of the force `f`, units float64 [3], into the row `STEPS`; the centre is set.
 
-    Of the points around the force the one that likely costs least; the middle one where none keeps the rule.
+    Of the points around the force the one that likely costs least; the nearest where none keeps the rule.
     """
     rows, level = work.rows, work.of[voxel.LEVEL]
     along = (f[0] * rows[ws.AXES + 0, 0] + f[1] * rows[ws.AXES + 0, 1] + f[2] * rows[ws.AXES + 0, 2]) / 16384.0
@@ -79,7 +92,7 @@ def choose(law, work, f, size, rule):
     reached = ws.level_of(min(np.int64(round(abs(along))), np.int64((1 << 18) - 1)), law.border, law.first)
     n0 = np.int64(round(((reached if along >= 0 else -reached) - level) / 256.0))
     reach = 4 if f.shape[0] == 4 else 3  # a wide mask often holds a point without a residual
-    best = np.inf
+    best = nearest = np.inf
     b0 = b1 = b2 = np.int64(0)
     for i in range(reach):
         r0 = n0 + _AROUND[i] if i < 3 else np.int64(0)
@@ -90,12 +103,17 @@ def choose(law, work, f, size, rule):
             j1, j2 = j // reach, j % reach
             r1 = n1 + _AROUND[j1] if j1 < 3 else np.int64(0)
             r2 = n2 + _AROUND[j2] if j2 < 3 else np.int64(0)
-            cost, is_small = _guessed(r0) + _guessed(r1) + _guessed(r2), max(abs(r0), abs(r1), abs(r2)) < 1 << 18
-            if cost < best and is_small and _allowed(law, work, r0, r1, r2, f, size, rule):
+            cost = _guessed(r0) + _guessed(r1) + _guessed(r2)
+            if cost >= best:
+                continue
+            if max(abs(r0), abs(r1), abs(r2)) < 1 << 18 and _allowed(law, work, r0, r1, r2, f, size, rule):
                 best = cost
                 b0, b1, b2 = r0, r1, r2
-            elif i + j == 0:
-                b0, b1, b2 = r0, r1, r2
+            elif best == np.inf:
+                error = (along - length) ** 2 + (across_1 - r1 * step) ** 2 + (across_2 - r2 * step) ** 2
+                if error < nearest:
+                    nearest = error
+                    b0, b1, b2 = r0, r1, r2
     rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2] = b0, b1, b2
 
 
@@ -111,22 +129,56 @@ def _allowed(law, work, r0, r1, r2, f, size, rule):
     return kept(d0, d1, d2, f, size, rule)
 
 
+@entry
+def encode_bricks(bits, scan, law, work, forces, rule, prices):
+    """Code forces, units float64 [n, 512, 3] in scan order; False where the buffer is too short.
+
+    With spatial masking they are [n, 512, 4], see `tolerance`. ``scan.cells`` takes what the decoder will hold, and
+    `prices`, float64 [3], the bits of support, amplitude and direction.
+    """
+    last = np.int64(0)
+    for n in range(scan.near.shape[0]):
+        if bits.state[PLACE] + _ROOM > bits.buffer.shape[0]:
+            return False
+        known, state = shared.enter(scan, work, n), np.int64(0)
+        if known:
+            last = state = shared.code_brick(bits, last, _state_of(work.old, forces[n], rule))
+        if state == 2:
+            ws.copy_reference(work.window, work.old, law.slope)
+            ws.keep(work.window, scan.cells, n)
+            continue
+        paid = price(bits)
+        blocks = shared.code_blocks(bits, work, known, _blocks_of(forces[n], rule))
+        prices[0] += price(bits) - paid
+        for x in range(scan.low[n, 0], scan.high[n, 0]):
+            for y in range(scan.low[n, 1], scan.high[n, 1]):
+                for z in range(scan.low[n, 2], scan.high[n, 2]):
+                    if blocks >> ((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)) & 1:
+                        here = ((x + ws.LOW) * ws.SIDE + y + ws.LOW) * ws.SIDE + z + ws.LOW
+                        f = forces[n, (x * 8 + y) * 8 + z]
+                        _encode_voxel(bits, law, work, here, known, state, f, rule, prices)
+        ws.keep(work.window, scan.cells, n)
+    return True
+
+
 @inlined
-def state_of(old, forces, rule):
+def _state_of(old, forces, rule):
     """The brick as the reference has it, if that keeps the rule everywhere; else the reference is followed."""
     for at in range(512):
         c = ((((at >> 6) + ws.LOW) * ws.SIDE + (at >> 3 & 7) + ws.LOW) * ws.SIDE + (at & 7) + ws.LOW) * 4
-        there, f, size = old[c + 3] > 0, forces[at], size_of(forces[at])
+        f = forces[at]
+        if old[c + 3] == 0 and f[0] == 0 and f[1] == 0 and f[2] == 0:
+            continue
         d0, d1, d2 = np.int64(0), np.int64(0), np.int64(0)
-        if there:
+        if old[c + 3] > 0:
             d0, d1, d2 = np.int64(old[c]), np.int64(old[c + 1]), np.int64(old[c + 2])
-        if (there or size > 0) and ((rule.exact and there != (size > 0)) or not kept(d0, d1, d2, f, size, rule)):
+        if not fits(d0, d1, d2, f, rule):
             return np.int64(1)
     return np.int64(2)
 
 
 @inlined
-def blocks_of(forces, rule):
+def _blocks_of(forces, rule):
     """Sub-blocks that hold a force that is to be kept."""
     blocks = np.int64(0)
     for at in range(512):
@@ -137,10 +189,48 @@ def blocks_of(forces, rule):
     return blocks
 
 
-@lean
-def is_sent(f, size, rule):
-    """1 where a force is told; none is of those that may be none."""
-    return np.int64(size > 0 and (rule.exact or size > rule.f0 or size > tolerance(f, size, rule)))
+@inlined
+def _held(bits, law, work, here, near, trusted, f, size, chosen, rule):
+    """Support of a voxel; a force may be left away, or made, and is where its bit would cost too much."""
+    if rule.exact or size > rule.f0 or size > tolerance(f, size, rule):
+        return np.int64(size > 0)
+    chance = mixed_chance(bits, 3, chosen)
+    if chance <= 55000:
+        return np.int64(size > 0 and chance >= 45000)
+    voxel.expect(law, work, here, near, trusted)
+    expected = work.rows[ws.EXPECTED]
+    return np.int64(kept(expected[0], expected[1], expected[2], f, size, rule))
+
+
+@inlined
+def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
+    near = shared.near_of(work.window, here)
+    then = shared.then_of(work.old, here, known)
+    size = _size_of(f)
+    begun = price(bits)
+    chosen = shared.look_at_support(bits, work, here, near, then)
+    bit = mix(bits, 3, chosen, _held(bits, law, work, here, near, state == 1, f, size, chosen, rule))
+    told = price(bits)
+    prices[0] += told - begun
+    if not bit:
+        return
+    voxel.expect(law, work, here, near, state == 1)
+    voxel.look(law, work, here, near)
+    expected = work.rows[ws.EXPECTED]
+    still = np.int64(kept(expected[0], expected[1], expected[2], f, size, rule))
+    voxel.code_still(bits, work, here, then, still)
+    prices[1] += price(bits) - told
+    told = price(bits)
+    if not still:
+        voxel.aim(law, work, here)
+        choose(law, work, f, size, rule)
+        for c in range(3):
+            voxel.code_step(bits, work, c)
+            if c == 0:
+                prices[1] += price(bits) - told
+                told = price(bits)
+    prices[2] += price(bits) - told
+    shared.settle(law, work, here, still)
 
 
 @inlined

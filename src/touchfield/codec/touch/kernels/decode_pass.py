@@ -1,17 +1,11 @@
-"""The pass over the bricks of a frame in scan order, the support of each, and its voxels; it reads and writes.
-
-A writer gives a `Truth`, and the choices of `choice` are made. A reader gives None: nothing of them is compiled then.
-"""
+"""Decoding of a frame: one pass over its bricks in scan order, the support of each, and its voxels."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from touchfield.arrays import Float64s
-from touchfield.codec.kernels import PLACE, READING, TASK, code, mix, price
-from touchfield.codec.touch.kernels import choice, voxel
+from touchfield.codec.kernels import PLACE, code, mix
+from touchfield.codec.touch.kernels import voxel
 from touchfield.codec.touch.kernels import workspace as ws
 from touchfield.codec.touch.kernels.voxel import before, held
 from touchfield.lean import entry, inlined, lean
@@ -22,15 +16,6 @@ _BIT = _BLOCK + 32 + np.array([0, 1 << 14, 2 << 14], np.int64)
 CONTEXTS = int(_BIT[2]) + 4096
 SETS = voxel.SETS + 32
 _SPARE = 16  # bytes that a code may seem to go on behind its end
-_ROOM = 1 << 14  # bytes that a brick cannot fill
-
-
-class Truth(NamedTuple):
-    """Forces that are to be told, and the rule that they are told by."""
-
-    forces: Float64s  # [n, 512, 3], units in scan order; with spatial masking [n, 512, 4], see `choice.tolerance`
-    rule: choice.Limits
-    prices: Float64s  # [3]; takes the bits of support, amplitude and direction
 
 
 @lean
@@ -160,74 +145,40 @@ def settle(law, work, here, still):
 
 
 @entry
-def code_scan(bits, scan, law, work, truth):
-    """Code all bricks; ``scan.cells`` takes what a decoder holds. False where the buffer ends before."""
+def decode_bricks(bits, scan, law, work):
+    """Fill ``scan.cells``, as far as the code goes."""
     last = np.int64(0)
     for n in range(scan.near.shape[0]):
-        ends = bits.buffer.shape[0] + (_SPARE if bits.state[TASK] == READING else -_ROOM)
-        if bits.state[PLACE] > ends:
-            return False
-        known, state, blocks = enter(scan, work, n), np.int64(0), np.int64(0)
+        if bits.state[PLACE] > bits.buffer.shape[0] + _SPARE:
+            return
+        known, state = enter(scan, work, n), np.int64(0)
         if known:
-            if truth is not None:
-                state = choice.state_of(work.old, truth.forces[n], truth.rule)
-            last = state = code_brick(bits, last, state)
+            last = state = code_brick(bits, last, np.int64(0))
         if state == 2:
             ws.copy_reference(work.window, work.old, law.slope)
             ws.keep(work.window, scan.cells, n)
             continue
-        if truth is not None:
-            blocks = choice.blocks_of(truth.forces[n], truth.rule)
-            truth.prices[0] -= price(bits)
-        blocks = code_blocks(bits, work, known, blocks)
-        if truth is not None:
-            truth.prices[0] += price(bits)
+        blocks = code_blocks(bits, work, known, np.int64(0))
         for x in range(scan.low[n, 0], scan.high[n, 0]):
             for y in range(scan.low[n, 1], scan.high[n, 1]):
                 for z in range(scan.low[n, 2], scan.high[n, 2]):
                     if blocks >> ((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)) & 1:
                         here = ((x + ws.LOW) * ws.SIDE + y + ws.LOW) * ws.SIDE + z + ws.LOW
-                        _code_voxel(bits, law, work, here, known, state, truth, n, (x * 8 + y) * 8 + z)
+                        _decode_voxel(bits, law, work, here, known, state)
         ws.keep(work.window, scan.cells, n)
-    return True
 
 
 @inlined
-def _code_voxel(bits, law, work, here, known, state, truth, n, at):
+def _decode_voxel(bits, law, work, here, known, state):
     near = near_of(work.window, here)
     then = then_of(work.old, here, known)
-    there = still = np.int64(0)
-    if truth is not None:
-        f, rule, prices, told = truth.forces[n, at], truth.rule, truth.prices, price(bits)
-        size = choice.size_of(f)
-        there = choice.is_sent(f, size, rule)
-    there = mix(bits, 3, look_at_support(bits, work, here, near, then), there)
-    if truth is not None:
-        told = _paid(bits, prices, 0, told)
-    if not there:
+    if not mix(bits, 3, look_at_support(bits, work, here, near, then), np.int64(0)):
         return
     voxel.expect(law, work, here, near, state == 1)
     voxel.look(law, work, here, near)
-    if truth is not None:
-        expected = work.rows[ws.EXPECTED]
-        still = np.int64(choice.kept(expected[0], expected[1], expected[2], f, size, rule))
-    still = voxel.code_still(bits, work, here, then, still)
-    if truth is not None:
-        told = _paid(bits, prices, 1, told)
+    still = voxel.code_still(bits, work, here, then, np.int64(0))
     if not still:
         voxel.aim(law, work, here)
-        if truth is not None:
-            choice.choose(law, work, f, size, rule)
         for c in range(3):
             voxel.code_step(bits, work, c)
-            if truth is not None:
-                told = _paid(bits, prices, min(c, 1) + 1, told)
     settle(law, work, here, still)
-
-
-@lean
-def _paid(bits, prices, part, before):
-    """Put what was told since `before` down to a part."""
-    now = price(bits)
-    prices[part] += now - before
-    return now
