@@ -61,9 +61,6 @@ def test_box_sum_within_an_image() -> None:
     assert rendered == pytest.approx(8.786455, abs=5e-7)
     found = capacity(entropy(16.0), entropy(rendered), codomain_bits(4, 10))
     assert found.wmr.value == pytest.approx(8.786455 / 16, abs=5e-8)
-    literal = capacity(entropy(16.0), entropy(rendered), codomain_bits(4, 10), "literal")
-    assert literal.capacity.value == pytest.approx(4 * math.log2(10))  # 13.29 of 16 bits
-    assert literal.wmr.value == pytest.approx(4 * math.log2(10) / 16)
 
 
 @pytest.mark.parametrize("per_sample", [1.2, 2.3, 18.0])
@@ -79,13 +76,13 @@ def test_the_omni_alone_keeps_one_sample_in_125(per_sample: float) -> None:
 # -- laws -------------------------------------------------------------------------------------------------------
 
 
-@given(bits, bits, bits, st.sampled_from(["realised", "literal"]))
-def test_the_ratios_sum_to_one(h: float, d: float, room: float, reading: str) -> None:
+@given(bits, bits, bits)
+def test_the_ratios_sum_to_one(h: float, d: float, room: float) -> None:
     assume(h > 1e-300)
-    c = capacity(entropy(h), entropy(min(d, room)), room, reading)
+    c = capacity(entropy(h), entropy(min(d, room)), room)
     assert c.wmr.value + c.hil.value == pytest.approx(1, abs=1e-15)
     assert 0 <= c.wmr.value <= 1 and 0 <= c.hil.value <= 1
-    assert c.capacity.value == min(h, min(d, room) if reading == "realised" else room)
+    assert c.capacity.value == min(h, d, room)
     assert (c.capacity.unit, c.wmr.unit, c.hil.unit) == ("bit/frame", "1", "1")
 
 
@@ -116,8 +113,6 @@ def test_one_interval_keeps_its_level_and_none_gives_none() -> None:
     one = capacity(entropy(8, 5, 10), entropy(4), 6).wmr.interval
     assert one is not None
     assert (one.low, one.high, one.level) == (0.4, 0.8, pytest.approx(0.95))
-    literal = capacity(entropy(8), entropy(4, 3, 5), 6, "literal")
-    assert literal.wmr.interval is None  # the device's own bits are no estimate
 
 
 def test_an_interval_that_misses_its_estimate_is_widened_to_it() -> None:
@@ -171,7 +166,7 @@ def test_what_the_ratios_are_of() -> None:
 def test_the_summary_is_json() -> None:
     table = json.loads(json.dumps(capacity(entropy(5, 4, 6), entropy(3), 8).summary()))
     assert set(table) == {
-        "reading", "reference", "rendered", "codomain_bits", "capacity", "wmr", "hil", "notes"
+        "reference", "rendered", "codomain_bits", "capacity", "wmr", "hil", "notes"
     }  # fmt: skip
     assert table["wmr"]["value"] == 0.6 and table["hil"]["interval"]["low"] == pytest.approx(0.25)
 
@@ -195,7 +190,6 @@ def asked(**changes: object) -> Capacity:
         ({"rendered": entropy(3, weighting="object")}, "weighting object; expected samples"),
         ({"codomain_bits": -1.0}, "codomain_bits: found -1"),
         ({"codomain_bits": math.nan}, "codomain_bits: found nan"),
-        ({"reading": "printed"}, "reading: found 'printed'; expected realised or literal"),
     ],
 )
 def test_what_is_refused(wrong: dict[str, object], message: str) -> None:

@@ -17,7 +17,6 @@ from touchfield.job.spec import EncodeSpec
 from touchfield.measure.similarity import (
     Contact,
     classes_of_equal_share,
-    contact_along_axis,
     contact_along_rays,
     correlation_length_px,
     picture_correlation,
@@ -31,6 +30,18 @@ Float64s = NDArray[np.float64]
 def smooth_noise(seed: int, shape: tuple[int, int] = (64, 64), sigma: float = 1.5) -> Float64s:
     made: Float64s = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=shape), sigma, mode="wrap")
     return made
+
+
+def contact_along_axis(field: ForceField, axis: int = 2, from_low: bool = True, reading: str = "first") -> Contact:
+    """Follow the columns of the lattice along an axis, from their low or their high end."""
+    grid = field.grid
+    across = [np.arange(n) if a != axis else np.zeros(1, np.int64) for a, n in enumerate(grid.shape)]
+    low = np.stack(np.meshgrid(*across, indexing="ij"), axis=-1)
+    high = low.copy()
+    high[..., axis] = grid.shape[axis] - 1
+    ends = (grid.to_m(low), grid.to_m(high)) if from_low else (grid.to_m(high), grid.to_m(low))
+    met = contact_along_rays(field, ends[0], ends[1], reading)
+    return Contact(met.amplitudes_n.squeeze(axis), met.distances_m.squeeze(axis))
 
 
 # -- rays -----------------------------------------------------------------------------------------------------------
@@ -86,8 +97,6 @@ def test_rays_that_are_refused(wavy_field: ForceField) -> None:
         contact_along_rays(wavy_field, origin, (0.0, 0.0, 1e9))
     with pytest.raises(InvalidArgument, match="first or peak"):
         contact_along_rays(wavy_field, origin, (0.0, 0.0, 1.0), "mean")
-    with pytest.raises(InvalidArgument, match="axis"):
-        contact_along_axis(wavy_field, 3)
 
 
 # -- classes and lengths --------------------------------------------------------------------------------------------

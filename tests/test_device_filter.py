@@ -255,6 +255,7 @@ def test_pins_show_the_height_that_is_met_first(axes: str, wall_m: float) -> Non
     )
 
 
+<<<<<<< HEAD
 def test_a_plain_that_ends_is_as_high_at_its_edge() -> None:
     def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
         place = points[..., 0] / PINS.pitch_mm * 1e3
@@ -265,6 +266,22 @@ def test_a_plain_that_ends_is_as_high_at_its_edge() -> None:
     shown = mapping.frames(Formula(forces, UP_Z_AXES), profile_of(LawSpec(), math.inf))(0).to_dense()[:, 1, 0, 2]
     assert shown[11:27] / 3.3 == pytest.approx(1 / 3, abs=1 / 64), "27 pins of the 42 are on land"
     assert shown[27] < 0.5 * shown[26] and not shown[29:].any(), "beyond it nothing is lifted"
+=======
+def test_pins_of_a_stiff_wall_are_those_of_a_soft_one_and_ask_for_as_many_samples() -> None:
+    solid, shown, asked = ball(0.015), [], [0, 0]
+    for n, wall_m in enumerate((0.0066, 0.00033)):
+        law = profile_of(LawSpec(stiffness_n_per_m=3.3 / wall_m), wall_m)
+
+        def forces(points: NDArray[np.float64], profile: ForceProfile, n: int = n) -> NDArray[np.float64]:
+            asked[n] += points.size
+            return solid.forces(points, profile)
+
+        mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * wall_m), Placement())
+        shown.append(mapping.frames(Formula(forces, UP_Z_AXES), law)(0).to_dense()[..., 2])
+    assert shown[0].max() > 1
+    assert np.abs(shown[1] - shown[0]).max() < 3.3 / 128
+    assert asked[1] <= asked[0]
+>>>>>>> w-house
 
 
 def test_of_a_symbolic_scene_pins_show_the_force() -> None:

@@ -152,8 +152,3 @@ def test_it_is_cut_at_one_and_holds_the_estimate(given: tuple[float, float], wan
     found = capacity(frame_bits(10.0), frame_bits(11.0), 20.0, ratio=Interval(*given, 0.95, "paired"))
     i = found.wmr.interval
     assert found.wmr.value == 1 and i is not None and (i.low, i.high) == want
-
-
-def test_the_literal_reading_has_no_use_for_it() -> None:
-    with pytest.raises(InvalidArgument, match="ratio: found an interval; expected none in the literal reading"):
-        capacity(frame_bits(10.0), frame_bits(6.0), 20.0, "literal", Interval(0.5, 0.7, 0.95, "paired"))

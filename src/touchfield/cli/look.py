@@ -215,7 +215,7 @@ def _capacities(m: Measurement) -> list[Row]:
     rows = []
     for name, c in m.capacities.items():
         # no interval where that of H(M(W)) is unknown: it would speak of H(W) alone, and be too narrow
-        unknown = c.reading == "realised" and c.rendered.interval is None
+        unknown = c.rendered.interval is None
         of = f"of the {c.codomain_bits:,.0f} that it could be told"
         for quantity, label, what in ((c.capacity, name, of), (c.wmr, "  WMR", "rendered"), (c.hil, "  HIL", "lost")):
             rows.append(_row(quantity.of(name=label, interval=None if unknown else quantity.interval), what))

@@ -162,7 +162,10 @@ class DeviceFilter:
             rise = np.where(last > 0, fine.shape[2] + 1 - first, 0) if is_met_from_low(scene.axes) else last
             image = {"max": greatest, "mean": mean, "relief": rise}[pool]
         else:
-            image = self._columns(scene, frame, profile_hand.rescaled(self.placement.scale), pool, fine)
+            law, low_m = profile_hand, -DEPTHS_PER_PIECE * fine.spacing_m[2]
+            if pool == "relief" and low_m < law.low_m:  # what is met from above does not tell how thick its wall is
+                law = replace(law, pieces=((low_m, law.low_m, 1.0, 0.0), *law.pieces))
+            image = self._columns(scene, frame, law.rescaled(self.placement.scale), pool, fine)
         return (self._relief(image, fine, profile_hand) if pool == "relief" else image), fine
 
     def _columns(self, scene: Scene, frame: int, law: ForceProfile, pool: str, fine: Grid) -> Float64s:
@@ -197,7 +200,7 @@ class DeviceFilter:
         return np.where(rise > 0, self.device.force_max_n * share, np.nan)
 
     def _array_lattice(self, scene: Scene, profile_hand: ForceProfile) -> Grid:
-        """Fine in the plane of the array, and deep enough for the thinnest wall of the law.
+        """Fine in the plane of the array, and in depth for the thinnest piece of the law, or for heights.
 
         A stored field has nothing between its samples: two of the lattice's to one of its own are enough.
         """
@@ -208,10 +211,12 @@ class DeviceFilter:
         fx, fy = (
             min(factor, max(1, math.ceil(s / max(f, s / factor)))) for s, f in zip(self.grid.spacing_m, finest[:2])
         )
-        pieces = [b - a for a, b, _, _ in profile_hand.pieces if math.isfinite(b - a)]
-        step = min([s / factor for s in self.grid.spacing_m[:2]] + [p / DEPTHS_PER_PIECE for p in pieces])
+        steps = [s / factor for s in self.grid.spacing_m[:2]]
         if array_pool(scene, self.device, self.spec.pool) == "relief":
-            step = min(step, float(np.ptp(relief_m(self.grid, profile_hand))) / RELIEF_DEPTHS)
+            steps.append(float(np.ptp(relief_m(self.grid, profile_hand))) / RELIEF_DEPTHS)
+        else:
+            steps += [(b - a) / DEPTHS_PER_PIECE for a, b, _, _ in profile_hand.pieces]
+        step = min(steps)
         depths = min(MAX_DEPTHS, max(1, math.ceil((high[2] - low[2]) / max(step, finest[2]))))
         reach = 2 * low_pass(self.spec.low_pass).half_width
         margins = (math.ceil(reach * fx) + 1, math.ceil(reach * fy) + 1, 0)

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Bools, Float64s, Int64s
+from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument
-from touchfield.medium.field import numbers_of, slots_of
+from touchfield.medium.field import numbers_of
 
 if TYPE_CHECKING:
     from touchfield.medium import ForceField, Grid
@@ -186,7 +186,7 @@ class Voxels(Region):
 
     @property
     def words(self) -> str:
-        return f"{len(self._places)} voxels"
+        return f"{np.count_nonzero(self._mask)} voxels"
 
     def on(self, field: ForceField) -> Region:
         if field.grid != self.grid:
@@ -196,7 +196,7 @@ class Voxels(Region):
     def holds(self, points_m: Float64s) -> Bools:
         index = np.rint(self.grid.to_index(points_m))
         is_within: Bools = np.asarray(((index >= 0) & (index < self.grid.shape)).all(axis=-1))
-        is_within[is_within] = self._among(index[is_within].astype(np.int64))
+        is_within[is_within] = self._mask[tuple(index[is_within].astype(np.int64).T)]
         return is_within
 
     def distance_m(self, points_m: Float64s) -> Float64s:
@@ -208,12 +208,11 @@ class Voxels(Region):
         return np.where(is_within, -distance, distance)
 
     @cached_property
-    def _places(self) -> Int64s:
-        """The samples in raster order (x slowest), each once."""
-        return np.unique(np.ravel_multi_index(tuple(np.asarray(self.positions).T), self.grid.shape))
-
-    def _among(self, positions: Int64s) -> Bools:
-        return slots_of(self._places, np.ravel_multi_index(tuple(positions.T), self.grid.shape)) >= 0
+    def _mask(self) -> Bools:
+        """The samples of the set, bool of the grid's shape."""
+        mask = np.zeros(self.grid.shape, np.bool_)
+        mask[tuple(np.asarray(self.positions).T)] = True
+        return mask
 
     @cached_property
     def _trees(self) -> tuple[Any, Any]:
@@ -221,19 +220,11 @@ class Voxels(Region):
 
         The sample of the set nearest to one outside is among the first, and the other way round.
         """
+        from scipy.ndimage import binary_dilation
         from scipy.spatial import cKDTree
 
-        positions = np.stack(np.unravel_index(self._places, self.grid.shape), axis=1)
-        edge = np.zeros(len(positions), np.bool_)
-        outside = [positions[:0]]
-        for step in np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)]):
-            beside = positions + step
-            free = ((beside >= 0) & (beside < self.grid.shape)).all(axis=1)
-            free[free] = ~self._among(beside[free])
-            edge |= free
-            outside.append(beside[free])
-        shells = (positions[edge], np.unique(np.concatenate(outside), axis=0))
-        first, second = (cKDTree(self.grid.to_m(s)) if len(s) else None for s in shells)
+        shells = binary_dilation(~self._mask) & self._mask, binary_dilation(self._mask) & ~self._mask
+        first, second = (cKDTree(self.grid.to_m(np.argwhere(s))) if s.any() else None for s in shells)
         return first, second
 
 

@@ -34,7 +34,6 @@ from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, Descriptor, descri
 from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.measure.retrieval import MediumIndex
 from touchfield.measure.similarity import (
-    contact_along_axis,
     contact_along_rays,
     picture_correlation,
     similarity,
@@ -351,11 +350,8 @@ def correlate(
     for n in places:
         at = min(round(n / medium.rate_hz * rate_hz), pictures.frame_count - 1)
         luma = pictures.values(at).astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
-        if intrinsics is None:
-            luma, touched = _from_the_front(luma, medium, n, reading)
-        else:
-            touched = _from_the_camera(luma.shape, pictures, medium, n, opened.placement, intrinsics, reading)
-        found = picture_correlation(luma, touched)
+        rays = _rays(luma.shape, pictures, medium, opened.placement, intrinsics)
+        found = picture_correlation(luma, contact_along_rays(medium[n], *rays, reading).amplitudes_n)
         figures = found.summary()
         mutual = figures.pop("mutual")["value"]
         looks.append({"frame": n, "picture": at, "mutual_bits": mutual, **figures})
@@ -364,42 +360,27 @@ def correlate(
     return Result({"looks": looks}, tuple(notes))
 
 
-def _from_the_front(luma: Float64s, medium: HapticMedium, frame: int, reading: str) -> tuple[Float64s, Float64s]:
-    """The picture as means over the columns of the lattice, and |F| of these, rows downwards."""
-    from PIL import Image
-
-    turn = axes_matrix(BOX_AXES, medium.axes)
-    (right, is_left), (up, is_down), (sight, is_away) = (
-        (int(np.argmax(np.abs(turn[:, n]))), bool(turn[:, n].sum() < 0)) for n in range(3)
-    )
-    met = contact_along_axis(medium[frame], sight, from_low=is_away, reading=reading).amplitudes_n
-    seen = met if right > up else met.T  # rows along `up`, columns along `right`
-    seen = seen if is_down else seen[::-1]
-    seen = seen[:, ::-1] if is_left else seen
-    scaled = Image.fromarray(luma.astype(np.float32)).resize(seen.shape[::-1], Image.Resampling.BOX)
-    return np.asarray(scaled, np.float64), np.ascontiguousarray(seen)
-
-
-def _from_the_camera(
+def _rays(
     shape: tuple[int, ...],
     pictures: Any,
     medium: HapticMedium,
-    frame: int,
     placement: Placement,
-    intrinsics: tuple[float, float, float, float],
-    reading: str,
-) -> Float64s:
-    """|F| along the ray of each pixel of the reduced picture."""
+    intrinsics: tuple[float, float, float, float] | None,
+) -> tuple[Float64s, Float64s]:
+    """Where the ray of each pixel of the reduced picture begins and ends, hand metres: of a camera, or the front."""
+    height, width = shape
+    v, u = np.mgrid[:height, :width] + 0.5
+    low, high = (np.asarray(corner) for corner in medium.grid.box_m)
+    if intrinsics is None:
+        across, ways = [2 * u / width - 1, 1 - 2 * v / height], axes_matrix(BOX_AXES, medium.axes).T
+        front, back = (np.stack([*across, np.full(shape, far)], axis=-1) @ ways for far in (1.0, -1.0))
+        return (low + high + (high - low) * front) / 2, (low + high + (high - low) * back) / 2
     if medium.axes != CAMERA_AXES:
         raise InvalidArgument("intrinsics", f"a medium whose axes are {medium.axes}", f"one whose are {CAMERA_AXES}")
-    (fx, fy, cx, cy), (height, width) = intrinsics, shape
-    v, u = np.mgrid[:height, :width]
-    x = ((u + 0.5) * pictures.size[0] / width - 0.5 - cx) / fx
-    y = ((v + 0.5) * pictures.size[1] / height - 0.5 - cy) / fy
-    low, high = (placement.to_scene(corner) for corner in medium.grid.box_m)
-    near_m, far_m = max(float(low[2]), 0.0), float(high[2])
+    fx, fy, cx, cy = intrinsics
+    x, y = (u * pictures.size[0] / width - 0.5 - cx) / fx, (v * pictures.size[1] / height - 0.5 - cy) / fy
+    near_m, far_m = (float(placement.to_scene(corner)[2]) for corner in (low, high))
     if not far_m > 0:
         raise InvalidArgument("intrinsics", "a workspace behind the camera", "one before it")
     rays = np.stack([x, y, np.ones_like(x)], axis=-1)
-    ends = placement.to_hand(near_m * rays), placement.to_hand(far_m * rays)
-    return contact_along_rays(medium[frame], *ends, reading).amplitudes_n
+    return placement.to_hand(max(near_m, 0.0) * rays), placement.to_hand(far_m * rays)

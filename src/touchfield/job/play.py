@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
@@ -292,10 +292,16 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
             _wait(player, spec.seconds, report, tell, stream)
         except (KeyboardInterrupt, LiveEnd):
             pass
+<<<<<<< HEAD
     error, figures = player.error, asdict(player.statistics)
     if error is not None and not (isinstance(error, LiveEnd) and figures["sent"]):
         raise error
     notes = (*player.notes, *([] if error is None else [str(error)]))
+=======
+    if player.error is not None:
+        raise player.error
+    figures = player.statistics()
+>>>>>>> w-house
     figures["stalled_share"] = figures["stalled"] / max(figures["sent"], 1)
     return Played({"device": spec.device, "profile": chosen.profile.name, **figures}, None, None, notes)
 

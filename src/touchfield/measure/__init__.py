@@ -41,7 +41,6 @@ from touchfield.measure.similarity import (
     Correlation,
     Similarity,
     compression_distance,
-    contact_along_axis,
     contact_along_rays,
     picture_correlation,
     similarity,
@@ -51,7 +50,7 @@ from touchfield.medium.trace import Trace, read_trace
 __all__ = [
     "ESTIMATORS", "Capacity", "CodingLimits", "Contact", "Correlation", "Counts", "Descriptor", "FewSamplesWarning",
     "FieldSymbols", "Interval", "MediumIndex", "Passivity", "Quantity", "Similarity", "Trace", "capacity",
-    "coding_limits", "codomain_bits", "compression_distance", "conditional_entropy", "contact_along_axis",
+    "coding_limits", "codomain_bits", "compression_distance", "conditional_entropy",
     "contact_along_rays", "descriptor", "entropy", "estimate_bits", "field_counts", "field_entropy",
     "interaction_counts", "interaction_entropy", "interval", "jensen_shannon_distance", "joint_entropy",
     "loop_work_j", "mutual_information", "normalised_mutual_information", "passivity", "picture_correlation",

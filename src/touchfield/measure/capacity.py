@@ -1,14 +1,13 @@
 """Workspace capacity, mapping ratio and information loss (paper section 3.1, eq. 1-3).
 
-Eq. 1 as printed, C(M) = min(C(M(W)), H(W)), has C on both sides. Two readings are offered, both in bits per frame:
+Eq. 1 as printed, C(M) = min(C(M(W)), H(W)), has C on both sides. Literally read it is min(C_dev, H(W)) with C_dev =
+log2 |codomain|, all that the device could be told in one frame: of two numbers that stand here the less. What is made
+of it is C = I(W; M(W)) = H(M(W)) for a mapping without randomness, what it is told of this medium, bits per frame.
 
-* ``literal``: C = min(C_dev, H(W)) with C_dev = log2 |codomain|, all that the device could be told in one frame;
-* ``realised`` (default): C = I(W; M(W)) = H(M(W)) for a mapping without randomness, what it is told of this medium.
-
-In the realised reading no mapping exceeds H(W), by the data-processing inequality, and the printed min() is empty. It
-stays as a guard against a biased estimate of either entropy and against a lattice finer than the medium's own
-("active mappings" in the paper); `Capacity` notes when it acted. "Passive" means this inequality and nothing else:
-whether a field gives energy to the hand is asked in `touchfield.measure.passivity`.
+No mapping exceeds H(W), by the data-processing inequality, and the printed min() is empty. It stays as a guard
+against a biased estimate of either entropy and against a lattice finer than the medium's own ("active mappings" in
+the paper); `Capacity` notes when it acted. "Passive" means this inequality and nothing else: whether a field gives
+energy to the hand is asked in `touchfield.measure.passivity`.
 
 Eq. 2: WMR = C / H(W). Eq. 3: HIL = max(H(W) - C, 0) / H(W). They sum to 1, because eq. 1 keeps C <= H(W).
 
@@ -20,19 +19,17 @@ meaning WMR = 0, HIL = 1 and is allowed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any, Final
 
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.errors import InvalidArgument, require_not_negative, require_one_of
+from touchfield.errors import InvalidArgument, require_not_negative
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import estimate_bits
-from touchfield.measure.quantity import Interval, Quantity, interval
-
-READINGS: Final = ("realised", "literal")
+from touchfield.measure.quantity import Interval, Quantity, Told, interval
 
 _UNIT: Final = "bit/frame"
 _NEVER_TOO_HIGH: Final = ("exact", "plug-in")  # these cannot exceed log2 of the number of symbols
@@ -40,14 +37,13 @@ _ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True)
-class Capacity:
+class Capacity(Told):
     """Eq. 1 to 3 for one medium, device and mapping, all in bits per frame but for the ratios.
 
-    `reading`: "realised" or "literal". `reference`: H(W). `rendered`: H(M(W)). `codomain_bits`: C_dev. `capacity`: C.
-    `wmr`, `hil`: workspace mapping ratio and haptic information loss; NaN where H(W) = 0.
+    `reference`: H(W). `rendered`: H(M(W)). `codomain_bits`: C_dev. `capacity`: C. `wmr`, `hil`: workspace mapping
+    ratio and haptic information loss; NaN where H(W) = 0.
     """
 
-    reading: str
     reference: Quantity
     rendered: Quantity
     codomain_bits: float
@@ -61,10 +57,8 @@ class Capacity:
         return self.wmr.notes
 
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
-        table = {f.name: getattr(self, f.name) for f in fields(self)}
-        plain = {name: v.summary() if isinstance(v, Quantity) else v for name, v in table.items()}
-        return {**plain, "notes": list(self.notes)}
+        """See `Told`."""
+        return super().summary() | {"notes": list(self.notes)}
 
 
 def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
@@ -79,28 +73,22 @@ def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
 
 
 def capacity(
-    reference: Quantity,
-    rendered: Quantity,
-    codomain_bits: float,
-    reading: str = "realised",
-    ratio: Interval | None = None,
+    reference: Quantity, rendered: Quantity, codomain_bits: float, ratio: Interval | None = None
 ) -> Capacity:
     """C, WMR and HIL of a mapping M of a medium W into a haptic workspace (paper eq. 1-3).
 
     `reference`, `rendered`: H(W) and H(M(W)), "bit/frame", of one weighting: of the whole quantised frame, or of a
     sample times the samples of a frame (`Quantity.times`). `codomain_bits`: C_dev, from the function of this name.
-    `reading`: "realised" (C = H(M(W))) or "literal" (C = C_dev). `ratio`: an interval of H(M(W)) / H(W), resampled
-    together (`paired_ratio`), for the realised reading: WMR then has it, cut at 1, and HIL its mirror image.
+    `ratio`: an interval of H(M(W)) / H(W), resampled together (`paired_ratio`): WMR has it, cut at 1, and HIL its
+    mirror image.
 
     Without it the intervals of the two entropies are carried over by interval arithmetic: min(C / H, 1) rises with C
     and falls with H, so that its bounds are those of opposite corners, at the level 1 - a - b of Bonferroni. It is
     wider than need be, since the two estimates come from one medium and err together. That of C is always made so.
 
-    InvalidArgument if a unit is not "bit/frame", a number is negative or not finite, the weightings differ, the
-    reading is unknown or has no use for `ratio`, or a rendered entropy that cannot be overestimated is above C_dev
-    (the codomain is then another's).
+    InvalidArgument if a unit is not "bit/frame", a number is negative or not finite, the weightings differ, or a
+    rendered entropy that cannot be overestimated is above C_dev (the codomain is then another's).
     """
-    require_one_of("reading", reading, READINGS)
     for where, entropy in (("reference", reference), ("rendered", rendered)):
         if entropy.unit != _UNIT:
             raise InvalidArgument(
@@ -114,8 +102,6 @@ def capacity(
             "rendered", f"weighting {rendered.weighting}", f"{reference.weighting}, the weighting of the reference"
         )
     require_not_negative(codomain_bits=codomain_bits)
-    if ratio is not None and reading != "realised":
-        raise InvalidArgument("ratio", "an interval", f"none in the {reading} reading, whose C is no estimate")
     excess = rendered.value > codomain_bits * (1 + _ROUNDING) + _ROUNDING
     if excess and rendered.estimator in _NEVER_TOO_HIGH:
         raise InvalidArgument(
@@ -124,7 +110,7 @@ def capacity(
             "log2 of all frames that the device can be told",
             "Count the samples and the alphabet of the lattice that was measured.",
         )
-    return _of(reference, rendered, float(codomain_bits), reading, ratio)
+    return _of(reference, rendered, float(codomain_bits), ratio)
 
 
 def paired_ratio(
@@ -156,24 +142,21 @@ def paired_ratio(
     return replace(spread, method=f"paired {spread.method}")
 
 
-def _of(
-    reference: Quantity, rendered: Quantity, device_bits: float, reading: str, paired: Interval | None
-) -> Capacity:
-    told_bits = rendered.value if reading == "realised" else device_bits
-    bits = min(told_bits, device_bits, reference.value)
-    notes = _guards(reference, rendered, device_bits, reading)
+def _of(reference: Quantity, rendered: Quantity, device_bits: float, paired: Interval | None) -> Capacity:
+    bits = min(rendered.value, device_bits, reference.value)
+    notes = _guards(reference, rendered, device_bits)
 
     def of_both(name: str) -> str:
         mine, theirs = getattr(reference, name), getattr(rendered, name)
         return str(mine) if mine == theirs else f"W: {mine}; M(W): {theirs}"
 
     base = rendered.of(unit="1", quantiser=of_both("quantiser"), estimator=of_both("estimator"), notes=notes)
-    spread = _spread(reference, rendered if reading == "realised" else None, device_bits)
+    spread = _spread(reference, rendered, device_bits)
     c = base.of(name="C", value=bits, unit=_UNIT, interval=None if spread is None else spread[0])
     if reference.value == 0:
         why = "H(W) = 0: a medium that tells nothing has nothing to lose, and the ratio does not exist"
         nothing = base.of(value=math.nan, interval=None, notes=(*notes, why))
-        return Capacity(reading, reference, rendered, device_bits, c, nothing.of(name="WMR"), nothing.of(name="HIL"))
+        return Capacity(reference, rendered, device_bits, c, nothing.of(name="WMR"), nothing.of(name="HIL"))
     ratio, loss = bits / reference.value, max(reference.value - bits, 0.0) / reference.value
     of_ratio = None if spread is None else spread[1]
     if paired is not None:
@@ -183,40 +166,37 @@ def _of(
     i = of_ratio  # HIL = 1 - WMR
     mirrored = None if i is None else Interval(1.0 - i.high, 1.0 - i.low, i.level, i.method)
     hil = base.of(name="HIL", value=loss, interval=mirrored)
-    return Capacity(reading, reference, rendered, device_bits, c, wmr, hil)
+    return Capacity(reference, rendered, device_bits, c, wmr, hil)
 
 
-def _guards(reference: Quantity, rendered: Quantity, device_bits: float, reading: str) -> tuple[str, ...]:
+def _guards(reference: Quantity, rendered: Quantity, device_bits: float) -> tuple[str, ...]:
     """Notes on the min() of eq. 1."""
     notes = []
-    if reading == "realised" and rendered.value > device_bits * (1 + _ROUNDING):
+    if rendered.value > device_bits * (1 + _ROUNDING):
         notes.append(
             f"H(M(W)) was estimated as {rendered.value:.6g} bit/frame, more than the {device_bits:.6g} that the "
             "device can be told, which stand in its place: the estimator overshoots"
         )
-    if reading == "realised" and min(rendered.value, device_bits) > reference.value * (1 + _ROUNDING):
+    if min(rendered.value, device_bits) > reference.value * (1 + _ROUNDING):
         notes.append(
             f"the min() of eq. 1 acted: H(M(W)) = {rendered.value:.6g} bit/frame is above "
             f"H(W) = {reference.value:.6g}, by a biased estimate, or a lattice or Q finer than W's"
         )
-    if reading == "literal" and device_bits > reference.value:
-        notes.append("the device could be told more than the medium holds: the literal reading sees no loss")
     if reference.estimator != rendered.estimator:
         notes.append(f"two estimators: {reference.estimator} for H(W), {rendered.estimator} for H(M(W))")
     return tuple(notes)
 
 
-def _spread(reference: Quantity, rendered: Quantity | None, device_bits: float) -> tuple[Interval, Interval] | None:
-    """Intervals of C and of WMR; `rendered` is None in the literal reading (C_dev is no estimate)."""
-    intervals = [q.interval for q in (reference, rendered) if q is not None and q.interval is not None]
+def _spread(reference: Quantity, rendered: Quantity, device_bits: float) -> tuple[Interval, Interval] | None:
+    """Intervals of C and of WMR."""
+    intervals = [q.interval for q in (reference, rendered) if q.interval is not None]
     if not intervals:
         return None
     h_low, h_high = _range(reference)
-    c_low, c_high = (device_bits, device_bits) if rendered is None else _range(rendered)
-    c_low, c_high = min(c_low, device_bits), min(c_high, device_bits)
+    c_low, c_high = (min(end, device_bits) for end in _range(rendered))
     level = max(0.0, 1.0 - sum(1.0 - i.level for i in intervals))
-    told = "" if rendered is None else f" and H(M(W)) in [{c_low:.6g}, {c_high:.6g}]"
-    method = f"interval arithmetic, H(W) in [{h_low:.6g}, {h_high:.6g}]{told}; {intervals[0].method}"
+    told = f"H(W) in [{h_low:.6g}, {h_high:.6g}] and H(M(W)) in [{c_low:.6g}, {c_high:.6g}]"
+    method = f"interval arithmetic, {told}; {intervals[0].method}"
     low = 1.0 if h_high == 0 else min(c_low / h_high, 1.0)
     high = 1.0 if h_low <= c_high else c_high / h_low
     return (

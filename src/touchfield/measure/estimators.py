@@ -49,17 +49,17 @@ def entropy_bits(counts: ArrayLike) -> float:
     """
     n = np.asarray(counts, np.float64).ravel()
     n = n[n > 0]
-    if not len(n):
-        return 0.0
-    total = n.sum()
-    common = int(n.argmax())
-    others = np.delete(n, common)
-    rest = others.sum()
-    if rest < n[common]:  # its share is nearly 1, and what is left of a difference of logarithms would be rounding
-        p = others / total
-        return float(-(1 - rest / total) * np.log1p(-rest / total) / np.log(2) - (p * np.log2(p)).sum()) + 0.0
-    p = n / total
-    return float(-(p * np.log2(p)).sum()) + 0.0
+    return _bits(n, np.ones(len(n))) if len(n) else 0.0
+
+
+def _bits(counts: Float64s, times: Float64s) -> float:
+    """Plug-in entropy of symbols of which some were counted so often each."""
+    total, most = float((counts * times).sum()), int(counts.argmax())
+    log_p = np.log2(counts / total)
+    rest = float(np.delete(counts * times, most).sum())
+    if times[most] == 1 and rest < counts[most]:
+        log_p[most] = np.log1p(-rest / total) / np.log(2)  # its p is nearly 1, and the logarithm would be rounding
+    return float(-(times * counts / total * log_p).sum()) + 0.0  # 0, and not -0
 
 
 def binary_entropy_bits(p: float) -> float:
@@ -116,13 +116,7 @@ def tally(counts: ArrayLike) -> Tally:
 
 def plug_in(t: Tally) -> float:
     """-sum p ln p at p = count/n, the maximum-likelihood estimate (paper section 3). Low for every n, by Jensen."""
-    n = t.samples
-    p = t.counts / n
-    log_p = np.log(p)
-    rest = float((t.counts[:-1] * t.times[:-1]).sum())
-    if t.times[-1] == 1 and rest < t.counts[-1]:
-        log_p[-1] = np.log1p(-rest / n)  # p is nearly 1 where one symbol dominates, and its logarithm lost
-    return float(-(t.times * p * log_p).sum()) + 0.0  # 0, and not -0
+    return _bits(t.counts, t.times) * math.log(2)
 
 
 def miller_madow(t: Tally) -> float:

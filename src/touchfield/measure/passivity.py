@@ -21,14 +21,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument
+from touchfield.measure.quantity import Told
 from touchfield.medium.field import ForceField, slots_around
 from touchfield.medium.grid import Grid
 from touchfield.parallel import for_chunks
@@ -95,7 +96,7 @@ def _pieces(
 
 
 @dataclass(frozen=True)
-class Passivity:
+class Passivity(Told):
     """How far a field is from conservative; NaN where nothing could be seen, `notes` then say why.
 
     `support_count`: L, samples whose force is not zero; `points`: samples at which a curl was taken; `share_seen`:
@@ -116,12 +117,6 @@ class Passivity:
     rms_square_j: float
     worst_square_j: float
     notes: tuple[str, ...] = ()
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs; NaN becomes None."""
-        table: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        table["notes"] = list(self.notes)
-        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in table.items()}
 
 
 def passivity(force_field: ForceField) -> Passivity:

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -44,8 +44,24 @@ WEIGHTINGS = ("samples", "voxel", "object", "interaction")
 is not zero; each voxel as often as a probe was there."""
 
 
+class Told:
+    """A dataclass that is told by the names of its fields."""
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs; NaN becomes None, which JSON can hold."""
+        return {f.name: _plain(getattr(self, f.name)) for f in fields(self)}  # type: ignore[arg-type]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Told):
+        return value.summary()
+    if isinstance(value, float) and math.isnan(value):
+        return None
+    return list(value) if isinstance(value, tuple) else value
+
+
 @dataclass(frozen=True)
-class Interval:
+class Interval(Told):
     """A range for a quantity, in its unit, from a resampling.
 
     `level`: share of the resamples between `low` and `high`, such as 0.95. `method`: how it was made, with its
@@ -60,13 +76,17 @@ class Interval:
     level: float
     method: str
 
+    def summary(self) -> dict[str, Any]:
+        """See `Told`."""
+        return super().summary() | {"population": self.population}
+
 
 class FewSamplesWarning(UserWarning):
     """There are fewer than ten samples to a symbol: the estimate is more bias than data."""
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Quantity(Told):
     """A number with what it means.
 
     `name` is the usual notation: "H(S)", "I(X;Y)", "WMR". `value` is NaN where the quantity does not exist; `notes`
@@ -104,18 +124,6 @@ class Quantity:
         i = self.interval
         scaled = None if i is None else Interval(i.low * factor, i.high * factor, i.level, i.method)
         return replace(self, name=name or self.name, value=self.value * factor, unit=unit, interval=scaled)
-
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs; NaN becomes None, which JSON can hold."""
-        i, of = self.interval, ("quantiser", "weighting", "estimator", "samples", "symbols")
-        return {
-            "name": self.name,
-            "value": None if math.isnan(self.value) else self.value,
-            "unit": self.unit,
-            "interval": None if i is None else {**asdict(i), "population": i.population},
-            **{name: getattr(self, name) for name in of},
-            "notes": list(self.notes),
-        }
 
     def __str__(self) -> str:
         """One line: value, interval, unit, and what it is of."""

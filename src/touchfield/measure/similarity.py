@@ -34,8 +34,8 @@ from __future__ import annotations
 import lzma
 import math
 import warnings
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,7 +52,7 @@ from touchfield.measure.information import (
     normalised_mutual_information,
     variation_of_information,
 )
-from touchfield.measure.quantity import FewSamplesWarning, Quantity
+from touchfield.measure.quantity import FewSamplesWarning, Quantity, Told
 from touchfield.medium.field import brick_keys, numbers_of, values_at
 from touchfield.medium.grid import BRICK
 
@@ -120,7 +120,7 @@ def packed(frames: Frames, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 @dataclass(frozen=True)
-class Similarity:
+class Similarity(Told):
     """Measures that tell two media apart; each a `Quantity`.
 
     `normalised` I(S;T): 1 where each symbol of one medium tells that of the other, 0 where it tells nothing.
@@ -132,11 +132,6 @@ class Similarity:
     variation: Quantity
     jensen_shannon: Quantity
     compression: Quantity | None
-
-    def summary(self) -> dict[str, Any]:
-        """Plain values by name."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {name: None if value is None else value.summary() for name, value in values.items()}
 
 
 def similarity(
@@ -213,24 +208,6 @@ def contact_along_rays(field: ForceField, starts_m: ArrayLike, ends_m: ArrayLike
     return Contact(amplitudes.reshape(shape[:-1]), (at * lengths).reshape(shape[:-1]))
 
 
-def contact_along_axis(field: ForceField, axis: int = 2, from_low: bool = True, reading: str = "first") -> Contact:
-    """Follow the columns of the lattice along x, y or z (`axis` 0, 1 or 2), from their low or their high end.
-
-    In the axes of a camera the line of sight is z, from its low end. `reading`: "first" or "peak". Gives a `Contact`
-    of the shape of the other two axes, in order; distances from the first sample of the column.
-    """
-    if axis not in (0, 1, 2):
-        raise InvalidArgument("axis", f"{axis}", "0, 1 or 2")
-    grid = field.grid
-    across = [np.arange(n) if a != axis else np.zeros(1, np.int64) for a, n in enumerate(grid.shape)]
-    low = np.stack(np.meshgrid(*across, indexing="ij"), axis=-1)
-    high = low.copy()
-    high[..., axis] = grid.shape[axis] - 1
-    ends = (grid.to_m(low), grid.to_m(high)) if from_low else (grid.to_m(high), grid.to_m(low))
-    met = contact_along_rays(field, ends[0], ends[1], reading)
-    return Contact(met.amplitudes_n.squeeze(axis), met.distances_m.squeeze(axis))
-
-
 def _followed(field: ForceField, begin: Float64s, end: Float64s, looked_at: Float64s, first: bool) -> Float64s:
     """|F| and the share of the way, float64 [2, n], NaN where there is none."""
     low, across = field.grid.to_index(begin), (end - begin) / np.asarray(field.grid.spacing_m)
@@ -255,10 +232,11 @@ BLOCK_LENGTHS: Final = 4
 """Side of a block over the correlation length of both."""
 
 MOST_SHUFFLES: Final = 1 << 20
+_ESTIMATOR: Final = "miller-madow"  # plug-in is high by about (classes - 1)^2 / (2 n ln 2) bits
 
 
 @dataclass(frozen=True)
-class Correlation:
+class Correlation(Told):
     """Information of a picture about a haptic medium.
 
     `mutual`: I(V;A), bits a pixel. `null_mean_bits`, `null_spread_bits`: mean and standard deviation of I over the
@@ -277,11 +255,6 @@ class Correlation:
     blocks: int
     share: float
 
-    def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs; NaN becomes None."""
-        table = {f.name: getattr(self, f.name) for f in fields(self)}
-        return table | {"mutual": self.mutual.summary(), "z": None if math.isnan(self.z) else self.z}
-
 
 def picture_correlation(
     picture: ArrayLike,
@@ -290,7 +263,6 @@ def picture_correlation(
     classes: int = 8,
     shuffles: int = 199,
     block_px: int | None = None,
-    estimator: str = "miller-madow",
     interval: bool = True,
     seed: int = 0,
 ) -> Correlation:
@@ -299,8 +271,7 @@ def picture_correlation(
     `picture` float [height, width]: luma, depth in metres, or any other number a pixel; `touched`, alike: |F| in
     newtons, or another number of the medium; NaN where unknown or none. `classes`: of equal shares, for each of the
     two, 2 to 256; equal values stay together. `shuffles`: of blocks, 19 or more. `block_px`: side of a block, see the
-    module. `estimator`: of I and of its null; plug-in is high by about (classes - 1)^2 / (2 n ln 2) bits, which z and
-    p do not feel. `interval`: whether I gets one, over groups of these blocks. `seed`: of the shuffles.
+    module. `interval`: whether I gets one, over groups of these blocks. `seed`: of the shuffles.
     InvalidArgument if the shapes differ, no pixel or fewer than four blocks hold both, or an option is out of range.
     """
     v, a = _maps(picture, touched)
@@ -315,9 +286,9 @@ def picture_correlation(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FewSamplesWarning)  # its note tells
         blocks = max(8, min(64, len(x)))
-        mutual = mutual_information(x[both], y[both], estimator=estimator, interval=interval, blocks=blocks)
+        mutual = mutual_information(x[both], y[both], estimator=_ESTIMATOR, interval=interval, blocks=blocks)
     rng = np.random.default_rng(seed)
-    null = np.array([_bits(x, y[rng.permutation(len(y))], classes, estimator) for _ in range(shuffles)])
+    null = np.array([_bits(x, y[rng.permutation(len(y))], classes) for _ in range(shuffles)])
     value, mean, spread = float(mutual), float(null.mean()), float(null.std(ddof=1))
     no_less = int((null >= value - 1e-12).sum())
     notes += (f"{classes} classes of equal share each",)
@@ -339,14 +310,13 @@ def classes_of_equal_share(values: ArrayLike, count: int) -> Int64s:
 
     Equal values are of one class, that of the middle of their ranks.
     """
+    from scipy.stats import rankdata
+
     numbers = np.asarray(values, np.float64)
     known = ~np.isnan(numbers)
-    distinct, place, times = np.unique(numbers[known], return_inverse=True, return_counts=True)
-    middle = np.cumsum(times) - times / 2
+    middle = rankdata(numbers[known]) - 0.5
     classes = np.full(numbers.shape, -1, np.int64)
-    if len(distinct):
-        of_value = np.minimum((middle / times.sum() * count).astype(np.int64), count - 1)
-        classes[known] = of_value[place.reshape(-1)]
+    classes[known] = np.minimum(middle / max(1, len(middle)) * count, count - 1)
     return classes
 
 
@@ -422,12 +392,11 @@ def _in_blocks(symbols: Int64s, side: int) -> Int64s:
     return np.ascontiguousarray(whole.transpose(0, 2, 1, 3)).reshape(rows * columns, side * side)
 
 
-def _bits(x: Int64s, y: Int64s, classes: int, estimator: str) -> float:
+def _bits(x: Int64s, y: Int64s, classes: int) -> float:
     """I of the pixels where both are known, bits; 0 without any."""
     both = (x >= 0) & (y >= 0)
     if not both.any():
         return 0.0
     table = np.bincount(x[both] * classes + y[both], minlength=classes * classes).reshape(classes, classes)
-    x_bits, y_bits, joint = (estimate_bits(n, estimator) for n in (table.sum(axis=1), table.sum(axis=0), table))
-    bits = math.fsum((x_bits, y_bits, -joint))
-    return max(0.0, bits) if estimator == "plug-in" else bits
+    x_bits, y_bits, joint = (estimate_bits(n, _ESTIMATOR) for n in (table.sum(axis=1), table.sum(axis=0), table))
+    return math.fsum((x_bits, y_bits, -joint))

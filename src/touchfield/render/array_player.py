@@ -16,7 +16,6 @@ import math
 import threading
 from abc import ABC, abstractmethod
 from contextlib import suppress
-from dataclasses import dataclass
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -166,17 +165,6 @@ class DrivesAhead:
         return [low] if is_last or low == position else [low, low + 1]
 
 
-@dataclass(frozen=True)
-class ArrayStatistics:
-    """Counts of the sender so far."""
-
-    sent: int  # frames
-    late: int  # of these, by more than half a period
-    skipped: int  # because the one before took too long
-    stalled: int  # of those sent, all off because the feed had nothing
-    mean_rate_hz: float  # of those sent, 0 before the second
-
-
 class ArrayPlayer:
     """Plays frames of drives on an array; a context manager, which closes it.
 
@@ -212,7 +200,7 @@ class ArrayPlayer:
         self._sender = threading.Thread(target=self._run, name="touchfield-array", daemon=True)
         self.error: BaseException | None = None  # that ended it early
         self._is_open = False
-        self._sent = self._late = self._skipped = self._stalled = 0
+        self._counts = dict.fromkeys(("sent", "late", "skipped", "stalled"), 0)
         self._span_s = 0.0
 
     def start(self) -> None:
@@ -249,7 +237,7 @@ class ArrayPlayer:
     def notes(self) -> tuple[str, ...]:
         """A note for the user where the feed stalled."""
         note = "Frames are not made in time: the actuators are off meanwhile. A lower --speed may help"
-        return (note,) if self._stalled else ()
+        return (note,) if self._counts["stalled"] else ()
 
     def close(self) -> None:
         """All actuators off, and the device let go; never raises, and may be called twice."""
@@ -261,11 +249,12 @@ class ArrayPlayer:
         if self._ahead.thread.is_alive():
             self._ahead.thread.join(_LONGEST_CLOSE_S)
 
-    @property
-    def statistics(self) -> ArrayStatistics:
-        """Counts so far."""
-        rate = (self._sent - 1) / self._span_s if self._sent > 1 and self._span_s > 0 else 0.0
-        return ArrayStatistics(self._sent, self._late, self._skipped, self._stalled, rate)
+    def statistics(self) -> dict[str, float]:
+        """Frames ``sent``, of these ``late`` by more than half a period, ``skipped`` as the one before took too long,
+        of those sent ``stalled``, all off as the feed had nothing; ``mean_rate_hz``, 0 before the second.
+        """
+        sent = self._counts["sent"]
+        return {**self._counts, "mean_rate_hz": (sent - 1) / self._span_s if sent > 1 and self._span_s > 0 else 0.0}
 
     def __enter__(self) -> ArrayPlayer:
         self.start()
@@ -302,13 +291,16 @@ class ArrayPlayer:
             drives, frequencies = shown if shown is not None else (np.zeros(self._shape, np.float32), None)
             self._device.put_drives(drives, frequencies, period)
             now = monotonic()
-            first_s = now if not self._sent else first_s
-            self._sent += 1
+            first_s = now if not self._counts["sent"] else first_s
             self._span_s = now - first_s
-            self._late += late_s > period / 2
-            self._stalled += shown is None
             missed = max(0, math.floor((now - begin) / period) - tick - 1)  # their time is over
-            self._skipped += missed
+            for name, more in (
+                ("sent", 1),
+                ("late", late_s > period / 2),
+                ("skipped", missed),
+                ("stalled", shown is None),
+            ):
+                self._counts[name] += int(more)
             tick += 1 + missed
             if shown is not None:
                 step += 1 + missed

@@ -104,10 +104,9 @@ def sketch_of(frame: ForceField, unit_n: float, limits: Limits, hidden_n: Float3
     """Course and forces of a frame; `hidden_n` as `promise.hidden_of` has it."""
     bricks, vectors, scale = frame.bricks, frame.forces_n, 1.0 / np.float64(np.float32(unit_n))
     if not limits.exact and len(bricks):
-        peak = np.abs(vectors).reshape(len(bricks), -1).max(axis=1) * scale > limits.f0 / 2
-        if not peak.all():
-            bricks, vectors = bricks[peak], vectors[peak]
-            hidden_n = hidden_n[peak] if len(hidden_n) else hidden_n
+        squares = np.einsum("nijkc,nijkc->nijk", vectors, vectors, dtype=np.float64)
+        peak = squares.reshape(len(bricks), -1).max(axis=1) > (limits.f0 / scale) ** 2
+        bricks, vectors, hidden_n = bricks[peak], vectors[peak], hidden_n[peak] if len(hidden_n) else hidden_n
     course = _course_of(vectors, frame.grid)
     places, order = course.order(bricks)
     forces = course.turned(vectors, order, scale)

@@ -9,6 +9,7 @@ will do is taken. Fields without a main axis, and walls that end before the inne
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -132,14 +133,9 @@ _LOOKED_AT: Final = 64  # bricks that tell whether a field is smooth, and its st
 _LEAST_SMOOTH: Final = 0.78  # of the samples there where the force grows
 _MOST_OFF: Final = 0.25  # of the growth from the stiffness along the normal, where it is smooth
 _RAMP: Final = (0.15 * TOP, 0.8 * TOP)
-_HOPELESS: Final = 0.05  # below it a finer lattice is not tried either
-_LEVELS: Final = (4, 3)  # shifts along the axis of the smallest spacing
-_MOST_CELLS: Final = 5 << 10  # of a finer lattice
-_MISS_BITS: Final = 3.0  # that a sample takes which the guess misses, about
 _STEP: Final = 2.0  # of a coefficient, in tolerances of a small force
 _SATURATED: Final = 0.97
 _EMPTY: Final = 0.3  # weight of samples without a force
-_ALONG: Final = 0.3  # of the gradient's length beside its direction
 _ROUGHNESS: Final = 1e-3
 _TURNS, _ROUNDS = 60, 4
 _SETTLED: Final = 0.03  # of what is asked
@@ -157,30 +153,19 @@ class _Frame(NamedTuple):
     stiffness: float  # units a metre
 
 
-def fit_spline(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, FixedField] | None:
-    """The bytes of a spline for a frame, and its field, good or bad; None if it is not smooth. `limits`: its mask."""
+def fit_spline(
+    frame: ForceField, lattice: Lattice, limits: Limits, level: int = 3
+) -> tuple[bytes, FixedField] | None:
+    """The bytes of a spline for a frame, and its field, good or bad; None if it is not smooth. `limits`: its mask.
+
+    Nodes lie 2^level samples apart along the axis of the smallest spacing.
+    """
     seen = _looked_at(frame, lattice, limits)
     if seen is None:
         return None
-    best: tuple[float, bytes, FixedField] | None = None
-    lengths = np.sqrt(np.einsum("...i,...i", seen.forces, seen.forces))
     spacing = np.array(frame.grid.spacing_m)
-    for level in _LEVELS:
-        x, y, z = np.clip(np.rint(level - np.log2(spacing / spacing.min())), 2, 5).astype(int).tolist()
-        if best is not None and len(frame.bricks) << 9 >> x + y + z > _MOST_CELLS:
-            break
-        data, guess = _coded(seen, (x, y, z))
-        error = guess.vectors - seen.forces
-        within = np.einsum("...i,...i", error, error) <= np.maximum(seen.f0, seen.k * lengths) ** 2
-        voxels = np.count_nonzero(lengths)
-        bad = voxels - np.count_nonzero(within & (lengths > 0))
-        size, missed = 8.0 * len(data), _MISS_BITS * bad
-        if best is not None and size + missed >= best[0]:
-            break
-        best = size + missed, data, guess
-        if missed < size or bad > (1 - _HOPELESS) * voxels:  # a finer lattice takes some times the bytes
-            break
-    return None if best is None else best[1:]
+    x, y, z = np.clip(np.rint(level - np.log2(spacing / spacing.min())), 2, 5).astype(int).tolist()
+    return _coded(seen, (x, y, z))
 
 
 def _looked_at(frame: ForceField, lattice: Lattice, limits: Limits) -> _Frame | None:
@@ -290,8 +275,7 @@ def _coefficients(seen: _Frame, shifts: tuple[int, int, int], nodes: synthesis.N
     normal = forces / np.maximum(length, 1)[..., None]
     rows = np.zeros((*length.shape, 4, 4), np.float32)
     rows[..., 0, 0] = ((length > 0) & (length < _SATURATED * TOP)) / tolerance
-    turn = (length / (stiffness * tolerance))[..., None, None]
-    rows[..., 1:, 1:] = turn * (_EYE - np.float32(1 - _ALONG) * normal[..., :, None] * normal[..., None, :])
+    rows[..., 1:, 1:] = (length / (stiffness * tolerance))[..., None, None] * _EYE
     goal = np.concatenate([length[..., None], -stiffness * normal], axis=-1)
     c = samples.solved(rows, np.einsum("...ij,...j->...i", rows, goal), np.zeros(len(nodes.before)))
     weight = np.where(length > 0, 1 / tolerance, np.float32(_EMPTY**0.5 / seen.f0))
@@ -312,7 +296,11 @@ def _coefficients(seen: _Frame, shifts: tuple[int, int, int], nodes: synthesis.N
 
 # the share of voxels at which a guess worth a trial keeps the rule; in mode "nmse" any is worth one
 _LEAST: Final = 0.5
-_ENOUGH: Final = 0.75  # the share from which on no other kind is looked for
+# the kinds in turn, coarse splines first, each with the share from which on it is not looked for
+_PROVIDERS: Final = (
+    (synthesis.SPLINE, partial(fit_spline, level=4), 1.0), (synthesis.SPLINE, fit_spline, 0.97),
+    (synthesis.COLUMNS, fit_columns, 0.75),
+)  # fmt: skip
 _FINENESS: Final = 0.35
 """Error of a guess in mode "nmse", steps: errors of a guess are many alike, and finer ones are told cheaply."""
 
@@ -324,8 +312,8 @@ def fit(
     best, most = None, _LEAST
     if spec.mode == "nmse":
         limits, most = limits._replace(f0=_FINENESS * lattice.floor), 0.0
-    for kind, provider in ((synthesis.SPLINE, fit_spline), (synthesis.COLUMNS, fit_columns)):
-        fitted = provider(frame, lattice, limits) if most < _ENOUGH else None
+    for kind, provider, enough in _PROVIDERS:
+        fitted = provider(frame, lattice, limits) if most < enough else None
         if fitted is not None:
             share = agreement(frame, fitted[1], lattice.unit_n, spec)
             if share >= most:
