@@ -255,7 +255,6 @@ def test_pins_show_the_height_that_is_met_first(axes: str, wall_m: float) -> Non
     )
 
 
-<<<<<<< HEAD
 def test_a_plain_that_ends_is_as_high_at_its_edge() -> None:
     def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
         place = points[..., 0] / PINS.pitch_mm * 1e3
@@ -266,7 +265,8 @@ def test_a_plain_that_ends_is_as_high_at_its_edge() -> None:
     shown = mapping.frames(Formula(forces, UP_Z_AXES), profile_of(LawSpec(), math.inf))(0).to_dense()[:, 1, 0, 2]
     assert shown[11:27] / 3.3 == pytest.approx(1 / 3, abs=1 / 64), "27 pins of the 42 are on land"
     assert shown[27] < 0.5 * shown[26] and not shown[29:].any(), "beyond it nothing is lifted"
-=======
+
+
 def test_pins_of_a_stiff_wall_are_those_of_a_soft_one_and_ask_for_as_many_samples() -> None:
     solid, shown, asked = ball(0.015), [], [0, 0]
     for n, wall_m in enumerate((0.0066, 0.00033)):
@@ -281,7 +281,6 @@ def test_pins_of_a_stiff_wall_are_those_of_a_soft_one_and_ask_for_as_many_sample
     assert shown[0].max() > 1
     assert np.abs(shown[1] - shown[0]).max() < 3.3 / 128
     assert asked[1] <= asked[0]
->>>>>>> w-house
 
 
 def test_of_a_symbolic_scene_pins_show_the_force() -> None:

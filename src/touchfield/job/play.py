@@ -292,16 +292,10 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
             _wait(player, spec.seconds, report, tell, stream)
         except (KeyboardInterrupt, LiveEnd):
             pass
-<<<<<<< HEAD
-    error, figures = player.error, asdict(player.statistics)
+    error, figures = player.error, player.statistics()
     if error is not None and not (isinstance(error, LiveEnd) and figures["sent"]):
         raise error
     notes = (*player.notes, *([] if error is None else [str(error)]))
-=======
-    if player.error is not None:
-        raise player.error
-    figures = player.statistics()
->>>>>>> w-house
     figures["stalled_share"] = figures["stalled"] / max(figures["sent"], 1)
     return Played({"device": spec.device, "profile": chosen.profile.name, **figures}, None, None, notes)
 
