@@ -215,7 +215,8 @@ def compilation_told(tell: Callable[[str], None], later: Sequence[str] = ()) -> 
     """Tell, in one line, that kernels are compiled, and have helpers compile those of `later`.
 
     Where all come from the cache nothing is told, and no helper started.
-    While they are, no garbage is collected: a compiler makes little of it, and a seventh of its time went there.
+    While they are, no garbage is collected: a compiler makes little of it, and a seventh of its time went there. An
+    interrupt that comes where a compiler lets none out, and would go on or fail, ends the job like any other.
     """
     import gc
 
@@ -239,6 +240,20 @@ def compilation_told(tell: Callable[[str], None], later: Sequence[str] = ()) -> 
             self.depth -= 1
             if not self.depth:
                 gc.enable()
+            if lost:
+                raise KeyboardInterrupt
 
-    with helpers(later) as start_helpers, install_listener("numba:compile", First()):
-        yield
+    usual, lost = sys.unraisablehook, []
+
+    def unraisable(event: sys.UnraisableHookArgs) -> None:
+        if event.exc_type is KeyboardInterrupt:
+            lost.append(True)
+        else:
+            usual(event)
+
+    sys.unraisablehook = unraisable
+    try:
+        with helpers(later) as start_helpers, install_listener("numba:compile", First()):
+            yield
+    finally:
+        sys.unraisablehook = usual
