@@ -8,17 +8,16 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
 
 import typer
 
 from touchfield.cli.main import BY_NAME
 from touchfield.codec.registry import field_coders
-from touchfield.errors import InvalidArgument
+from touchfield.errors import KINDS, InvalidArgument
 from touchfield.filters.registry import field_filters
 from touchfield.job import EncodeSpec, Target
-from touchfield.job.spec import COEFFICIENTS, Frames
+from touchfield.job.spec import COEFFICIENTS, Frames, require_frames
 from touchfield.sources.options import SourceOptions
 
 DeviceCompute = Annotated[
@@ -47,20 +46,18 @@ class Row(NamedTuple):
         return self.name.replace("-", "_")
 
 
-_KINDS: Final = {
-    name: kind
-    for one in (bool, int, float, str, Path)
-    for name, kind in ((one.__name__, one), (f"{one.__name__} | None", one | None))
-}
-"""By the annotation of a field; any other is asked for in words."""
+def _kind(annotation: str) -> Any:
+    """By the annotation of a field its type on the command line; what is none of `KINDS` is asked for in words."""
+    name, none, _ = annotation.partition(" | None")
+    kind, *_ = KINDS.get(name, KINDS["str"])
+    return kind if name in KINDS and not none else kind | None
 
 
 def rows_of(spec: type[Any], panel: str | None = None, *names: str) -> tuple[Row, ...]:
     """The fields of a spec that are options (`touchfield.asked`): all, or those of these names."""
     asked = [one for one in fields(spec) if one.metadata and (not names or one.name in names)]
     return tuple(
-        Row(dashed(one.name), _KINDS.get(str(one.type), str | None), one.default, one.metadata["help"], panel)
-        for one in asked
+        Row(dashed(one.name), _kind(str(one.type)), one.default, one.metadata["help"], panel) for one in asked
     )
 
 
@@ -166,8 +163,7 @@ def frames_of(option: str, text: str | None) -> Frames | None:
         last = int(stop) if stop else (None if colon else first + 1)
     except ValueError:
         raise InvalidArgument(option, repr(text), "START:STOP, such as 0:24") from None
-    if first < 0 or (last is not None and last <= first):
-        raise InvalidArgument(option, repr(text), "START below STOP, neither negative")
+    require_frames(option, (first, last))
     return first, last
 
 

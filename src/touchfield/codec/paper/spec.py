@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from touchfield.codec.paper.quantisers import weber_ladder
 from touchfield.codec.registry import Coder, CoderOption
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_kinds
 
 STAGES: Final = ("none", "dpcm", "adpcm", "dct", "wavelet", "runs")
 """In the order of their numbers."""
@@ -56,6 +56,7 @@ class PaperSpec:
     """Of a stage: the step, newtons, 1e-9 to 1e6."""
 
     def __post_init__(self) -> None:
+        require_kinds(self, **_CHOICES)
         if not 0 < self.k < 1:
             raise InvalidArgument("k", repr(self.k), "a Weber fraction between 0 and 1, such as 0.1")
         if not 1 <= self.nq <= 12:
@@ -64,9 +65,6 @@ class PaperSpec:
             raise InvalidArgument("segment_frames", repr(self.segment_frames), "1 to 4096 frames")
         if not 1e-9 <= self.step_n <= 1e6:
             raise InvalidArgument("step_n", repr(self.step_n), "newtons, from 1e-9 to 1e6")
-        for name, choices in _CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
         if self.amplitude == "weber" and self.weber_steps is not None:
             weber_ladder(self.k, 1.0, self.weber_steps)  # says what is not possible before the work
         with_any, is_staged = ("k", "segment_frames", "stage"), self.stage != "none"

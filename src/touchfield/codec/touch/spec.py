@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from touchfield.codec.registry import Coder, CoderOption
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_kinds
 
 MODES: Final = ("mask", "mask-direction", "nmse", "lossless")
 EFFORTS: Final = ("fast", "default")
@@ -54,6 +54,7 @@ class TouchSpec:
     """Frames in an independent segment, 1 to 4096; None: by the medium's rate (`codec.segment`)."""
 
     def __post_init__(self) -> None:
+        require_kinds(self, **_CHOICES)
         frames = self.segment_frames
         for name, fits, expected in (
             ("k", 0.001 <= self.k < 1, "a Weber fraction from 0.001 to below 1, such as 0.1"),
@@ -63,7 +64,6 @@ class TouchSpec:
             ("segment_frames", frames is None or 1 <= frames <= 4096, "1 to 4096 frames"),
             ("masking", 0 <= self.masking <= 1, "a share from 0 to 1, such as 0.05"),
             ("masking_radius_m", 1e-6 <= self.masking_radius_m <= 1, "metres from 1e-6 to 1"),
-            *((name, getattr(self, name) in of, f"one of {', '.join(of)}") for name, of in _CHOICES.items()),
         ):
             if not fits:
                 raise InvalidArgument(name, repr(getattr(self, name)), expected)
