@@ -256,7 +256,7 @@ def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.fl
         (lambda f: tf.EncodeSpec(pool="deep"), "^pool: "),
         (lambda f: tf.EncodeSpec(representation="x"), "^representation: "),
         (lambda f: tf.EncodeSpec(surface_damping_n_s_per_m=-1), "^surface_damping"),
-        (lambda f: tf.EncodeSpec(filters=(("gaussian", "wide"),)), "sigma"),
+        (lambda f: tf.EncodeSpec(filters=(("glue", "2mm"),)), "^filters: .*one of gaussian"),
         (lambda f: tf.EncodeSpec(touch=3), "TouchSpec"),  # type: ignore[arg-type]
         (lambda f: tf.TouchSpec(k="0.1"), "^k: .*a number"),  # type: ignore[arg-type]
         (lambda f: tf.SourceOptions(allow_outside=1), "True or False"),  # type: ignore[arg-type]

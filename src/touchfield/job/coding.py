@@ -347,10 +347,8 @@ class _Parts:
         """All parts as one file; of all of them the `_SUMS`."""
         with TouchWriter(out) as writer:
             writer.write_head(self._head, provenance)
-            sums = [0, 0]
-            for one in written(writer, chain.from_iterable(map(self.read, every))):
-                sums = [sums[0] + one.supported, sums[1] + one.lost]
-            return sums
+            parts = written(writer, chain.from_iterable(map(self.read, every)))
+            return [sum(column) for column in zip(*((one.supported, one.lost) for one in parts))]
 
 
 def name_of(sent: Sent, *asked: Any) -> str | None:

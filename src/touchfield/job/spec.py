@@ -12,11 +12,18 @@ from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import field_coders
 from touchfield.codec.segment import longest_segment, segment_length
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.errors import CorruptFile, InvalidArgument, require_kinds, require_not_negative, require_positive
+from touchfield.errors import (
+    CorruptFile,
+    InvalidArgument,
+    require_kinds,
+    require_not_negative,
+    require_one_of,
+    require_positive,
+)
 from touchfield.files import json_of
 from touchfield.filters.contact import VibrationRule
 from touchfield.filters.device_filter import DeviceFilterSpec, require_nw
-from touchfield.filters.registry import FieldFilter, filter_of
+from touchfield.filters.registry import FieldFilter, field_filters, filter_of
 from touchfield.perception.human import figure
 from touchfield.sources.laws import LawSpec
 from touchfield.sources.options import SourceOptions
@@ -103,7 +110,9 @@ class EncodeSpec:
         is_list = isinstance(self.filters, tuple | list)
         if not (is_list and all(isinstance(one, tuple | list) and len(one) == 2 for one in self.filters)):
             raise InvalidArgument("filters", repr(self.filters), 'names and words, such as (("gaussian", "2mm"),)')
-        _ = self.factor, self.device_filter, self.law_spec(1.0), self.chain  # each says what cannot be
+        for name, _ in self.filters:  # not the words: those of a stranger's stream may name a file
+            require_one_of("filters", name, field_filters())
+        _ = self.factor, self.device_filter, self.law_spec(1.0)  # each says what cannot be
         if self.vibration is not None:
             VibrationRule.parse(self.vibration)
             if self.representation == "object":
