@@ -46,9 +46,10 @@ class Row(NamedTuple):
         return self.name.replace("-", "_")
 
 
-def _kind(annotation: str) -> Any:
+def _kind(annotation: Any) -> Any:
     """By the annotation of a field its type on the command line; what is none of `KINDS` is asked for in words."""
-    name, none, _ = annotation.partition(" | None")
+    words = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    name, none, _ = words.partition(" | None")
     kind, *_ = KINDS.get(name, KINDS["str"])
     return kind if name in KINDS and not none else kind | None
 
@@ -56,9 +57,7 @@ def _kind(annotation: str) -> Any:
 def rows_of(spec: Any, panel: str | None = None, *names: str) -> tuple[Row, ...]:
     """The fields of a spec that are options (`touchfield.asked`): all, or those of these names."""
     asked = [one for one in fields(spec) if one.metadata and (not names or one.name in names)]
-    return tuple(
-        Row(dashed(one.name), _kind(str(one.type)), one.default, one.metadata["help"], panel) for one in asked
-    )
+    return tuple(Row(dashed(one.name), _kind(one.type), one.default, one.metadata["help"], panel) for one in asked)
 
 
 def rows(panel: str, *options: tuple[str, Any, Any, str]) -> tuple[Row, ...]:
