@@ -3,7 +3,8 @@
     python bench/bench_cuda.py [--quick] [--points N]
 
 The planes of the picture are fitted by the processor and copied before the clock runs; what is timed is which bricks
-hold a force, and their forces, which stay on the device. Points are random in the box of a field of 128^3 samples, or
+hold a force, and their forces, which stay on the device ("gpu"), or planes, bricks and forces there and back
+("gpu_and_back"), as `encode` needs them. Points are random in the box of a field of 128^3 samples, or
 along the path of a wandering hand. The peer is CuPy's `map_coordinates` on the same field held densely, if CuPy is
 there. Without a GPU nothing is measured but the processor, and the bars say so.
 """
@@ -30,10 +31,15 @@ NOMINAL = 1000
 """Samples an axis of the paper's smallest nominal workspace."""
 
 
-def has_gpu() -> bool:
-    """True if numba finds a GPU."""
+def gpu() -> str | None:
+    """The GPU that numba finds."""
     with cuda.computing("auto"):
-        return cuda.uses_gpu()
+        if not cuda.uses_gpu():
+            return None
+    from numba import cuda as library
+
+    name = library.get_current_device().name
+    return name.decode() if isinstance(name, bytes) else str(name)
 
 
 def settled(call: Callable[[], Any]) -> Callable[[], Any]:
@@ -61,9 +67,10 @@ def of_depth(is_there: bool, runs: int) -> Figures:
     }
     if is_there:
         with cuda.computing("cuda"):
-            there = query._replace(surface=cuda.on_device(query.surface))
+            there = cuda.on_device(query)
             frame = settled(lambda: depth.forces_on_device(force_bricks(there, grid), there))
             took["gpu"] = timed(frame, runs)
+            took["gpu_and_back"] = timed(lambda: depth.brick_forces(force_bricks(query, grid), query), runs)
             other = cuda.on_host(frame()).reshape(own.shape)
             took["difference_n"] = float(np.abs(own - other).max())
     return took
@@ -107,12 +114,13 @@ def cupy_per_s(places: np.ndarray[Any, Any], runs: int) -> float | None:
 
 def measure(points: int, runs: int) -> Figures:
     """All of it."""
-    is_there = has_gpu()
-    return {"has_gpu": is_there, "depth": of_depth(is_there, runs), "queries": of_queries(is_there, points, runs)}
+    name = gpu()
+    is_there = name is not None
+    return {"gpu": name, "depth": of_depth(is_there, runs), "queries": of_queries(is_there, points, runs)}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Of one NVIDIA H200; "not measured" without a GPU."""
+    """Set for one NVIDIA H200; "not measured" without a GPU."""
     differences = [figure(figures, *where, "difference_n") for where in (("depth",), ("queries", "random"))]
     worst = None if None in differences else max(d for d in differences if d is not None)
     return [

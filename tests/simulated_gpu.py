@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from touchfield.cuda import computing, on_host
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.render.sampler import DeviceSampler, FieldSampler
 from touchfield.sources.laws import LawSpec, penalty
 from touchfield.sources.tiny_scenes import tiny_scenes
@@ -40,7 +40,7 @@ def fields() -> dict[str, Any]:
     out = {}
     for n, scene in enumerate(tiny_scenes()):
         name = f"{type(scene).__name__} {n}"
-        if not name.startswith(("Depth", "Fused", "Mesh")):
+        if not scene.has_gpu:
             continue
         grid = grid_of(scene, (13, 9, 10))
         law = penalty(LawSpec(), 3 * max(grid.spacing_m))
@@ -53,16 +53,20 @@ def fields() -> dict[str, Any]:
 
 
 def queries() -> dict[str, Any]:
-    """Between two frames of voxels and between two others, at points inside and outside."""
+    """Between two frames and between two others, of voxels and of an object, at points inside and outside."""
     rng = np.random.default_rng(4)
     grid = Grid((20, 18, 16), (0.001, 0.002, 0.003), (0.0, 0.0, 0.0))
     fields = [ForceField.from_dense(grid, rng.normal(0, 1, (*grid.shape, 3)).astype(np.float32)) for _ in range(4)]
     medium = HapticMedium.from_frames(fields, 30.0)
-    points = rng.uniform(-0.002, 0.05, (100, 3))
-    sampler, there = FieldSampler(medium), DeviceSampler(medium)
-    own = np.stack([sampler.force_n(time_s, points) for time_s in (0.02, 0.09)])
-    other = np.stack([on_host(there.force_n(time_s, points)) for time_s in (0.02, 0.09)])
-    return {"query": {"force_n": float(np.abs(own).max()), "difference_n": float(np.abs(own - other).max())}}
+    places = PoseTrack(np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)), rng.normal(0, 0.002, (4, 3)))
+    points, out = rng.uniform(-0.002, 0.05, (100, 3)), {}
+    scene = HapticScene(grid, 30.0, (HapticObject("body", medium, places),), 4.0)
+    for name, kind in {"voxels": medium, "objects": scene}.items():
+        sampler, there = FieldSampler(kind), DeviceSampler(kind)
+        own = np.stack([sampler.force_n(time_s, points) for time_s in (0.0, 0.02, 0.09)])
+        other = np.stack([on_host(there.force_n(time_s, points)) for time_s in (0.0, 0.02, 0.09)])
+        out[name] = {"force_n": float(np.abs(own).max()), "difference_n": float(np.abs(own - other).max())}
+    return out
 
 
 if __name__ == "__main__":

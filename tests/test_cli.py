@@ -193,12 +193,15 @@ def test_interruption_leaves_nothing(tmp_path: Path, number: signal.Signals) -> 
 def test_who_writes_no_file_is_told_of_none_when_interrupted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("touchfield.job.play.play", interrupted)
     assert _exit_code(["play", "room.touch"]) == 1
     assert capsys.readouterr().err == "touchfield: interrupted\n"
+    monkeypatch.setattr("touchfield.job.library.index_folder", interrupted)
+    assert _exit_code(["index", "media"]) == 1
+    assert capsys.readouterr().err == "touchfield: interrupted\n", "what was described is saved"
 
 
 LIMITED = """
@@ -304,10 +307,11 @@ def test_bits_of_a_supported_voxel_are_the_same_in_info_and_compare(
     info = json.loads(capsys.readouterr().out)
     assert _exit_code(["compare", str(field), str(stream), "--no-picture", "--json"]) == 0
     compared = json.loads(capsys.readouterr().out)
-    for key in ("decoded_supported_voxels", "bits_per_supported_voxel"):
+    for key in ("decoded_supported_voxels", "bits_per_decoded_voxel"):
         assert info[key] == compared[key] > 0
-    whole = info["bits_per_supported_voxel"] * info["decoded_supported_voxels"]
-    assert whole == pytest.approx(8 * stream.stat().st_size)
+    for of in ({**info, "n": info["decoded_supported_voxels"]}, {**compared, "n": compared["supported_voxels"]}):
+        each = of.get("bits_per_supported_voxel", of["bits_per_decoded_voxel"])
+        assert each * of["n"] == pytest.approx(8 * stream.stat().st_size)
 
 
 def test_a_fault_of_our_own_is_one_line_too(

@@ -25,7 +25,7 @@ from container_strategies import (
     refused,
 )
 from touchfield.container import Head, TouchReader, TouchWriter
-from touchfield.container.fields import Array, FieldType, Listed, Real, Shape, Text, Whole
+from touchfield.container.fields import Array, FieldType, Listed, Real, Text, Whole
 from touchfield.container.records import RECORDS, Pair, Row, SegmentEntry, rows_of
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError
 
@@ -106,7 +106,7 @@ def test_every_field_of_a_record_has_its_row_in_the_table(layout: type) -> None:
     rows = rows_of(layout)
     assert [row.name for row in rows] == [field.name for field in fields]
     for row, field in zip(rows, fields, strict=True):
-        expected = {Array: "tuple", Shape: "tuple", Listed: "tuple", Text: "str", Whole: "int", Real: "float"}
+        expected = {Array: "tuple", Listed: "tuple", Text: "str", Whole: "int", Real: "float"}
         assert str(field.type).startswith(expected.get(type(row.kind), "bytes"))
         assert row.meaning.endswith(".")
         unit = next((unit for end, unit in UNITS.items() if row.name.endswith(end)), row.unit)

@@ -255,6 +255,18 @@ def test_pins_show_the_height_that_is_met_first(axes: str, wall_m: float) -> Non
     )
 
 
+def test_a_plain_that_ends_is_as_high_at_its_edge() -> None:
+    def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
+        place = points[..., 0] / PINS.pitch_mm * 1e3
+        is_land = (place < 6.2) & (points[..., 2] < np.where(place < -12, 0.014, -0.005))
+        return np.where(is_land, 3.3, 0.0)[..., None] * np.array([0.0, 0.0, 1.0])
+
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())
+    shown = mapping.frames(Formula(forces, UP_Z_AXES), profile_of(LawSpec(), math.inf))(0).to_dense()[:, 1, 0, 2]
+    assert shown[11:27] / 3.3 == pytest.approx(1 / 3, abs=1 / 64), "27 pins of the 42 are on land"
+    assert shown[27] < 0.5 * shown[26] and not shown[29:].any(), "beyond it nothing is lifted"
+
+
 def test_of_a_symbolic_scene_pins_show_the_force() -> None:
     law, scene = profile_of(LawSpec(), math.inf), terraces()
     mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03), Placement())

@@ -248,7 +248,10 @@ def test_npy_in_either_order_and_over_time(tmp_path: Path) -> None:
         np.save(path, stored)
         scene = opened(path)
         np.testing.assert_array_equal(scene._heights(0), MAP)
-        assert any("one metre" in note for note in scene.notes)
+        assert any("one metre is assumed (--cell-size-m" in note for note in scene.notes)
+        assert not any("taken for a height" in note for note in scene.notes)
+    np.save(path, np.where(MAP.min() == MAP, -9999.0, MAP))
+    assert "-9999 is taken for a height" in opened(path).notes[0]
     np.save(path, np.stack([MAP, MAP]))
     assert KIND.open(path, SourceOptions(rate_hz=7)).frame_count == 2
 

@@ -78,6 +78,9 @@ def test_every_medium_is_filed_and_what_cannot_be_is_told(folder: Path) -> None:
     names = {f"{kind}.touch" for kind in BODIES} | {f"deeper/{kind}-large.touch" for kind in BODIES}
     assert set(done.library.rows) == names
     assert set(done.faults) == {"cut.touch", "still.touch"}
+    assert (done.shown["described"], done.shown["left_out"]) == (6, 2), "who is left out is not described"
+    with pytest.raises(SourceError, match=r"still\.touch, medium: found no force"):
+        search(folder, folder / "still.touch")
     assert "expected" in done.faults["cut.touch"] and "no force" in done.faults["still.touch"]
     assert steps[-1] == (8, 8)
     index = MediumIndex.load(done.path)
@@ -362,7 +365,10 @@ def test_index_search_and_similar_as_their_user_meets_them(folder: Path, capsys:
     both = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert 0 < both["normalised"]["value"] < 1 and both["descriptor_distance"] > 0
     assert _exit_code(["similar", *two]) == 0
-    assert "NMI" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "NMI" in said and "do nothing" not in said
+    assert _exit_code(["similar", *two, "--nw", "5"]) == 0
+    assert capsys.readouterr().out.count("options of the scene do nothing") == 1
     assert _exit_code(["similar", *two, "--over", "nothing"]) == 2
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -104,6 +105,21 @@ def test_heights_of_a_map_are_told_as_they_are() -> None:
             scene = HeightScene(heights, (10.0, 10.0), exaggeration=factor)
             length, *_ = prepare(scene, EncodeSpec(device=device_name, nw=5)).notes
             assert told in length and ("heights 5 times what they are" in length) == (factor == 5.0)
+
+
+def test_options_of_another_kind_of_device_are_told() -> None:
+    scene = HeightScene(np.zeros((5, 5)), (10.0, 10.0))
+    asked = EncodeSpec(nw=4, pool="mean")
+    for name, idle in (("graphiti", "--nw"), ("phantom-omni", "--pool")):
+        told = prepare(scene, replace(asked, device=name)).notes
+        assert told[-1] == f"Options that do nothing for {name}: {idle}."
+
+
+def test_a_wall_between_the_samples_is_told() -> None:
+    scene = HeightScene(np.zeros((5, 5)), (10.0, 10.0))
+    for thickness_m, nw, is_told in ((0.002, 5, True), (0.002, 7, False), (None, 5, False)):
+        notes = prepare(scene, EncodeSpec(nw=nw, thickness_m=thickness_m)).notes
+        assert any("2 mm is thinner than the 5 mm" in note for note in notes) == is_told
 
 
 def test_an_array_has_its_own_lattice() -> None:

@@ -139,7 +139,7 @@ def test_other_archives_are_told_apart(tmp_path: Path) -> None:
         with pytest.raises(SourceError):
             MediumIndex.load(tmp_path / "x.npz")
         assert name
-    with pytest.raises(SourceError):
+    with pytest.raises(SourceError, match=r"absent\.npz: found no such file"):
         MediumIndex.load(tmp_path / "absent.npz")
 
 

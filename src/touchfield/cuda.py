@@ -22,7 +22,7 @@ COMPUTE: Final = ("cpu", "cuda", "auto")
 """Where kernels of sources run: the processor (the default), a GPU, or a GPU where there is one."""
 
 _VARIABLE: Final = "TOUCHFIELD_COMPUTE"
-_THREADS: Final = 256
+_THREADS: Final = 128
 """Of a block."""
 
 
@@ -47,10 +47,14 @@ def computing(where: str) -> Iterator[None]:
             os.environ[_VARIABLE] = before
 
 
+def needs_gpu() -> bool:
+    """True if kernels of sources must run on a GPU."""
+    return os.environ.get(_VARIABLE) == "cuda"
+
+
 def uses_gpu() -> bool:
     """True if kernels of sources run on a GPU (`computing`, or ``TOUCHFIELD_COMPUTE``)."""
-    where = os.environ.get(_VARIABLE, "cpu")
-    return where == "cuda" or (where == "auto" and _is_there())
+    return needs_gpu() or (os.environ.get(_VARIABLE) == "auto" and _is_there())
 
 
 @cache

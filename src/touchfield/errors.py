@@ -109,6 +109,14 @@ def import_extra(module: str, purpose: str, library: str, extra: str) -> Any:
         raise MissingExtra(purpose, library, extra) from error
 
 
+def reason(error: BaseException) -> str:
+    """An error's reason in a few words, on one line: why the system refused, in its own words."""
+    if isinstance(error, TimeoutError):
+        return "no answer in time"
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(str(text).split())[:120]
+
+
 def is_finite(value: Any) -> bool:
     """True for a finite number; False for one that is not, and for what is no number."""
     try:

@@ -129,4 +129,4 @@ def test_drives_of_another_shape() -> None:
 
 
 def test_it_needs_nothing() -> None:
-    assert [c.is_there for c in osc.checks()] == [True]
+    assert [c.is_there for c in osc.KIND.checks()] == [True]

@@ -17,9 +17,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.adapters import links, pins
-from touchfield.adapters.links import address
 from touchfield.adapters.pins import Pins, checked_line
 from touchfield.adapters.registry import array_device, array_kinds, is_array_device
+from touchfield.asked import address
 from touchfield.devices import Device, device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.array_player import ArrayPlayer
@@ -298,7 +298,7 @@ def test_words_that_name_no_device() -> None:
     assert is_array_device(" BHaptics:vest") and isinstance(array_device(" Pins:/dev/none", SMALL), Pins)
     with pytest.raises(InvalidArgument, match=r"bhaptics\[:HOST:PORT\], osc:HOST:PORT, pins:.*Did you mean bhaptics"):
         array_device("bhaptic:1")
-    with pytest.raises(InvalidArgument, match=r"^device: found 'vest'; expected bhaptics.*PORT$"):
+    with pytest.raises(InvalidArgument, match=r"^--device: found 'vest'; expected sim.*bhaptics.*PORT$"):
         array_device("vest")
     with pytest.raises(InvalidArgument, match="phantom-omni, a point"):
         array_device("osc:localhost:9000", device("phantom-omni"))

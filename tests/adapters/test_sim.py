@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.adapters.registry import point_device
-from touchfield.adapters.sim import SimHand, checks
+from touchfield.adapters.sim import KIND, SimHand
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.medium.trace import Trace
 
@@ -165,4 +165,4 @@ def test_a_device_that_nobody_knows_gets_a_list_of_those_there_are() -> None:
 
 
 def test_nothing_is_missing() -> None:
-    assert [check.is_there for check in checks()] == [True]
+    assert [check.is_there for check in KIND.checks()] == [True]

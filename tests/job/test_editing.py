@@ -274,6 +274,7 @@ def test_a_file_is_brought_onto_another_lattice_and_its_error_told(stream: Path,
         ((4, (8, 8, 8), None), None),
         ((2, None, None), None),
         ((5, None, None), 30.0),
+        ((4, None, None), 0.0),
     ):
         with pytest.raises(InvalidArgument):
             resample_file(stream, tmp_path / "x.touch", lattice, rate)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import struct
 import threading
@@ -21,7 +22,7 @@ pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
 from live_makers import HEAD, field, segment, sender_of
 from touchfield.stream.datagrams import MOST_DATAGRAM, Datagrams, Gathering
 from touchfield.stream.live_client import open_live
-from touchfield.stream.udp import UdpSender, place_of
+from touchfield.stream.udp import UdpSender, _place_of, listen
 
 MESSAGES = [np.random.default_rng(i).bytes(n) for i, n in enumerate((300, 40_000, 1, 5_000, 70_000, 128, 12_345, 20))]
 
@@ -144,7 +145,7 @@ def test_repair_that_cannot_be(repair: float) -> None:
 @pytest.mark.parametrize("text", ["", "host", "host:", ":9", "host:0", "host:99999", "host:x"])
 def test_addresses_that_are_none(text: str) -> None:
     with pytest.raises(InvalidArgument):
-        place_of(text)
+        _place_of(text)
 
 
 def free_port() -> int:
@@ -216,3 +217,80 @@ def test_messages_of_a_whole_stream_by_datagrams() -> None:
     events = [event for message in out for event in receiver.receive(message)]
     assert isinstance(events[0], Opened) and not any(isinstance(e, Lost | Ended) for e in events)
     assert sum(isinstance(e, LiveSegment) for e in events) == 9
+
+
+FORGED = {
+    "a near number": (7, 5), "the next number": (7, 21), "a far number": (7, 100),
+    "the farthest number": (7, 2**32 - 1), "a number before all": (7, 0), "another stream": (9, 20),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("claim", FORGED)
+@pytest.mark.parametrize("length", [1, 3000, 1 << 26])
+@pytest.mark.parametrize("place", [0, 1, 100])
+def test_one_forged_datagram_costs_one_message_at_most(claim: str, length: int, place: int) -> None:
+    """Told twice by the network; where it is the first of all, a window. Numbers of the messages begin at 101."""
+    own, forger, messages = Datagrams(7), Datagrams(FORGED[claim][0]), [bytes([i]) * 3000 for i in range(60)]
+    own._number, forger._number = 100, 100 + FORGED[claim][1] & 0xFFFFFFFF
+    forger._number = forger._number if FORGED[claim][1] else 0
+    datagrams = [one for message in messages for one in own.add(message)] + own.flush()
+    head = struct.Struct("<2sIIIHI")
+    told, packet = (b"TF", forger._stream, forger._number, length, 1152), bytes(4 + 1152)
+    forged = head.pack(*told, zlib.crc32(packet, zlib.crc32(head.pack(*told, 0)))) + packet
+    now, out = [0.0], list[bytes]()
+    gathering = Gathering(clock_s=lambda: now[0])
+    for one in (*datagrams[:place], forged, forged, *datagrams[place:]):
+        now[0] += 0.01
+        out += gathering.receive(one)
+    rest = [message for message in messages if message in out]
+    assert [message for message in out if message in messages] == rest
+    assert len(rest) >= (59 if place or claim.startswith(("a far", "the far")) else 60 - 24)
+
+
+def test_a_forged_opening_or_segment_far_off_is_not_believed() -> None:
+    """Each in one datagram, as whole as any."""
+    _, (opening, *segments) = sender_of(9)
+    other = LiveSender()
+    other.open(HEAD)
+    for forged in (
+        other.opening,
+        sender_of(0)[0].add(LiveSegment(1 << 30, 5, b"")),
+        sender_of(0)[0].add(LiveSegment(25, 4096, b"")),
+    ):
+        datagrams, receiver = Datagrams(7), LiveReceiver(is_open=True)
+        messages = [opening, *segments[:5], forged, *segments[5:]]
+        sent_all = [one for message in messages for one in datagrams.add(message)] + datagrams.flush()
+        out, _ = received(sent_all)
+        events = [event for message in out for event in receiver.receive(message)]
+        assert [e.first_frame for e in events if isinstance(e, LiveSegment)] == [5 * i for i in range(9)]
+        assert sum(isinstance(e, Opened) for e in events) == 1 and not any(isinstance(e, Lost) for e in events)
+
+
+def test_after_a_long_outage_the_second_segment_bears_out_the_first() -> None:
+    _, (opening, *segments) = sender_of(40)
+    receiver = LiveReceiver(is_open=True)
+    events = [event for message in (opening, *segments[:2], segments[30]) for event in receiver.receive(message)]
+    assert events[1:] == [segment(0), segment(5)]
+    assert receiver.receive(segments[31]) == [Lost(10, 140), segment(150), segment(155)]
+    assert receiver.receive(segments[33]) == [Lost(160, 5), segment(165)]
+
+
+def test_the_end_is_told_by_datagrams_too_and_is_none_where_more_follows() -> None:
+    port, sender, taken = free_port(), sender_of(0)[0], list[bytes]()
+    first, second = (sender.add(segment(5 * i)) for i in range(2))
+
+    def send() -> None:
+        with UdpSender(sender, f"127.0.0.1:{port}") as link:
+            link.add(first)
+            link.__exit__()
+            time.sleep(0.5)
+            link._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            link.add(second)
+
+    def take(message: bytes) -> bool:
+        taken.append(message)
+        return message == b""
+
+    threading.Timer(0.3, send).start()
+    asyncio.run(asyncio.wait_for(listen(f"udp://127.0.0.1:{port}", take), 20))
+    assert taken == [sender.opening, first, second, b""]

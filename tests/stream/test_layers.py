@@ -44,12 +44,12 @@ COARSE = {
 
 
 class Pair:
-    """A stream and its coarse layer, and their clock."""
+    """A stream and its coarse layer, their clock, and what the stream tells."""
 
     def __init__(self) -> None:
-        self.now_s = 0.0
+        self.now_s, self.notes = 0.0, list[str]()
         self.under = LiveFrames(Opened(UNDER_HEAD, {}), clock_s=lambda: self.now_s)
-        self.frames = LiveFrames(OPENED, clock_s=lambda: self.now_s, under=self.under)
+        self.frames = LiveFrames(OPENED, self.notes.append, lambda: self.now_s, self.under)
 
     def kind(self, index: int) -> str:
         """What a frame is answered with."""
@@ -126,6 +126,48 @@ def test_a_stream_that_fails_goes_on_coarse_until_both_have_ended() -> None:
     both.frames.take(Ended())
     with pytest.raises(LiveEnd):
         both.frames(5)
+
+
+@pytest.mark.parametrize("comes", ["coarse alone", "coarse first", "fine first"])
+def test_another_programme_of_which_the_coarse_layer_comes_first_or_alone(comes: str) -> None:
+    pair = Pair()
+    pair.now_s = 2.2
+    for first in (100, 105):
+        pair.under.take(replace(COARSE[0], first_frame=first))
+        pair.frames.take(replace(FINE[0], first_frame=first))
+    fine = (pair.frames, FINE), (pair.under, COARSE)
+    for step in range(8):
+        pair.now_s = 5.0 + 0.1 * step
+        for layer, own in fine if comes == "fine first" else fine[::-1]:
+            if layer is pair.frames and (comes == "coarse alone" or (comes == "coarse first" and step < 2)):
+                continue
+            if step == 0 or (step == 2 and layer is pair.frames and comes == "coarse first"):
+                layer.begin_anew()
+            layer.take(own[5 * step])
+    assert pair.frames.stream_frame(10) == 0, "what comes next is behind what was there"
+    pair.now_s = 5.65
+    assert [pair.kind(10 + number) for number in (8, 31)] == [
+        "coarse",
+        "coarse" if comes == "coarse alone" else "fine",
+    ]
+    due_s = pair.frames.due_s(50.0)
+    assert due_s == pytest.approx(5.65 - 5.0 - 0.03 + 0.2, abs=0.03)
+    pair.now_s = 7.0
+    assert not pair.frames.is_there(10 + 40) and pair.frames.skipped == 0
+
+
+def test_what_only_the_coarse_layer_could_have_is_nothing_where_it_lost_it() -> None:
+    """A hand that asks frame by frame, as an array does, is not held up for ever."""
+    pair = Pair()
+    pair.frames.take(FINE[0])
+    for one in (COARSE[0], COARSE[10], replace(COARSE[0], first_frame=65)):
+        pair.under.take(one)
+    assert [pair.kind(i) for i in (4, 7, 10, 16, 21)] == ["fine", "nothing", "coarse", "nothing", "waits"]
+    pair.under.take(replace(COARSE[0], first_frame=10_000))
+    pair.now_s = 200.0
+    assert pair.frames(10_001).support_count, "the coarse layer alone has been felt for minutes"
+    pair.under.take(replace(COARSE[0], first_frame=10_005))
+    assert not pair.frames.is_there(10_010) and pair.notes == ["nothing has come for 200 s: its coarse layer is felt"]
 
 
 def test_a_layer_of_another_lattice_is_refused() -> None:
@@ -319,7 +361,7 @@ def felt_share(has_layer: bool, segments: int = 150) -> float:
         ends = Datagrams(7, repair), Gathering(most_open=11 if has_layer else 24), LiveReceiver()
         layers.append((frames, own, bodies, *ends))
     frames, hand = layers[-1][0], Hand(0.0)
-    live, ticks, felt = LiveStream("live", opened, frames, False), 0, 0
+    live, ticks, felt = LiveStream("live", frames), 0, 0
     for step in range(10 * segments):
         now[0] = 0.01 * step
         number = step // 10

@@ -50,7 +50,7 @@ def test_play_stays_at_what_is_due(begins_s: float) -> None:
     now, rng = [0.0], np.random.default_rng(4)
     opened = Opened(replace(HEAD, frame_count=ENDLESS), {})
     frames = LiveFrames(opened, clock_s=lambda: now[0])
-    live, hand, waits = LiveStream("live", opened, frames, False), Hand(begins_s), 0
+    live, hand, waits = LiveStream("live", frames), Hand(begins_s), 0
     late, sent = rng.uniform(0, 0.03, 60), 0
     bodies = [segment(5 * i) for i in range(12)]
     for step in range(500):
@@ -72,7 +72,7 @@ def test_a_clock_that_jumps_is_followed(here_s: float, there_s: float) -> None:
     """The receiver's clock jumps after two seconds, or the sender's: half a second later play is where it was."""
     now, sent = 0.0, 0
     frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), clock_s=lambda: now + here_s * (now >= 2))
-    live, hand = LiveStream("live", Opened(HEAD, {}), frames, False), Hand(0.0)
+    live, hand = LiveStream("live", frames), Hand(0.0)
     bodies = [segment(5 * i) for i in range(12)]
     for step in range(500):
         now = 0.01 * step
@@ -123,8 +123,24 @@ def test_the_end_and_silence_are_told() -> None:
     assert frames(4).support_count and frames.is_there(5)
     with pytest.raises(LiveEnd):
         frames(5)
-    clock = iter(range(0, 1000, 20))
-    silent = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), clock_s=lambda: float(next(clock)))
-    silent.take(segment(0))
-    with pytest.raises(SourceError, match="no segment for 10 s"):
-        silent(7)
+
+
+@pytest.mark.parametrize("length", [5, 250])
+def test_silence_is_waited_for_a_minute_and_told_once(length: int) -> None:
+    now, notes, usual_s = [0.0], list[str](), length / 50
+    frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), notes.append, clock_s=lambda: now[0])
+    now[0] = 61.0
+    assert frames.is_there(0) and notes.pop(), "to be told that no first one has come"
+    now[0] = 100.0
+    frames.take(segment(0, length))
+    for silent_s in (0.0, usual_s + 2.9, usual_s + 3.1, 40.0, 59.0):
+        now[0] = 100.0 + silent_s
+        assert not frames.is_there(length) and len(notes) == (silent_s > usual_s + 3)
+    frames.take(segment(length, length))
+    assert frames.is_there(length) and not frames.is_there(2 * length)
+    now[0] = 218.0
+    assert not frames.is_there(2 * length) and len(notes) == 2
+    now[0] = 220.0
+    assert frames.is_there(2 * length)
+    with pytest.raises(SourceError, match="no segment for 60 s"):
+        frames(2 * length)

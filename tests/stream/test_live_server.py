@@ -119,7 +119,7 @@ def on_air(access: Access = Access(port=0), is_over: Callable[[], bool] = lambda
 
 
 def test_a_manifest_whose_numbers_have_no_end_is_told() -> None:
-    with pytest.raises(InvalidArgument, match="a manifest that is none"):
+    with pytest.raises(SourceError, match="a manifest that is none"):
         _manifest(b'{"is_ended": false, "segments": [{"number": 1e999}]}', "live.json")
 
 
@@ -149,6 +149,18 @@ def test_what_is_live_is_played_until_its_end() -> None:
         )
     assert played.error is None and "the sender has ended the stream" in played.notes
     assert played.statistics["frames_used"] > 20 and played.statistics["last_force_n"] == 0
+
+
+def test_what_is_live_is_shown_on_an_array_until_its_end() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as array:
+        array.bind(("127.0.0.1", 0))
+        heard: list[int] = []
+        listens = threading.Thread(target=lambda: heard.append(len(array.recv(1 << 14))), daemon=True)
+        listens.start()
+        with on_air(is_over=lambda: bool(heard)) as server:
+            device = f"osc:127.0.0.1:{array.getsockname()[1]}"
+            played = play(f"ws://{server.address}/live", PlaySpec(device, seconds=60.0))
+    assert "the sender has ended the stream" in played.notes and played.statistics["sent"] > 0
 
 
 def test_connections_that_say_nothing_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -234,8 +246,10 @@ def test_who_asks_for_a_segment_and_does_not_read_it_is_left(monkeypatch: pytest
 def test_who_may_not_receive() -> None:
     access = Access(port=0, token="a long word")
     with on_air(access) as server:
-        with pytest.raises(SourceError, match="401"), open_live(f"ws://{server.address}/live"):
+        wrong = open_live(f"ws://{server.address}/live?token=not%20that")
+        with pytest.raises(SourceError, match="found 401 ") as told, wrong:
             pass
+        assert "that" not in str(told.value).replace("and that it is on", "")
         with open_live(f"ws://{server.address}/live?token=a%20long%20word") as live:
             assert live.medium[0].support_count
     with on_air() as server:
@@ -269,9 +283,9 @@ def test_addresses_are_told_once_the_code_is_there(
     assert 0 <= said.rindex("compiling") < said.index("ws://")
 
 
-def test_a_first_segment_is_waited_for_longer_than_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_client, "PATIENCE_S", 1.0)
-    monkeypatch.setattr(live_client, "_TOLD_S", 0.1, raising=False)
+def test_a_first_segment_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_client, "_ANSWER_S", 1.0)
+    monkeypatch.setattr(live_client, "TOLD_S", 0.1)
     sender, notes = sender_of(0)[0], list[str]()
     with LiveServer(sender, Access(port=0)) as server:
         threading.Timer(1.5, lambda: server.add(segment(0))).start()
@@ -281,6 +295,8 @@ def test_a_first_segment_is_waited_for_longer_than_the_next(monkeypatch: pytest.
 
 
 def test_what_is_not_there_is_told() -> None:
+    with pytest.raises(InvalidArgument, match="address of datagrams: found 'here'"), open_live("udp://here"):
+        pass
     with pytest.raises(SourceError, match="Check the address"), open_live("ws://127.0.0.1:1/live"):
         pass
     with (
@@ -344,7 +360,9 @@ def test_a_connection_that_is_cut_is_made_again() -> None:
 
 
 @pytest.mark.parametrize("form", ["ws://{}/live", "http://{}/live.json"])
-def test_a_server_that_is_started_again_is_felt_again(form: str) -> None:
+def test_a_server_that_is_started_again_is_felt_again(form: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However often it is not there meanwhile."""
+    monkeypatch.setattr(live_client, "_LONGEST_PAUSE_S", 0.1)
     notes: list[str] = []
     with ExitStack() as second:
         with ExitStack() as first:
@@ -353,6 +371,7 @@ def test_a_server_that_is_started_again_is_felt_again(form: str) -> None:
             for i in range(30):  # numbers that the second one's are below
                 live.medium[i]
             server.end = lambda: None  # type: ignore[method-assign]  # it is killed: nobody is told
+        time.sleep(2.0)
         second.enter_context(on_air(Access(port=int(server.address.rpartition(":")[2]))))
         frames = live.medium.make_frame
         number = frames.stream_frame(0)  # type: ignore[attr-defined]
@@ -364,6 +383,19 @@ def test_a_server_that_is_started_again_is_felt_again(form: str) -> None:
             got, number = live.medium[i], frames.stream_frame(i)  # type: ignore[attr-defined]
             np.testing.assert_allclose(got.to_dense(), field(number % 60).to_dense(), atol=0.2)
     assert "another programme begins" in notes and not any("of no use" in note for note in notes), notes
+    assert sum("connecting again" in note for note in notes[: notes.index("another programme begins")]) == 1, notes
+
+
+def test_a_server_that_is_gone_for_good_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_client, "PATIENCE_S", 1.0)
+    with ExitStack() as first, ExitStack() as second:
+        server = first.enter_context(on_air())
+        live = second.enter_context(open_stream(f"ws://{server.address}/live"))
+        live.medium[0]
+        server.end = lambda: None  # type: ignore[method-assign]  # it is killed: nobody is told
+        first.close()
+        with pytest.raises(SourceError, match="Check the address"):
+            [live.medium[i] for i in range(1, 200)]
 
 
 def test_a_segment_is_a_file_of_its_own(tmp_path: Path) -> None:

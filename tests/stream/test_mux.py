@@ -89,22 +89,23 @@ def test_the_movie_is_decoded_as_before(folder: Path, tmp_path: Path) -> None:
     assert shown[0] == shown[1] and len(shown[0]) == 50
 
 
-def test_a_manifest_names_the_movie_and_the_touch(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "film.mpd"
+@pytest.mark.parametrize("stem", ["film", "sight & touch"])
+def test_a_manifest_names_the_movie_and_the_touch(folder: Path, tmp_path: Path, stem: str) -> None:
+    out = tmp_path / f"{stem}.mpd"
     assert mux(folder / "movie.mp4", folder / "noise.touch", out, 0.5).other_tracks == ("video", "audio")
     space = "{urn:mpeg:dash:schema:mpd:2011}"
     sets = ElementTree.parse(out).getroot().findall(f"{space}Period/{space}AdaptationSet")
     assert [one.get("contentType") for one in sets] == ["video", "audio", "application"]
     named = [one.findtext(f"{space}Representation/{space}BaseURL") for one in sets]
-    assert {path.name for path in tmp_path.iterdir()} == {"film.mpd", *map(str, named)}
-    assert sets[2].get("mimeType") == "haptics/vnd.touchfield" and named[2] == "film.touch"
+    assert {path.name for path in tmp_path.iterdir()} == {out.name, *map(str, named)}
+    assert sets[2].get("mimeType") == "haptics/vnd.touchfield" and named[2] == f"{stem}.touch"
     told = sets[2].find(f"{space}SupplementalProperty")
     assert told is not None and (told.get("schemeIdUri"), told.get("value")) == (BEGINS, "0.5")
-    assert (tmp_path / "film.touch").read_bytes() == (folder / "noise.touch").read_bytes()
+    assert (tmp_path / f"{stem}.touch").read_bytes() == (folder / "noise.touch").read_bytes()
     assert [data for _, data in pictures(tmp_path / str(named[0]))] == [
         data for _, data in pictures(folder / "movie.mp4")
     ]
-    with pytest.raises(InvalidArgument, match=r"a DASH manifest; .* beside it: film\.touch"):
+    with pytest.raises(InvalidArgument, match=rf"a DASH manifest; .* beside it: {stem}\.touch"):
         demux(out, tmp_path / "back.touch")
     with pytest.raises(InvalidArgument, match="the movie that is read"):
         mux(tmp_path / str(named[0]), folder / "noise.touch", out)

@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.links import Address, address, reason, service_check, web_socket
+from touchfield.adapters.links import service_check, web_socket
 from touchfield.adapters.registry import Check, DeviceKind, library_check, steps_of
 from touchfield.arrays import Float32s, Int64s
-from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.asked import Address, address
+from touchfield.errors import DeviceError, InvalidArgument, reason
 from touchfield.render.array_player import ArrayDevice
 
 if TYPE_CHECKING:

@@ -21,9 +21,10 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from touchfield.adapters.links import Address, address, reason, service_check, web_socket
+from touchfield.adapters.links import service_check, web_socket
 from touchfield.adapters.registry import Check, DeviceKind, Opener, library_check
-from touchfield.errors import DeviceError
+from touchfield.asked import Address, address
+from touchfield.errors import DeviceError, reason
 from touchfield.render.point_device import PointDevice, Quaternion
 
 if TYPE_CHECKING:

@@ -136,12 +136,8 @@ def _timing(document: _Document, bits: _Bits) -> None:
 
 
 def _haptics(document: _Document, bits: _Bits) -> None:
-    version, profile, level = bits.text(), bits.text(), bits.whole(8)
-    date, description = bits.text(), bits.text()
-    document.root = {
-        "version": version, "profile": profile, "level": level, "date": date, "description": description,
-        "avatars": [],
-    }  # fmt: skip
+    document.root = {"version": bits.text(), "profile": bits.text(), "level": bits.whole(8)}
+    document.root |= {"date": bits.text(), "description": bits.text(), "avatars": []}
 
 
 def _perception(document: _Document, bits: _Bits) -> None:

@@ -18,39 +18,14 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from touchfield.adapters.registry import Check
-from touchfield.errors import DeviceError, InvalidArgument, import_extra
+from touchfield.asked import Address
+from touchfield.errors import DeviceError, import_extra, reason
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
 
-Address = tuple[str, int]
 MOST_MESSAGE_BYTES = 1 << 16
-
-
-def address(words: str, where: str, default: Address | None = None) -> Address:
-    """Host and port of "HOST:PORT" or "[HOST]:PORT"; with a default also "", "HOST" and ":PORT".
-
-    Raises InvalidArgument for anything else, which names `where`, such as "osc:HOST:PORT".
-    """
-    host, colon, port = words.rpartition(":")
-    if default is not None:
-        if not colon or words.endswith("]"):
-            host, port = words, "" if words.isdigit() else str(default[1])
-        host = host or default[0]
-    host = host.removeprefix("[").removesuffix("]")
-    is_port = port.isascii() and port.isdigit() and len(port) <= 5 and 0 < int(port) < 65536
-    if not host or not is_port or not host.isprintable() or any(c in host for c in " /[]@"):
-        raise InvalidArgument(where, repr(words[:80]), "a host and a port from 1 to 65535, such as 127.0.0.1:9000")
-    return host, int(port)
-
-
-def reason(error: BaseException) -> str:
-    """An error's reason in a few words, on one line."""
-    if isinstance(error, TimeoutError):
-        return "no answer in time"
-    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return " ".join(str(text).split())[:120]
 
 
 def connected(to: Address, where: str, timeout_s: float, mend: str, send_s: float | None = None) -> socket.socket:

@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.links import Address, address, reason
 from touchfield.adapters.registry import Check, DeviceKind, drives_of, steps_of
 from touchfield.arrays import Float32s, Float64s
-from touchfield.errors import DeviceError
+from touchfield.asked import Address, address
+from touchfield.errors import DeviceError, reason
 from touchfield.render.array_player import ArrayDevice
 
 if TYPE_CHECKING:
@@ -146,12 +146,7 @@ def _make(words: str, profile: Device) -> ArrayDevice:
     return Osc(profile, address(words, "osc:HOST:PORT"))
 
 
-def checks() -> list[Check]:
-    """Nothing but the standard library is needed, and UDP cannot tell who listens."""
-    return [Check("Open Sound Control", True, "built in")]
-
-
 KIND = DeviceKind(
     "osc", "osc:HOST:PORT", "any array of actuators, by Open Sound Control (UDP)", "tactile-vest-8x8",
-    _make, checks, takes_any=True,
+    _make, lambda: [Check("Open Sound Control", True, "built in")], takes_any=True,
 )  # fmt: skip

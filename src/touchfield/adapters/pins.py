@@ -27,9 +27,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.adapters.links import Line, SerialLine, address, serial_ports
+from touchfield.adapters.links import Line, SerialLine, serial_ports
 from touchfield.adapters.registry import Check, DeviceKind, library_check, steps_of
 from touchfield.arrays import Float32s, Int64s
+from touchfield.asked import address
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.render.array_player import ArrayDevice
 

@@ -113,8 +113,8 @@ def _kind(words: str, name: str, kinds: tuple[DeviceKind, ...]) -> DeviceKind:
         if kind.name == name:
             return kind
     near = difflib.get_close_matches(name.lower(), [kind.name for kind in kinds], n=1, cutoff=0.5)
-    forms = ", ".join(kind.form for kind in kinds)
-    raise InvalidArgument("device", repr(words[:80]), forms, f"Did you mean {near[0]}?" if near else "")
+    forms = ", ".join(kind.form for kind in (*point_kinds(), *array_kinds()))
+    raise InvalidArgument("--device", repr(words[:80]), forms, f"Did you mean {near[0]}?" if near else "")
 
 
 def point_device(words: str, trajectory: Trace | None = None) -> PointChoice:

@@ -117,11 +117,6 @@ class SimHand(PointDevice):
         self._move(self._times, self._positions, self._state, *self._constants, float(dt_s))
 
 
-def checks() -> list[Check]:
-    """The simulated hand needs nothing that touchfield does not bring."""
-    return [Check("simulated hand", True, "built in")]
-
-
 def _opener(rest: str, trajectory: Trace | None) -> Opener:
     kind = rest or "follow"
     if kind not in _KINDS:
@@ -129,4 +124,5 @@ def _opener(rest: str, trajectory: Trace | None) -> Opener:
     return partial(SimHand, trajectory, cast(HandKind, kind))
 
 
-KIND = DeviceKind("sim", "sim[:spring]", "a simulated hand", None, _opener, checks, is_simulated=True)
+_CHECK: Final = Check("simulated hand", True, "built in")
+KIND = DeviceKind("sim", "sim[:spring]", "a simulated hand", None, _opener, lambda: [_CHECK], is_simulated=True)

@@ -112,7 +112,7 @@ COMMANDS: Final = {
 """Module of each command, which registers it when it is imported; in the order of the help."""
 
 
-_FILELESS: Final = ("live", "play", "serve")
+_FILELESS: Final = ("index", "live", "play", "serve")
 
 
 def open_rooms(arguments: Sequence[str] = ()) -> typer.Typer:

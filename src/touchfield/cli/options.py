@@ -21,7 +21,10 @@ from touchfield.job.spec import COEFFICIENTS, Frames, require_frames
 from touchfield.sources.options import SourceOptions
 
 DeviceCompute = Annotated[
-    str, typer.Option("--device-compute", help="Where forces are computed: cpu, cuda (extra cuda), or auto.")
+    str,
+    typer.Option(
+        "--device-compute", help="Where forces of depth pictures are computed: cpu, cuda (extra cuda), or auto."
+    ),
 ]
 """Of a command that makes fields of a scene."""
 

@@ -112,45 +112,33 @@ class Real(Number):
 
 
 class Array(FieldType):
-    """A fixed number of scalars, one after the other; a tuple in Python."""
+    """A fixed number of scalars, one after the other; a tuple in Python.
 
-    def __init__(self, of: FieldType, count: int) -> None:
-        self.of, self.count = of, count
-        super().__init__(f"{count} × {of.wire}", f"each {of.bounds}", count * of.smallest, count * of.largest)
+    Those of the shape of a lattice also hold so many bricks at most: time and memory go with those.
+    """
+
+    def __init__(self, of: FieldType, count: int, most_bricks: int | None = None) -> None:
+        self.of, self.count, self.most_bricks = of, count, most_bricks
+        bounds = f"each {of.bounds}" + ("" if most_bricks is None else f"; at most {most_bricks} bricks")
+        super().__init__(f"{count} × {of.wire}", bounds, count * of.smallest, count * of.largest)
+
+    def _holds(self, members: tuple[Any, ...]) -> bool:
+        return self.most_bricks is None or math.prod(-(-n // BRICK) for n in members) <= self.most_bricks
 
     def encode(self, value: Any, where: str) -> bytes:
         members = tuple(value) if isinstance(value, Sized) and isinstance(value, Iterable) else ()
         if len(members) != self.count:
             raise InvalidArgument(where, shown(value), f"{self.count} values")
-        return b"".join(self.of.encode(member, f"{where}[{i}]") for i, member in enumerate(members))
-
-    def decode(self, cursor: Cursor, where: str) -> tuple[Any, ...]:
-        return tuple(self.of.decode(cursor, f"{where}[{i}]") for i in range(self.count))
-
-
-class Shape(Array):
-    """Samples of a lattice along each axis, of so many bricks at most: time and memory go with those."""
-
-    def __init__(self, of: FieldType, count: int, most_bricks: int) -> None:
-        super().__init__(of, count)
-        self.most_bricks = most_bricks
-        self.bounds = f"each {of.bounds}; at most {most_bricks} bricks"
-
-    def holds(self, shape: tuple[int, ...]) -> bool:
-        """True for a shape of no more bricks."""
-        return math.prod(-(-n // BRICK) for n in shape) <= self.most_bricks
-
-    def encode(self, value: Any, where: str) -> bytes:
-        data = super().encode(value, where)
-        if not self.holds(struct.unpack(f"<{self.count}I", data)):
+        data = b"".join(self.of.encode(member, f"{where}[{i}]") for i, member in enumerate(members))
+        if not self._holds(members):
             raise InvalidArgument(where, shown(value), self.bounds)
         return data
 
     def decode(self, cursor: Cursor, where: str) -> tuple[Any, ...]:
-        value = super().decode(cursor, where)
-        if not self.holds(value):
-            raise cursor.corrupt(where, shown(value), self.bounds, self.smallest)
-        return value
+        members = tuple(self.of.decode(cursor, f"{where}[{i}]") for i in range(self.count))
+        if not self._holds(members):
+            raise cursor.corrupt(where, shown(members), self.bounds, self.smallest)
+        return members
 
 
 @dataclass(frozen=True)

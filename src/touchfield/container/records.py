@@ -22,7 +22,6 @@ from touchfield.container.fields import (
     Octets,
     Real,
     Rest,
-    Shape,
     Text,
     Whole,
     shown,
@@ -94,7 +93,7 @@ MAX_BRICKS: Final = 1 << 27
 
 FRAME_COUNT: Final = Whole("u16", 1, 65535)
 FIRST_FRAME: Final = Whole("u32", 0, MAX_FRAMES - 1)
-GRID_SHAPE: Final = Shape(Whole("u32", 1, 1 << 20), 3, MAX_BRICKS)
+GRID_SHAPE: Final = Array(Whole("u32", 1, 1 << 20), 3, MAX_BRICKS)
 SPACING_M: Final = Array(Real(1e-9, 1e6), 3)
 PLACE_M: Final = Array(Real(-1e9, 1e9), 3)
 POSITIVE: Final = Real(1e-30, 1e30)

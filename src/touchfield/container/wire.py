@@ -27,6 +27,7 @@ from touchfield.errors import (
     SourceError,
     TruncatedFile,
     UnsupportedVersion,
+    reason,
 )
 from touchfield.files import require_plain
 from touchfield.medium.budget import memory_budget_bytes
@@ -112,29 +113,20 @@ def _opened(path: Path) -> BinaryIO:
         raise SourceError(str(path), reason(error), "a readable .touch file") from None
 
 
-def reason(error: Exception) -> str:
-    """Why the system refused, in its own words."""
-    return (isinstance(error, OSError) and error.strerror) or str(error) or type(error).__name__
-
-
 FRAME: Final = struct.Struct("<4sIQ")
 """Tag, flags and length of the payload."""
 
 VERSION: Final = struct.Struct("<HH")
 FRAME_SIZE: Final = FRAME.size
 CRC_SIZE: Final = 4
-OPENING_SIZE: Final = len(MAGIC) + VERSION.size
+OPENING: Final = MAGIC + VERSION.pack(VERSION_MAJOR, VERSION_MINOR)
+OPENING_SIZE: Final = len(OPENING)
 CHUNK: Final = 1 << 20
 _Layout = TypeVar("_Layout")
 AGAIN: Final = "Fetch or write the file again."
 
 
 # -- writing ----------------------------------------------------------------------------------------------
-
-
-def encode_opening() -> bytes:
-    """The magic and our version."""
-    return MAGIC + VERSION.pack(VERSION_MAJOR, VERSION_MINOR)
 
 
 def encode_record(tag: str, value: Any) -> bytes:

@@ -23,8 +23,8 @@ from touchfield.container.records import (
     Provenance,
     SegmentEntry,
 )  # fmt: skip
-from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, encode_opening, encode_record, reason
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, OPENING, encode_record
+from touchfield.errors import InvalidArgument, SourceError, reason
 from touchfield.medium.atomic import atomic_path
 
 MENDS: Final = {
@@ -183,7 +183,7 @@ def opening_of(head: Head, provenance: Mapping[str, str]) -> tuple[bytes, bytes,
     """The beginning of a file: magic and version, HEAD, and PROV if anything is stated."""
     pairs = tuple(Pair(key=key, value=value) for key, value in provenance.items())
     story = encode_record("PROV", Provenance(pairs=pairs)) if pairs else b""
-    return encode_opening(), encode_record("HEAD", head), story
+    return OPENING, encode_record("HEAD", head), story
 
 
 def index_and_end(entries: Iterable[SegmentEntry], place: int, chain: bytes) -> bytes:

@@ -183,16 +183,15 @@ def _value(entry: object, rule: _Rule, where: str) -> tuple[Any, str]:
 
 
 @cache
-def device_names() -> tuple[str, ...]:
-    """The names that `device` takes, sorted."""
-    folder = resources.files("touchfield.devices") / "profiles"
-    return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
-
-
-@cache
 def devices() -> tuple[Device, ...]:
     """All devices that come with touchfield, sorted by name."""
-    return tuple(_shipped(name) for name in device_names())
+    profiles = (resources.files("touchfield.devices") / "profiles").iterdir()
+    return tuple(sorted((_parsed(one.read_bytes(), one.name) for one in profiles), key=lambda device: device.name))
+
+
+def device_names() -> tuple[str, ...]:
+    """The names that `device` takes, sorted."""
+    return tuple(one.name for one in devices())
 
 
 def device(name_or_path: str | Path) -> Device:
@@ -201,20 +200,14 @@ def device(name_or_path: str | Path) -> Device:
     `InvalidArgument` if it is neither; `DeviceError` if the profile cannot be read or is unusable.
     """
     text = str(name_or_path)
-    if text in device_names():
-        return _shipped(text)
+    names = device_names()
+    if text in names:
+        return devices()[names.index(text)]
     if text.endswith(".toml") or Path(text).name != text:
         return _parsed(_file_bytes(Path(text)), text)
-    names = device_names()
     near = difflib.get_close_matches(text.lower(), names, n=1, cutoff=0.4)
     mend = f"Did you mean {near[0]}?" if near else "Or give the path of a TOML profile."
     raise InvalidArgument("device", repr(text), f"one of {', '.join(names)}", mend)
-
-
-@cache
-def _shipped(name: str) -> Device:
-    profile = resources.files("touchfield.devices") / "profiles" / f"{name}.toml"
-    return _parsed(profile.read_bytes(), profile.name)
 
 
 def _file_bytes(path: Path) -> bytes:

@@ -193,10 +193,10 @@ class DeviceFilter:
         return dense[:nx, :ny]
 
     def _relief(self, rise: Float64s, fine: Grid, law: ForceProfile) -> Float64s:
-        """Newtons of pins whose columns have their first force `rise` samples from the far end; 0 without any."""
+        """Newtons of pins whose columns have their first force `rise` samples from the far end; NaN without any."""
         down_m, up_m = relief_m(fine, law)
         share = np.clip(((rise - 0.5) * fine.spacing_m[2] - down_m) / (up_m - down_m), 0.0, 1.0)
-        return np.where(rise > 0, self.device.force_max_n * share, 0.0)
+        return np.where(rise > 0, self.device.force_max_n * share, np.nan)
 
     def _array_lattice(self, scene: Scene, profile_hand: ForceProfile) -> Grid:
         """Fine in the plane of the array, and deep enough for the thinnest wall of the law.
@@ -220,15 +220,25 @@ class DeviceFilter:
         return _padded(Grid.over_box(low, high, (nx * fx, ny * fy, depths)), margins)
 
     def _at_actuators(self, image_n: Float64s, fine: Grid) -> ForceField:
-        """The image through the low-pass, at the actuators, as forces along the array's normal."""
-        amplitude = image_n
-        for axis in (0, 1):
-            ends = [(g.shape[axis], g.spacing_m[axis], g.origin_m[axis]) for g in (fine, self.grid)]
-            weights = _axis_matrix(ends[0], ends[1], self.spec.low_pass, self.spec.cutoff)
-            amplitude = np.moveaxis(np.tensordot(weights, amplitude, (1, axis)), 0, axis)
+        """The image through the low-pass, at the actuators, as forces along the array's normal.
+
+        A pin on land shows its height, and is not lower where the land ends: of NaN the low-pass takes no account.
+        """
+        is_land = np.isfinite(image_n)
+        amplitude = self._low_passed(np.where(is_land, image_n, 0.0), fine)
+        if not is_land.all():
+            share = self._low_passed(is_land.astype(np.float64), fine)
+            amplitude = np.where(share > 0.5, amplitude / np.maximum(share, 0.5), amplitude)
         forces = np.zeros((*self.grid.shape, 3))
         forces[:, :, 0, 2] = np.maximum(amplitude, 0)  # a kernel that rings must not turn an actuator round
         return ForceField.from_dense(self.grid, forces)
+
+    def _low_passed(self, image: Float64s, fine: Grid) -> Float64s:
+        for axis in (0, 1):
+            ends = [(g.shape[axis], g.spacing_m[axis], g.origin_m[axis]) for g in (fine, self.grid)]
+            weights = _axis_matrix(ends[0], ends[1], self.spec.low_pass, self.spec.cutoff)
+            image = np.moveaxis(np.tensordot(weights, image, (1, axis)), 0, axis)
+        return image
 
     def _limited(self, field: ForceField) -> ForceField:
         force_max = self.device.force_max_n

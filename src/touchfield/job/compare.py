@@ -75,6 +75,7 @@ class Comparison:
         return {
             **{key: s[key] for key in ("file_bytes", "frames", "grid_shape", "device")},
             "supported_voxels": m.supported_voxels,
+            "bits_per_supported_voxel": 8 * s["file_bytes"] / m.supported_voxels if m.supported_voxels else None,
             "cr_full": s["cr_full"],
             "cr_literal": s["cr_literal"],
             **{key: getattr(m, key) for key in ("nmse_db", "nmse_literal_db", "nmse_forensic_db", "k", "f0_n")},

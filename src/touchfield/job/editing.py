@@ -305,7 +305,7 @@ def resample_file(
     if grid == prepared.medium.grid and rate_hz in (None, prepared.medium.rate_hz):
         raise InvalidArgument("touchfield resample", "the lattice and the rate it has", "another lattice or rate")
     on_grid = resampled(prepared.medium, grid, kernel)
-    medium = retimed(on_grid, rate_hz or prepared.medium.rate_hz)
+    medium = retimed(on_grid, prepared.medium.rate_hz if rate_hz is None else rate_hz)
     meter = fidelity_of(prepared, on_grid)
     spacing, lost = [1e3 * h for h in grid.spacing_m], meter.mask_violation_share
     shown = {"spacing_mm": spacing, "kernel": kernel, "nmse_db": meter.nmse_db, "mask_violation_share": lost}

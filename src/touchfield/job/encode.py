@@ -62,7 +62,7 @@ class Encoded:
         notes = (*self.prepared.notes, *self.prepared.learnt, *self.told)
         if self.supported_voxels:
             return notes
-        return (*notes, "Nothing can be felt: no sample holds a force (--nw, --mapping)")
+        return (*notes, "Nothing can be felt: no sample holds a force (--nw, --mapping, --thickness-m)")
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""

@@ -23,7 +23,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
-from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, blamed_on
 from touchfield.job.editing import joined, spread, taken
 from touchfield.job.executors import in_order
 from touchfield.job.mapping import SymbolFrames
@@ -186,7 +186,8 @@ def index_folder(
         kept.forget(name)
     if changed or gone or not target.exists():
         kept.save(target)
-    counts = {"described": len(fresh), "kept": len(files) - len(fresh), "gone": len(gone)}
+    well = sum(not kept.entries[name].fault for name in fresh)
+    counts = {"described": well, "kept": len(files) - len(fresh), "gone": len(gone)}
     counts |= {"left_out": sum(bool(entry.fault) for entry in kept.entries.values())}
     figures = {"index": str(target), "media": len(kept.rows), **counts, "seconds": time.perf_counter() - began}
     notes = () if files else (f"no .touch file in {folder} or the folders in it",)
@@ -252,7 +253,9 @@ def search(
     if own in library.rows and _same(library.entries[own], files.get(own, (-1, -1))):
         entry = Descriptor(library.rows[own])
     else:
-        entry = descriptor(like if isinstance(like, HapticMedium) else decode(like))
+        medium = like if isinstance(like, HapticMedium) else decode(like)
+        with blamed_on("" if medium is like else f"{like}, "):
+            entry = descriptor(medium)
     index = library.index()
     began = time.perf_counter()
     nearest = index.query(entry, count + (own in library.rows), weights)
@@ -283,12 +286,15 @@ def similar(
     """
     if frames < 1:
         raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
-    one, other = (prepare(source, spec).medium for source in (first, second))
+    prepared = [prepare(source, spec) for source in (first, second)]
+    one, other = (each.medium for each in prepared)
     values = [np.zeros(DESCRIPTOR_LENGTH)] * 2
     for n, medium in enumerate((one, other)):
         values[n] = descriptor(medium, frames).values
         report(n + 1, 3)
     beside, notes = joined(other, one, name="the second")
+    if spec is not None and spec.asked():
+        notes = (*dict.fromkeys(note for each in prepared for note in each.notes), *notes)
     count = min(len(one), len(beside))
     places = spread(count, frames)
     media = [taken(m, places) for m in (one, beside)]

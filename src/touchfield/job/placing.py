@@ -87,6 +87,13 @@ def mapping_of(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForcePro
     if own:
         length += "; the field keeps its own lattice, as it is kept without loss: --nw is not used"
     notes = (length, *unit_notes(scene, *_fitted(scene, spec)))
+    thin_mm, apart_mm = 1e3 * (spec.thickness_m or math.inf), 1e3 * max(grid.spacing_m)
+    if thin_mm < apart_mm and not chosen.is_array:
+        gap = f"A wall of {thin_mm:.3g} mm is thinner than the {apart_mm:.3g} mm between samples"
+        notes += (f"{gap}: it is weak, and may have gaps (--thickness-m, --nw).",)
+    idle = ("nw", "nominal") if chosen.is_array else ("pool", "cutoff")
+    if words := ", ".join(f"--{name}" for name in idle if name in spec.asked()):
+        notes += (f"Options that do nothing for {chosen.name}: {words}.",)
     return Mapping(chosen, grid, placement, of_law, spec, notes, own is not None)
 
 

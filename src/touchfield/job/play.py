@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.adapters.registry import array_device, array_kinds, is_array_device, point_device, point_kinds
+from touchfield.adapters.registry import array_device, is_array_device, point_device
 from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
 from touchfield.asked import option
@@ -161,9 +161,6 @@ def play(
             raise InvalidArgument("start_s", f"{spec.start_s:g} s", f"0 to below {seconds:g} s, the medium's end")
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, tell)
-        if spec.device.strip().partition(":")[0].lower() not in {kind.name for kind in point_kinds()}:
-            forms = ", ".join([kind.form for kind in point_kinds()] + [kind.form for kind in array_kinds()])
-            raise InvalidArgument("device", repr(spec.device[:80]), f"one of {forms}")
         return _play_point(stream, Path(path).name, spec, report, tell, watch)
 
 
@@ -294,13 +291,14 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Report, tell: Tell) 
             while not player.wait_begun(_LOOK_S):  # preparation is no playing time
                 pass
             _wait(player, spec.seconds, report, tell, stream)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, LiveEnd):
             pass
-    if player.error is not None:
-        raise player.error
-    figures = asdict(player.statistics)
+    error, figures = player.error, asdict(player.statistics)
+    if error is not None and not (isinstance(error, LiveEnd) and figures["sent"]):
+        raise error
+    notes = (*player.notes, *([] if error is None else [str(error)]))
     figures["stalled_share"] = figures["stalled"] / max(figures["sent"], 1)
-    return Played({"device": spec.device, "profile": chosen.profile.name, **figures}, None, None, player.notes)
+    return Played({"device": spec.device, "profile": chosen.profile.name, **figures}, None, None, notes)
 
 
 def _for_points(option: str) -> InvalidArgument:

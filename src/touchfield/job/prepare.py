@@ -11,6 +11,7 @@ import numpy as np
 from touchfield.codec.registry import coder
 from touchfield.container import TouchReader
 from touchfield.container.remote import is_remote
+from touchfield.cuda import needs_gpu
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.contact import VibrationRule, vibrating
@@ -173,6 +174,8 @@ def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
     else:
         scene = open_source(source, watched)
     unread = ", ".join("--" + name.replace("_", "-") for name in watched.unread())
+    if needs_gpu() and not scene.has_gpu:
+        unread += ", --device-compute" if unread else "--device-compute"
     if unread:
         scene.notes = (*scene.notes, f"Options that do nothing for this source: {unread}.")
     return scene

@@ -47,7 +47,11 @@ def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> Int64s:
 
 def bricks_of(grid: Grid, keys: Int64s) -> Int32s:
     """The bricks of these keys, int32 [n, 3]; the inverse of `brick_keys`."""
-    return np.stack(np.unravel_index(keys, grid.brick_shape), axis=1).astype(np.int32)
+    _, by, bz = grid.brick_shape
+    bricks, rows = np.empty((len(keys), 3), np.int32), keys // bz
+    bricks[:, 0], bricks[:, 2] = rows // by, keys - rows * bz
+    bricks[:, 1] = rows - by * bricks[:, 0].astype(np.int64)
+    return bricks
 
 
 def bricks_within(grid: Grid, spans: Int64s) -> Int32s:

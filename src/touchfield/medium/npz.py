@@ -303,6 +303,8 @@ class NpzArchive:
             yield
         except TouchfieldError:
             raise
+        except FileNotFoundError as error:
+            raise SourceError(str(self.path), "no such file", "a .npz of NumPy", "Check the path.") from error
         except _FAULTS as error:
             found = f"bytes at fault ({error or type(error).__name__})"
             raise SourceError(f"{self.path}, {what}", found, "a whole .npz of NumPy") from error

@@ -170,14 +170,11 @@ class FieldSampler:
         from touchfield.render.kernels import points as kernels
 
         a, b, blend = self._instant(time_s, loop)
-        memory, *frames = self._take(a, b)[:3]
-        views = memory.views
+        pair = self._take(a, b)
         out = np.empty(points.shape, np.float32)
         flat, forces = points.reshape(-1, 3), out.reshape(-1, 3)
-        shares = ((frames[0], 1.0 - blend), (frames[1], blend)) if blend else ((frames[0], 1.0),)
-        for n, (frame, share) in enumerate(shares):
-            field = int(views[0][frame + W.FRAME_WORDS + W.PART_FIELD])
-            arguments = (flat, *views, field, share, n == 0, forces)
+        for n, (field, share) in enumerate(pair.shares(blend)):
+            arguments = (flat, *pair.memory.views, field, share, n == 0, forces)
             for_chunks(kernels.field_at_points, len(flat), *arguments, chunk=_POINTS_AT_ONCE)
         return out
 
@@ -219,6 +216,11 @@ class Pair(NamedTuple):
     second: int
     frames: tuple[int, int]
     fields: dict[FieldName, int]
+
+    def shares(self, blend: float) -> list[tuple[int, float]]:
+        """Of frames of voxels the place of the field of each, and its share between the two."""
+        ends = ((self.first, 1.0 - blend), (self.second, blend))[: 1 + (blend > 0.0)]
+        return [(int(self.memory.views[0][frame + W.FRAME_WORDS + W.PART_FIELD]), share) for frame, share in ends]
 
 
 class Pairs:
@@ -317,7 +319,7 @@ class DeviceSampler:
         ``__cuda_array_interface__``), or one of NumPy, which is copied there; `InvalidArgument` for others.
         """
         from touchfield.cuda import empty, for_each, on_device
-        from touchfield.render.kernels.points import forces_at_points
+        from touchfield.render.kernels.points import field_at_points, forces_at_points
 
         if len(points_m.shape) != 2 or points_m.shape[1] != 3 or points_m.dtype != np.float64:
             found = f"{points_m.dtype}, shape {tuple(points_m.shape)}"
@@ -326,8 +328,12 @@ class DeviceSampler:
         pair = self._sampler._take(a, b)
         if self._latest is not pair:
             self._views, self._latest = on_device(tuple(pair.memory.views)), pair
-        out = empty((points_m.shape[0], 3), np.float32)
-        blends = on_device(np.array([blend]))
-        points = on_device(points_m)
-        for_each(forces_at_points, len(out), points, blends, *self._views, pair.first, pair.second, out)
+        count, points = points_m.shape[0], on_device(points_m)
+        out = empty((count, 3), np.float32)
+        if self._sampler._is_voxels:
+            for n, (field, share) in enumerate(pair.shares(blend)):
+                for_each(field_at_points, count, points, *self._views, field, share, n == 0, out)
+        else:
+            blends = on_device(np.array([blend]))
+            for_each(forces_at_points, count, points, blends, *self._views, pair.first, pair.second, out)
         return out

@@ -36,6 +36,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s, Int32s
+from touchfield.cuda import on_device, uses_gpu
 from touchfield.errors import SourceError, require_one_of
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.sources.camera import DepthSequence, noise_step_per_m, require_frame
@@ -66,6 +67,7 @@ class DepthScene(MovingScene):
 
     box_wording = "99 % of the surface along each axis"
     unit = DEPTH_UNIT
+    has_gpu = True
 
     def __init__(
         self,
@@ -164,12 +166,16 @@ class DepthScene(MovingScene):
 def plane_forces(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> ForceField:
     """The force field of the planes of a depth map, in camera axes; `pose` float64 [4, 4] is scene from camera."""
     query = query_of(surface, pose, grid, profile)
+    if uses_gpu():
+        query = on_device(query)
     bricks = force_bricks(query, grid)
     return ForceField(grid, bricks, kernels.brick_forces(bricks, query))
 
 
 def force_bricks(query: Query, grid: Grid) -> Int32s:
     """Bricks of `grid` with at least one force, int32 [n, 3], ascending."""
+    if uses_gpu():
+        return kernels.bricks_by_gpu(query, grid)
     candidates = bricks_that(lambda blocks, size: kernels.may_hold_force(blocks, size, query), grid)
     return candidates[kernels.holds_force(candidates, query)]
 

@@ -43,6 +43,7 @@ PLACE_KEYS: Final = ("dx", "dy", "xmin", "xmax", "ymin", "ymax")
 COORDINATE_KEYS: Final = (("latitude", "longitude"), ("lat", "lon"), ("y", "x"))
 UNEVEN: Final = 0.1  # steps between coordinates may differ by this share: rows of a Mercator map do, by little
 PICTURES: Final = (".png", ".tif", ".tiff")
+GAP_HEIGHTS: Final = (-9999.0, -32767.0, -32768.0, -99999.0)  # what elevation models hold where nothing is known
 LATITUDE_LIMIT_DEG: Final = 89.0  # nearer to a pole the degrees of longitude are no cells of one width
 PICTURE_RELIEF: Final = 0.2  # of a picture without a scale, of its shorter side: a landscape under the hand
 
@@ -254,19 +255,22 @@ def _scene(path: Path, heights: _Heights, place: _Place, options: SourceOptions)
     known = heights[np.isfinite(heights)]
     if not known.size:
         raise SourceError(str(path), "no known height", "at least one")
+    lowest = float(known.min())
+    notes = place.notes
+    if lowest in GAP_HEIGHTS:
+        notes += (f"{lowest:g} is taken for a height: where it marks what is not known, write NaN there.",)
     latitude, longitude = place.middle or (0.0, 0.0)
     is_degrees = place.is_degrees
     if is_degrees is None and place.cell is not None and place.middle is not None:
         is_degrees = abs(latitude) <= 90 and abs(longitude) <= 180 and max(place.cell) < 0.1
     if is_degrees and abs(latitude) > LATITUDE_LIMIT_DEG:
         raise SourceError(str(path), f"the latitude {latitude:.4g}", f"at most {LATITUDE_LIMIT_DEG} either way")
-    notes = place.notes
     dy, dx = place.cell or (1.0, 1.0)
     if options.cell_size_m is not None:
         cell_m = options.cell_size_m, options.cell_size_m
     elif place.cell is None:
         cell_m = (1.0, 1.0)
-        notes += ("The distance between samples is not given: one metre is assumed (cell size).",)
+        notes += ("The distance of samples is not given: one metre is assumed (--cell-size-m; in .npz dx and dy).",)
     elif is_degrees:
         along, across = degree_m(latitude)
         cell_m = dy * along, dx * across
@@ -280,7 +284,7 @@ def _scene(path: Path, heights: _Heights, place: _Place, options: SourceOptions)
         side = min(n * d for n, d in zip(heights.shape[-2:], cell_m, strict=True))
         unit_m = PICTURE_RELIEF * side / span if span > 0 else 1.0
         relief = f"{unit_m:.4g} m a unit is assumed, a relief of {span * unit_m:.3g} m"
-        notes += (f"The picture gives no scale of heights: {relief}.",)
+        notes += (f"The picture gives no scale of heights (--height-scale): {relief}.",)
     if unit_m != 1:
         heights = heights.astype(np.float64) * unit_m
     rate_hz, factor = options.rate_hz or 30.0, options.exaggeration

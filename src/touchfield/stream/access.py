@@ -15,7 +15,7 @@ from typing import Final, NamedTuple, Self
 from urllib.parse import urlsplit
 from weakref import WeakSet
 
-from touchfield.errors import InvalidArgument, MissingExtra
+from touchfield.errors import InvalidArgument, MissingExtra, reason
 
 try:
     from aiohttp import web as web
@@ -197,7 +197,7 @@ async def run(
         try:
             listening = await loop.create_server(connected, access.host, access.port, backlog=4096)
         except OSError as error:
-            found = f"{access.host}:{access.port}: {error.strerror or error}"
+            found = f"{access.host}:{access.port}: {reason(error)}"
             raise InvalidArgument("--port", found, "an address that is free", "Take another --port.") from None
         host, port = listening.sockets[0].getsockname()[:2]
         ready(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")

@@ -16,7 +16,7 @@ import zlib
 from collections import deque
 from collections.abc import Callable
 from itertools import zip_longest
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from touchfield.container.records import MAGIC
 from touchfield.errors import InvalidArgument, import_extra
@@ -46,8 +46,6 @@ _MOST_WAITING: Final = 1 << 27
 """Bytes of the messages that are waited for; beyond, the oldest is given up."""
 
 _SILENT_S: Final = 2.0
-_WINDOW: Final = 1 << 16
-"""A number so far from the newest is of another stream, or forged."""
 
 
 class Datagrams:
@@ -100,6 +98,16 @@ class Datagrams:
         return _HEAD.pack(*head, crc) + packet
 
 
+class _Datagram(NamedTuple):
+    """A datagram that is whole, and one of a stream."""
+
+    stream: int
+    number: int
+    length: int
+    symbol: int
+    packet: bytes
+
+
 class _Part:
     """A message that is waited for."""
 
@@ -114,7 +122,10 @@ class _Part:
 class Gathering:
     """The receiving end of the first stream that comes: datagrams in, messages out, in their order, whatever comes.
 
-    Where none of its datagrams has come for two seconds, another stream that comes takes its place.
+    Where none of its datagrams has come for two seconds, another stream that comes takes its place. One datagram
+    alone, forged, costs one message: another datagram must bear out what it tells of another stream, or of a number
+    further than `_SPREAD` above the newest or `MOST_OPEN` below it, and a stream has one opening. Where it is the
+    first of all, it costs as many messages as are waited for, or the first two seconds.
 
     Parameters
     ----------
@@ -137,59 +148,56 @@ class Gathering:
         self._next, self._newest = 0, -1
         self._most_open, self._opening = most_open, b""
         self._parts: dict[int, _Part] = {}
+        self._doubted: _Datagram | None = None
         self.refused = self.lost = 0
 
     def receive(self, datagram: bytes) -> list[bytes]:
         """Take a datagram; the messages that are whole now, and next in order."""
-        parts = self._told(datagram)
-        if parts is None:
+        one = _told(datagram)
+        if one is None:
             self.refused += 1
             return []
-        number, length, symbol, packet = parts
-        if number < self._next:
+        now = self._clock_s()
+        if one.stream == self._stream and -MOST_OPEN <= one.number - self._newest <= _SPREAD:
+            self._came_s = now
+            return self._taken(one)
+        doubted, self._doubted = self._doubted or one, one
+        is_borne_out = doubted != one and doubted.stream == one.stream and abs(doubted.number - one.number) <= _SPREAD
+        is_borne_out &= one.stream == self._stream or now - self._came_s > _SILENT_S
+        if not is_borne_out and self._stream is not None:
+            self.refused += 1
+            return []
+        if one.stream != self._stream or one.number < self._newest:
+            self._stream, self._next, self._newest = one.stream, min(one.number, doubted.number), -1
+            self._parts, self._opening = {}, b""
+        self._came_s, self._doubted = now, None
+        return [message for each in dict.fromkeys((doubted, one)) for message in self._taken(each)]
+
+    def _taken(self, one: _Datagram) -> list[bytes]:
+        if one.number < self._next:
             return []  # late, or what was sent beyond need
-        if number > self._newest + _WINDOW:
-            self.refused += 1
-            return []
-        self._newest = max(self._newest, number)
-        part = self._parts.get(number)
+        self._newest = max(self._newest, one.number)
+        part = self._parts.get(one.number)
         if part is None:
-            part = self._parts[number] = _Part(length, symbol)
+            part = self._parts[one.number] = _Part(one.length, one.symbol)
         if part.message is not None:
             return []  # what was sent beyond need
-        if (part.length, part.symbol) != (length, symbol) or part.most <= 0:
+        if (part.length, part.symbol) != (one.length, one.symbol) or part.most <= 0:
             self.refused += 1
         else:
             part.most -= 1
-            is_told_again = length == len(self._opening) and packet[_PACKET:] in self._opening
-            part.message = self._opening if is_told_again else part.decoder.decode(packet)
+            is_told_again = one.length == len(self._opening) and one.packet[_PACKET:] in self._opening
+            part.message = self._opening if is_told_again else part.decoder.decode(one.packet)
             if part.message is not None and part.message.startswith(MAGIC):
-                self._opening = part.message  # told again, it holds up no segment behind it
+                self._opening = self._opening or part.message  # told again, it holds up no segment behind it
+                part.message = self._opening  # a stream has no other
         return self._released()
-
-    def _told(self, datagram: bytes) -> tuple[int, int, int, bytes] | None:
-        if not _HEAD.size + _PACKET < len(datagram) <= MOST_DATAGRAM:
-            return None
-        magic, stream, number, length, symbol, crc = _HEAD.unpack_from(datagram)
-        packet = datagram[_HEAD.size :]
-        is_ours = magic == _MAGIC and 0 < length <= MOST_BYTES
-        is_ours &= symbol % 8 == 0 and _LEAST_SYMBOL <= symbol <= _MOST_SYMBOL and len(packet) == symbol + _PACKET
-        is_ours &= packet[0] * _BLOCK * symbol < length <= symbol * 65536
-        if not is_ours or zlib.crc32(packet, zlib.crc32(_HEAD.pack(magic, stream, number, length, symbol, 0))) != crc:
-            return None
-        now = self._clock_s()
-        if self._stream is None or (stream != self._stream and now - self._came_s > _SILENT_S):
-            self._stream, self._next, self._newest = stream, number, number
-            self._parts, self._opening = {}, b""
-        if stream != self._stream:
-            return None
-        self._came_s = now
-        return number, length, symbol, packet
 
     def _released(self) -> list[bytes]:
         messages: list[bytes] = []
         while self._parts:
             part = self._parts.get(self._next)
+            beyond = self._next + 1
             if part is not None and part.message is not None:
                 messages.append(part.message)
             elif (
@@ -198,10 +206,22 @@ class Gathering:
             ):
                 break
             else:
-                self.lost += 1
+                least = self._newest - self._most_open + 1
+                beyond = max(beyond, min([least, *(number for number in self._parts if number > self._next)]))
+                self.lost += beyond - self._next
             self._parts.pop(self._next, None)
-            self._next += 1
-            if not self._parts and self._next <= self._newest:
-                self.lost += self._newest - self._next + 1
-                self._next = self._newest + 1
+            self._next = beyond
         return messages
+
+
+def _told(datagram: bytes) -> _Datagram | None:
+    if not _HEAD.size + _PACKET < len(datagram) <= MOST_DATAGRAM:
+        return None
+    magic, stream, number, length, symbol, crc = _HEAD.unpack_from(datagram)
+    packet = datagram[_HEAD.size :]
+    is_ours = magic == _MAGIC and 0 < length <= MOST_BYTES
+    is_ours &= symbol % 8 == 0 and _LEAST_SYMBOL <= symbol <= _MOST_SYMBOL and len(packet) == symbol + _PACKET
+    is_ours &= packet[0] * _BLOCK * symbol < length <= symbol * 65536
+    if not is_ours or zlib.crc32(packet, zlib.crc32(_HEAD.pack(magic, stream, number, length, symbol, 0))) != crc:
+        return None
+    return _Datagram(stream, number, length, symbol, packet)

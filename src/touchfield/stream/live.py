@@ -45,6 +45,9 @@ MOST_BYTES: Final = 1 << 26
 KEPT: Final = 4
 """Segments that a sender keeps for those who come late."""
 
+_FAR: Final = 8
+"""Where anyone may send, one that ends so many segments beyond the latest counts once a later one comes next."""
+
 END: Final = b""
 """The message that the stream has ended."""
 
@@ -99,11 +102,14 @@ Event = Opened | LiveSegment | Lost | Refused | Ended
 
 
 class LiveReceiver:
-    """The receiving end of a live stream."""
+    """The receiving end of a live stream; `is_open` to anyone, as datagrams are, one message decides little."""
 
-    def __init__(self) -> None:
+    def __init__(self, is_open: bool = False) -> None:
+        self.is_open = is_open
         self._opening, self._is_over = b"", False
         self._next: int | None = None
+        self._length = 0
+        self._doubted: LiveSegment | None = None
 
     def receive(self, message: bytes) -> list[Event]:
         """Take a message; whatever it holds, nothing is raised, and what is wrong with it is an event."""
@@ -122,19 +128,28 @@ class LiveReceiver:
             if message == self._opening:  # told again, for those who come later
                 return []
             opened = _opened(message)
-            self._opening, self._next = message, None
+            self._opening, self._next, self._doubted = message, None, None
             return [opened]
         if message[:4] not in (b"SEGM", b"VIBR"):
             return [Refused("neither an opening nor a segment")]
         if not self._opening:
             return [Refused("a segment before any opening")]
-        segment, expected = _segment(message), self._next
-        if expected is not None and segment.first_frame < expected:
+        segment = _segment(message)
+        expected = segment.first_frame if self._next is None else self._next
+        if segment.first_frame < expected:
             return [Refused(f"frames from {segment.first_frame}, late or again: {expected} is next")]
-        self._next = segment.stop
-        if expected is None or segment.first_frame == expected:
-            return [segment]
-        return [Lost(expected, segment.first_frame - expected), segment]
+        came = [segment]
+        if self.is_open and self._next is not None and segment.stop - expected > _FAR * self._length:
+            doubted, self._doubted = self._doubted, segment
+            if doubted is None or doubted.stop > segment.first_frame:
+                return []
+            came = [doubted, segment]
+        self._next, self._length, self._doubted = segment.stop, segment.frame_count, None
+        events: list[Event] = []
+        for one in came:
+            events += [Lost(expected, one.first_frame - expected)] if one.first_frame > expected else []
+            events, expected = [*events, one], one.stop
+        return events
 
 
 def _opened(message: bytes) -> Opened:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
@@ -16,16 +18,16 @@ from typing import Any, Final, Self
 from urllib.parse import urlsplit, urlunsplit
 
 from touchfield.container.remote import without_secret
-from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.errors import MissingExtra, SourceError, TouchfieldError, reason
 from touchfield.files import standard_input
 from touchfield.stream.live import MOST_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
-from touchfield.stream.live_medium import PATIENCE_S, LiveFrames, LiveStream
+from touchfield.stream.live_medium import PATIENCE_S, TOLD_S, LiveFrames, LiveStream
 
-_PAUSES_S: Final = (0.1, 0.3, 1.0, 2.0)
+_SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 2.0  # between two tries to connect
 _POLL_S: Final = 0.05
-_FIRST_S, _TOLD_S = 60.0, 3.0  # a first segment is waited for longer, as its sender may be starting; told after
+_ANSWER_S: Final = 10.0
+_MEND: Final = "Check the address, and that it is on."
 _MOST_MANIFEST: Final = 1 << 16
-_MOST_TRIES: Final = 8
 
 
 @contextmanager
@@ -60,11 +62,10 @@ class _Client:
             raise MissingExtra("a live stream", "aiohttp", "broadcast")
         self._url, self._tell, self._under, self._is_layered = url, tell, under, is_layered
         self._name = "standard input" if url == "-" else without_secret(url)
-        self._receiver = LiveReceiver()
-        self._opened: Opened | None = None
+        self._receiver = LiveReceiver(is_open=url.lower().startswith("udp:"))
         self._frames: LiveFrames | None = None
-        self._vibrates = False
-        self._begun, self._error = Flag(), SourceError(self._name, "nothing in time", "a live stream")
+        self._begun = Flag()
+        self._error: TouchfieldError = SourceError(self._name, "nothing in time", "a live stream", _MEND)
         self._loop = asyncio.new_event_loop()
         self._task: asyncio.Task[None] | None = None
         self._thread = Thread(target=self._run, name="touchfield-receiver", daemon=True)
@@ -80,12 +81,12 @@ class _Client:
 
     def stream(self) -> LiveStream:
         """The stream, once a first segment is there."""
-        if not self._begun.wait(_TOLD_S):
+        if not self._begun.wait(TOLD_S):
             self._tell(f"waiting for a first segment of {self._name}, a minute at most: its sender may be starting")
-            self._begun.wait(_FIRST_S - _TOLD_S)
-        if self._opened is None or self._frames is None:
+            self._begun.wait(PATIENCE_S - TOLD_S)
+        if self._frames is None:
             raise self._error
-        return LiveStream(self._name, self._opened, self._frames, self._vibrates)
+        return LiveStream(self._name, self._frames)
 
     def _run(self) -> None:
         try:
@@ -97,13 +98,13 @@ class _Client:
         except asyncio.CancelledError:
             pass
         except Exception as error:
-            if not isinstance(error, SourceError):
-                error = SourceError(self._name, str(error), "a live stream")
+            if not isinstance(error, TouchfieldError):
+                error = SourceError(self._name, reason(error), "a live stream")
             self._error = error
             if self._frames is not None:
                 self._frames.fail(error)
-            self._begun.set()
         finally:
+            self._begun.set()
             self._loop.close()
 
     def _take(self, message: bytes) -> bool:
@@ -111,47 +112,56 @@ class _Client:
         events = self._receiver.receive(message)
         for event in events:
             if isinstance(event, Opened):
-                if self._opened is None or self._frames is None:
-                    self._opened, self._frames = event, LiveFrames(event, self._tell, under=self._under)
-                elif event.head == self._opened.head:
+                if self._frames is None:
+                    self._frames = LiveFrames(event, self._tell, under=self._under)
+                elif event.head == self._frames.opened.head:
                     self._tell("another programme begins")
                     self._frames.begin_anew()
                 else:  # who plays the old one opens anew
                     raise SourceError(self._name, "another programme", "the one that was opened", "Open it again.")
-            elif self._frames is not None:
-                self._vibrates |= isinstance(event, LiveSegment) and event.vibration is not None
+            elif self._frames is None:
+                self._error = SourceError(self._name, getattr(event, "reason", "its end"), "a live stream")
+            else:
                 self._frames.take(event)
                 if isinstance(event, LiveSegment):
                     self._begun.set()
         return any(isinstance(event, Ended) for event in events)
 
     async def _receive(self) -> None:
+        if self._receiver.is_open:
+            from touchfield.stream.udp import listen
+
+            await listen(self._url, self._take, self._is_layered)
+            return
         import aiohttp
 
-        tries = 0
-        timeout = aiohttp.ClientTimeout(total=PATIENCE_S, sock_connect=PATIENCE_S)
+        told_s: float | None = None
+        timeout = aiohttp.ClientTimeout(total=_ANSWER_S, sock_connect=_ANSWER_S)
         async with aiohttp.ClientSession(timeout=timeout) as session:
-            form = self._url.lower().partition(":")[0].removesuffix("s")
-            follow = {"w": self._by_socket, "udp": self._by_datagrams}.get(form, self._by_manifest)
+            follow = self._by_socket if self._url.lower().startswith("ws") else self._by_manifest
             while True:
-                came_s = None if self._frames is None else self._frames.came_s
                 try:
                     if await follow(session):
                         return
                     found = "a connection that ended"
                 except (aiohttp.ClientError, OSError, TimeoutError) as error:
-                    found = str(error) or type(error).__name__
-                tries = 0 if self._frames is not None and self._frames.came_s != came_s else tries + 1
-                if tries >= _MOST_TRIES or self._opened is None:
-                    raise SourceError(self._name, found, "a live stream", "Check the address, and that it is on.")
-                self._tell(f"{found}: connecting again")
-                await asyncio.sleep(_PAUSES_S[min(tries, len(_PAUSES_S) - 1)])
+                    found = reason(error)
+                    if isinstance(error, aiohttp.ClientResponseError):  # whose text has the address, with its word
+                        found = f"{error.status} {error.message}"
+                came_s = -math.inf if self._frames is None else self._frames.came_s
+                silent_s = time.monotonic() - came_s
+                if silent_s > PATIENCE_S:
+                    raise SourceError(self._name, found, "a live stream", _MEND)
+                if came_s != told_s:
+                    self._tell(f"{found}: connecting again")
+                    told_s = came_s
+                await asyncio.sleep(min(max(_SHORTEST_PAUSE_S, silent_s / 2), _LONGEST_PAUSE_S))
 
     async def _by_socket(self, session: Any) -> bool:
         """Receive until the connection ends; True where the stream is over."""
         import aiohttp
 
-        async with session.ws_connect(self._url, max_msg_size=MOST_BYTES, heartbeat=PATIENCE_S, compress=0) as socket:
+        async with session.ws_connect(self._url, max_msg_size=MOST_BYTES, heartbeat=_ANSWER_S, compress=0) as socket:
             async for message in socket:
                 if message.type is aiohttp.WSMsgType.BINARY and await asyncio.to_thread(self._take, message.data):
                     return True
@@ -163,13 +173,6 @@ class _Client:
             if self._take(message):
                 return
         raise SourceError(self._name, "its end", "a live stream, of touchfield live SOURCE -")
-
-    async def _by_datagrams(self, session: Any) -> bool:
-        """Receive at the address until the stream is over."""
-        from touchfield.stream.udp import listen
-
-        await listen(self._url, self._take, is_layered=self._is_layered)
-        return True
 
     async def _by_manifest(self, session: Any) -> bool:
         """Ask for what the manifest names, again and again; True where the stream is over."""
@@ -209,7 +212,7 @@ def _manifest(data: bytes, name: str) -> tuple[bool, list[int]]:
         numbers = [int(one["number"]) for one in manifest["segments"]]
         is_over = bool(manifest["is_ended"])
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
-        raise InvalidArgument(name, "a manifest that is none", "one of a live stream") from None
+        raise SourceError(name, "a manifest that is none", "one of a live stream") from None
     if sorted(set(numbers)) != numbers or (numbers and numbers[0] < 0):
-        raise InvalidArgument(name, "numbers that do not ascend", "those of a live stream")
+        raise SourceError(name, "numbers that do not ascend", "those of a live stream")
     return is_over, numbers

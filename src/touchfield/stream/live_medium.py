@@ -11,14 +11,15 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from threading import Condition
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import BitAccount
 from touchfield.codec.vibration import decode_vibration
-from touchfield.errors import FormatError, SourceError, UnsupportedVersion
+from touchfield.errors import FormatError, SourceError, TouchfieldError, UnsupportedVersion
 from touchfield.filters.resample import halved, rebuilt
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
@@ -27,7 +28,6 @@ from touchfield.stream.opened import OpenStream
 
 if TYPE_CHECKING:
     from touchfield.codec.registry import FieldDecoder
-    from touchfield.container import Head
     from touchfield.render.player import Player
 
 
@@ -37,7 +37,12 @@ KEPT: Final = 4
 MOST_BYTES: Final = 1 << 30
 """Of the fields that are kept; fewer segments are, where they are larger."""
 
-PATIENCE_S: Final = 10.0
+PATIENCE_S: Final = 60.0
+"""So long a segment is waited for: its sender may be starting, or be started again."""
+
+TOLD_S: Final = 3.0
+"""From here on, beyond the length of a segment, it is told that one is waited for."""
+
 FORGOTTEN: Final = 0.2
 """Share of a delay that is forgotten with each segment that came sooner: one that was late once holds nobody back for
 long, and the delays that keep coming do."""
@@ -86,7 +91,7 @@ class LiveFrames:
     Parameters
     ----------
     opened : Opened
-        The programme.
+        The programme; `vibrates` if anything in it does, so far.
     tell : callable
         ``tell(note)``: what was lost, refused or moved on over.
     clock_s : callable
@@ -105,7 +110,7 @@ class LiveFrames:
     skipped : int
         Frames that play was moved on over, because it had fallen behind.
     came_s : float
-        When the latest segment came, seconds of the clock; -inf before the first.
+        When the latest segment came, seconds of the clock; before the first, when it was begun to wait.
     """
 
     def __init__(
@@ -115,7 +120,8 @@ class LiveFrames:
         clock_s: Callable[[], float] = time.monotonic,
         under: LiveFrames | None = None,
     ) -> None:
-        head = opened.head
+        self.opened, head = opened, opened.head
+        self.vibrates = False
         if coder(head.coder).spec is None:
             raise UnsupportedVersion("live stream", f"coder {head.coder}", "a coder of fields, such as touch")
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
@@ -126,17 +132,19 @@ class LiveFrames:
             raise SourceError("coarse layer", found, f"half of {self.grid.shape} at {head.rate_hz:g} Hz")
         self._tell, self._clock_s = tell, clock_s
         self._under, self._rebuilt = under, (-1, ForceField.empty(self.grid))
+        self._layers: tuple[LiveFrames, ...] = (self,) if under is None else (self, under)
         self._news: Condition = Condition() if under is None else under._news
         self._kept: deque[_Decoded] = deque()
         self._base: int | None = None
-        self._is_anew = False
-        self._error: SourceError | None = None
+        self._over: LiveFrames | None = None
+        self._programmes = self._begun = 0  # of this layer, and in those of both that are kept
+        self._error: TouchfieldError | None = None
         self.lost = self.refused = self.skipped = self.covered = 0
-        self.came_s = -math.inf
+        self.came_s, self._told_s = clock_s(), -math.inf
         self._begins_s: float | None = None
         self._played, self._room = (math.inf, 0.0), KEPT
         if under is not None:
-            under._room = 2 * KEPT  # the stream over it may be that much later
+            under._over, under._room = self, 2 * KEPT  # the stream over it may be that much later
 
     def take(self, event: Event) -> None:
         """Take an event; a segment is decoded here, in the thread that receives."""
@@ -152,9 +160,9 @@ class LiveFrames:
 
     def begin_anew(self) -> None:
         """Another programme on the same lattice follows: its frames count on behind the latest one that is there."""
-        self._is_anew = True
+        self._programmes += 1
 
-    def fail(self, error: SourceError) -> None:
+    def fail(self, error: TouchfieldError) -> None:
         """Nothing more will come: who waits for a frame is told."""
         with self._news:
             self._error = self._error or error
@@ -169,6 +177,7 @@ class LiveFrames:
     def _take_segment(self, segment: LiveSegment) -> None:
         """Decode a segment, frame by frame: the first can be felt while the last is not there yet."""
         came, first, fields = self._clock_s(), segment.first_frame, list[ForceField]()
+        self.vibrates |= segment.vibration is not None
         begins_s = came - first / self._rate_hz  # when the stream's frame 0 would have been in time
         try:
             band = decode_vibration(segment.vibration, self.grid, segment.frame_count) if segment.vibration else []
@@ -189,12 +198,13 @@ class LiveFrames:
 
     def _keep(self, one: _Decoded) -> None:
         """Keep a segment whose first frame has been decoded, and of the others what there is room for."""
-        if self._is_anew:
-            self._base = None if self._base is None else one.first + self._base - self._stop
-            for layer in filter(None, (self, self._under)):  # what is there has the numbers of the programme before
+        top = self._over or self
+        if self._programmes > top._begun:  # what is there has the numbers of the programme before
+            top._base = None if top._base is None else one.first + top._base - top._there
+            for layer in top._layers:
                 layer._kept.clear()
                 layer._begins_s = None
-            self._is_anew, self._rebuilt = False, (-1, self._rebuilt[1])
+            top._begun, top._rebuilt = self._programmes, (-1, top._rebuilt[1])
         self._kept.append(one)
         while len(self._kept) > 1 and (
             len(self._kept) > self._room or sum(one.size for one in self._kept) > MOST_BYTES
@@ -209,8 +219,7 @@ class LiveFrames:
             begins_s = self._zero_s
             if begins_s is None or self._base is None:
                 return None
-            there = max(self._stop, self._under._stop if self._under else 0)  # nothing beyond it can be felt
-            due_s = min(self._clock_s() - begins_s - SPARE_S, there / rate_hz) - self._base / rate_hz
+            due_s = min(self._clock_s() - begins_s - SPARE_S, self._there / rate_hz) - self._base / rate_hz
             return due_s if self._under is None else max(0.0, due_s)  # a layer may have begun later
 
     @property
@@ -230,6 +239,11 @@ class LiveFrames:
         """The frame of the stream behind the newest that is there; 0 before the first."""
         return self._kept[-1].first + len(self._kept[-1].fields) if self._kept else 0
 
+    @property
+    def _there(self) -> int:
+        """The frame behind the newest in any layer: nothing beyond it can be felt."""
+        return max(layer._stop for layer in self._layers)
+
     def _holding(self, wanted: int) -> _Decoded | None:
         """The segment that holds a frame of the stream, if it is kept."""
         return next((one for one in self._kept if one.first <= wanted < one.first + len(one.fields)), None)
@@ -239,6 +253,7 @@ class LiveFrames:
         under, is_past = self._under, wanted < self._stop
         if under is None or self._holding(wanted) is not None:
             return is_past
+        is_past |= wanted < under._stop - GONE_S * self._rate_hz
         if under._holding(wanted) is not None:
             return is_past or self._error is not None or self._is_due(wanted)
         return is_past and (wanted < under._stop or self._is_due(wanted))
@@ -261,8 +276,8 @@ class LiveFrames:
     def __call__(self, index: int) -> ForceField:
         """A frame, once it has come; one that was lost holds no force.
 
-        Raises LiveEnd where the sender has ended the stream before it; SourceError where nothing came for ten
-        seconds, or the frame lies far ahead.
+        Raises LiveEnd where the sender has ended the stream before it; SourceError where nothing came for a minute,
+        or the frame lies far ahead.
         """
         wanted, one = self._place_of(index)
         if one is not None:
@@ -279,20 +294,30 @@ class LiveFrames:
     def is_there(self, index: int) -> bool:
         """True where `__call__` answers at once, be it with an error."""
         with self._news:
-            if not self._kept or self._base is None:
-                return self._error is not None
-            is_late = self._clock_s() - self._latest_s > PATIENCE_S
-            return self._is_settled(self._base + index) or self._is_over or is_late
+            is_settled = self._base is not None and self._there > 0 and self._is_settled(self._base + index)
+            return is_settled or self._is_over or self._is_silent
 
     @property
     def _latest_s(self) -> float:
         """When something came last, in any layer, seconds of the clock."""
-        return self.came_s if self._under is None else max(self.came_s, self._under.came_s)
+        return max(layer.came_s for layer in self._layers)
+
+    @property
+    def _is_silent(self) -> bool:
+        """True where no segment is waited for any longer; that one is waited for is told once."""
+        told_s = TOLD_S + (len(self._kept[-1].fields) / self._rate_hz if self._kept else 0.0)
+        now = self._clock_s()
+        if now - self.came_s > told_s and self._told_s != self.came_s:
+            self._told_s = self.came_s
+            is_alone = now - self._latest_s < told_s
+            meanwhile = "its coarse layer is felt" if is_alone else f"waiting, for {PATIENCE_S:g} s in all"
+            self._tell(f"nothing has come for {now - self.came_s:.0f} s: {meanwhile}")
+        return now - self._latest_s > PATIENCE_S
 
     @property
     def _is_over(self) -> bool:
         """True where nothing will come any more, in no layer."""
-        return self._error is not None and (self._under is None or self._under._error is not None)
+        return all(layer._error is not None for layer in self._layers)
 
     def vibration(self, index: int) -> VibrationFrame:
         """Vibrations in a frame; see `__call__`."""
@@ -301,15 +326,15 @@ class LiveFrames:
 
     def _place_of(self, index: int) -> tuple[int, _Decoded | None]:
         """The stream's number of a frame, and the segment that holds it, if it came: once it is known."""
-        began = self._clock_s()
         with self._news:
             while True:
-                if self._kept and self._base is not None:
-                    began, wanted, newest = self._latest_s, self._base + index, self._kept[-1]
-                    if wanted > newest.first + _AHEAD:
+                kept = self._kept or self._layers[-1]._kept
+                if kept and self._base is not None:
+                    wanted = self._base + index
+                    if wanted > self._there + _AHEAD:
                         raise SourceError("live stream", f"frame {index}, far ahead", "one that comes soon")
-                    if wanted < self._kept[0].first and not (self._under and self._under._holding(wanted)):
-                        missed = newest.first - wanted
+                    if wanted < kept[0].first and not self._layers[-1]._holding(wanted):
+                        missed = kept[-1].first - wanted
                         self.skipped, self._base = self.skipped + missed, self._base + missed
                         self._tell(f"play had fallen behind, and goes on {missed} frames later")
                         continue
@@ -317,20 +342,9 @@ class LiveFrames:
                         return wanted, self._holding(wanted)
                 if self._error is not None and self._is_over:
                     raise self._error
-                left = PATIENCE_S - (self._clock_s() - began)
-                if left <= 0:
+                if self._is_silent:
                     raise SourceError("live stream", f"no segment for {PATIENCE_S:g} s", "one that comes in time")
-                self._news.wait(left if self._under is None else min(left, SPARE_S))  # what is due tells nobody
-
-
-class _LiveReader(NamedTuple):
-    """As much of a reader as a stream without an end has."""
-
-    name: str
-    head: Head
-    provenance: Mapping[str, str]
-    has_vibration: bool = False
-    size: int = 0
+                self._news.wait(SPARE_S)  # what is due tells nobody
 
 
 class LiveStream(OpenStream):
@@ -343,10 +357,10 @@ class LiveStream(OpenStream):
 
     is_live = True
 
-    def __init__(self, name: str, opened: Opened, frames: LiveFrames, vibrates: bool) -> None:
-        reader: Any = _LiveReader(name, opened.head, opened.provenance)
-        super().__init__(reader)
-        self.frames, self._vibrates = frames, vibrates
+    def __init__(self, name: str, frames: LiveFrames) -> None:
+        reader: Any = SimpleNamespace(name=name, has_vibration=False, size=0, **frames.opened.__dict__)
+        super().__init__(reader)  # as much of one as a stream without an end has
+        self.frames = frames
 
     def keep_up(self, player: Player) -> bool:
         """Have a player stay at what is due; to be asked some times a second. True where it goes there at once."""
@@ -365,7 +379,7 @@ class LiveStream(OpenStream):
     @property
     def medium(self) -> HapticMedium:
         """The medium, whose frames are waited for."""
-        vibration = self.frames.vibration if self._vibrates else None
+        vibration = self.frames.vibration if self.frames.vibrates else None
         return HapticMedium(
             grid=self.grid, frame_count=ENDLESS, make_frame=self.frames, vibration=vibration, **self._beside
         )

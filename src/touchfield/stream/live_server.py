@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
+from functools import partial
 from typing import Final
 
 from touchfield.stream.access import (
@@ -54,20 +55,19 @@ class LiveServer(Background):
         self, sender: LiveSender, access: Access, pages: Pages | None = None, coarse: LiveSender | None = None
     ) -> None:
         super().__init__(access, pages)
-        self._sender, self._coarse, self._news = sender, coarse, asyncio.Event()
+        self._senders = [one for one in (sender, coarse) if one is not None]
+        self._news = asyncio.Event()
         self.receivers = self.most_receivers = self.skipped = self.left = 0
 
     def add(self, segment: LiveSegment, *, is_coarse: bool = False) -> bytes:
         """Have a segment sent, or one of the coarse layer; its message."""
-        sender = self._coarse if is_coarse else self._sender
-        assert sender is not None
-        message = sender.add(segment)
+        message = self._senders[is_coarse].add(segment)
         self._tell()
         return message
 
     def end(self) -> None:
         """Say to all that nothing follows."""
-        for sender in filter(None, (self._sender, self._coarse)):
+        for sender in self._senders:
             sender.end()
         self._tell()
 
@@ -81,22 +81,18 @@ class LiveServer(Background):
 
     def _application(self) -> web.Application:
         served = guarded(self._access)
-        for layer in ("live",) if self._coarse is None else ("live", "coarse/live"):
-            served.router.add_get(f"/{layer}", self._follow)
-            served.router.add_get(f"/{layer}.json", self._manifest)
-            served.router.add_get(f"/{layer}/opening", self._opening)
-            served.router.add_get(rf"/{layer}/{{number:\d{{1,9}}}}{{ending:(\.touch)?}}", self._segment)
+        get = served.router.add_get
+        for layer, sender in zip(("/live", "/coarse/live"), self._senders):
+            get(layer, partial(self._follow, sender))
+            get(f"{layer}.json", partial(self._manifest, sender))
+            get(f"{layer}/opening", partial(self._opening, sender))
+            get(rf"{layer}/{{number:\d{{1,9}}}}{{ending:(\.touch)?}}", partial(self._segment, sender))
         add_pages(served, "", self._pages)
         return served
 
-    def _asked(self, request: web.Request) -> LiveSender:
-        """The sender of the layer that a request is for."""
-        return self._coarse if self._coarse is not None and request.path.startswith("/coarse") else self._sender
-
-    async def _follow(self, request: web.Request) -> web.StreamResponse:
+    async def _follow(self, sender: LiveSender, request: web.Request) -> web.StreamResponse:
         socket = web.WebSocketResponse(heartbeat=_PATIENCE_S, max_msg_size=1 << 10, compress=False)
         await socket.prepare(request)
-        sender = self._asked(request)
         receiver = sender.joined()
         self.receivers += 1
         self.most_receivers = max(self.most_receivers, self.receivers)
@@ -136,16 +132,15 @@ class LiveServer(Background):
                 await answer.write_eof()
         return answer
 
-    async def _manifest(self, request: web.Request) -> web.Response:
+    async def _manifest(self, sender: LiveSender, request: web.Request) -> web.Response:
         headers = {**self._access.cors(request), "Cache-Control": "no-store"}
-        return web.json_response(self._asked(request).manifest(), headers=headers)
+        return web.json_response(sender.manifest(), headers=headers)
 
-    async def _opening(self, request: web.Request) -> web.Response:
-        return await self._answer(request, self._asked(request).opening or None)
+    async def _opening(self, sender: LiveSender, request: web.Request) -> web.Response:
+        return await self._answer(request, sender.opening or None)
 
-    async def _segment(self, request: web.Request) -> web.Response:
+    async def _segment(self, sender: LiveSender, request: web.Request) -> web.Response:
         """A segment's message, or with the ending a file of its own, for whoever decodes files."""
-        sender = self._asked(request)
         message = sender.message(int(request.match_info["number"]))
         if message is not None and request.match_info["ending"]:
             message = file_of(sender.opening, message)

@@ -23,20 +23,19 @@ from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
-from xml.etree import ElementTree
+from xml.sax.saxutils import escape
 
 from touchfield.container import SegmentEntry, TouchReader
 from touchfield.container.records import MAGIC, OBJECTS_CODER, Segment
 from touchfield.container.wire import CRC_SIZE, OPENING_SIZE, ByteSource, read_opening, read_record, records_between
 from touchfield.container.writer import index_and_end
-from touchfield.errors import CorruptFile, InvalidArgument, SourceError, import_extra, require_ending
-from touchfield.files import keep_sources
+from touchfield.errors import CorruptFile, InvalidArgument, SourceError, import_extra, reason, require_ending
+from touchfield.files import keep_sources, readable
 from touchfield.medium.atomic import atomic_path
 from touchfield.parallel import Report, silent
 from touchfield.stream.live import MEDIA_TYPE
 
 BEGINS: Final = "urn:touchfield:begins-s"
-_SPACE: Final = "urn:mpeg:dash:schema:mpd:2011"
 _CLOCK: Final = Fraction(1, 90000)
 _MOST_BYTES: Final = 1 << 30
 """Of all touch in a movie that is taken out."""
@@ -250,61 +249,38 @@ def _opened(movie: str | Path) -> Iterator[Any]:
     try:
         source = av.open(str(movie))
     except (av.FFmpegError, OSError, ValueError) as error:
-        found = getattr(error, "strerror", None) or str(error)
-        raise SourceError(str(movie), found, "a movie that ffmpeg reads") from None
+        raise SourceError(str(movie), reason(error), "a movie that ffmpeg reads") from None
     with source:
         yield source
 
 
 def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: float) -> tuple[str, ...]:
-    """Write `out`, the movie's tracks as .mp4 files beside it, and a copy of the stream; the kinds of the tracks.
-
-    Raises InvalidArgument if the form cannot hold a track of the movie; SourceError if a file cannot be written.
-
-    Parameters
-    ----------
-    source : av.container.InputContainer
-        The movie.
-    stream : Path
-        A ``.touch`` file.
-    out : Path
-        NAME.mpd; the files beside it are NAME-N.mp4 and NAME.touch.
-    at_s : float
-        The movie's second at which the touch begins.
-    rate_bits : float
-        Bits a second of the stream.
-    """
+    """Write NAME.mpd, beside it tracks as NAME-N.mp4 and the stream as NAME.touch; the kinds of the tracks."""
     kept = [one for one in source.streams if one.type in ("video", "audio")]
     names = {"single_file": "1", "single_file_name": f"{out.stem}-$RepresentationID$.mp4"}
     with TemporaryDirectory(prefix=".touchfield-", dir=out.parent) as folder:
         manifest = Path(folder) / out.name
         _copy(source, kept, out, manifest, "dash", names)
-        _add_touch(manifest, f"{out.stem}.touch", at_s, rate_bits)
-        try:
+        _add_touch(manifest, at_s, rate_bits)
+        with readable(out, "a folder that can be written"):
             shutil.copyfile(stream, Path(folder) / f"{out.stem}.touch")
             for path in Path(folder).iterdir():
                 if (out.parent / path.name).exists() and (out.parent / path.name).samefile(source.name):
                     raise InvalidArgument(str(out.parent / path.name), "the movie that is read", "another name")
             for path in sorted(Path(folder).iterdir(), key=lambda path: path.suffix == ".mpd"):  # what it names first
                 os.replace(path, out.parent / path.name)
-        except OSError as error:
-            raise SourceError(str(out), error.strerror or str(error), "a folder that can be written") from None
     return tuple(one.type for one in kept)
 
 
-def _add_touch(manifest: Path, name: str, at_s: float, rate_bits: float) -> None:
-    """Add the set of the touch to a manifest."""
-    ElementTree.register_namespace("", _SPACE)
-    tree = ElementTree.parse(manifest)  # ffmpeg's own, written a moment ago
-    period = tree.getroot().find(f"{{{_SPACE}}}Period")
-    assert period is not None
-
-    def add(parent: ElementTree.Element, kind: str, **attributes: str) -> ElementTree.Element:
-        return ElementTree.SubElement(parent, f"{{{_SPACE}}}{kind}", attributes)
-
-    touch = add(period, "AdaptationSet", contentType="application", mimeType=MEDIA_TYPE)
-    add(touch, "SupplementalProperty", schemeIdUri=BEGINS, value=f"{at_s:g}")
-    whole = add(touch, "Representation", id="touch", bandwidth=str(max(1, round(rate_bits))))
-    add(whole, "BaseURL").text = name
-    ElementTree.indent(tree)
-    tree.write(manifest, encoding="utf-8", xml_declaration=True)
+def _add_touch(manifest: Path, at_s: float, rate_bits: float) -> None:
+    """Add the set of the touch to a manifest, which ffmpeg wrote a moment ago, in one period."""
+    stem = escape(manifest.stem)
+    touch = f"""\t<AdaptationSet contentType="application" mimeType="{MEDIA_TYPE}">
+\t\t\t<SupplementalProperty schemeIdUri="{BEGINS}" value="{at_s:g}"/>
+\t\t\t<Representation id="touch" bandwidth="{max(1, round(rate_bits))}">
+\t\t\t\t<BaseURL>{stem}.touch</BaseURL>
+\t\t\t</Representation>
+\t\t</AdaptationSet>
+\t</Period>"""
+    text = manifest.read_text("utf-8").replace(manifest.stem, stem)  # which is told there as it is
+    manifest.write_text(text.replace("</Period>", touch), "utf-8")

@@ -30,16 +30,16 @@ def _core() -> Any:
         return None
 
 
-def is_for(reader: TouchReader) -> bool:
-    """True if `touchfield_core` is there, and the file one that it decodes."""
-    return reader.head.coder == "touch" and not reader.is_remote and reader.size <= MOST_BYTES and _core() is not None
-
-
 def decoder(
     reader: TouchReader, grid: Grid, otherwise: Callable[[int], Iterator[ForceField]]
-) -> Callable[[int], Iterator[ForceField]]:
-    """``decode(segment) -> iterator`` over its fields; `otherwise` decodes what C refuses."""
+) -> Callable[[int], Iterator[ForceField]] | None:
+    """``decode(segment) -> iterator`` over its fields; `otherwise` decodes what C refuses.
+
+    None if `touchfield_core` is not there, or the file none that it decodes.
+    """
     core = _core()
+    if core is None or reader.head.coder != "touch" or reader.is_remote or reader.size > MOST_BYTES:
+        return None
     file = cache(lambda: core.open(reader.read_all()))
 
     def fields(segment: int) -> Iterator[ForceField]:

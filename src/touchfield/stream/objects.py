@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cache, cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
@@ -39,26 +39,17 @@ def write_objects(writer: TouchWriter, encoder: ObjectsEncoder, frame_count: int
         report(start + count, frame_count)
 
 
-_SAME: Final = tuple(f.name for f in fields(CodedObject) if f.name not in ("grid", "is_deforming"))
-
-
 def record_of(one: CodedObject) -> ObjectRecord:
     """An object as the container writes it."""
-    same, grid = {name: getattr(one, name) for name in _SAME}, one.grid
-    return ObjectRecord(
-        grid_shape=grid.shape,
-        spacing_m=grid.spacing_m,
-        origin_m=grid.origin_m,
-        is_deforming=int(one.is_deforming),
-        **same,
-    )
+    own, grid = {**vars(one), "is_deforming": int(one.is_deforming)}, one.grid
+    del own["grid"]
+    return ObjectRecord(grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, **own)
 
 
 def coded_object(record: ObjectRecord) -> CodedObject:
     """The inverse of `record_of`."""
-    same = {name: getattr(record, name) for name in _SAME}
-    grid = Grid(record.grid_shape, record.spacing_m, record.origin_m)
-    return CodedObject(grid=grid, is_deforming=bool(record.is_deforming), **same)
+    own = {**vars(record), "is_deforming": bool(record.is_deforming)}
+    return CodedObject(grid=Grid(own.pop("grid_shape"), own.pop("spacing_m"), own.pop("origin_m")), **own)
 
 
 class SceneStream(OpenStream):

@@ -134,7 +134,7 @@ class OpenStream(ABC):
     def bits_of_voxels(self, supported: int) -> dict[str, Any]:
         """Stable keys: all bits of the file for each voxel that holds a force once it is decoded."""
         each = 8 * self.file_bytes / supported if supported else None
-        return {"decoded_supported_voxels": supported, "bits_per_supported_voxel": each}
+        return {"decoded_supported_voxels": supported, "bits_per_decoded_voxel": each}
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; those of the vibration only where there is one."""
@@ -188,9 +188,8 @@ class VoxelStream(OpenStream):
         def decoded(segment: int) -> Iterator[ForceField]:
             return decoder.frames(reader.read_segment(segment), reader.segments[segment].frame_count)
 
-        self.is_native = native.is_for(reader)
-        decode = native.decoder(reader, self.grid, decoded) if self.is_native else decoded
-        self._frames = SegmentFrames(reader, decode)
+        by_core = native.decoder(reader, self.grid, decoded)
+        self.is_native, self._frames = by_core is not None, SegmentFrames(reader, by_core or decoded)
 
     @property
     def medium(self) -> HapticMedium:

@@ -9,9 +9,16 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Final, Literal
 
-from touchfield.errors import InvalidArgument
+from touchfield.asked import Address, address
+from touchfield.errors import InvalidArgument, reason
 from touchfield.stream.datagrams import MOST_DATAGRAM, MOST_OPEN, Datagrams, Gathering
-from touchfield.stream.live import LiveSender
+from touchfield.stream.live import END, LiveSender
+
+_LAST: Final = b"\0"
+"""The end, which has no byte, as a message that has one."""
+
+_LAST_S: Final = 2.0
+"""So long nothing may come behind the end."""
 
 _OPENED_EVERY: Final = 4
 """Segments, before which the opening is told again for those who come."""
@@ -27,15 +34,8 @@ REPAIR: Final[Mapping[Layer, float]] = {"alone": 0.22, "fine": 0.15, "coarse": 0
 seventh of the bytes, is protected more, and both together take no larger a share than a stream alone."""
 
 
-def place_of(text: str) -> tuple[str, int]:
-    """Host and port of ``HOST:PORT`` or ``udp://HOST:PORT``.
-
-    Raises InvalidArgument if it is none.
-    """
-    host, colon, port = text.removeprefix("udp://").rstrip("/").rpartition(":")
-    if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise InvalidArgument("address", repr(text[:80]), "HOST:PORT of datagrams")
-    return host.strip("[]"), int(port)
+def _place_of(text: str) -> Address:
+    return address(text.lower().removeprefix("udp://").rstrip("/"), "address of datagrams")
 
 
 class UdpSender:
@@ -44,16 +44,15 @@ class UdpSender:
     `layer` tells what is sent; a coarse layer goes to the next port.
     """
 
-    def __init__(self, sender: LiveSender, address: str, layer: Layer = "alone") -> None:
-        host, port = place_of(address)
+    def __init__(self, sender: LiveSender, place: str, layer: Layer = "alone") -> None:
+        host, port = _place_of(place)
         if layer == "coarse":
-            host, port = place_of(f"{host}:{port + 1}")
+            host, port = _place_of(f"{host}:{port + 1}")
         self._to: Any
         try:
             family, kind, _, _, self._to = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         except OSError as error:
-            found = f"{address}: {error.strerror or error}"
-            raise InvalidArgument("address", found, "a host that is there") from None
+            raise InvalidArgument("address", f"{place}: {reason(error)}", "a host that is there") from None
         self._socket = socket.socket(family, kind)
         self._socket.setblocking(False)
         self._sender, self._datagrams, self._count = sender, Datagrams(secrets.randbits(32), REPAIR[layer]), 0
@@ -62,7 +61,7 @@ class UdpSender:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._send(self._datagrams.flush())
+        self._send([*self._datagrams.add(_LAST), *self._datagrams.flush()])
         self._socket.close()
 
     def add(self, message: bytes) -> None:
@@ -79,33 +78,35 @@ class UdpSender:
 
 
 class _Protocol(asyncio.DatagramProtocol):
-    def __init__(self, take: Callable[[bytes], None]) -> None:
-        self._take = take
+    def __init__(self, coming: asyncio.Queue[bytes]) -> None:
+        self._coming = coming
 
     def datagram_received(self, data: bytes, addr: object) -> None:
-        """Take a datagram; one that is too long is none of ours."""
-        if len(data) <= MOST_DATAGRAM:
-            self._take(data)
+        """Queue a datagram; one too many is as if lost on its way, one that is too long is none of ours."""
+        if len(data) <= MOST_DATAGRAM and not self._coming.full():
+            self._coming.put_nowait(data)
 
 
-async def listen(address: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
+async def listen(place: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
     """Receive datagrams at an address, until ``take(message)`` says that the stream is over.
 
     With `is_layered` another layer is felt for what is lost: it is given up once it could have come.
     """
-    host, port = place_of(address)
+    host, port = _place_of(place)
     gathering, coming = Gathering(most_open=_LAYERED_OPEN if is_layered else MOST_OPEN), asyncio.Queue[bytes](1 << 14)
-
-    def queue(datagram: bytes) -> None:
-        with suppress(asyncio.QueueFull):  # as if it had been lost on its way
-            coming.put_nowait(datagram)
-
     loop = asyncio.get_running_loop()
-    transport, _ = await loop.create_datagram_endpoint(lambda: _Protocol(queue), local_addr=(host, port))
+    transport, _ = await loop.create_datagram_endpoint(lambda: _Protocol(coming), local_addr=(host, port))
+    is_last = False
     try:
         while True:
-            for message in gathering.receive(await coming.get()):
-                if await asyncio.to_thread(take, message):
+            try:
+                datagram = await asyncio.wait_for(coming.get(), _LAST_S if is_last else None)
+            except TimeoutError:
+                await asyncio.to_thread(take, END)
+                return
+            for message in gathering.receive(datagram):
+                is_last = message == _LAST
+                if not is_last and await asyncio.to_thread(take, message):
                     return
     finally:
         transport.close()

@@ -5,6 +5,7 @@ The force is told in `touchfield.sources.depth_scene`, and how the loops are lai
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,10 +14,12 @@ from numba import njit
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s
 from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
+from touchfield.medium.field import bricks_of
 from touchfield.medium.grid import CORNERS
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
+    from touchfield.medium import Grid
     from touchfield.sources.kernels.planes import SurfacePlanes
 
 
@@ -24,6 +27,7 @@ _0, _1, HALF, _BIG = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1
 
 B3 = 512  # samples of a brick
 _NX, _NY, _NZ, _C, _PHI, _FORCE, _SCRATCH = (B3 * q for q in range(7))
+_AT_ONCE = 1 << 26  # bricks that a GPU looks at
 
 
 class Query(NamedTuple):
@@ -207,48 +211,6 @@ def _write(r, turn, out):
         out[3 * s + 2] = g * x + h * y + i * z
 
 
-@njit(nogil=True, fastmath={"contract"})
-def _force_of_sample(brick, s, query):
-    """Amplitude, newtons, and the normal of one sample: the loops above, one sample a thread."""
-    shape, offsets, pieces = query.shape, query.offsets_m, query.pieces
-    camera, planes, (height, width) = query.surface.camera_px, query.surface.planes, query.surface.size_px
-    if 8 * brick[0] + (s >> 6) >= shape[0] or 8 * brick[1] + (s >> 3 & 7) >= shape[1]:
-        return _0, (_0, _0, _0)
-    if 8 * brick[2] + (s & 7) >= shape[2]:
-        return _0, (_0, _0, _0)
-    x, y, z = first_sample(brick, query.lattice_m)
-    x, y, z = x + offsets[s], y + offsets[s + B3], z + offsets[s + 2 * B3]
-    p = 4 * pixel_of(x, y, z, camera[0], camera[1], camera[2] + HALF, camera[3] + HALF, height, width)
-    plane = planes[p], planes[p + 1], planes[p + 2], planes[p + 3]
-    phi = distance_at(x, y, z, plane, query.reach[0], query.reach[1])
-    f = _0
-    for i in range(pieces.shape[0]):
-        if pieces[i, 0] < phi <= pieces[i, 1]:
-            f = pieces[i, 2] + pieces[i, 3] * phi
-    return f, (plane[0], plane[1], plane[2])
-
-
-@njit(nogil=True)
-def _each_holds(begin, end, nodes, query, hits):
-    """Of 512 threads a brick each tells what it finds; all that tell the same may do so at once."""
-    for q in range(begin, end):
-        n, s = q >> 9, q & 511
-        f, _ = _force_of_sample(nodes[n], s, query)
-        if f != _0:
-            hits[n] = True
-
-
-@njit(nogil=True)
-def _each_fill(begin, end, nodes, query, out):
-    turn = query.turn
-    for q in range(begin, end):
-        n, s = q >> 9, q & 511
-        f, normal = _force_of_sample(nodes[n], s, query)
-        x, y, z = f * normal[0], f * normal[1], f * normal[2]
-        for c in range(3):
-            out[3 * q + c] = turn[c, 0] * x + turn[c, 1] * y + turn[c, 2] * z
-
-
 @njit(cache=True, nogil=True)
 def _fill(begin, end, nodes, query, out):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
@@ -257,27 +219,94 @@ def _fill(begin, end, nodes, query, out):
         _write(r, query.turn, out[1536 * n : 1536 * n + 1536])
 
 
+# -- the same on a GPU: a sample, or some of a brick, a thread -------------------------------------------------------
+@njit(nogil=True, forceinline=True)
+def _is_beyond(brick, s, shape):
+    """True if a sample of a brick lies beyond the grid."""
+    is_beyond = 8 * brick[0] + (s >> 6) >= shape[0] or 8 * brick[1] + (s >> 3 & 7) >= shape[1]
+    return is_beyond or 8 * brick[2] + (s & 7) >= shape[2]
+
+
+@njit(nogil=True, fastmath={"contract"})
+def _force_of_sample(first, s, query):
+    """Amplitude, newtons, and normal at a sample of the brick whose `first` one is there."""
+    offsets, pieces = query.offsets_m, query.pieces
+    camera, planes, (height, width) = query.surface.camera_px, query.surface.planes, query.surface.size_px
+    x, y, z = first[0] + offsets[s], first[1] + offsets[s + B3], first[2] + offsets[s + 2 * B3]
+    p = 4 * pixel_of(x, y, z, camera[0], camera[1], camera[2] + HALF, camera[3] + HALF, height, width)
+    plane = planes[p], planes[p + 1], planes[p + 2], planes[p + 3]
+    phi = distance_at(x, y, z, plane, query.reach[0], query.reach[1])
+    f = _0
+    if phi < _BIG:
+        for i in range(pieces.shape[0]):
+            if pieces[i, 0] < phi <= pieces[i, 1]:
+                f = pieces[i, 2] + pieces[i, 3] * phi
+    return f, (plane[0], plane[1], plane[2])
+
+
+@njit(nogil=True)
+def _each_holds(begin, end, start, shape, corners, query, hits):
+    """Of a grid of `shape` bricks, from number `start` on: eight threads a brick, each at every eighth sample.
+
+    To see the boxes of all takes less than to halve blocks. Threads that find a force may all tell it at once.
+    """
+    for q in range(begin, end):
+        n = q >> 3
+        row = (start + n) // shape[2]
+        brick = row // shape[1], row % shape[1], (start + n) % shape[2]
+        first = first_sample(brick, query.lattice_m)
+        z_low, z_high, pixels = _box_in_view(first[0], first[1], first[2], corners, query)
+        if z_low > z_high or not _near_surface(z_low, z_high, pixels, query.surface.tiles, query.reach):
+            continue
+        for s in range(q & 7, B3, 8):
+            if not _is_beyond(brick, s, query.shape) and _force_of_sample(first, s, query)[0] != _0:
+                hits[n] = True
+                break
+
+
+@njit(nogil=True)
+def _each_fill(begin, end, nodes, query, out):
+    turn = query.turn
+    for q in range(begin, end):
+        n, s = q >> 9, q & 511
+        f, normal = _force_of_sample(first_sample(nodes[n], query.lattice_m), s, query)
+        f = _0 if _is_beyond(nodes[n], s, query.shape) else f
+        x, y, z = f * normal[0], f * normal[1], f * normal[2]
+        for c in range(3):
+            out[3 * q + c] = turn[c, 0] * x + turn[c, 1] * y + turn[c, 2] * z
+
+
 def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
     """Cubes of `span` x `span` x `span` bricks that cannot be ruled out, bool [n]; `nodes` in units of `span`."""
-    corners = (8 * span - 1) * (CORNERS @ query.lattice_m[1:])
-    ends = [np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())]
-    view = nodes, span, np.vstack([corners, *ends]), query
-    if uses_gpu():
-        return on_host(filled(_may_hold, len(nodes), view, len(nodes), np.bool_))
     hits = np.empty(len(nodes), np.bool_)
-    for_chunks(_may_hold, len(nodes), *view, hits, chunk=64)
+    for_chunks(_may_hold, len(nodes), nodes, span, _corners(span, query.lattice_m), query, hits, chunk=64)
     return hits
+
+
+def _corners(span: int, lattice_m: Float64s) -> Float64s:
+    """Corners of a cube of bricks from its first sample on, camera axes, and its least and greatest z; [10, 3]."""
+    corners = (8 * span - 1) * (CORNERS @ lattice_m[1:])
+    return np.vstack([corners, np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())])
 
 
 def holds_force(bricks: Int32s, query: Query) -> Bools:
     """Bricks that hold at least one force, bool [n]."""
-    if uses_gpu():
-        hits = on_device(np.zeros(len(bricks), np.bool_))
-        for_each(_each_holds, B3 * len(bricks), *on_device((bricks, query)), hits)
-        return on_host(hits)
     hits = np.empty(len(bricks), np.bool_)
     for_chunks(_holds, len(bricks), bricks, query, hits, chunk=16)
     return hits
+
+
+def bricks_by_gpu(query: Query, grid: Grid) -> Int32s:
+    """Bricks with at least one force, int32 [n, 3], ascending."""
+    there, shape = on_device(query), grid.brick_shape
+    corners = _corners(1, on_host(there.lattice_m))
+    count, keys = math.prod(shape), [np.empty(0, np.int64)]
+    for first in range(0, count, _AT_ONCE):
+        some = min(_AT_ONCE, count - first)
+        hits = on_device(np.zeros(some, np.bool_))
+        for_each(_each_holds, 8 * some, first, shape, on_device(corners), there, hits)
+        keys.append(first + np.flatnonzero(on_host(hits)))
+    return bricks_of(grid, np.concatenate(keys))
 
 
 def brick_forces(bricks: Int32s, query: Query) -> Float32s:

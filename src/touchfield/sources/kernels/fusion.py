@@ -13,10 +13,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Int32s
-from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks
-from touchfield.sources.kernels.depth import B3, HALF, Query, first_sample, gather, pixel_of, pixels_of
+from touchfield.sources.kernels.depth import B3, Query, first_sample, gather, pixels_of
 
 _PASSED, CLEAR = 1, 2  # free: a ray passed; one did with nothing near it
 _CARVED = 128  # strikes of a surface that was carved
@@ -212,21 +211,6 @@ def _integrate(begin, end, bricks, view, rules, of):
             _learn(of, n, s, of_sample, index[s], plane, z0 + view.query.offsets_m[s + 2 * B3], view, rules)
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
-def _each_integrate(begin, end, bricks, view, rules, of):
-    """The same, one sample a thread."""
-    query, planes, offsets = view.query, view.query.surface.planes, view.query.offsets_m
-    camera, (height, width) = query.surface.camera_px, query.surface.size_px
-    for q in range(begin, end):
-        n, s = q >> 9, q & 511
-        x, y, z = first_sample(bricks[n], query.lattice_m)
-        x, y, z = x + offsets[s], y + offsets[s + B3], z + offsets[s + 2 * B3]
-        fx, fy, cx, cy = camera[0], camera[1], camera[2] + HALF, camera[3] + HALF
-        pixel = pixel_of(x, y, z, fx, fy, cx, cy, height, width)
-        plane = planes[4 * pixel], planes[4 * pixel + 1], planes[4 * pixel + 2], planes[4 * pixel + 3]
-        _learn(of, n, s, _measured(x, y, z, plane, rules), pixel, plane, z, view, rules)
-
-
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def _mark(begin, end, bricks, view, rules, out):
     index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
@@ -296,11 +280,6 @@ def _forces(begin, end, of, pieces, shape, bricks, out):
 
 def integrate(bricks: Int32s, view: View, rules: Rules, of: Samples) -> None:
     """Tell every sample of `bricks` what one view says."""
-    if uses_gpu():
-        there = on_device(of)
-        for_each(_each_integrate, B3 * len(bricks), *on_device((bricks, view)), rules, there)
-        of.take(Samples(*map(on_host, there)))
-        return
     for_chunks(_integrate, len(bricks), bricks, view, rules, of, chunk=16)
 
 
@@ -326,10 +305,6 @@ def surfaces_in(view: View, slots: Int32s, of: Samples, wanted: Bools) -> float 
 
 def brick_forces(of: Samples, pieces: Float32s, shape: tuple[int, int, int], bricks: Int32s) -> Float32s:
     """The forces of all bricks, newtons, float32 [n, 8, 8, 8, 3]."""
-    if uses_gpu():
-        at = of, pieces, shape, bricks
-        out = on_host(filled(_forces, B3 * len(bricks), at, (len(bricks), B3, 3), np.float32))
-        return out.reshape(-1, 8, 8, 8, 3)
     out = zero_forces(len(bricks))
     for_chunks(_forces, B3 * len(bricks), of, pieces, shape, bricks, out.reshape(-1, B3, 3), chunk=16 * B3)
     return out

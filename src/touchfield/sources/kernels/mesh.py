@@ -21,7 +21,6 @@ import numpy as np
 from numba import njit
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
-from touchfield.cuda import empty, filled, on_host, uses_gpu
 from touchfield.medium import Grid
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels import mesh_triangle as tri
@@ -226,35 +225,6 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
                         owners[b, i, j, k] = t
 
 
-@njit(nogil=True)
-def _each_force(begin, end, near, surface, frame, events, rule, pieces, owners, forces):
-    """The same for one sample a thread of a GPU, which looks at all triangles of its brick, in float64."""
-    bricks, spans, ids = near
-    table, normals = surface
-    lattice, shape = frame
-    for q in range(begin, end):
-        b, s = q >> 9, q & 511
-        i, j, k = 8 * bricks[b, 0] + (s >> 6), 8 * bricks[b, 1] + (s >> 3 & 7), 8 * bricks[b, 2] + (s & 7)
-        owners[q] = -1
-        forces[3 * q], forces[3 * q + 1], forces[3 * q + 2] = 0.0, 0.0, 0.0
-        if i >= shape[0] or j >= shape[1] or k >= shape[2] or spans[b, 0] == spans[b, 1]:
-            continue
-        x, y, z = lattice[0] + i * lattice[3], lattice[1] + j * lattice[4], lattice[2] + k * lattice[5]
-        t, least = ids[spans[b, 0]], math.inf
-        for c in range(spans[b, 0], spans[b, 1]):
-            dx, dy, dz, _, _ = tri.nearest(table, ids[c], x, y, z)
-            square = dx * dx + dy * dy + dz * dz
-            if square < least:
-                t, least = ids[c], square
-        is_inside = False
-        if rule[0] == CLOSED or rule[0] == LIDDED:
-            is_inside = winding_at(events, i, j, k, (shape[2] + 7) // 8) != 0
-        x, y, z = _force(table, normals, t, x, y, z, is_inside, rule, pieces)
-        if x != 0.0 or y != 0.0 or z != 0.0:
-            forces[3 * q], forces[3 * q + 1], forces[3 * q + 2] = x, y, z
-            owners[q] = t
-
-
 # -- what a motion adds, and where a shell ends -------------------------------------------------------------------
 # `owners` int32 [n, 8, 8, 8]: the nearest triangle of each sample with a force, -1 for the others
 @njit(nogil=True, forceinline=True)
@@ -392,19 +362,10 @@ def forces_near(
     spans = np.stack([start[:-1][order], start[1:][order]], axis=1)
     columns = np.stack([np.searchsorted(events, columns + e) for e in (0, 1 << COLUMN_SHIFT)], axis=1)
     rule = (band.sidedness, band.half_wall_m, tiny_m)
-    if uses_gpu():
-        owners, near = empty(512 * len(bricks), np.int32), ((bricks, spans, ids), surface, (lattice, shape))
-        work = (*near, events, rule, band.pieces, owners)
-        forces = on_host(filled(_each_force, 512 * len(bricks), work, 3 * 512 * len(bricks), np.float32))
-        forces, owners = forces.reshape(-1, 8, 8, 8, 3), on_host(owners).reshape(-1, 8, 8, 8)
-        has_force = forces.any(axis=(1, 2, 3, 4))
-    else:
-        forces = np.zeros((len(bricks), 8, 8, 8, 3), np.float32)
-        has_force = np.zeros(len(bricks), np.bool_)
-        owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
-        near_all, frame = (bricks, spans, ids, columns), (lattice, shape, limits)
-        about = (near_all, surface, frame, events, rule, band.pieces)
-        for_chunks(_fill_bricks, len(bricks), *about, forces, has_force, owners)
+    forces, has_force = np.zeros((len(bricks), 8, 8, 8, 3), np.float32), np.zeros(len(bricks), np.bool_)
+    owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
+    about = ((bricks, spans, ids, columns), surface, (lattice, shape, limits), events, rule, band.pieces)
+    for_chunks(_fill_bricks, len(bricks), *about, forces, has_force, owners)
     if motion is not None:
         for_chunks(add_motion, len(bricks), bricks, owners, surface[0], lattice, *motion, forces)
     if rim is not None:
