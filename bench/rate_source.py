@@ -22,7 +22,6 @@ import rate_symbols as lattices
 from rate_fields import Case, box
 from rate_symbols import F0_N, K
 from touchfield.filters.device_filter import device_medium
-from touchfield.job.placing import law_of
 from touchfield.job.prepare import open_scene, prepare
 from touchfield.medium import ForceField
 from touchfield.sources.camera import DepthSequence, Intrinsics, noise_step_per_m
@@ -87,7 +86,7 @@ class Source:
     def frames(self, maps: Maps, shrink: int) -> list[ForceField]:
         """The field made again of maps, stored units, of which a pixel stands for `shrink` x `shrink`."""
         scene, spec, at = self._scene(maps / self.sequence.metres.units_per_m, shrink), self.case.spec, self._prepared
-        law = law_of(spec, at.device)
+        law = spec.law_spec(at.device.force_max_n)
         profile = profile_of(law, math.inf if scene.is_solid else law.saturation_m)
         medium = device_medium(scene, at.device, at.medium.grid, at.placement, profile, spec.device_filter)
         return [medium[i] for i in range(len(maps))]

@@ -18,7 +18,7 @@ from reproduction.experiment import Experiment, Inputs, experiment, experiments
 from reproduction.page import Made, command, plain, write_finding, write_page
 from reproduction.scenes import user_inputs
 from touchfield.cli.main import Json, run
-from touchfield.cli.show import progress, show
+from touchfield.cli.show import Answer, progress
 from touchfield.errors import InvalidArgument, TouchfieldError
 
 __all__ = ["app", "run_reproduction"]
@@ -102,7 +102,7 @@ def _say(made: Sequence[Made], out: Path, page: Path | None, as_json: bool) -> N
             written[one.experiment.name] = f"{one.experiment.name}.md"
     if page is not None:
         written["page"] = page.name
-    show(written, f"reproduced in {out}", as_json)
+    Answer(written, f"reproduced in {out}").show(as_json)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,6 @@ import numpy as np
 from reproduction.experiment import Inputs
 from touchfield.devices import device
 from touchfield.filters.device_filter import device_grid
-from touchfield.job.placing import law_of
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.grid import Placement
@@ -72,7 +71,7 @@ class PaperScene:
     def profile(self) -> ForceProfile:
         """The force law of a solid, in scene metres."""
         spec = EncodeSpec()
-        law = law_of(spec, device(spec.device))
+        law = spec.law_spec(device(spec.device).force_max_n)
         return profile_of(law, math.inf).rescaled(self.placement.scale)
 
     def lattice(self, reading: str, is_nominal: bool) -> Grid:

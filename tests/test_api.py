@@ -192,6 +192,7 @@ def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.fl
     medium = medium_of(forces)
     done = tf.encode(medium, tmp_path / "x.touch")
     compared = tf.compare(medium, tmp_path / "x.touch")
+    assert not compared.notes  # no option was given that could do nothing
     with tf.open_stream(tmp_path / "x.touch") as stream:
         told = [repr(v) for v in (medium, medium[0], done, done.prepared, compared, stream.medium, tf.EncodeSpec())]
     assert all("\n" not in words and len(words) < 1600 for words in told)
@@ -242,7 +243,23 @@ def test_values_and_results_tell_of_themselves_in_one_line(forces: NDArray[np.fl
         (lambda f: tf.encode(medium_of(f), "x.touch", tf.TouchSpec()), "EncodeSpec"),  # type: ignore[arg-type]
         (lambda f: tf.encode(medium_of(f), None), "a path"),  # type: ignore[arg-type]
         (lambda f: tf.plan("sample:shapes", "64 parsecs"), "64kbit/s"),
-        (lambda f: tf.PlaySpec(seconds="1"), "--seconds"),  # type: ignore[arg-type]
+        (lambda f: tf.PlaySpec(seconds="1"), "^seconds: found '1'; expected a number"),  # type: ignore[arg-type]
+        (lambda f: tf.encode(medium_of(f), "x.npz"), "'.npz'; expected OUT.touch"),
+        (lambda f: tf.MeasureSpec(estimator="x"), "^estimator: "),
+        (lambda f: tf.EncodeSpec(nw="6"), "^nw: found '6'; expected a whole number"),  # type: ignore[arg-type]
+        (lambda f: tf.EncodeSpec(nw=99), "^nw: found 99; expected a whole number from 3 to 10"),
+        (lambda f: tf.EncodeSpec(mapping="-1"), "^mapping: .*positive"),
+        (lambda f: tf.EncodeSpec(mapping="wide"), "^mapping: .*fit, fill"),
+        (lambda f: tf.EncodeSpec(frames=(3, 1)), "^frames: .*START below STOP"),
+        (lambda f: tf.EncodeSpec(fit_frames=3), "^fit_frames: "),  # type: ignore[arg-type]
+        (lambda f: tf.EncodeSpec(law="glue"), "one of penalty"),
+        (lambda f: tf.EncodeSpec(pool="deep"), "^pool: "),
+        (lambda f: tf.EncodeSpec(representation="x"), "^representation: "),
+        (lambda f: tf.EncodeSpec(surface_damping_n_s_per_m=-1), "^surface_damping"),
+        (lambda f: tf.EncodeSpec(filters=(("glue", "2mm"),)), "^filters: .*one of gaussian"),
+        (lambda f: tf.EncodeSpec(touch=3), "TouchSpec"),  # type: ignore[arg-type]
+        (lambda f: tf.TouchSpec(k="0.1"), "^k: .*a number"),  # type: ignore[arg-type]
+        (lambda f: tf.SourceOptions(allow_outside=1), "True or False"),  # type: ignore[arg-type]
         (lambda f: tf.filters.Gain("2"), "gain"),  # type: ignore[arg-type]
         (lambda f: tf.filters.gaussian("signal", 1.0), "no array of numbers"),
     ],

@@ -253,6 +253,11 @@ def test_a_table_goes_through_its_file_and_a_stream_unharmed(tmp_path: Path) -> 
     assert vibration(heard)[x < -0.01].std() > 10 * max(vibration(still)[x < -0.01].std(), 1e-6)
     with pytest.raises(InvalidArgument, match=r"letters; expected at most 4096\. Give it beside the file"):
         store_materials(tmp_path / "a.touch", [replace(oak(), name=str(n)) for n in range(9)], tmp_path / "c.touch")
+    with pytest.raises(InvalidArgument, match=r"'\.json'; expected OUT\.touch"):
+        store_materials(tmp_path / "a.touch", again, tmp_path / "c.json")
+    with pytest.raises(InvalidArgument, match=r"'\.touch'; expected TABLE\.json"):
+        write_table(tmp_path / "c.touch", again)
+    assert not list(tmp_path.glob("c.*"))
 
 
 BAD_TABLES = [

@@ -14,7 +14,7 @@ from PIL import Image
 from touchfield import job
 from touchfield.cli.look import show_measurement
 from touchfield.cli.main import _exit_code
-from touchfield.cli.show import show, show_rows
+from touchfield.cli.show import Answer, show_rows
 from touchfield.devices import devices
 from touchfield.job import EncodeSpec, Measurement, MeasureSpec
 from touchfield.measure import Interval, Quantity, capacity
@@ -44,7 +44,7 @@ def test_a_name_is_no_formula_in_the_pictures(tmp_path: Path, measured: Measurem
     replace(measured, name=name).draw(tmp_path / "bits.png")
     draw_information(tmp_path / "names.png", name, "$\\foo$", [Bar(name, 2.0)], {name: measured.capacities["dotpad"]})
     field = job.prepare(tiny_scenes()[0], EncodeSpec(nw=4)).medium[0]
-    draw_comparison(tmp_path / "fields.png", field, field, name, "x right, y up", (0.1, 0.02), (name, name))
+    draw_comparison(tmp_path / "fields.png", field, field, name, "x right, y up", (0.1, 0.02))
     for drawn in ("bits", "names", "fields"):
         with Image.open(tmp_path / f"{drawn}.png") as image:
             assert len(np.unique(np.asarray(image.convert("L")))) > 20
@@ -78,7 +78,7 @@ def test_names_are_printed_as_they_are(
     named = replace(measured, name="sample:motorcycle:[red]", notes=(":smile: [bold]",))
     printed = _printed(named, capsys, monkeypatch)
     assert "sample:motorcycle:[red]" in printed and "note: :smile: [bold]" in printed
-    show({":motorcycle:": "[red]:motorcycle:"}, ":motorcycle:", False, (":motorcycle:",))
+    Answer({":motorcycle:": "[red]:motorcycle:"}, ":motorcycle:", (":motorcycle:",)).show()
     show_rows([{"stage": ":motorcycle:"}], ":motorcycle:")
     assert capsys.readouterr().out.count(":motorcycle:") == 6
 
@@ -86,7 +86,7 @@ def test_names_are_printed_as_they_are(
 def test_nothing_is_cut_off(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     words = "kind=salt-pepper,seed=4,density=0.05,rms=0.1," * 3
-    show({"filters": words}, "long", False)
+    Answer({"filters": words}, "long").show()
     printed = capsys.readouterr().out
     assert words in "".join(printed.split()) and "\u2026" not in printed
     stages = [{"stage": f"multiresolution-{i}", "supported_voxels": 14942 + i} for i in range(6)]
@@ -108,17 +108,17 @@ def test_devices_fit_a_terminal_a_line_each(capsys: Capture, monkeypatch: pytest
 
 
 def test_names_are_listed_and_sizes_multiplied(capsys: Capture) -> None:
-    show({"names": ["torso", "arm"], "shape": [3, 4, 5]}, "", False)
+    Answer({"names": ["torso", "arm"], "shape": [3, 4, 5]}, "").show()
     printed = capsys.readouterr().out
     assert "torso, arm" in printed and "3 x 4 x 5" in printed
 
 
 def test_zero_has_no_sign(capsys: Capture) -> None:
-    show({"a": -0.0, "b": [-0.0, {"c": np.array([-0.0])}], "d": np.float64(-0.0)}, "", True)
+    Answer({"a": -0.0, "b": [-0.0, {"c": np.array([-0.0])}], "d": np.float64(-0.0)}, "").show(True)
     assert "-0" not in capsys.readouterr().out
-    show({"a": -0.0, "b": (-0.0, 1.0)}, "zeros", False)
+    Answer({"a": -0.0, "b": (-0.0, 1.0)}, "zeros").show()
     assert "-0" not in capsys.readouterr().out
-    show({"inner": {"notes": (1, 2)}}, "", True)
+    Answer({"inner": {"notes": (1, 2)}}, "").show(True)
     assert json.loads(capsys.readouterr().out)["inner"]["notes"] == [1, 2]
 
 

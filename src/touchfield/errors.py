@@ -19,8 +19,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from importlib import import_module
-from typing import Any
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any, Final
 
 
 class TouchfieldError(Exception):
@@ -148,11 +151,45 @@ def require_up_to(high: float, **values: float) -> None:
     _require(f"above 0, up to {high:.9g}", values, lambda value: 0 < value <= high)
 
 
+def require_ending(path: str | Path, *names: str, mend: str = "") -> None:
+    """`InvalidArgument` for a file whose name does not end as one of these, ``OUT.touch`` or ``.touch``, does."""
+    ending = Path(path).suffix
+    if ending.lower() not in ("." + name.rpartition(".")[2] for name in names):
+        raise InvalidArgument(str(path), f"the ending {ending!r}", " or ".join(names), mend)
+
+
 def require_one_of(where: str, value: object, choices: Collection[str]) -> None:
     """`InvalidArgument` naming `where` for a value that is not among the choices."""
     if value not in choices:
         expected = " or ".join(choices) if len(choices) == 2 else f"one of {', '.join(choices)}"
         raise InvalidArgument(where, repr(value), expected)
+
+
+KINDS: Final[dict[str, tuple[Any, Any, str]]] = {
+    "bool": (bool, bool, "True or False"), "int": (int, Integral, "a whole number"),
+    "float": (float, Real, "a number"), "str": (str, (str, Path), "text"), "Path": (Path, (str, Path), "a path"),
+}  # fmt: skip
+"""By the annotation of a field what the command line makes for it, what it may be, and the words for that."""
+
+
+def require_kinds(spec: Any, **choices: Collection[str]) -> None:
+    """`InvalidArgument` for a field of a dataclass that is not what its annotation, of `KINDS`, or its default is.
+
+    Of fields that are one of some words these are the `choices`.
+    """
+    for one in fields(spec):
+        value, own, (name, none, _) = getattr(spec, one.name), one.default_factory, str(one.type).partition(" | None")
+        if isinstance(own, type):
+            kind, expected = own, f"{own.__name__}(...)"
+        elif name in KINDS:
+            _, kind, expected = KINDS[name]
+        else:
+            continue
+        fits = isinstance(value, kind) and (name == "bool" or not isinstance(value, bool))
+        if not (fits or (none and value is None)):
+            raise InvalidArgument(one.name, repr(value), expected)
+        if one.name in choices:
+            require_one_of(one.name, value, choices[one.name])
 
 
 @contextmanager

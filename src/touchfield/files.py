@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from touchfield.errors import SourceError
+from touchfield.errors import InvalidArgument, SourceError
 
 
 def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: bool = False) -> None:
@@ -30,6 +30,17 @@ def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: boo
         return
     kind = "a folder" if stat.S_ISDIR(mode) else "a pipe, a socket or a device"
     raise SourceError(os.fspath(path), kind, expected)
+
+
+def is_same_file(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> bool:
+    """True where two names stand for one file that is there."""
+    return os.path.exists(a) and os.path.exists(b) and os.path.samefile(a, b)
+
+
+def keep_sources(out: str | os.PathLike[str], *sources: str | os.PathLike[str]) -> None:
+    """Refuse to write over what is read, with `InvalidArgument`."""
+    if any(is_same_file(source, out) for source in sources):
+        raise InvalidArgument(str(out), "the file that is read", "another name", "Name a new file for the result.")
 
 
 @contextmanager

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 
+import pytest
 from numba import njit
 
 from touchfield.cli.show import compilation_told
@@ -18,3 +20,13 @@ def test_compilation_is_told_once_and_only_where_it_takes_place() -> None:
     with compilation_told(lines.append):
         assert [kernel(2) for kernel in kernels] == [3, 1]
     assert len(lines) == 1
+
+
+def test_an_interrupt_that_a_compiler_cannot_raise_ends_the_job(capfd: pytest.CaptureFixture[str]) -> None:
+    @ctypes.CFUNCTYPE(None)
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), compilation_told(lambda line: interrupted()):
+        njit(lambda x: x + 1)(2)
+    assert not capfd.readouterr().err and gc.isenabled()

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import ModuleType
 from typing import Any
 
 import pytest
 
+from touchfield.asked import option
+from touchfield.cli.options import _options_of
 from touchfield.codec import registry
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.segment import CodedSegment
@@ -26,7 +28,7 @@ class CountSpec:
 
     k: float = 0.1
     segment_frames: int = 8
-    letter: str = "x"
+    letter: str = option("x", "a letter.")
 
 
 class CountEncoder:
@@ -54,7 +56,7 @@ def third(monkeypatch: pytest.MonkeyPatch) -> None:
     module.CountEncoder, module.CountDecoder = CountEncoder, CountDecoder
     module.CODER = registry.Coder(
         "count", "count_entry:CountEncoder", "count_entry:CountDecoder", CountSpec,
-        {"count": lambda asked: CountSpec(**asked)}, (registry.CoderOption("letter", str, "a letter."),),
+        {"count": lambda asked: CountSpec(**asked)},
     )  # fmt: skip
     monkeypatch.setitem(sys.modules, "count_entry", module)
     monkeypatch.setitem(registry.ENTRIES, "count", "count_entry")
@@ -97,7 +99,10 @@ def test_what_is_no_coder_of_fields_is_refused() -> None:
 @pytest.mark.parametrize("name", ["touch", "paper"])
 def test_every_option_is_a_field_of_the_spec_or_a_word_of_its_maker(name: str) -> None:
     one = registry.coder(name)
-    assert one.spec is not None and {"k", "segment_frames"} <= {option.key for option in one.options}
-    for option in one.options:
-        assert hasattr(one.spec(), option.key) or option.key in ("lossless_quantised", "body_site")
+    options = _options_of(one)
+    assert one.spec is not None and {"k", "segment_frames"} <= options.keys()
+    for key in options:
+        assert hasattr(one.spec(), key) or key in ("lossless_quantised", "body_site")
+    asked = {field.name for field in fields(one.spec) if field.metadata}
+    assert asked | one.words.keys() == options.keys(), "an order that is given names all"
     assert all(isinstance(make({}), one.spec) for make in one.makers.values())

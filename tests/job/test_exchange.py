@@ -233,7 +233,7 @@ def test_what_cannot_be_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -
     hjif, tact = tmp_path / "a.hjif", tmp_path / "a.tact"
     calls: list[tuple[type[TouchfieldError], str, tuple[Any, ...]]] = [
         (InvalidArgument, "ending", (wall, tmp_path / "a.mp3")),
-        (InvalidArgument, "--full-scale-n", (vest, hjif, None, None, "front", silent, 2.0)),
+        (InvalidArgument, "full_scale_n", (vest, hjif, None, None, "front", silent, 2.0)),
         (InvalidArgument, "--device", (wall, hjif)),
         (InvalidArgument, "array of actuators", (wall, hjif, "omega.3")),
         (InvalidArgument, "tactsuit-x40", (vest, tact, "tshirt-32x32")),

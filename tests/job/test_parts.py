@@ -158,6 +158,16 @@ def test_a_run_goes_on_from_what_was_finished(source: Path, alone: bytes, tmp_pa
     assert out.read_bytes() == alone
 
 
+def test_frames_without_a_force_are_told_of_where_parts_were_there(source: Path, tmp_path: Path) -> None:
+    asked, out = replace(SPEC, touch=replace(SPEC.touch, f0_n=50.0)), tmp_path / "a.touch"
+    with pytest.raises(SourceError):
+        encode(source, out, asked, executor=Straight(4))
+    notes = encode(source, out, asked, executor=Straight()).notes
+    assert any("4 of 7 parts" in note for note in notes)
+    told = [note for note in encode(source, tmp_path / "b.touch", asked).notes if "nothing can be felt" in note]
+    assert told and set(told) <= set(notes) and f"{FRAMES} of {FRAMES}" in told[0]
+
+
 def test_parts_that_are_damaged_or_of_another_job_are_made_again(source: Path, alone: bytes, tmp_path: Path) -> None:
     out = tmp_path / "a.touch"
     with pytest.raises(SourceError):

@@ -320,6 +320,7 @@ def test_an_animated_model_bends_the_stream_of_a_pose(tmp_path: Path, capsys: py
         (["deform", str(stream), "-o", str(tracks)], "no model and no compliance"),
         (["deform", str(stream), str(model), "-o", str(tracks), "--frames", "30:31"], "--frames"),
         (["deform", str(stream), str(model), "-o", str(stream)], "snake.touch"),
+        (["deform", str(stream), str(model), "-o", str(tracks.with_suffix(".npy"))], "DEFORMATION.npz"),
         ([*play, str(stream)], "snake.touch"),
     ):
         capsys.readouterr()

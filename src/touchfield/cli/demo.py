@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
-from touchfield.cli.show import progress, show
+from touchfield.cli.show import Answer, progress
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.job import EncodeSpec, compare, encode
 from touchfield.job.play import PlaySpec, play
@@ -27,9 +27,9 @@ SCENES: Final = {
         "the Jacksboro fault, Tennessee, heights times 5, for a Phantom Omni",
         EncodeSpec(source=SourceOptions(exaggeration=5.0), friction=FRICTION),
     ),
+    "shapes": ("six shapes on a tray, for a Phantom Omni", EncodeSpec(friction=FRICTION)),
 }
-SHAPES: Final = ("six shapes on a tray, for a Phantom Omni", EncodeSpec(friction=FRICTION))
-"""The scene that needs no library beside the core."""
+"""The last needs no library beside the core."""
 
 
 def run_demo(folder: Path, as_json: bool) -> None:
@@ -41,7 +41,7 @@ def run_demo(folder: Path, as_json: bool) -> None:
     results: dict[str, Any] = {}
     missing: list[TouchfieldError] = []
     draws = find_spec("matplotlib") is not None
-    for name, (what, spec) in [*SCENES.items(), ("shapes", SHAPES)]:
+    for name, (what, spec) in SCENES.items():
         if name == "shapes" and results:
             break
         try:
@@ -50,9 +50,9 @@ def run_demo(folder: Path, as_json: bool) -> None:
             missing.append(error)
             continue
         if not as_json:
-            show(results[name], f"{name}: {what}", notes=_made(folder / name, draws))
+            Answer(results[name], f"{name}: {what}", _made(folder / name, draws)).show()
     if as_json:
-        show(results, "demo", True, tuple(str(error) for error in missing))
+        Answer(results, "demo", [str(error) for error in missing]).show(True)
         return
     for fault in missing:
         sys.stdout.write(f"left out: {fault}\n")

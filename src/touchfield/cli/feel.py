@@ -11,7 +11,7 @@ import typer
 
 from touchfield.cli.main import Asked, Json, Stream, command
 from touchfield.cli.options import asks, fields_of, numbers_of, rows, rows_of
-from touchfield.cli.show import check_results, progress, show
+from touchfield.cli.show import Answer, check_results, progress
 from touchfield.errors import InvalidArgument
 from touchfield.job.play import PlaySpec
 from touchfield.medium.deformation import read_deformation
@@ -56,7 +56,7 @@ def play(
 
     if check:
         verdict = check_play(stream, asked["speed"])
-        show(verdict, stream, as_json)
+        Answer(verdict, stream).show(as_json)
         if not verdict["can_play"]:
             raise typer.Exit(1)
         return
@@ -79,7 +79,7 @@ def play(
             *notes,
             f"{100 * share:.3g} % of the time there was nothing, as frames came too late: this has failed",
         )
-    show(played.statistics, str(stream), as_json, notes)
+    Answer(played.statistics, stream, notes).show(as_json)
     played.checked()
     if played.is_starved:
         raise typer.Exit(1)

@@ -9,7 +9,7 @@ import typer
 
 from touchfield.cli.main import Asked, Stream, command
 from touchfield.cli.options import CODER, SCENE, Workers, asks, coder_spec, encode_spec, numbers_of
-from touchfield.cli.show import Answer, check_results, progress, show, show_notes
+from touchfield.cli.show import Answer, check_results, progress, show_notes
 from touchfield.errors import InvalidArgument
 from touchfield.job.executors import executor_of
 
@@ -33,10 +33,7 @@ def index(folder: Folder, index_file: IndexFile = None, workers: Workers = None)
     faults = done.faults
     left_out = [f"left out: {name}: {fault}" for name, fault in list(faults.items())[:_TOLD]]
     more = (f"{len(faults) - _TOLD} more are left out; --json tells them all",) if len(faults) > _TOLD else ()
-
-    def people() -> None:
-        show(done.summary(), str(done.path), notes=(*done.notes, *left_out, *more))
-
+    people = Answer(done.summary(), str(done.path), (*done.notes, *left_out, *more)).show
     return Answer({**done.summary(), "faults": faults}, str(folder), done.notes, people=people)
 
 
@@ -91,7 +88,7 @@ def similar(
     names = {"normalised": "NMI", "variation": "VI / bit", "jensen_shannon": "sqrt(JSD)", "compression": "NCD"}
     short = {names.get(k, k): v["value"] if k in names and v else v for k, v in figures.items()}
     title = f"{first} and {second}"
-    return Answer(figures, title, done.notes, people=lambda: show(short, title, notes=done.notes))
+    return Answer(figures, title, done.notes, people=Answer(short, title, done.notes).show)
 
 
 @command("Study", "correlate video.mp4 room.touch")

@@ -15,7 +15,6 @@ from touchfield.cli.options import SCENE, asks, encode_spec, fields_of, rows_of
 from touchfield.cli.show import (
     Answer,
     check_results,
-    is_same_file,
     literal_console,
     progress,
     show_notes,
@@ -23,6 +22,7 @@ from touchfield.cli.show import (
 )
 from touchfield.container.remote import is_remote
 from touchfield.errors import InvalidArgument, MissingExtra
+from touchfield.files import is_same_file
 from touchfield.job import Measurement, MeasureSpec
 from touchfield.viewer.page import is_our_picture
 

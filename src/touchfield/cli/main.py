@@ -15,13 +15,12 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import wraps
 from importlib import import_module
-from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
 
 from touchfield._version import __version__
-from touchfield.errors import TouchfieldError
+from touchfield.errors import InvalidArgument, TouchfieldError
 from touchfield.sources.samples import SAMPLES
 
 app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
@@ -34,8 +33,6 @@ Asked = dict[str, Any]
 Json = Annotated[bool, typer.Option("--json", help="Print one machine-readable object; an error, too, as one.")]
 Source = Annotated[str, typer.Argument(help=f"File or folder, or {_SAMPLES}.")]
 Stream = Annotated[str, typer.Argument(help="A .touch file, or the address of one: https://...")]
-Trajectory = Annotated[Path | None, typer.Option(help="Where the probe goes: CSV of t_s,x_m,y_m,z_m.")]
-FieldFile = Annotated[Path, typer.Argument(help="FIELD.npz, or FIELD.vti for ParaView.")]
 
 
 def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Callable[..., Any]], Any]:
@@ -59,7 +56,13 @@ def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Ca
             as_json = given.pop("as_json") if has_answer else False
             if options:  # as on the command line; what is not there follows
                 given["asked"] = {key.rstrip("_"): given.pop(key) for key in context.params if key in names}
-            answer = function(**given)
+            try:
+                answer = function(**given)
+            except InvalidArgument as error:  # a job names a field; here it is an option
+                typed = {p.name: p.opts[0] for p in context.command.params if p.param_type_name == "option"}
+                if error.where not in typed:
+                    raise
+                raise InvalidArgument(typed[error.where], error.found, error.expected, error.mend) from error
             if answer is not None:
                 answer.show(as_json)
 

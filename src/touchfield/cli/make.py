@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from touchfield import job
-from touchfield.cli.main import Asked, Source, Stream, Trajectory, command
+from touchfield.cli.main import Asked, Source, Stream, command
 from touchfield.cli.options import (
     BESIDE,
     CODER,
@@ -26,7 +26,6 @@ from touchfield.cli.options import (
 from touchfield.cli.show import (
     Answer,
     check_results,
-    keep_source,
     literal_console,
     progress,
     show_notes,
@@ -34,7 +33,8 @@ from touchfield.cli.show import (
 )
 from touchfield.container.remote import is_remote
 from touchfield.cuda import computing
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_ending
+from touchfield.files import keep_sources
 from touchfield.job import Plan, Trial
 from touchfield.job.executors import executor_of
 
@@ -61,10 +61,8 @@ def encode(
 ) -> Answer:
     """Turn SOURCE into a .touch file."""
     out = Path(to)
-    keep_source(source, out)
-    if out.suffix not in (".touch", ".zarr"):
-        mend = "For a field take: touchfield field."
-        raise InvalidArgument(to, f"the ending {out.suffix!r}", "OUT.touch or OUT.zarr", mend)
+    keep_sources(out, source)
+    require_ending(to, "OUT.touch", "OUT.zarr", mend="For a field take: touchfield field.")
     spec, target = encode_spec(asked), target_of(asked)
     if is_remote(to) and (target is not None or out.suffix == ".zarr"):
         raise InvalidArgument("targets and .zarr work with a path, not with an address")
@@ -104,8 +102,7 @@ def filter_(
     if not spec.filters and all(words is None for words in beside.values()):
         names = ", ".join(f"--{row.name}" for row in (*filter_rows(), *BESIDE))
         raise InvalidArgument(f"touchfield filter has no filter to apply: name at least one of {names}")
-    if out.suffix not in (".touch", ".npz", ".vti"):
-        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, or FIELD.npz or FIELD.vti")
+    require_ending(out, "OUT.touch", "FIELD.npz", "FIELD.vti")
     is_stream = out.suffix == ".touch"
     stray = [name for name, words in {**beside, "workers": workers}.items() if words is not None]
     if stray and not is_stream:
@@ -130,7 +127,7 @@ def filter_(
 
     def people() -> None:
         title = f"before and after each filter (Q {measured['quantiser']})"
-        Answer({**shown, "stages": measured["stages"]}, str(out), notes, {"stages": title}).show(False)
+        Answer({**shown, "stages": measured["stages"]}, str(out), notes, {"stages": title}).show()
 
     return Answer({**shown, "report": measured}, str(out), notes, people=people)
 
@@ -246,7 +243,7 @@ def export(
     stream: Stream,
     out: Annotated[Path, "OUT.hjif (ISO/IEC 23090-31), .tact (bHaptics), .wav, .haptic (Meta), .ahap or .html."],
     device: Annotated[str | None, "Profile: the array whose drives are written; default: the stream's."] = None,
-    trajectory: Trajectory = None,
+    trajectory: Annotated[Path | None, "Where the probe goes: CSV of t_s,x_m,y_m,z_m."] = None,
     panel: Annotated[str, "Of an array with two panels: front or back."] = "front",
     full_scale_n: Annotated[float, "A force as .hjif: newtons told as 1, for readers that clip there."] = 1.0,
     source: Annotated[str | None, "SOURCE of the file: the page shows it, and the difference, too."] = None,
@@ -270,9 +267,7 @@ def import_(
     """Turn an effect into a .touch file: a symbolic medium for an array of actuators."""
     from touchfield.job.exchange import import_effect
 
-    keep_source(effect, out)
-    if out.suffix != ".touch":
-        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch")
+    keep_sources(out, effect)
     with progress("import") as report:
         done = import_effect(effect, out, None, rate_hz, force_max_n, report)
     return Answer(done.summary(), str(out), done.notes)

@@ -8,17 +8,16 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
 
 import typer
 
 from touchfield.cli.main import BY_NAME
-from touchfield.codec.registry import field_coders
-from touchfield.errors import InvalidArgument
+from touchfield.codec.registry import Coder, field_coders
+from touchfield.errors import KINDS, InvalidArgument
 from touchfield.filters.registry import field_filters
 from touchfield.job import EncodeSpec, Target
-from touchfield.job.spec import COEFFICIENTS, Frames
+from touchfield.job.spec import COEFFICIENTS, Frames, require_frames
 from touchfield.sources.options import SourceOptions
 
 DeviceCompute = Annotated[
@@ -50,21 +49,18 @@ class Row(NamedTuple):
         return self.name.replace("-", "_")
 
 
-_KINDS: Final = {
-    name: kind
-    for one in (bool, int, float, str, Path)
-    for name, kind in ((one.__name__, one), (f"{one.__name__} | None", one | None))
-}
-"""By the annotation of a field; any other is asked for in words."""
+def _kind(annotation: Any) -> Any:
+    """By the annotation of a field its type on the command line; what is none of `KINDS` is asked for in words."""
+    words = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    name, none, _ = words.partition(" | None")
+    kind, *_ = KINDS.get(name, KINDS["str"])
+    return kind if name in KINDS and not none else kind | None
 
 
-def rows_of(spec: type[Any], panel: str | None = None, *names: str) -> tuple[Row, ...]:
+def rows_of(spec: Any, panel: str | None = None, *names: str) -> tuple[Row, ...]:
     """The fields of a spec that are options (`touchfield.asked`): all, or those of these names."""
     asked = [one for one in fields(spec) if one.metadata and (not names or one.name in names)]
-    return tuple(
-        Row(dashed(one.name), _KINDS.get(str(one.type), str | None), one.default, one.metadata["help"], panel)
-        for one in asked
-    )
+    return tuple(Row(dashed(one.name), _kind(one.type), one.default, one.metadata["help"], panel) for one in asked)
 
 
 def rows(panel: str, *options: tuple[str, Any, Any, str]) -> tuple[Row, ...]:
@@ -95,14 +91,20 @@ SCENE: Final = (
 )
 
 
+def _options_of(coder: Coder) -> dict[str, tuple[Any, str]]:
+    """Of a coder the type and the help of each option."""
+    own = {row.key: (row.kind, row.words) for row in rows_of(coder.spec)} | dict(coder.words)
+    return {key: own[key] for key in coder.options or own}
+
+
 def _coder_rows() -> tuple[Row, ...]:
     """One option for each that a coder takes; where several take one, its help tells what it is to each."""
     words = [word for one in field_coders().values() for word in one.makers]
-    options: dict[str, tuple[type, list[str], list[str]]] = {}
+    options: dict[str, tuple[Any, list[str], list[str]]] = {}
     for one in field_coders().values():
-        for option in one.options:
-            _, helps, names = options.setdefault(option.key, (option.kind, [], []))
-            helps.append(f"{one.name}: {option.help}")
+        for key, (kind, words_of_it) in _options_of(one).items():
+            _, helps, names = options.setdefault(key, (kind, [], []))
+            helps.append(f"{one.name}: {words_of_it}")
             names.append(one.name)
     most = f"{', '.join(words)} (literal: every part as printed in the paper)."
     made = [Row("coder", str, words[0], most, "Coder")]
@@ -169,8 +171,7 @@ def frames_of(option: str, text: str | None) -> Frames | None:
         last = int(stop) if stop else (None if colon else first + 1)
     except ValueError:
         raise InvalidArgument(option, repr(text), "START:STOP, such as 0:24") from None
-    if first < 0 or (last is not None and last <= first):
-        raise InvalidArgument(option, repr(text), "START below STOP, neither negative")
+    require_frames(option, (first, last))
     return first, last
 
 
@@ -197,13 +198,13 @@ def _coder(asked: dict[str, Any]) -> dict[str, Any]:
     if own is None:
         raise InvalidArgument("--coder", repr(word), f"one of {', '.join(w for one in coders for w in one.makers)}")
     values = {key: value for key, value in asked.items() if value is not None and value is not False}
-    taken = {option.key for option in own.options}
+    taken = {*_options_of(own), *own.hints}
     for other in coders:
-        for option in other.options:
-            if option.key in values and option.key not in taken:
-                said = f"--{dashed(option.key)} works with --coder {other.name}, not with {word}"
+        for key in _options_of(other):
+            if key in values and key not in taken:
+                said = f"--{dashed(key)} works with --coder {other.name}, not with {word}"
                 raise InvalidArgument(said, mend="Take it out, or change the coder.")
-    chosen = {key: values[key] for key in values if key in taken | set(own.hints)}
+    chosen = {key: values[key] for key in values if key in taken}
     return {"coder": own.name, own.name: own.makers[word](chosen)}
 
 

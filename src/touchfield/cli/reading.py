@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from pathlib import Path
 from typing import Annotated, Any
 
-from touchfield.cli.main import FieldFile, Stream, command
-from touchfield.cli.show import Answer, keep_source, progress, show
+from touchfield.cli.main import Stream, command
+from touchfield.cli.show import Answer, progress
 from touchfield.errors import CorruptFile
+from touchfield.files import keep_sources
 
 
 @command("Look", "info room.touch", "info room.touch --voxels --json")
@@ -23,7 +25,7 @@ def info(
         if voxels:
             with progress("decode") as report:
                 shown |= opened.bits_of_voxels(opened.supported_voxels(report))
-    return Answer(shown, str(stream), people=lambda: show(_for_people(shown), str(stream)))
+    return Answer(shown, str(stream), people=lambda: Answer(_for_people(shown), stream).show())
 
 
 def _for_people(summary: dict[str, Any]) -> dict[str, Any]:
@@ -38,11 +40,11 @@ def _for_people(summary: dict[str, Any]) -> dict[str, Any]:
 
 
 @command("Make", "decode room.touch field.npz", "decode room.touch field.vti")
-def decode(stream: Stream, out: FieldFile) -> Answer:
+def decode(stream: Stream, out: Annotated[Path, "FIELD.npz, or FIELD.vti for ParaView."]) -> Answer:
     """Turn a .touch file back into a force field."""
     from touchfield.stream.opened import open_stream, write_field
 
-    keep_source(stream, out)
+    keep_sources(out, stream)
     with open_stream(stream) as opened, progress("decode", compiles=not opened.is_native) as report:
         written = write_field(out, opened.medium, report, opened.placement)
         shown = {"file": str(written), "frames": len(opened.medium), "grid_shape": list(opened.medium.grid.shape)}

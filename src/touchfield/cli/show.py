@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -14,23 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from touchfield.errors import InvalidArgument
+from touchfield.files import keep_sources
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
 _GAP = 2  # blanks between columns
-
-
-def is_same_file(a: str | Path, b: str | Path) -> bool:
-    """True where two names stand for one file that is there."""
-    return os.path.exists(a) and os.path.exists(b) and os.path.samefile(a, b)
-
-
-def keep_source(source: str | Path, out: Path) -> None:
-    """Refuse to write over what is read, with InvalidArgument."""
-    if is_same_file(source, out):
-        raise InvalidArgument(str(out), "the file that is read", "another name", "Name a new file for the result.")
 
 
 def check_results(reads: Sequence[str | Path | None], *results: Path | None) -> None:
@@ -43,9 +32,7 @@ def check_results(reads: Sequence[str | Path | None], *results: Path | None) -> 
             continue
         if not out.parent.is_dir():
             raise InvalidArgument(str(out), f"no folder {out.parent}", "a folder that is there")
-        for read in reads:
-            if read is not None:
-                keep_source(read, out)
+        keep_sources(out, *(read for read in reads if read is not None))
 
 
 def literal_console() -> Console:
@@ -69,7 +56,7 @@ class Answer:
     tables: Mapping[str, str] = field(default_factory=dict)
     people: Callable[[], None] | None = None
 
-    def show(self, as_json: bool) -> None:
+    def show(self, as_json: bool = False) -> None:
         """Print it as one JSON object, or for people."""
         if as_json:
             answer = _unsigned_zeros({**self.values, "notes": list(self.notes)})
@@ -86,11 +73,6 @@ class Answer:
                 part = self.values.get(key)
                 if part:
                     show_rows([part] if isinstance(part, Mapping) else part, title)
-
-
-def show(values: Mapping[str, Any], title: str, as_json: bool = False, notes: Sequence[str] = ()) -> None:
-    """Print values by stable keys and notes, as `Answer` does."""
-    Answer(values, title, notes).show(as_json)
 
 
 def show_notes(notes: Sequence[str]) -> None:
@@ -215,7 +197,8 @@ def compilation_told(tell: Callable[[str], None], later: Sequence[str] = ()) -> 
     """Tell, in one line, that kernels are compiled, and have helpers compile those of `later`.
 
     Where all come from the cache nothing is told, and no helper started.
-    While they are, no garbage is collected: a compiler makes little of it, and a seventh of its time went there.
+    While they are, no garbage is collected: a compiler makes little of it, and a seventh of its time went there. An
+    interrupt that comes where a compiler lets none out, and would go on or fail, ends the job like any other.
     """
     import gc
 
@@ -239,6 +222,20 @@ def compilation_told(tell: Callable[[str], None], later: Sequence[str] = ()) -> 
             self.depth -= 1
             if not self.depth:
                 gc.enable()
+            if lost:
+                raise KeyboardInterrupt
 
-    with helpers(later) as start_helpers, install_listener("numba:compile", First()):
-        yield
+    usual, lost = sys.unraisablehook, []
+
+    def unraisable(event: sys.UnraisableHookArgs) -> None:
+        if event.exc_type is KeyboardInterrupt:
+            lost.append(True)
+        else:
+            usual(event)
+
+    sys.unraisablehook = unraisable
+    try:
+        with helpers(later) as start_helpers, install_listener("numba:compile", First()):
+            yield
+    finally:
+        sys.unraisablehook = usual

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 from touchfield.errors import InvalidArgument, UnsupportedVersion
 
@@ -65,14 +65,6 @@ class FieldDecoder(Protocol):
         """Stable keys for people and programs."""
 
 
-class CoderOption(NamedTuple):
-    """An option of the command line: a field of the spec, or a word of its makers; its type, bool for a switch."""
-
-    key: str
-    kind: type
-    help: str
-
-
 @dataclass(frozen=True)
 class Coder:
     """A coder, as the rest of the package knows it."""
@@ -86,7 +78,9 @@ class Coder:
     spec: type[Any] | None = None
     # the words of ``--coder`` that mean this coder, each with what makes a spec of the options that were given
     makers: Mapping[str, Callable[[dict[str, Any]], Any]] = field(default_factory=dict)
-    options: tuple[CoderOption, ...] = ()
+    # words of the makers that are no field of the spec, each with its type and its help (`touchfield.asked`)
+    words: Mapping[str, tuple[type, str]] = field(default_factory=dict)
+    options: tuple[str, ...] = ()  # the order of both on the command line, if it is another
     hints: tuple[str, ...] = ()  # keys of options of other rooms that its makers want to see
     # ``resolve(spec, is_array)``: the spec with what is "auto" resolved for a kind of device
     resolve: Callable[[Any, bool], Any] = lambda spec, is_array: spec

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, require_kinds
 from touchfield.filters.resample import axis_weights, low_pass, resample
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
 from touchfield.medium.grid import Placement, axis_words
@@ -45,6 +45,13 @@ NW_RANGE: Final = (3, 10)
 """Least and greatest n_w; the paper takes 5 to 7."""
 
 
+def require_nw(nw: int | None) -> None:
+    """`InvalidArgument` if n_w is not within `NW_RANGE`, nor None, the nominal lattice."""
+    if nw is not None and not (isinstance(nw, int) and NW_RANGE[0] <= nw <= NW_RANGE[1]):
+        expected = f"a whole number from {NW_RANGE[0]} to {NW_RANGE[1]}, or the nominal lattice"
+        raise InvalidArgument("nw", repr(nw), expected)
+
+
 def device_grid(device: Device, nw: int | None = None, depth_m: float | None = None) -> Grid:
     """The lattice of a device over its workspace, centred on the origin, hand metres.
 
@@ -56,13 +63,9 @@ def device_grid(device: Device, nw: int | None = None, depth_m: float | None = N
     if device.is_array:
         extents = extents if depth_m is None else (*extents[:2], depth_m)
         shape = device.lattice
-    elif nw is None:
-        shape = device.lattice
-    elif isinstance(nw, int) and NW_RANGE[0] <= nw <= NW_RANGE[1]:
-        shape = (2**nw, 2**nw, 2**nw)
     else:
-        expected = f"a whole number from {NW_RANGE[0]} to {NW_RANGE[1]}, or the nominal lattice"
-        raise InvalidArgument("nw", repr(nw), expected)
+        require_nw(nw)
+        shape = device.lattice if nw is None else (2**nw, 2**nw, 2**nw)
     low, high = [-e / 2 for e in extents], [e / 2 for e in extents]
     return Grid.over_box(low, high, shape)
 
@@ -106,13 +109,12 @@ class DeviceFilterSpec:
     cutoff: str = "nyquist"  # of an array of pitch d: 1/(2d), or "literal", 2/d as the paper prints
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.oversample, int) and 1 <= self.oversample <= 8):
+        require_kinds(self, pool=POOLS, cutoff=("nyquist", "literal"))
+        if not 1 <= self.oversample <= 8:
             raise InvalidArgument("oversample", repr(self.oversample), "a whole number from 1 to 8")
         if not 0 <= self.force_floor_share < 1:
             raise InvalidArgument("force_floor_share", repr(self.force_floor_share), "a share from 0 to below 1")
         low_pass(self.low_pass)
-        for name, choices in (("pool", POOLS), ("cutoff", ("nyquist", "literal"))):
-            require_one_of(name, getattr(self, name), choices)
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ class Coded(NamedTuple):
     body: bytes
     vibration: bytes | None
     frames: int
-    supported: int
+    supported: int = 0
     lost: int = 0  # frames that hold a force and are decoded without any
 
 
@@ -168,6 +168,13 @@ def head_of(prepared: Prepared, encoder: FieldEncoder | ObjectsEncoder) -> Head:
         damping_n_s_per_m=medium.damping_n_s_per_m, tags=medium.tags, coder=encoder.name,
         coder_parameters=encoder.parameters,
     )  # fmt: skip
+
+
+def lost_notes(prepared: Prepared, lost: int) -> tuple[str, ...]:
+    """A note on frames that hold a force and are decoded without any, if there are such."""
+    what = f"In {lost} of {len(prepared.medium)} frames nothing can be felt: every force is below --f0-n"
+    mend = " (a lower one, a greater --stiffness-n-per-m or --nw)" if prepared.has_law else ""
+    return (what + mend,) if lost else ()
 
 
 ALONE: Final = Lock()
@@ -278,11 +285,14 @@ def spread_voxels(
             parts.write(stretch, part)
             notes.update(dict.fromkeys(part.notes))
             report(stretch.stop, len(medium))
-        supported = parts.join(out, every, provenance)
+        supported, lost = parts.join(out, every, provenance)
         shutil.rmtree(folder, ignore_errors=True)
     if parts.found:
         notes[f"{parts.found} of {len(every)} parts were there from an earlier run"] = None
-    return supported, tuple(notes)
+    return supported, (*notes, *lost_notes(prepared, lost))
+
+
+_SUMS: Final = ("supported", "lost")  # of a `Coded`, what a part tells of its segments together
 
 
 class _Parts:
@@ -311,7 +321,8 @@ class _Parts:
     def write(self, stretch: Stretch, part: Part) -> None:
         path, head, story = self.part(stretch)
         with TouchWriter(path) as writer:
-            writer.write_head(head, {**story, "supported": str(sum(one.supported for one in part.segments))})
+            sums = {name: str(sum(getattr(one, name) for one in part.segments)) for name in _SUMS}
+            writer.write_head(head, {**story, **sums})
             for _ in written(writer, part.segments):
                 pass
 
@@ -323,20 +334,21 @@ class _Parts:
             if reader.head != head or not story.items() <= reader.provenance.items():
                 raise CorruptFile(str(path), "another part, or one of another job", "this one", "Delete it.")
             decoder = kind.decoder_class(grid, reader.head.coder_parameters, str(path))
-            left = int(reader.provenance["supported"])
+            sums = [int(reader.provenance[name]) for name in _SUMS]
             for i, entry in enumerate(reader.segments):
                 body = reader.read_segment(i)
                 worst = decoder.worst(body) if kind.has_promise else None
                 if worst is not None and worst.ratio > 1:
                     found = f"a promise that is broken ({worst.ratio:g})"
                     raise CorruptFile(f"{path} segment {i}", found, "at most 1")
-                yield Coded(body, reader.read_vibration(i), entry.frame_count, 0 if i else left)
+                yield Coded(body, reader.read_vibration(i), entry.frame_count, *(sums if i == 0 else ()))
 
-    def join(self, out: Path, every: list[Stretch], provenance: Mapping[str, str]) -> int:
-        """All parts as one file; how many samples hold a force."""
+    def join(self, out: Path, every: list[Stretch], provenance: Mapping[str, str]) -> list[int]:
+        """All parts as one file; of all of them the `_SUMS`."""
         with TouchWriter(out) as writer:
             writer.write_head(self._head, provenance)
-            return sum(one.supported for one in written(writer, chain.from_iterable(map(self.read, every))))
+            parts = written(writer, chain.from_iterable(map(self.read, every)))
+            return [sum(column) for column in zip(*((one.supported, one.lost) for one in parts))]
 
 
 def name_of(sent: Sent, *asked: Any) -> str | None:

@@ -18,7 +18,7 @@ from touchfield.filters.device_filter import limited
 from touchfield.filters.registry import FieldFilter
 from touchfield.job.editing import spread
 from touchfield.job.placing import felt_objects, stored_medium
-from touchfield.job.prepare import Prepared, Source, open_scene, prepare
+from touchfield.job.prepare import KeptScene, Prepared, Source, as_source, open_scene, prepare
 from touchfield.job.result import Result
 from touchfield.job.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec
 from touchfield.measure.counts import SymbolCounter
@@ -184,7 +184,10 @@ def source_medium(source: Source, opened: OpenStream, allow_outside: bool = Fals
             stored = stored.between(spec.frames[0], spec.frames[0] + head.frame_count)
         original = Prepared(stored, opened.told_device, opened.placement, spec, field.notes)
     else:
-        original = prepare(source, spec)
+        scene = open_scene(as_source(source, spec.device), spec.source)
+        if isinstance(scene, KeptScene):
+            scene.notes = ()  # of options that do nothing: none is given here
+        original = prepare(scene, spec)
         (ours, theirs), place = (original.medium.grid, opened.grid), original.placement
         mine = [*ours.shape, *ours.spacing_m, *ours.origin_m, place.scale, *place.offset_m]
         own = [*theirs.shape, *theirs.spacing_m, *theirs.origin_m, head.mapping_scale, *head.mapping_offset_m]

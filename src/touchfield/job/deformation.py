@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_ending
 from touchfield.job.result import Result
 from touchfield.job.spec import Motion
 from touchfield.medium.deformation import Deformation, fitted
@@ -55,6 +55,7 @@ def tracks_of(
     lattice lies over what holds a force in the first frame. InvalidArgument if neither a model nor a compliance
     is given, or the stream holds objects; SourceError if the model has no animation.
     """
+    require_ending(out, "DEFORMATION.npz")
     if motion is None and not compliance_m_per_n:
         mend = "Name MODEL.glb, or --yield-m-per-n."
         raise InvalidArgument("deform", "no model and no compliance", "one of both", mend)
@@ -80,7 +81,7 @@ def tracks_of(
         first_frame, stop = motion.frames or (0, None)
         taken = range(scene.frame_count)[first_frame:stop]
         if not taken:
-            raise InvalidArgument("--frames", f"{first_frame}:{stop}", f"some of the model's {scene.frame_count}")
+            raise InvalidArgument("frames", f"{first_frame}:{stop}", f"some of the model's {scene.frame_count}")
         looks = np.concatenate([points(taken[n]) for n in np.unique(np.linspace(0, len(taken) - 1, 16).astype(int))])
         lattice = lattice_of(looks.min(axis=0), looks.max(axis=0), controls)
         rest = points(taken[0] if motion.rest_frame is None else motion.rest_frame)

@@ -12,7 +12,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial, reduce
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -20,10 +19,12 @@ import numpy as np
 from touchfield.errors import (
     InvalidArgument,
     require_between,
+    require_ending,
     require_not_negative,
     require_one_of,
     require_positive,
 )
+from touchfield.files import keep_sources
 from touchfield.filters.device_filter import NW_RANGE, limited
 from touchfield.filters.edit import (
     COMPOSITIONS,
@@ -37,7 +38,7 @@ from touchfield.filters.edit import (
     edited_medium,
 )
 from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, RigidMotion
-from touchfield.filters.registry import field_filters, filter_of, length_m
+from touchfield.filters.registry import field_filters, filter_of, length_m, noted
 from touchfield.filters.resample import LOW_PASSES, halved, interpolated, most_levels, pyramid, rebuilt, resample
 from touchfield.job.encode import encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared, is_stream, open_scene, prepare
@@ -86,12 +87,6 @@ def fidelity_of(prepared: Prepared, received: HapticMedium) -> FidelityMeter:
     return meter
 
 
-def with_history(medium: HapticMedium, key: str, words: str) -> Mapping[str, str]:
-    """The provenance of a medium with what is done to it now."""
-    before = medium.provenance.get(key)
-    return MappingProxyType({**medium.provenance, key: f"{before}; {words}" if before else words})
-
-
 def retimed(medium: HapticMedium, rate_hz: float) -> HapticMedium:
     """The medium at another rate, linear between its frames; its duration stays to within half a frame."""
     if medium.rate_hz == rate_hz:
@@ -99,7 +94,7 @@ def retimed(medium: HapticMedium, rate_hz: float) -> HapticMedium:
     require_positive(rate_hz=rate_hz)
     near = replace(medium, make_frame=lru_cache(2)(medium.__getitem__))  # a frame serves several that are asked for
     count = max(1, round(len(medium) * rate_hz / medium.rate_hz))
-    words = with_history(medium, "resampled", f"{medium.rate_hz:g} Hz to {rate_hz:g} Hz")
+    words = noted(medium.provenance, "resampled", f"{medium.rate_hz:g} Hz to {rate_hz:g} Hz")
     timed = replace(medium, rate_hz=rate_hz, frame_count=count, vibration=None, segments=None, provenance=words)
     return replace(timed, make_frame=lambda i: near.at(i / rate_hz))
 
@@ -113,7 +108,7 @@ def resampled(medium: HapticMedium, grid: Grid, kernel: str = "spline") -> Hapti
     def make(i: int) -> ForceField:
         return interpolated(medium[i], grid) if kernel == "trilinear" else resample(medium[i], grid, kernel)
 
-    words = with_history(medium, "resampled", f"{medium.grid.words} to {grid.words}, {kernel}")
+    words = noted(medium.provenance, "resampled", f"{medium.grid.words} to {grid.words}, {kernel}")
     return replace(medium, grid=grid, make_frame=make, vibration=None, segments=None, provenance=words)
 
 
@@ -153,7 +148,7 @@ def lattice_of(grid: Grid, nw: int | None, shape: Sequence[int] | None, spacing_
         raise InvalidArgument("lattice", "more than one of nw, shape and spacing", "one of them")
     low, high = grid.box_m
     if nw is not None:
-        require_between(*NW_RANGE, **{"--nw": nw})
+        require_between(*NW_RANGE, nw=nw)
         return Grid.over_box(low, high, (1 << nw,) * 3)
     if shape is not None:
         return Grid.over_box(low, high, tuple(shape))  # type: ignore[arg-type]
@@ -182,18 +177,15 @@ def _write(
 ) -> Written:
     """Write a medium that was made of one, coded as its spec says; with the notes of the coder."""
     out = Path(to)
-    for source in sources:
-        if out.exists() and Path(source).exists() and out.samefile(source):
-            raise InvalidArgument(str(out), "a file that is read", "another name", "Name a new file for the result.")
+    keep_sources(out, *sources)
+    require_ending(out, "OUT.touch", "FIELD.npz", "FIELD.vti")
     notes: tuple[str, ...] = ()
-    if out.suffix in (".npz", ".vti"):
+    if out.suffix.lower() != ".touch":
         out = write_field(out, medium, report, like.placement)
-    elif out.suffix == ".touch":
+    else:
         made = replace(like, medium=medium, scene=None, exact=None, source=None, reference=FILTERED, notes=())
         history = {key: medium.provenance[key][:_MOST_TOLD] for key in _TOLD if key in medium.provenance}
         notes = encode_prepared(made, out, {**provenance_of(sources[0], made), **history}, report).notes
-    else:
-        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", "OUT.touch, FIELD.npz or FIELD.vti")
     figures = {"file": str(out), "frames": len(medium), "rate_hz": medium.rate_hz}
     figures |= {"grid_shape": list(medium.grid.shape), **shown, "file_bytes": out.stat().st_size}
     return Written(figures, notes, path=out, medium=medium)
@@ -284,7 +276,7 @@ def splice(
         if medium.vibration is not None and len(parts) > 1:
             notes += (f"{path.name}: the vibration is left out",)
         media.append(medium)
-    require_not_negative(**{"--fade-s": fade_s})
+    require_not_negative(fade_s=fade_s)
     whole = reduce(lambda a, b: cross_faded(a, b, round(fade_s * a.rate_hz)), media)
     shown = {"parts": [len(m) for m in media], "seconds": len(whole) / whole.rate_hz}
     done = _write(first, [path for path, _ in parts], whole, out, report, **shown)
@@ -340,7 +332,7 @@ def levels_of_detail(
     prepared = read_medium(source, spec)
     medium, most = prepared.medium, most_levels(prepared.medium.grid)
     wanted = max(0, most - 3) if levels is None else levels
-    require_between(0, most, **{"--levels": wanted})
+    require_between(0, most, levels=wanted)
     store = Path(out) if out is not None and Path(out).suffix == ".zarr" else None
     kept = None if out is None or store else Path(out)
     if kept and kept.is_file():
@@ -382,7 +374,7 @@ def detail_level(medium: HapticMedium, level: int) -> HapticMedium:
     def make(frame: int) -> ForceField:
         return pyramid(medium[frame], level)[-1]
 
-    words = with_history(medium, "resampled", f"level of detail {level}")
+    words = noted(medium.provenance, "resampled", f"level of detail {level}")
     return replace(medium, grid=grid, make_frame=make, vibration=None, segments=None, provenance=words)
 
 

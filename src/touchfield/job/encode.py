@@ -20,13 +20,21 @@ from touchfield.codec.registry import coder, field_encoder
 from touchfield.codec.segment import compression_ratio
 from touchfield.container import TouchWriter
 from touchfield.container.remote import is_remote, sender
-from touchfield.errors import InvalidArgument
-from touchfield.job.coding import Sent, coded_segments, groups_of, head_of, spread_voxels, stretches, written
+from touchfield.errors import InvalidArgument, require_ending
+from touchfield.job.coding import (
+    Sent,
+    coded_segments,
+    groups_of,
+    head_of,
+    lost_notes,
+    spread_voxels,
+    stretches,
+    written,
+)
 from touchfield.job.prepare import Prepared, Source, as_source, is_stream, prepare
 from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec
 from touchfield.medium import Grid
 from touchfield.parallel import Report, silent
-from touchfield.sources.scene import Scene
 from touchfield.stream.objects import write_objects
 from touchfield.stream.opened import FILTERED
 
@@ -94,28 +102,27 @@ def encode(
     file is made as ``NAME.unsent`` in the working folder, sent as a whole, and removed; it stays there if it cannot
     be sent. TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
-    if is_remote(out):
-        send = sender(str(out))
-        here = Path(f"{str(out).rpartition('/')[2]}.unsent")
-        done = encode(source, here, spec, report, grid=grid, executor=executor)
-        send(here)
-        here.unlink()
-        return done
     began = time.perf_counter()
     spec = spec or EncodeSpec()
     if not (isinstance(out, str | Path) and isinstance(spec, EncodeSpec)):
         raise InvalidArgument("out, spec", f"{out!r:.80}, a {type(spec).__name__}", "a path and an EncodeSpec")
+    require_ending(out, "OUT.touch", mend="A field is written by `write_field`.")
+    send, here = (sender(str(out)), Path(f"{Path(out).name}.unsent")) if is_remote(out) else (None, Path(out))
     scene = as_source(source, spec.device, grid)
     prepared = prepare(scene, spec)
     story = provenance_of(scene, prepared)
     if executor is None or prepared.scene is not None:
-        done = encode_prepared(prepared, out, story, report)
+        done = encode_prepared(prepared, here, story, report)
         if executor is not None:
             done = replace(done, told=("Objects take one process: no worker was asked",))
     else:
-        supported, notes = spread_voxels(Path(out), Sent.of(source, grid), prepared, story, executor, report)
-        done = Encoded(prepared, Path(out).stat().st_size, 0.0, supported, notes)
-    return replace(done, encode_s=time.perf_counter() - began)
+        supported, notes = spread_voxels(here, Sent.of(source, grid), prepared, story, executor, report)
+        done = Encoded(prepared, here.stat().st_size, 0.0, supported, notes)
+    done = replace(done, encode_s=time.perf_counter() - began)
+    if send is not None:
+        send(here)
+        here.unlink()
+    return done
 
 
 def encode_prepared(
@@ -150,15 +157,13 @@ def encode_prepared(
             for one in written(writer, coded):
                 done, supported, lost = done + one.frames, supported + one.supported, lost + one.lost
                 tell(ready)
-    what = f"In {lost} of {len(prepared.medium)} frames nothing can be felt: every force is below --f0-n"
-    mend = " (a lower one, a greater --stiffness-n-per-m or --nw)" if prepared.has_law else ""
-    told = (what + mend,) if lost else ()
-    return Encoded(prepared, Path(out).stat().st_size, time.perf_counter() - began, supported, told)
+    size, notes = Path(out).stat().st_size, lost_notes(prepared, lost)
+    return Encoded(prepared, size, time.perf_counter() - began, supported, notes)
 
 
-def provenance_of(source: str | Path | Scene, prepared: Prepared) -> dict[str, str]:
+def provenance_of(source: Source, prepared: Prepared) -> dict[str, str]:
     """The file's account of where it comes from."""
-    name = "scene" if isinstance(source, Scene) else str(source)
+    name = str(source) if isinstance(source, str | Path) else "scene"
     spec = prepared.spec.to_json(prepared.has_law)
     told = os.fsencode(Path(name).name).decode("utf-8", "replace")  # a name may be any bytes
     told = re.sub(r"[\0-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", told)

@@ -41,7 +41,7 @@ from touchfield.adapters.symbolic import (
     effect_medium,
 )
 from touchfield.devices import Device, device
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, require_ending, require_one_of
 from touchfield.filters.device_filter import device_grid
 from touchfield.job.array_medium import PANELS, array_drives, stream_device
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
@@ -84,13 +84,12 @@ def export(
     """
     path = Path(out)
     kind = path.suffix.lower()
-    if kind not in EXPORTS:
-        raise InvalidArgument(str(out), f"the ending {path.suffix!r}", " or ".join(EXPORTS))
+    require_ending(path, *EXPORTS)
     if trajectory is not None and kind not in _FORCES:
         expected = f"one for {' or '.join(_FORCES)} only"
         raise InvalidArgument("trajectory", f"one for {kind}", expected, "A pattern has no forces.")
     if full_scale_n != 1 and (trajectory is None or kind != ".hjif"):
-        raise InvalidArgument("--full-scale-n", repr(full_scale_n), "it for a force as .hjif only")
+        raise InvalidArgument("full_scale_n", repr(full_scale_n), "it for a force as .hjif only")
     if against is not None and kind != ".html":
         raise InvalidArgument("--source", f"one for {kind}", "one for .html only")
     with open_stream(stream) as opened:
@@ -126,8 +125,8 @@ def import_effect(
     if force_max_n is not None and not 0 < force_max_n <= 1e6:
         raise InvalidArgument("force_max_n", repr(force_max_n), "newtons above 0, up to a million")
     kind = Path(source).suffix.lower()
-    if kind not in IMPORTS:
-        raise InvalidArgument(str(source), f"the ending {Path(source).suffix!r}", " or ".join(IMPORTS))
+    require_ending(source, *IMPORTS)
+    require_ending(out, "OUT.touch")
     pattern = (read_ahap if kind == ".ahap" else read_hjif_array)(source, rate_hz)
     full_n = pattern.force_max_n if force_max_n is None else force_max_n
     own = effect_device(pattern.effect.lattice, pattern.device_name, full_n)

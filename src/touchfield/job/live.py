@@ -14,14 +14,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import chain
-from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Final
 
 from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.vibration import encode_vibration
-from touchfield.errors import InvalidArgument, require_between
+from touchfield.errors import InvalidArgument, require_between, require_kinds
 from touchfield.filters.resample import pyramid, rebuilt
 from touchfield.job.coding import head_of
 from touchfield.job.editing import detail_level
@@ -53,7 +52,8 @@ class LiveSpec:
     seconds: float | None = None
 
     def __post_init__(self) -> None:
-        require_between(0.01, 10, **{"--segment-s": self.segment_s})
+        require_kinds(self)
+        require_between(0.01, 10, segment_s=self.segment_s)
         if self.seconds is not None and not self.seconds > 0:
             raise InvalidArgument("--on-air-s", f"{self.seconds:g}", "above 0")
 
@@ -94,8 +94,7 @@ def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSende
 
 def _sender(source: Source, prepared: Prepared, **told: str) -> LiveSender:
     sender, encoder = LiveSender(), field_encoder(prepared.medium.grid, prepared.coding)
-    name = source if isinstance(source, str | Path) else "scene"
-    sender.open(head_of(prepared, encoder), {**provenance_of(name, prepared), **told})
+    sender.open(head_of(prepared, encoder), {**provenance_of(source, prepared), **told})
     return sender
 
 

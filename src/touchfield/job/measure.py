@@ -22,7 +22,7 @@ from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuant
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import RAW_BITS_PER_VECTOR
 from touchfield.devices import device
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, require_kinds
 from touchfield.job.mapping import SymbolFrames, mapped
 from touchfield.job.prepare import StreamScene, is_stream, prepare
 from touchfield.job.spec import EncodeSpec
@@ -163,12 +163,12 @@ class MeasureSpec:
     )
 
     def __post_init__(self) -> None:
+        require_kinds(self, estimator=ESTIMATORS)
         kind, _, trace = self.over.partition(":")
         if kind not in ("voxel", "object", "interaction") or (kind == "interaction") != bool(trace):
-            raise InvalidArgument("--over", repr(self.over), "voxel, object, or interaction:TRACE.csv")
-        require_one_of("--estimator", self.estimator, ESTIMATORS)
+            raise InvalidArgument("over", repr(self.over), "voxel, object, or interaction:TRACE.csv")
         if self.density is not None and not 1 <= self.density < 1e6:
-            raise InvalidArgument("--density", f"{self.density:g}", "1 or more samples of W for one of the device")
+            raise InvalidArgument("density", f"{self.density:g}", "1 or more samples of W for one of the device")
         if self.quantiser is not None:
             FieldQuantiserSpec.parse(self.quantiser)
 

@@ -30,7 +30,7 @@ from touchfield.filters.resample import low_pass
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.grid import Placement
-from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
+from touchfield.sources.laws import ForceProfile, profile_of
 from touchfield.sources.registry import unit_notes
 from touchfield.sources.scene import Body, Scene
 
@@ -73,7 +73,7 @@ def mapping_of(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForcePro
 
     InvalidArgument if the mapping is unknown, or a field that is kept without loss is larger than the workspace.
     """
-    own, law = None, law_of(spec, chosen)
+    own, law = None, spec.law_spec(chosen.force_max_n)
     of_law = profile or profile_of(law, math.inf if scene.is_solid else law.saturation_m)
     placement, grid = _lattice(scene, chosen, spec, of_law)
     if profile is None:
@@ -97,12 +97,6 @@ def mapping_of(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForcePro
     return Mapping(chosen, grid, placement, of_law, spec, notes, own is not None)
 
 
-def law_of(spec: EncodeSpec, chosen: Device) -> LawSpec:
-    """The force law that was asked for, with the device's F_max."""
-    damping = spec.surface_damping_n_s_per_m
-    return LawSpec(spec.law, spec.stiffness_n_per_m, chosen.force_max_n, spec.thickness_m, spec.band_m, damping)
-
-
 def stored_medium(scene: Scene) -> HapticMedium | None:
     """The medium of a scene that is a stored field; of any other None."""
     stored = getattr(scene, "medium", None)
@@ -117,8 +111,8 @@ def _lattice(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForceProfi
     if not chosen.is_array:
         reach_m = 0.0 if is_stored else max(0.0, profile.high_m)
         margin_m = reach_m if is_stored or spec.mapping != "fit" else reach_m + FIT_MARGIN * min(workspace)
-        return _placement(box, workspace, spec.mapping, margin_m), device_grid(chosen, spec.nw)
-    placement = _placement(box, (*workspace[:2], math.inf), spec.mapping, 0.0)
+        return _placement(box, workspace, spec.factor, margin_m), device_grid(chosen, spec.nw)
+    placement = _placement(box, (*workspace[:2], math.inf), spec.factor, 0.0)
     depth_m = placement.scale * float(box[1][2] - box[0][2]) + 2 * array_room_m(profile)
     return placement, device_grid(chosen, spec.nw, depth_m or None)
 
@@ -129,7 +123,7 @@ def _own_lattice(scene: Scene, chosen: Device, spec: EncodeSpec) -> tuple[Placem
     if spec.coder != "touch" or spec.touch.mode != "lossless" or chosen.is_array or stored is None:
         return None
     half, box = np.asarray(chosen.workspace_m) / 2 + _ROUNDING_M, np.stack(stored.grid.box_m)
-    factor = 1.0 if spec.mapping in ("fit", "fill", "crop") else float(spec.mapping)
+    factor = spec.factor or 1.0
     if factor == 1.0 and (np.abs(box) <= half).all():
         return Placement(), stored.grid
     if not (factor * np.ptp(box, axis=0) <= 2 * half).all():
@@ -170,15 +164,11 @@ def _wording(scene: Scene, chosen: Device, placement: Placement, spec: EncodeSpe
     )
 
 
-def _placement(box_m: Float64s, workspace_m: tuple[float, float, float], mapping: str, margin_m: float) -> Placement:
-    if mapping in ("fit", "fill"):
+def _placement(
+    box_m: Float64s, workspace_m: tuple[float, float, float], factor: float | None, margin_m: float
+) -> Placement:
+    if factor is None:
         return Placement.fit(box_m, workspace_m, margin_m=margin_m)
-    if mapping == "crop":
-        return Placement.scaled(box_m, 1.0)
-    try:
-        factor = float(mapping)
-    except ValueError:
-        raise InvalidArgument("mapping", repr(mapping), "fit, fill, crop, or a factor such as 0.05") from None
     return Placement.scaled(box_m, factor)
 
 

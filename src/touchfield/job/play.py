@@ -21,7 +21,7 @@ from touchfield.adapters.sim import STIFFNESS_N_PER_M
 from touchfield.adapters.touch_down import touch_down
 from touchfield.asked import option
 from touchfield.devices import Device, device
-from touchfield.errors import InvalidArgument, require_not_negative, require_up_to
+from touchfield.errors import InvalidArgument, require_kinds, require_not_negative, require_up_to
 from touchfield.job.array_medium import array_drives, stream_device
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.medium.atomic import atomic_path
@@ -82,12 +82,13 @@ class PlaySpec:
     coarse: str | None = option(None, "Address of a live stream's coarse layer, for what is lost or late.")
 
     def __post_init__(self) -> None:
+        require_kinds(self)
         if self.trace is not None and self.trajectory is not None:
             raise InvalidArgument("--trace and --trajectory say the same in two frames: take one of them")
         if self.seconds is not None:
-            require_up_to(_LONGEST_S, **{"--seconds": self.seconds})
-        require_not_negative(**{"--start-s": self.start_s})
-        require_up_to(FASTEST, **{"--speed": self.speed})
+            require_up_to(_LONGEST_S, seconds=self.seconds)
+        require_not_negative(start_s=self.start_s)
+        require_up_to(FASTEST, speed=self.speed)
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ def play(
     with open_stream(path, tell, spec.coarse) as stream:
         count, seconds = stream.reader.head.frame_count, stream.reader.head.frame_count / stream.reader.head.rate_hz
         if spec.start_s >= seconds and count > 1 and not spec.loop:
-            raise InvalidArgument("--start-s", f"{spec.start_s:g} s", f"0 to below {seconds:g} s, the medium's end")
+            raise InvalidArgument("start_s", f"{spec.start_s:g} s", f"0 to below {seconds:g} s, the medium's end")
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, tell)
         return _play_point(stream, Path(path).name, spec, report, tell, watch)
@@ -310,7 +311,7 @@ def check_play(path: str | Path, speed: float = 1.0, clock_s: Callable[[], float
     ``greatest_speed`` is the one that can be played in time, and ``can_play`` is of the speed asked for.
     InvalidArgument if that is not positive, TouchfieldError if the file cannot be read.
     """
-    require_up_to(FASTEST, **{"--speed": speed})
+    require_up_to(FASTEST, speed=speed)
     with open_stream(path) as stream:
         source = FrameSource(stream.scene or stream.medium)
         count = source.frame_count

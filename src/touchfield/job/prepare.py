@@ -100,7 +100,6 @@ def decode(path: str | Path) -> HapticMedium:
     return StreamScene(path).medium
 
 
-REPRESENTATIONS: Final = ("auto", "voxel", "object")
 _MOST_NAMES: Final = 8
 
 
@@ -235,8 +234,6 @@ def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
 
 def _objects(scene: Scene, chosen: Device, mapping: Mapping | None, spec: EncodeSpec) -> HapticScene | None:
     """The object representation behind the haptic filters; None where the voxel representation is to be coded."""
-    if spec.representation not in REPRESENTATIONS:
-        raise InvalidArgument("representation", repr(spec.representation), f"one of {', '.join(REPRESENTATIONS)}")
     is_asked = spec.representation == "object"
     if is_asked and chosen.is_array:
         said = f"representation object works with a point device, not with {chosen.name}"

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_ending
 from touchfield.job.editing import taken
 from touchfield.job.encode import Encoded, encode_prepared, provenance_of
 from touchfield.job.prepare import Prepared, prepare
@@ -189,6 +189,7 @@ def encode_to_target(
     """
     began = time.perf_counter()
     spec = spec or EncodeSpec()
+    require_ending(out, "OUT.touch")
     if spec.coder != "touch" or spec.touch.mode == "lossless":
         asked = f"coder {spec.coder}" + (", lossless" if spec.coder == "touch" else "")
         raise InvalidArgument(target.option, asked, "coder touch in mode mask, mask-direction or nmse")

@@ -21,7 +21,8 @@ from scipy.spatial import KDTree
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_between
-from touchfield.job.editing import _write, fidelity_of, read_medium, spread, with_history
+from touchfield.filters.registry import noted
+from touchfield.job.editing import _write, fidelity_of, read_medium, spread
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.prepare import Prepared
 from touchfield.job.result import Result
@@ -69,7 +70,7 @@ def culled(medium: HapticMedium, felt: Bools) -> HapticMedium:
     def make(i: int) -> ForceField:
         return ForceField.from_dense(medium.grid, np.where(felt[..., None], medium[i].to_dense(), np.float32(0)))
 
-    words = with_history(medium, "edits", f"without {np.count_nonzero(~felt)} samples that no hand feels")
+    words = noted(medium.provenance, "edits", f"without {np.count_nonzero(~felt)} samples that no hand feels")
     return replace(medium, make_frame=make, segments=None, provenance=words)
 
 
@@ -130,7 +131,7 @@ def reduce_medium(
         if prepared.spec.coder != "touch" or prepared.spec.touch.mode != "lossless":
             notes += ("what is left was coded again: --mode lossless keeps its bits",)
     if out is not None:
-        words = with_history(medium, "edits", f"rebuilt from {approximation.modes.rank} modes, {spec.modes}")
+        words = noted(medium.provenance, "edits", f"rebuilt from {approximation.modes.rank} modes, {spec.modes}")
         rebuilt = replace(medium, make_frame=approximation.field, segments=None, provenance=words)
         done = _write(prepared, [source], rebuilt, out, report)
         shown |= {"file": str(done.path), "file_bytes": done.path.stat().st_size}
@@ -248,7 +249,7 @@ def fewest_points(
     trace = recorded_contacts(Path(source))
     if trace is not None:
         if modes is not None:
-            raise InvalidArgument("--modes", "a recording", "a medium that moves")
+            raise InvalidArgument("modes", "a recording", "a medium that moves")
         return _of_recording(trace, str(source), count, out)
     given = read_medium(source, spec)
     frames = spread(len(given.medium), _LEARNT)
@@ -256,7 +257,7 @@ def fewest_points(
     middle = domain.forces_n(given.medium[len(given.medium) // 2]).astype(np.float64)
     if len(given.medium) == 1:
         if modes is not None:
-            raise InvalidArgument("--modes", "a medium of one frame", "one that moves")
+            raise InvalidArgument("modes", "a medium of one frame", "one that moves")
         chosen, kernel, back = _kept(domain.places_m, middle, count)
         rebuild: Callable[[ForceField], NDArray[Any]] = lambda one: back  # noqa: E731
         shown = _words(kernel)
@@ -272,7 +273,7 @@ def fewest_points(
 
         back = rebuild(given.medium[len(given.medium) // 2])
     meter = FidelityMeter(given.spec.k, given.spec.f0_n or EncodeSpec().f0_n)
-    words = with_history(given.medium, "edits", f"rebuilt from {count} points")
+    words = noted(given.medium.provenance, "edits", f"rebuilt from {count} points")
     medium = replace(given.medium, vibration=None, segments=None, provenance=words)
     medium = replace(medium, make_frame=lambda i: domain.field(rebuild(given.medium[i]), meter.f0_n))
     for n, frame in enumerate(frames):
@@ -315,7 +316,7 @@ def _kept(points_m: Float64s, forces_n: Float64s, count: int) -> tuple[Int64s, K
 def _by_modes(medium: HapticMedium, domain: _Domain, frames: list[int], count: int, modes: int | None) -> ModePoints:
     most = min(3 * count, len(frames))
     if modes is not None and not 1 <= modes <= most:
-        raise InvalidArgument("--modes", f"{modes}", f"1 to {most}")
+        raise InvalidArgument("modes", f"{modes}", f"1 to {most}")
     rows = np.empty((len(frames), 3 * len(domain.keys)), np.float32)
     for row, frame in zip(rows, frames, strict=True):
         row[:] = domain.forces_n(medium[frame]).reshape(-1)

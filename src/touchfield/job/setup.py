@@ -57,7 +57,7 @@ def examine(name: str | None = None) -> dict[str, list[Check]]:
         return {"libraries": library_checks(), "machine": host_checks(), **devices}
     wanted = name.strip().partition(":")[0].lower()
     if wanted not in kinds:
-        raise InvalidArgument("--device", repr(name[:80]), f"one of {', '.join(kinds)}")
+        raise InvalidArgument("device", repr(name[:80]), f"one of {', '.join(kinds)}")
     return {wanted: kinds[wanted]()}
 
 

@@ -12,12 +12,20 @@ from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import field_coders
 from touchfield.codec.segment import longest_segment, segment_length
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.errors import CorruptFile, InvalidArgument, require_not_negative
+from touchfield.errors import (
+    CorruptFile,
+    InvalidArgument,
+    require_kinds,
+    require_not_negative,
+    require_one_of,
+    require_positive,
+)
 from touchfield.files import json_of
 from touchfield.filters.contact import VibrationRule
-from touchfield.filters.device_filter import DeviceFilterSpec
-from touchfield.filters.registry import FieldFilter, filter_of
+from touchfield.filters.device_filter import DeviceFilterSpec, require_nw
+from touchfield.filters.registry import FieldFilter, field_filters, filter_of
 from touchfield.perception.human import figure
+from touchfield.sources.laws import LawSpec
 from touchfield.sources.options import SourceOptions
 
 CODERS: Final = tuple(field_coders())  # of fields; the first is the default
@@ -27,6 +35,7 @@ DEFAULT_F0_N = figure("force_threshold_n")
 Frames = tuple[int, int | None]
 """The first of some frames, and the one behind the last; None: the end."""
 
+REPRESENTATIONS: Final = ("auto", "voxel", "object")
 COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
 _OPTIONAL: Final = ("vibration", "fit_frames", *COEFFICIENTS)
 NO_FLOOR_N: Final = 1e-30  # in place of F_0 = 0 where a measure takes none: less than any force
@@ -34,11 +43,21 @@ OWN_FORCES: Final = "the source's own forces, sample by sample"
 """Likewise where the source is a stored field on the lattice of the file, and no haptic filter is asked for."""
 
 
-def _usual(name: str) -> Any:
-    """The spec of a coder of which nothing is asked."""
-    spec = field_coders()[name].spec
-    assert spec is not None
-    return spec()
+def require_frames(where: str, frames: Any) -> None:
+    """`InvalidArgument` for what are no `Frames`, and not None."""
+    try:
+        start, stop = frames or (0, None)
+        is_range = start >= 0 and (stop is None or start < stop)
+    except (TypeError, ValueError):
+        is_range = False
+    if not is_range:
+        raise InvalidArgument(where, repr(frames), "START below STOP, neither negative")
+
+
+def _asked(spec: Any) -> dict[str, Any]:
+    """The fields of a spec that are not as by default."""
+    usual, every = type(spec)(), ((one.name, getattr(spec, one.name)) for one in fields(spec))
+    return {name: value for name, value in every if value != getattr(usual, name)}
 
 
 @dataclass(frozen=True)
@@ -64,7 +83,9 @@ class EncodeSpec:
     band_m: float = option(0.004, "Reach of the proximity and magnetic laws, metres that the hand moves.")
     surface_damping_n_s_per_m: float = option(0.0, "Drag of a moving surface: b times its velocity is added.")
     representation: str = option("auto", "voxel, object (fields and pose tracks), or auto.")
-    mapping: str = option("fit", "Scene to workspace: fit (5 % room is left), fill, crop, or a factor such as 0.05.")
+    mapping: str | float = option(
+        "fit", "Scene to workspace: fit (5 % room is left), fill, crop, or a factor such as 0.05."
+    )
     oversample: int = option(2, "Samples per axis and device sample before the anti-alias low-pass.")
     pool: str = option("auto", "Depth of an array: max, mean, relief (heights, from above), or auto: what suits it.")
     cutoff: str = option("nyquist", "Low-pass of an actuator array: nyquist = 1/(2d), or literal = 2/d.")
@@ -78,25 +99,29 @@ class EncodeSpec:
     damping_n_s_per_m: float | None = option(None, "Damping b, which the receiver renders; default: the source's.")
 
     def __post_init__(self) -> None:
-        for name in COEFFICIENTS:
+        require_kinds(self, representation=REPRESENTATIONS, coder=CODERS)
+        for name in (*COEFFICIENTS, "surface_damping_n_s_per_m"):
             value = getattr(self, name)
             if value is not None:
-                require_not_negative(**{f"--{name.replace('_', '-')}": value})
-        if not all(isinstance(one, tuple | list) and len(one) == 2 for one in self.filters):
+                require_not_negative(**{name: value})
+        for name in ("frames", "fit_frames"):
+            require_frames(name, getattr(self, name))
+        require_nw(self.nw)
+        is_list = isinstance(self.filters, tuple | list)
+        if not (is_list and all(isinstance(one, tuple | list) and len(one) == 2 for one in self.filters)):
             raise InvalidArgument("filters", repr(self.filters), 'names and words, such as (("gaussian", "2mm"),)')
+        for name, _ in self.filters:  # not the words: those of a stranger's stream may name a file
+            require_one_of("filters", name, field_filters())
+        _ = self.factor, self.device_filter, self.law_spec(1.0)  # each says what cannot be
         if self.vibration is not None:
             VibrationRule.parse(self.vibration)
             if self.representation == "object":
                 said = "--vibration works with --representation voxel or auto, not with object"
                 raise InvalidArgument(f"{said}: objects have no samples that could vibrate, so take voxel")
-        if self.coder not in CODERS:
-            raise InvalidArgument("coder", repr(self.coder), f"one of {', '.join(CODERS)}")
         for other in CODERS:
-            usual = _usual(other)
-            for one in fields(usual) if other != self.coder else ():
-                value = getattr(getattr(self, other), one.name)
-                if value != getattr(usual, one.name):
-                    raise InvalidArgument(f"{one.name} {value!r} works with coder {other}, not with {self.coder}")
+            stray = _asked(getattr(self, other)) if other != self.coder else {}
+            for name, value in stray.items():
+                raise InvalidArgument(f"{name} {value!r} works with coder {other}, not with {self.coder}")
 
     @property
     def coding(self) -> Any:
@@ -122,6 +147,24 @@ class EncodeSpec:
         return longest_segment(self.coding.segment_frames, rate_hz)
 
     @property
+    def factor(self) -> float | None:
+        """Metres of the hand for one of the scene; None where the scene is fitted into the workspace."""
+        if self.mapping in ("fit", "fill"):
+            return None
+        try:
+            factor = 1.0 if self.mapping == "crop" else float(self.mapping)
+        except (TypeError, ValueError):
+            expected = "fit, fill, crop, or a factor such as 0.05"
+            raise InvalidArgument("mapping", repr(self.mapping), expected) from None
+        require_positive(mapping=factor)
+        return factor
+
+    def law_spec(self, force_max_n: float) -> LawSpec:
+        """The force law that is asked for, of a device with this F_max."""
+        damping = self.surface_damping_n_s_per_m
+        return LawSpec(self.law, self.stiffness_n_per_m, force_max_n, self.thickness_m, self.band_m, damping)
+
+    @property
     def chain(self) -> tuple[FieldFilter, ...]:
         """The haptic filters asked for."""
         return tuple(filter_of(name, words) for name, words in self.filters)
@@ -145,12 +188,9 @@ class EncodeSpec:
 
     def asked(self) -> dict[str, Any]:
         """All that differs from the defaults, by the names of the options."""
-        pairs: list[tuple[Any, Any]] = [(self, EncodeSpec()), (self.source, SourceOptions())]
-        pairs += [(getattr(self, name), _usual(name)) for name in CODERS]
-        rows = [
-            (f.name, getattr(mine, f.name), getattr(usual, f.name)) for mine, usual in pairs for f in fields(mine)
-        ]
-        return {name: own for name, own, usual in rows if name not in ("source", *CODERS) and own != usual}
+        inner = "source", *CODERS
+        own = {name: value for name, value in _asked(self).items() if name not in inner}
+        return own | {name: value for one in inner for name, value in _asked(getattr(self, one)).items()}
 
     @classmethod
     def from_json(cls, text: str) -> EncodeSpec:
@@ -161,7 +201,7 @@ class EncodeSpec:
         try:
             values = json_of(text)
             values["source"] = SourceOptions(**{**values["source"], "allow_outside": False})
-            values[values["coder"]] = type(_usual(values["coder"]))(**values[values["coder"]])
+            values[values["coder"]] = type(getattr(cls(), values["coder"]))(**values[values["coder"]])
             if values["thickness_m"] is not None:
                 values["thickness_m"] = float(values["thickness_m"])
             for name in ("frames", "fit_frames"):
@@ -190,8 +230,9 @@ class ReductionSpec:
     trace: Path | None = option(None, "Where a hand was: t_s,x_m,y_m,z_m, as a play's --log.")
 
     def __post_init__(self) -> None:
+        require_kinds(self)
         if not -200 <= self.nmse_db < 0:
-            raise InvalidArgument("--nmse-db", repr(self.nmse_db), "decibels below 0, such as -30")
+            raise InvalidArgument("nmse_db", repr(self.nmse_db), "decibels below 0, such as -30")
 
 
 @dataclass(frozen=True)
@@ -203,3 +244,7 @@ class Motion:
     frames: Frames | None = option(None, "Frames of the animation to take, START:STOP.")
     rest_frame: int | None = option(None, "Frame of MODEL that STREAM shows; default: the first that is taken.")
     rate_hz: float = option(60.0, "Frames a second of the tracks.")
+
+    def __post_init__(self) -> None:
+        require_kinds(self)
+        require_frames("frames", self.frames)

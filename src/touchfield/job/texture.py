@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from touchfield.container import TouchReader, TouchWriter
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_ending
 from touchfield.perception.vibrotactile import band_rms, dft321, handle_force_n
 from touchfield.render.material import KEY, Material, stored_json
 from touchfield.sources.recording import Recording
@@ -52,6 +52,7 @@ def store_materials(stream: str | Path, materials: Sequence[Material], out: str 
     Raises `InvalidArgument` if the table is longer than 4096 letters, `FormatError` of the stream, `SourceError` if
     the system refuses.
     """
+    require_ending(out, "OUT.touch")
     text = stored_json(materials)
     with TouchReader(stream) as reader, TouchWriter(out) as writer:
         writer.write_head(reader.head, {**reader.provenance, KEY: text})

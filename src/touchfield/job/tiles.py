@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield._version import __version__
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_ending
 from touchfield.job.coding import ALONE, Sent, name_of, prepared_here
 from touchfield.job.encode import Encoded
 from touchfield.job.executors import in_order
@@ -74,6 +74,7 @@ def encode_tiles(
     another coder, an array of actuators.
     """
     began = time.perf_counter()
+    require_ending(out, "OUT.zarr")
     asked = replace(spec, representation="voxel")
     prepared = prepare(as_source(source, spec.device), asked)
     for found, is_asked in (

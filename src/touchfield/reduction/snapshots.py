@@ -57,7 +57,7 @@ def _bricks(field: ForceField) -> Float32s:
 
 def reduced(medium: HapticMedium, kind: str = "global", rank: int | None = None, step: int = 1) -> Reduced:
     """The modes of every `step`-th frame of a medium, all of them or the first `rank`; `kind` is one of `KINDS`."""
-    require_one_of("--modes", kind, KINDS)
+    require_one_of("modes", kind, KINDS)
     places = range(0, len(medium), step)
     if kind == "bricks":
         return Reduced(medium, kind, klt((_bricks(medium[i]) for i in places), rank), np.zeros(0, np.int64))

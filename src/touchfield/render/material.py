@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, SourceError, blamed_on
+from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_ending
 from touchfield.files import json_of, read_bytes
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.field import numbers_of
@@ -158,6 +158,7 @@ def read_materials(path: str | Path) -> tuple[Material, ...]:
 
 def write_table(path: str | Path, materials: Iterable[Material]) -> None:
     """Write a table of materials as JSON, whole or not at all; `SourceError` if the system refuses."""
+    require_ending(path, "TABLE.json")
     with atomic_path(Path(path)) as temporary:
         temporary.write_text(materials_json(materials) + "\n", encoding="utf-8")
 

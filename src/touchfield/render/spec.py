@@ -18,8 +18,8 @@ from touchfield.errors import (
     InvalidArgument,
     is_finite,
     require_between,
+    require_kinds,
     require_not_negative,
-    require_one_of,
     require_positive,
 )
 from touchfield.files import json_of
@@ -87,6 +87,7 @@ class RenderSpec:
     deformation: Deformation | None = None  # bends the medium, or lets it yield; it is rendered as a field then
 
     def __post_init__(self) -> None:
+        require_kinds(self, render=("auto", "proxy", "field"), up=UPS)
         for name in _NUMBERS:
             value, check = getattr(self, name), require_not_negative if name in _FROM_ZERO else require_positive
             if value is not None:
@@ -102,8 +103,6 @@ class RenderSpec:
             values = getattr(self, name)
             if np.shape(values) != (3,) or not all(map(is_finite, values)):
                 raise InvalidArgument(name, repr(values), "three finite numbers")
-        require_one_of("render", self.render, ("auto", "proxy", "field"))
-        require_one_of("up", self.up, UPS)
         require_between(10, 20000, rate_hz=self.rate_hz)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from touchfield.asked import option
-from touchfield.errors import InvalidArgument, require_one_of, require_positive
+from touchfield.errors import InvalidArgument, require_kinds, require_positive
 
 
 @dataclass(frozen=True)
@@ -77,15 +77,15 @@ class SourceOptions:
     allow_outside: bool = option(False, "Models and scene files may name files outside their own folder.")
 
     def __post_init__(self) -> None:
-        for name, choices in (
-            ("frame", ("world", "camera")),
-            ("world", ("fused", "causal", "frames")),
-            ("reading", ("camera", "height")),
-            ("shell", ("auto", "one", "two")),
-            ("holes", ("small", "close", "leave")),
-            ("interpolation", ("linear", "nearest")),
-        ):
-            require_one_of(name, getattr(self, name), choices)
+        require_kinds(
+            self,
+            frame=("world", "camera"),
+            world=("fused", "causal", "frames"),
+            reading=("camera", "height"),
+            shell=("auto", "one", "two"),
+            holes=("small", "close", "leave"),
+            interpolation=("linear", "nearest"),
+        )
         if self.poses is not None and self.frame == "camera":
             raise InvalidArgument("poses", "poses with frame camera", "frame world, which uses them")
         positive = (

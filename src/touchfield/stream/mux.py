@@ -29,8 +29,8 @@ from touchfield.container import SegmentEntry, TouchReader
 from touchfield.container.records import MAGIC, OBJECTS_CODER, Segment
 from touchfield.container.wire import CRC_SIZE, OPENING_SIZE, ByteSource, read_opening, read_record, records_between
 from touchfield.container.writer import index_and_end
-from touchfield.errors import CorruptFile, InvalidArgument, SourceError, import_extra, reason
-from touchfield.files import readable
+from touchfield.errors import CorruptFile, InvalidArgument, SourceError, import_extra, reason, require_ending
+from touchfield.files import keep_sources, readable
 from touchfield.medium.atomic import atomic_path
 from touchfield.parallel import Report, silent
 from touchfield.stream.live import MEDIA_TYPE
@@ -85,9 +85,7 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FORMS)}")
     if not 0 <= at_s < 1e6:
         raise InvalidArgument("--at-s", f"{at_s:g}", "0 or more seconds of the movie")
-    for source in (movie, stream):
-        if Path(source).exists() and out.exists() and Path(source).samefile(out):
-            raise InvalidArgument(str(out), "the file that is read", "another name")
+    keep_sources(out, movie, stream)
     kind = out.suffix.lower()
     with TouchReader(stream) as reader, _opened(movie) as source:
         seconds = reader.head.frame_count / reader.head.rate_hz
@@ -110,6 +108,7 @@ def demux(movie: str | Path, out: str | Path) -> Muxed:
     Raises SourceError if the movie cannot be read, or has no touch; FormatError if the touch is damaged, or its
     beginning is missing.
     """
+    require_ending(out, "OUT.touch")
     if Path(movie).suffix.lower() == ".mpd":
         mend = f"Its touch stands beside it: {Path(movie).with_suffix('.touch').name}."
         raise InvalidArgument(str(movie), "a DASH manifest", "a movie with touch in it", mend)

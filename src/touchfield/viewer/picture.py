@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _X, _Y, _Z = 0, 1, 2
 _ARROWS = 30  # along the longer side of the direction panels
 _EMPTY = "0.86"
+_COLUMNS = ("source", "decoded")
 
 
 def draw_comparison(
@@ -35,16 +36,15 @@ def draw_comparison(
     title: str,
     axes: str,
     mask: tuple[float, float],
-    columns: tuple[str, str] = ("source", "decoded"),
 ) -> None:
     """Write a PNG that compares two fields on one grid.
 
     Rows: where a hand that comes from the viewer's side first feels a force; |F| on a slice along the line of
-    sight; the direction on the same slice; of an array of actuators, |F| of each. Columns: the two fields, as
-    `columns` calls them, and the error. `axes` are as the medium words them, "x right, y down, z forward"; `mask` is
-    (k, F_0) of max(F_0, k |F|). `MissingExtra` if matplotlib is not installed.
+    sight; the direction on the same slice; of an array of actuators, |F| of each. Columns: source, decoded, error.
+    `axes` are as the medium words them, "x right, y down, z forward"; `mask` is (k, F_0) of max(F_0, k |F|).
+    `MissingExtra` if matplotlib is not installed.
     """
-    panels = _Panels(original, decoded, axes, mask, columns)
+    panels = _Panels(original, decoded, axes, mask)
     rows = [panels.draw_amplitudes]
     if not panels.is_array:
         rows = [panels.draw_contact, *rows, panels.draw_directions]
@@ -65,9 +65,8 @@ class _Panels:
         decoded: ForceField,
         axes: str,
         mask: tuple[float, float],
-        columns: tuple[str, str],
     ) -> None:
-        self.axes, self.mask, self.columns = axes, mask, columns
+        self.axes, self.mask = axes, mask
         grid = original.grid
         # an array of actuators is one sample deep: all there is to see is the force of each
         self.is_array = grid.shape[_Z] == 1
@@ -127,7 +126,7 @@ class _Panels:
             if low == high:  # a flat scene, and what little stands out of it is what there is to see
                 low, high = both.min(), both.max()
             scale |= {"vmin": low, "vmax": high}
-        for panel, depth, name in zip(row, depths, self.columns, strict=False):
+        for panel, depth, name in zip(row, depths, _COLUMNS, strict=False):
             shown = self._image(panel, _Y, depth, f"{name}: first contact along z", **scale)
         _bar(figure, shown, list(row[:2]), "z of first contact / mm")
         worst = np.nanmax(np.where(np.isnan(self.error), -1, self.error), axis=_Z)
@@ -149,7 +148,7 @@ class _Panels:
         cut: tuple[Any, ...] = (slice(None), self.cut)
         if self.is_array:
             up, cut, where = _Y, (..., 0), ""
-        for panel, force, name in zip(row, self.forces, self.columns, strict=False):
+        for panel, force, name in zip(row, self.forces, _COLUMNS, strict=False):
             felt = np.where(force[cut] > 0, force[cut], np.nan)
             shown = self._image(panel, up, felt, f"{name} |F|{where}", vmin=0, vmax=self.top_n, cmap="cividis")
         _bar(figure, shown, list(row[:2]), "|F| / N")
@@ -158,7 +157,7 @@ class _Panels:
     def draw_directions(self, figure: Any, row: Any) -> None:
         """Direction on the same slice, and by how many degrees it is off."""
         units = [_unit(v[:, self.cut]) for v in self.vectors]
-        for panel, unit, name in zip(row, units, self.columns, strict=False):
+        for panel, unit, name in zip(row, units, _COLUMNS, strict=False):
             shown = self._quiver(panel, unit, f"{name} direction, {self._slice_name()}")
         _bar(figure, shown, list(row[:2]), "part of the force along y")
         held = np.logical_and(*((u != 0).any(-1) for u in units))

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
+from touchfield.asked import option
 from touchfield.codec.paper.quantisers import weber_ladder
-from touchfield.codec.registry import Coder, CoderOption
-from touchfield.errors import InvalidArgument
+from touchfield.codec.registry import Coder
+from touchfield.errors import InvalidArgument, require_kinds
 
 STAGES: Final = ("none", "dpcm", "adpcm", "dct", "wavelet", "runs")
 """In the order of their numbers."""
@@ -25,37 +26,38 @@ _CHOICES: Final = {
 class PaperSpec:
     """The paper's coder, as asked for; InvalidArgument if a part cannot be, or does nothing beside the stage."""
 
-    k: float = 0.1
+    k: float = option(0.1, "Weber fraction of the deadband. [default: 0.1]")
     """Weber fraction of the deadband (eq. 8), between 0 and 1."""
-    nq: int = 6
+    nq: int = option(6, "bits of amplitude. [default: 6]")
     """n_q: 2^n_q amplitude levels, 1 to 12; of the Weber ladder see `weber_levels`."""
-    directions: str = "auto"
+    directions: str = option("auto", "codebook: ico5 (252), octa3 (258), ico3 (92), ico1 to ico20.")
     """Codebook: ico5 (252 vertices), octa3 (258, the paper's count), ico3 (92), ico1 to ico20; "auto" is ico5 for a
     point device, and octa1 for an array, whose forces all lie along one axis."""
-    amplitude: str = "lloyd-max"
+    amplitude: str = option("lloyd-max", "amplitude quantiser: lloyd-max (default), weber or uniform.")
     """Amplitude quantiser: "lloyd-max" (the paper's), "weber" (the corrected eq. 6) or "uniform"."""
-    deadband: str = "closed"
+    deadband: str = option("closed", "closed, last-sent, previous, zero or none. [default: closed]")
     """Reading of eq. 8 within a frame: "closed" (the vector against the decoded reference, with the k' that
     guarantees k), "last-sent", "previous" (as printed), "zero" (the zero is written in place), or "none"."""
-    interframe: str = "closed"
+    interframe: str = option("closed", "closed, open or none. [default: closed]")
     """Of frames: "closed" (difference to the decoded previous frame), "open" (to the original one, as printed: errors
     add up), or "none" (every frame alone)."""
     choose_by_size: bool = True
     """Each frame alone or as a difference, whichever is smaller; the literal coder always takes the difference."""
     hold_runs: bool = True
     """Held samples are coded in runs; the literal coder writes one zero symbol for each."""
-    segment_frames: int = 8
+    segment_frames: int = option(8, "frames in an independent segment. [default: 8]")
     """Frames in an independent segment, 1 to 4096."""
     weber_levels: str = "auto"
     """Of the Weber ladder: "needed" (as many as k needs from F_min on), "full" (2^n_q with the zero, from the largest
     force down: with n_q = 6 the 6 bits a sample of table 2), or "auto" (full for an array, needed for a point)."""
-    stage: str = "none"
+    stage: str = option("none", "dpcm, adpcm, dct, wavelet or runs in place of all these. [default: none]")
     """What figure 4 names in place of deadband, levels, directions and differences: "dpcm", "adpcm" (predictive),
     "dct", "wavelet" (spectral) or "runs" (run-length) of components in uniform steps, each frame alone."""
-    step_n: float = 0.05
+    step_n: float = option(0.05, "with --stage: its step, newtons. [default: 0.05]")
     """Of a stage: the step, newtons, 1e-9 to 1e6."""
 
     def __post_init__(self) -> None:
+        require_kinds(self, **_CHOICES)
         if not 0 < self.k < 1:
             raise InvalidArgument("k", repr(self.k), "a Weber fraction between 0 and 1, such as 0.1")
         if not 1 <= self.nq <= 12:
@@ -64,9 +66,6 @@ class PaperSpec:
             raise InvalidArgument("segment_frames", repr(self.segment_frames), "1 to 4096 frames")
         if not 1e-9 <= self.step_n <= 1e6:
             raise InvalidArgument("step_n", repr(self.step_n), "newtons, from 1e-9 to 1e6")
-        for name, choices in _CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise InvalidArgument(name, repr(getattr(self, name)), f"one of {', '.join(choices)}")
         if self.amplitude == "weber" and self.weber_steps is not None:
             weber_ladder(self.k, 1.0, self.weber_steps)  # says what is not possible before the work
         with_any, is_staged = ("k", "segment_frames", "stage"), self.stage != "none"
@@ -104,17 +103,6 @@ CODER = Coder(
     decoder="touchfield.codec.paper.decoder:PaperDecoder",
     spec=PaperSpec,
     makers={"paper": lambda asked: PaperSpec(**asked), "paper-literal": lambda asked: PaperSpec.literal(**asked)},
-    options=(
-        CoderOption("k", float, "Weber fraction of the deadband. [default: 0.1]"),
-        CoderOption("segment_frames", int, "frames in an independent segment. [default: 8]"),
-        CoderOption("interframe", str, "closed, open or none. [default: closed]"),
-        CoderOption("nq", int, "bits of amplitude. [default: 6]"),
-        CoderOption("directions", str, "codebook: ico5 (252), octa3 (258), ico3 (92), ico1 to ico20."),
-        CoderOption("amplitude", str, "amplitude quantiser: lloyd-max (default), weber or uniform."),
-        CoderOption("deadband", str, "closed, last-sent, previous, zero or none. [default: closed]"),
-        CoderOption("stage", str, "dpcm, adpcm, dct, wavelet or runs in place of all these. [default: none]"),
-        CoderOption("step_n", float, "with --stage: its step, newtons. [default: 0.05]"),
-    ),
     resolve=PaperSpec.for_device,
     summary=lambda spec: {"stage": spec.stage} if spec.stage != "none" else {},
     has_codewords=True,

@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final
 
-from touchfield.codec.registry import Coder, CoderOption
-from touchfield.errors import InvalidArgument
+from touchfield.asked import option
+from touchfield.codec.registry import Coder
+from touchfield.errors import InvalidArgument, require_kinds
 
 MODES: Final = ("mask", "mask-direction", "nmse", "lossless")
 EFFORTS: Final = ("fast", "default")
@@ -22,38 +23,39 @@ _CHOICES: Final = {
 class TouchSpec:
     """The coder `touch`, as asked for; InvalidArgument if a part is out of range."""
 
-    k: float = 0.1
+    k: float = option(0.1, "Weber fraction of the promise. [default: 0.1]")
     """Weber fraction of the promise |F_dec - F| <= max(F_0, k |F|), 0.001 to below 1."""
-    f0_n: float = 0.05
+    f0_n: float = option(0.05, "F_0 of the promise, newtons. [default: 0.05]")
     """F_0, newtons, 0 or more."""
-    mode: str = "mask"
+    mode: str = option("mask", "mask (|error| <= max(F_0, k |F|); default), mask-direction, or nmse.")
     """One of "mask" (the promise above); "mask-direction" (| |F_dec| - |F| | <= max(F_0, k |F|), and where |F| >
     F_0 / sin(direction JND) the angle between is at most `direction_jnd_deg`; elsewhere an error is F_0 at most);
     "nmse" (no promise: a mean squared error for the fewest bytes, by `step_n`); "lossless" (an already quantised
     field exactly as it is)."""
-    direction_jnd_deg: float = 18.4
+    direction_jnd_deg: float = option(18.4, "mask-direction: greatest angle, degrees. [default: 18.4]")
     """Just noticeable difference of a direction, degrees, above 0 and below 90 (docs: Barbagli 2006, Tan 2006)."""
-    step_n: float = 0.05
+    step_n: float = option(0.05, "mode nmse: step of the lattice, newtons. [default: 0.05]")
     """Step of the uniform lattice of mode "nmse", newtons."""
-    effort: str = "default"
+    effort: str = option("default", "default, or fast: 1.2 to 1.6 times as quick, decodes nothing to check.")
     """Either "fast" or "default": time against certainty, never against the promise. "fast" checks it on the
     encoder's own reconstruction, which a decoder makes again bit for bit, and codes 1.2 to 1.6 times as quickly;
     "default" decodes its bytes. Both take the same bytes but where a guess earns 3 to 10 % of a frame."""
-    support: str = "movable"
+    support: str = option("movable", "movable (where |F| is at most F_0), or exact. [default: movable]")
     """Either "movable", a force of at most F_0 may become none, and none one of at most F_0; or "exact"."""
-    masking: float = 0.0
+    masking: float = option(0.0, "share of the mean force around that is hidden, 0 to 1. [default: 0]")
     """Spatial masking, mode "mask" only: share beta, 0 to 1, of the mean force around that is hidden at a voxel; the
     promise is then max(F_0, k |F| + beta mean), see `touchfield.perception.SpatialMasking`. 0: none."""
     masking_radius_m: float = 0.0025
     """R of that mean, metres: how far apart two points are felt as two, by default on a finger."""
     guess: str = "auto"
     """Whether a surface or a spline is sent to predict a frame from: "auto" (where that is smaller), or "off"."""
-    interframe: str = "auto"
+    interframe: str = option("auto", "auto, off or on. [default: auto]")
     """Whether a frame is predicted from the one before: "auto" (where it is smaller), "off", "on"."""
-    segment_frames: int | None = None
+    segment_frames: int | None = option(None, "frames a segment. [default: half a second, 8 to 64]")
     """Frames in an independent segment, 1 to 4096; None: by the medium's rate (`codec.segment`)."""
 
     def __post_init__(self) -> None:
+        require_kinds(self, **_CHOICES)
         frames = self.segment_frames
         for name, fits, expected in (
             ("k", 0.001 <= self.k < 1, "a Weber fraction from 0.001 to below 1, such as 0.1"),
@@ -63,7 +65,6 @@ class TouchSpec:
             ("segment_frames", frames is None or 1 <= frames <= 4096, "1 to 4096 frames"),
             ("masking", 0 <= self.masking <= 1, "a share from 0 to 1, such as 0.05"),
             ("masking_radius_m", 1e-6 <= self.masking_radius_m <= 1, "metres from 1e-6 to 1"),
-            *((name, getattr(self, name) in of, f"one of {', '.join(of)}") for name, of in _CHOICES.items()),
         ):
             if not fits:
                 raise InvalidArgument(name, repr(getattr(self, name)), expected)
@@ -106,26 +107,22 @@ def _summary(spec: TouchSpec) -> dict[str, Any]:
     return {"mode": spec.mode, "effort": spec.effort, **more}
 
 
+_OPTIONS: Final = (
+    "k", "segment_frames", "f0_n", "mode", "direction_jnd_deg", "step_n", "support", "effort", "masking", "body_site",
+    "lossless_quantised", "interframe",
+)  # fmt: skip
+
 CODER = Coder(
     name="touch",
     encoder="touchfield.codec.touch.encoder:TouchEncoder",
     decoder="touchfield.codec.touch.decoder:TouchDecoder",
     spec=TouchSpec,
     makers={"touch": _spec},
-    options=(
-        CoderOption("k", float, "Weber fraction of the promise. [default: 0.1]"),
-        CoderOption("segment_frames", int, "frames a segment. [default: half a second, 8 to 64]"),
-        CoderOption("f0_n", float, "F_0 of the promise, newtons. [default: 0.05]"),
-        CoderOption("mode", str, "mask (|error| <= max(F_0, k |F|); default), mask-direction, or nmse."),
-        CoderOption("direction_jnd_deg", float, "mask-direction: greatest angle, degrees. [default: 18.4]"),
-        CoderOption("step_n", float, "mode nmse: step of the lattice, newtons. [default: 0.05]"),
-        CoderOption("support", str, "movable (where |F| is at most F_0), or exact. [default: movable]"),
-        CoderOption("effort", str, "default, or fast: 1.2 to 1.6 times as quick, decodes nothing to check."),
-        CoderOption("masking", float, "share of the mean force around that is hidden, 0 to 1. [default: 0]"),
-        CoderOption("body_site", str, "masking: where it is felt: finger, palm, belly, forearm. [default: finger]"),
-        CoderOption("lossless_quantised", bool, "keep a field that is quantised already exactly."),
-        CoderOption("interframe", str, "auto, off or on. [default: auto]"),
-    ),
+    options=_OPTIONS,
+    words={
+        "body_site": (str, "masking: where it is felt: finger, palm, belly, forearm. [default: finger]"),
+        "lossless_quantised": (bool, "keep a field that is quantised already exactly."),
+    },
     hints=("target_nmse_db",),
     summary=_summary,
     has_promise=True,
