@@ -18,10 +18,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
 from touchfield.cuda import empty, filled, on_host, uses_gpu
+from touchfield.lean import njit
 from touchfield.medium import Grid
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels import mesh_triangle as tri
