@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from touchfield.medium import ForceField
@@ -33,8 +35,10 @@ def arc(count: int, angle: float = 0.7) -> np.ndarray:
     return out
 
 
-def rendered_m(pose: np.ndarray, box: tuple[float, float, float]) -> np.ndarray:
-    """Depth of each pixel, by sphere tracing."""
+@cache
+def rendered_m(pose_bytes: bytes, box: tuple[float, float, float]) -> np.ndarray:
+    """Depth of each pixel, by sphere tracing; the pose as the bytes of float64 [4, 4]."""
+    pose = np.frombuffer(pose_bytes).reshape(4, 4)
     v, u = np.mgrid[: SIZE[0], : SIZE[1]]
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(SIZE)], -1) @ pose[:3, :3].T
     lengths, depth = np.linalg.norm(rays, axis=-1), np.full(SIZE, 0.3)
@@ -58,7 +62,7 @@ class Room(DepthSequence):
     def __init__(self, poses: np.ndarray, boxes: list[tuple[float, float, float]] | None = None) -> None:
         self.frame_count, self.poses, rng = len(poses), poses, np.random.default_rng(1)
         self.boxes = boxes or [BOX_M] * len(poses)
-        self._depths = [kinect(rendered_m(p, b), rng) for p, b in zip(poses, self.boxes, strict=True)]
+        self._depths = [kinect(rendered_m(p.tobytes(), b), rng) for p, b in zip(poses, self.boxes, strict=True)]
         self.first = poses[0]
 
     def depth_m(self, frame: int) -> np.ndarray:

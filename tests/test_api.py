@@ -84,22 +84,20 @@ def test_what_is_not_there_is_told_as_python_tells_it() -> None:
 def test_a_program_of_a_user_is_checked_by_mypy(tmp_path: Path) -> None:
     assert (ROOT / "src" / "touchfield" / "py.typed").is_file()
     pytest.importorskip("mypy")
-    program = tmp_path / "user.py"
-    program.write_text(USER)
-
-    def checked(text: str) -> subprocess.CompletedProcess[str]:
-        program.write_text(text)
-        # a checkout on the path stands for what is installed; py.typed makes its types known
-        command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--ignore-missing-imports"]
-        command += ["--config-file=", f"--cache-dir={tmp_path / 'cache'}", str(program)]
-        environment = {"MYPYPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"}
-        return subprocess.run(command, capture_output=True, text=True, timeout=600, env=environment, check=False)
-
-    good = checked(USER)
-    assert good.returncode == 0, good.stdout + good.stderr
-    bad = checked(USER + "\nmedium[0].no_such_name()\nwrong: int = medium.at(0.0)\n")
-    assert bad.returncode == 1
-    assert "no_such_name" in bad.stdout and "Incompatible types" in bad.stdout
+    programs = {"good.py": USER, "bad.py": USER + "\nmedium[0].no_such_name()\nwrong: int = medium.at(0.0)\n"}
+    for name, text in programs.items():
+        (tmp_path / name).write_text(text)
+    # a checkout on the path stands for what is installed; py.typed makes its types known
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--ignore-missing-imports"]
+    command += ["--config-file=", f"--cache-dir={tmp_path / 'cache'}", *programs]
+    environment = {"MYPYPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=600, env=environment, check=False, cwd=tmp_path
+    )
+    assert done.returncode == 1 and done.stderr == "", done.stdout + done.stderr
+    *told, total = done.stdout.splitlines()
+    assert "in 1 file (checked 2 source files)" in total and all(line.startswith("bad.py:") for line in told), told
+    assert "no_such_name" in done.stdout and "Incompatible types" in done.stdout
 
 
 # -- media ----------------------------------------------------------------------------------------------------------

@@ -205,10 +205,13 @@ def test_who_writes_no_file_is_told_of_none_when_interrupted(
 
 
 LIMITED = """
-import resource, sys
-from touchfield.cli.main import run
+import contextlib, io, json, resource, sys
+from touchfield.cli.main import _exit_code
 resource.setrlimit(resource.RLIMIT_FSIZE, (600, 600))
-run(sys.argv[1:])
+for line in sys.stdin:
+    with contextlib.redirect_stderr(io.StringIO()) as said, contextlib.redirect_stdout(io.StringIO()):
+        code = _exit_code(json.loads(line))
+    print(json.dumps([code, said.getvalue()]), flush=True)
 """
 
 
@@ -218,20 +221,23 @@ def test_a_disk_that_takes_no_more_is_one_line(sphere: Path, tmp_path: Path) -> 
     assert _exit_code(["encode", str(sphere), str(stream), "--nw", "4"]) == 0
     assert stream.stat().st_size > 600
     before = sorted(tmp_path.iterdir())
-    for arguments in (
-        ["encode", str(sphere), str(tmp_path / "new.touch"), "--nw", "4"],
-        ["encode", str(sphere), str(stream), "--nw", "4"],
-        ["decode", str(stream), str(tmp_path / "new.npz")],
-        ["decode", str(stream), str(tmp_path / "new.vti")],
-        ["compare", str(sphere), str(stream), "--picture", str(tmp_path / "new.png")],
-    ):
-        done = subprocess.run(
-            [sys.executable, "-c", LIMITED, *arguments], capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 1, arguments
-        assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-        assert "too large" in done.stderr and "Traceback" not in done.stderr, done.stderr
-        assert sorted(tmp_path.iterdir()) == before, arguments
+    command = [sys.executable, "-c", LIMITED]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as limited:
+        assert limited.stdin is not None and limited.stdout is not None
+        for arguments in (
+            ["encode", str(sphere), str(tmp_path / "new.touch"), "--nw", "4"],
+            ["encode", str(sphere), str(stream), "--nw", "4"],
+            ["decode", str(stream), str(tmp_path / "new.npz")],
+            ["decode", str(stream), str(tmp_path / "new.vti")],
+            ["compare", str(sphere), str(stream), "--picture", str(tmp_path / "new.png")],
+        ):
+            limited.stdin.write(json.dumps(arguments) + "\n")
+            limited.stdin.flush()
+            code, said = json.loads(limited.stdout.readline())
+            assert code == 1, arguments
+            assert len(said.strip().splitlines()) == 1, said
+            assert "too large" in said and "Traceback" not in said, said
+            assert sorted(tmp_path.iterdir()) == before, arguments
     assert _exit_code(["info", str(stream)]) == 0, "the older file is as it was"
 
 
@@ -399,17 +405,19 @@ def test_import_is_light() -> None:
 
 
 def test_each_command_is_found_in_its_room() -> None:
-    """A fresh interpreter for each, so that only its own room is open."""
+    """Of a package imported afresh for each, so that only its own room is open."""
     from touchfield.cli.main import COMMANDS
 
     program = (
-        "import sys; from touchfield.cli.main import COMMANDS, open_rooms\n"
-        "name = sys.argv[1]; app = open_rooms([name])\n"
-        "names = [one.name or one.callback.__name__ for one in app.registered_commands]\n"
-        "rooms = {room for room in COMMANDS.values() if f'touchfield.cli.{room}' in sys.modules}\n"
-        "assert name in names and rooms == {COMMANDS[name]}, (name, names, rooms)"
+        "import sys\n"
+        "for name in sys.argv[1:]:\n"
+        "    for old in [one for one in sys.modules if one.partition('.')[0] == 'touchfield']: del sys.modules[old]\n"
+        "    from touchfield.cli.main import COMMANDS, open_rooms\n"
+        "    names = [one.name or one.callback.__name__ for one in open_rooms([name]).registered_commands]\n"
+        "    rooms = {room for room in COMMANDS.values() if f'touchfield.cli.{room}' in sys.modules}\n"
+        "    assert name in names and rooms == {COMMANDS[name]}, (name, names, rooms)\n"
     )
-    for name in {room: name for name, room in COMMANDS.items()}.values():
-        subprocess.run([sys.executable, "-c", program, name], check=True)
+    names = {room: name for name, room in COMMANDS.items()}.values()
+    subprocess.run([sys.executable, "-c", program, *names], check=True)
     everything = [one.name or getattr(one.callback, "__name__", "") for one in open_rooms().registered_commands]
     assert everything == list(COMMANDS)

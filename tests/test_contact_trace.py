@@ -35,21 +35,26 @@ def probed(count: int = 4000, twist_n_per_m: float = 0.0) -> ContactTrace:
     return ContactTrace(points, spring(points) + curl)
 
 
+@pytest.fixture(scope="module")
+def plain() -> ContactScene:
+    """Of a gradient, and nothing beside it."""
+    return ContactScene(probed())
+
+
 def written(path: Path, trace: ContactTrace, header: str = "x_m,y_m,z_m,fx_n,fy_n,fz_n") -> Path:
     rows = np.hstack([trace.positions_m, trace.forces_n])
     np.savetxt(path, rows, delimiter=",", header=header, comments="")
     return path
 
 
-def test_a_gradient_comes_back() -> None:
-    scene = ContactScene(probed())
+def test_a_gradient_comes_back(plain: ContactScene) -> None:
     at = np.random.default_rng(2).uniform(-0.015, 0.015, (300, 3))
-    found = scene.interpolant.forces_n(at)
+    found = plain.interpolant.forces_n(at)
     assert np.abs(found - spring(at)).max() < 0.03 * np.abs(spring(at)).max()
-    assert scene.interpolant.missed < 0.1 and "%" in scene.notes[0]
+    assert plain.interpolant.missed < 0.1 and "%" in plain.notes[0]
 
 
-def test_the_field_has_no_curl_whatever_was_recorded() -> None:
+def test_the_field_has_no_curl_whatever_was_recorded(plain: ContactScene) -> None:
     turning = ContactScene(probed(twist_n_per_m=300.0))
     at, step = np.random.default_rng(3).uniform(-0.01, 0.01, (50, 3)), 1e-6
     gradient = np.stack(
@@ -61,23 +66,22 @@ def test_the_field_has_no_curl_whatever_was_recorded() -> None:
         axis=1,
     )  # [n, derivative along, component]
     assert np.abs(gradient - gradient.transpose(0, 2, 1)).max() < 1e-3 * np.abs(gradient).max()
-    assert turning.interpolant.missed > 3 * ContactScene(probed()).interpolant.missed  # and the rest is told
+    assert turning.interpolant.missed > 3 * plain.interpolant.missed  # and the rest is told
 
 
-def test_no_force_where_nothing_was_met() -> None:
-    scene = ContactScene(probed())
+def test_no_force_where_nothing_was_met(plain: ContactScene) -> None:
     grid = Grid((40, 40, 40), (0.005,) * 3, (-0.1,) * 3)
-    field = scene.field(0, grid, PROFILE)
+    field = plain.field(0, grid, PROFILE)
     dense = field.to_dense()
     points = grid.to_m(np.stack(np.meshgrid(*[np.arange(40)] * 3, indexing="ij"), axis=-1))
-    far = np.linalg.norm(np.maximum(np.abs(points) - 0.02, 0), axis=-1) > scene.reach_m
+    far = np.linalg.norm(np.maximum(np.abs(points) - 0.02, 0), axis=-1) > plain.reach_m
     assert dense.any() and not dense[far].any()
     inside = np.abs(points).max(axis=-1) < 0.015
     assert dense[inside] == pytest.approx(spring(points[inside]), abs=0.2)
 
 
 def test_a_csv_becomes_a_stream(tmp_path: Path) -> None:
-    path = written(tmp_path / "probe.csv", probed())
+    path = written(tmp_path / "probe.csv", probed(120))
     spec = EncodeSpec(nw=5, mapping="1", touch=TouchSpec(k=0.02, f0_n=0.0, effort="fast"))
     done = encode(path, tmp_path / "probe.touch", spec)
     assert any("left out" in note for note in done.notes)
@@ -148,7 +152,7 @@ def stamped(*doubles: float, order: str = "<", names: tuple[bytes, ...] = (b"bas
 
 
 def test_mcap_of_json_and_of_ros(tmp_path: Path) -> None:
-    trace = probed(200)
+    trace = probed(60)
     ros: list[tuple[str, str, str, float, bytes]] = []
     plain = []
     for n, (place, force) in enumerate(zip(trace.positions_m.tolist(), trace.forces_n.tolist())):

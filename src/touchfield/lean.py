@@ -1,16 +1,30 @@
-"""How kernels are compiled that make no array: by who calls them, and without what they do not need."""
+"""How kernels are compiled: kept where processes that compile at once do not get in each other's way; those that make
+no array by who calls them, and without what they do not need.
+"""
 
 from __future__ import annotations
 
 from typing import Any, Final
+from zlib import crc32
 
 import numba
-from numba import njit
-from numba.core import compiler
+from numba import njit as njit
+from numba.core import caching, compiler
 
 _CONFIG: Any = numba.config
 _COMPILER: Any = compiler.CompilerBase
 _PASSES: Any = compiler.DefaultPassBuilder
+_FILES: Any = caching.IndexDataCacheFile
+_save: Any = _FILES.save
+
+
+def _save_named(files: Any, key: Any, data: Any) -> None:
+    """Save a variant by its own name: two processes that compile two at once might take one number for both."""
+    files._data_name_pattern = f"{files._index_name[:-4]}.{crc32(repr(key).encode()):08x}.{{number}}.nbc"
+    _save(files, key, data)
+
+
+_FILES.save = _save_named
 
 
 class _Quick(_COMPILER):  # type: ignore[misc]

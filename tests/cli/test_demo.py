@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ def test_the_core_alone_shows_something(
         if name.partition(".")[0] in HIDDEN:
             monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setattr(demo, "find_spec", find_spec)
+    words, spec = demo.SHAPES
+    monkeypatch.setattr(demo, "SHAPES", (words, replace(spec, nw=6)))
     assert _exit_code(["demo", str(tmp_path / "out")]) == 0
     out = capsys.readouterr().out
     assert "left out: the motorcycle scene" in out and "left out: the bundled elevation model" in out

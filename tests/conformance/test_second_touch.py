@@ -112,7 +112,8 @@ def test_the_same_forces(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["ball", "noise", "solid"])
-def test_both_refuse_the_same_bytes(name: str) -> None:
+def test_both_refuse_the_same_bytes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(globals(), "GRID", Grid((9, 8, 10), GRID.spacing_m, GRID.origin_m))  # the second is slow
     parameters, body = encoded(name)
     rng, refused = np.random.default_rng(len(body)), 0
     for _ in range(40):

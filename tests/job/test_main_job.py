@@ -99,8 +99,9 @@ def test_mappings_keep_millimetres_honest() -> None:
 
 
 def test_no_force_exceeds_the_device(tmp_path: Path) -> None:
-    for name in ("phantom-omni", "novint-falcon", "tshirt-32x32"):
-        prepared = prepare(ball(), EncodeSpec(device=name, nw=4, stiffness_n_per_m=2e3))
+    # before an array the field is sampled the finer the steeper its law is; 500 N/m are enough for its 3.3 N
+    for name, stiffness in (("phantom-omni", 2e3), ("novint-falcon", 2e3), ("tshirt-32x32", 500.0)):
+        prepared = prepare(ball(), EncodeSpec(device=name, nw=4, stiffness_n_per_m=stiffness))
         assert np.linalg.norm(prepared.medium[0].vectors_n(), axis=1).max() <= prepared.device.force_max_n * (
             1 + 1e-6
         )

@@ -18,10 +18,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import cfunc, njit, types
+from numba import cfunc, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.numpy_support import carray
+
+from touchfield.lean import njit
 
 BOX = 24
 """Words of the box, as below."""

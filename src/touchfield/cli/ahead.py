@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
-from typing import Any, Final
+from typing import Final
 
 from touchfield.parallel import worker_count
 
@@ -60,14 +60,8 @@ def _main(groups: list[str]) -> None:
     if hasattr(os, "nice"):
         os.nice(_NICE)
     gc.disable()
-    from numba.core.caching import IndexDataCacheFile
-
     from touchfield.codec.touch.warm import GROUPS
 
-    # numba numbers the files of a function: two processes that compile it for two types might take one number
-    files: Any = IndexDataCacheFile
-    numbered = files._data_name
-    files._data_name = lambda *which: numbered(*which).replace(".nbc", f".{os.getpid()}.nbc")
     every = GROUPS if set(groups) <= GROUPS.keys() else import_module("touchfield.job.setup").GROUPS
     for group in groups:
         every[group]()

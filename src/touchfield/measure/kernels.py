@@ -9,10 +9,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from touchfield.arrays import Int64s
+from touchfield.lean import njit
 from touchfield.parallel import for_chunks
 
 # -- symbols in tables. One add to a table costs one or two cycles, and waits for an add to the same place just before

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from touchfield.lean import njit
 
 _MOST = 1024  # nearest places of one cell; a cell with more is taken as weak
 

@@ -11,11 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
-from touchfield.lean import LEAN
+from touchfield.lean import LEAN, njit
 from touchfield.medium.kernels.placed import (
     CELLS,
     C,

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from touchfield.lean import entry
+from touchfield.lean import entry, njit
 
 
 @entry

@@ -12,10 +12,9 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.lean import entry, inlined, lean
+from touchfield.lean import entry, inlined, lean, njit
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks

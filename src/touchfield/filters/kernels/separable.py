@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from touchfield.lean import njit
 from touchfield.medium.kernels import first_at_least
 
 ROW = 24  # numbers of a brick's row: eight samples of three components

@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from touchfield.lean import njit
 
 _STRIDES = (100, 10, 1)
 _TILE = 1000

@@ -6,10 +6,9 @@ Import only when first needed: this imports numba.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.lean import entry
+from touchfield.lean import entry, njit
 from touchfield.medium.grid import Grid
 
 

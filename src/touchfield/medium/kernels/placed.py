@@ -10,7 +10,8 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
+
+from touchfield.lean import njit
 
 _NO_ARRAYS: Final[dict[str, Any]] = {"cache": True, "nogil": True, "_nrt": False}
 """Of a function that makes none: to count the references to those it is given would take most of its time."""

@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from touchfield.lean import UNCOUNTED
+from touchfield.lean import UNCOUNTED, njit
 from touchfield.medium.kernels.placed import CELLS, GOLDEN, between, shortened
 from touchfield.render.block import words as W
 from touchfield.render.kernels.vectors import (

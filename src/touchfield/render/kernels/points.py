@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from touchfield.lean import UNCOUNTED
+from touchfield.lean import UNCOUNTED, njit
 from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels.placed import CELLS, INSIDE, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.render.block import words as W

@@ -17,10 +17,11 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
 from touchfield.filters.kernels.forces import friction
+from touchfield.lean import njit
 from touchfield.render.block import words as W
 from touchfield.render.kernels import effects
 from touchfield.render.kernels.effects import material_at, texture

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from touchfield.lean import UNCOUNTED
+from touchfield.lean import UNCOUNTED, njit
 
 _1, _2 = np.uint64(1), np.uint64(2)
 

@@ -9,10 +9,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Int32s
+from touchfield.lean import njit
 from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels.depth import B3, Query, first_sample, gather, pixels_of

@@ -18,9 +18,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
+from touchfield.lean import njit
 from touchfield.medium import Grid
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels import mesh_triangle as tri

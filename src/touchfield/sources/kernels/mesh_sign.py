@@ -21,9 +21,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from touchfield.arrays import Bools, Float64s, Int32s, Int64s
+from touchfield.lean import njit
 from touchfield.medium import Grid
 from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks

@@ -15,9 +15,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from touchfield.arrays import Float64s, Int32s
+from touchfield.lean import njit
 from touchfield.parallel import for_chunks
 
 X, Y, Z, D, ID = 0, 64, 128, 192, 256

@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from touchfield.arrays import Float32s
+from touchfield.lean import njit
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:

@@ -6,9 +6,8 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
-from touchfield.lean import entry
+from touchfield.lean import entry, njit
 
 _MOST_STEPS: Final = 60  # of Newton's iteration; where it is slowest, beside the focal ellipse, about ten are needed
 _FAR = 50.0  # of r^2 / l^2, where exp(-r^2 / 2 l^2) is 1e-11
