@@ -1,4 +1,4 @@
-"""Things that a user asks for: fields of a spec that are options, too, each with its words in the help, and addresses."""
+"""Fields of a spec that are options, too, each with its words in the help; and addresses."""
 
 from __future__ import annotations
 

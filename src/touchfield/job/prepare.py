@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.codec.registry import coder
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader
 from touchfield.container.remote import is_remote
 from touchfield.cuda import needs_gpu
@@ -197,8 +198,10 @@ def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
     if isinstance(scene, KeptScene):
         chosen, placement = scene.device, scene.placement
     else:
-        mapping = mapping_of(scene, device(spec.device), spec)
-        chosen, placement = mapping.device, mapping.placement
+        chosen = device(spec.device)
+        spec, promise = _suited(spec, chosen)
+        mapping = mapping_of(scene, chosen, spec)
+        placement = mapping.placement
         if mapping.is_own and isinstance(scene, StoredScene):
             origin = StoredScene(scene.to_the_bit())
 
@@ -208,7 +211,7 @@ def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
     else:
         lattice = mapping.medium(origin) if mapping else origin.medium  # type: ignore[attr-defined]
         medium = felt_medium(lattice, spec.chain, chosen.force_max_n)
-    notes = (*origin.notes, *(mapping.notes if mapping else ()), *_notes_of(objects, spec))
+    notes = (*origin.notes, *((*mapping.notes, *promise) if mapping else ()), *_notes_of(objects, spec))
 
     beside = {name: value for name in COEFFICIENTS if (value := getattr(spec, name)) is not None}
     medium, objects = replace(medium, **beside), objects and replace(objects, **beside)
@@ -230,6 +233,18 @@ def prepare(source: Source, spec: EncodeSpec | None = None) -> Prepared:
         reference = OWN_FORCES if is_own else FILTERED
     made_of = origin if mapping else None
     return Prepared(medium, chosen, placement, spec, notes, None, exact, made_of, reference, scene.has_law, mapping)
+
+
+def _suited(spec: EncodeSpec, chosen: Device) -> tuple[EncodeSpec, tuple[str, ...]]:
+    """The spec with the promise that pins need where none is asked for: half a step; and a note that tells it."""
+    usual, touch, levels = TouchSpec(), spec.touch, chosen.levels or _HEIGHTS
+    k = 0.5 / max(levels - 1, 1)
+    is_asked = spec.coder != "touch" or (touch.k, touch.f0_n, touch.mode) != (usual.k, usual.f0_n, usual.mode)
+    if chosen.shows != "height" or is_asked or k >= usual.k:
+        return spec, ()
+    f0_n = k * chosen.force_max_n
+    note = f"k {k:.3g} and F_0 {f0_n:.3g} N: every pin within half a step of {levels} heights (--k, --f0-n)"
+    return replace(spec, touch=replace(touch, k=k, f0_n=f0_n)), (note,)
 
 
 def _objects(scene: Scene, chosen: Device, mapping: Mapping | None, spec: EncodeSpec) -> HapticScene | None:
