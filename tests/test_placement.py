@@ -112,7 +112,7 @@ def test_options_of_another_kind_of_device_are_told() -> None:
     asked = EncodeSpec(nw=4, pool="mean")
     for name, idle in (("graphiti", "--nw"), ("phantom-omni", "--pool")):
         told = prepare(scene, replace(asked, device=name)).notes
-        assert told[-1] == f"Options that do nothing for {name}: {idle}."
+        assert f"Options that do nothing for {name}: {idle}." in told
 
 
 def test_a_wall_between_the_samples_is_told() -> None:

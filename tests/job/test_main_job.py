@@ -43,6 +43,17 @@ def test_frames_that_are_decoded_without_a_force_are_told(tmp_path: Path) -> Non
         assert [told in note and "--f0-n" in note for note in notes[1:]] == [True] * bool(told)
 
 
+def test_pins_are_kept_within_half_a_step_unless_something_else_is_asked_for(tmp_path: Path) -> None:
+    done = encode("sample:terrain", tmp_path / "map.touch", EncodeSpec(device="graphiti"))
+    with open_stream(tmp_path / "map.touch") as stream:
+        off_n = np.linalg.norm(done.prepared.medium[0].to_dense() - stream.medium[0].to_dense(), axis=3)
+    assert 0 < off_n.max() * 35 / 3.3 <= 0.5 + 1e-6
+    assert any("within half a step of 36 heights" in note for note in done.notes)
+    for asked in (EncodeSpec(device="graphiti", touch=TouchSpec(k=0.05)), EncodeSpec(device="tactsuit-x40")):
+        prepared = prepare("sample:terrain", asked)
+        assert prepared.spec == asked and not any("half a step" in note for note in prepared.notes)
+
+
 def test_a_field_on_the_devices_lattice_is_encoded_untouched(tmp_path: Path) -> None:
     spec = EncodeSpec(nw=5, thickness_m=0.01)
     field = write_field(tmp_path / "field.npz", prepare(ball(), spec).medium)

@@ -251,3 +251,10 @@ def test_a_choice_that_a_hand_feels_is_told() -> None:
     assert Plan(rows, 0.1, 0.05, 40, "x", 1, "bytes").notes == ()
     (note,) = Plan(rows[:1], 0.1, 0.05, 20, "x", 1, "bytes").notes
     assert "no setting that was tried keeps it" in note
+
+
+def test_pins_are_planned_by_what_suits_them() -> None:
+    search = PlanGrid((5, 6), (0.1, 0.2), (), ())
+    tried = plan("sample:terrain", "1MB", EncodeSpec(device="graphiti"), search).trials
+    assert [trial.spec.touch.k * 35 for trial in tried[:2]] == pytest.approx([0.5, 1.0])
+    assert not any("--nw" in trial.options for trial in tried)

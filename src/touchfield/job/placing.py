@@ -83,7 +83,9 @@ def mapping_of(scene: Scene, chosen: Device, spec: EncodeSpec, profile: ForcePro
     if chosen.is_array and array_pool(scene, chosen, spec.pool) == "relief":
         far_m, sign = (grid.box_m[1][2], -1) if is_met_from_low(scene.axes) else (grid.box_m[0][2], 1)
         ends = [placement.to_scene((0, 0, far_m + sign * z))[2] / scene.exaggeration for z in relief_m(grid, of_law)]
-        length += "; a pin is down at z = {:.4g} m of the scene and up at {:.4g} m".format(*np.round(ends, 9))
+        one, low, high = ("a pin", "down", "up") if chosen.shows == "height" else ("an actuator", "off", "full on")
+        low_m, high_m = np.round(ends, 9)
+        length += f"; {one} is {low} at z = {low_m:.4g} m of the scene and {high} at {high_m:.4g} m"
     if own:
         length += "; the field keeps its own lattice, as it is kept without loss: --nw is not used"
     notes = (length, *unit_notes(scene, *_fitted(scene, spec)))

@@ -14,7 +14,6 @@ import re
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import chain, pairwise, product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -107,10 +106,10 @@ class PlanGrid:
         greatest = {name: (max(axis),) for name in ("k", "step_n", "paper_k") if (axis := getattr(self, name))}
         return replace(self, nw=(min(self.nw),), nq=self.nq and (min(self.nq),), **greatest)
 
-    def specs(self, asked: EncodeSpec) -> list[EncodeSpec]:
-        """Every setting on the lattice of `asked`."""
+    def specs(self, asked: EncodeSpec, share: float = 1.0) -> list[EncodeSpec]:
+        """Every setting on the lattice of `asked`; of coder `touch` with this share of the Weber fractions."""
         touch = asked.touch
-        masks = [replace(touch, k=k, f0_n=touch.f0_n * k / touch.k) for k in self.k]
+        masks = [replace(touch, k=k, f0_n=touch.f0_n * k / touch.k) for k in (share * k for k in self.k)]
         coders = [replace(one, mode=mode) for mode in ("mask", "mask-direction") for one in masks]
         coders += [replace(touch, mode="nmse", step_n=step) for step in self.step_n]
         length = touch.segment_frames or PaperSpec().segment_frames
@@ -346,7 +345,6 @@ def plan(
         raise InvalidArgument("plan", f"coder {spec.coder}", "coder touch; the paper's is tried, too")
     asked = replace(spec, representation="voxel", touch=replace(spec.touch, mode="mask"))
     scene = open_scene(source, spec.source)
-    mask = spec.touch.k, spec.touch.f0_n
 
     def searched(grid: PlanGrid, report: Report) -> Plan:
         total, lattice = 0, None
@@ -357,17 +355,18 @@ def plan(
                 # the coarsest lattice alone may miss a thin scene that the finest one has
                 if grid is search and not any(field.support_count for field in lattice.reference):
                     raise InvalidArgument("source of a search", "frames without a force", "a force")
-                specs = grid.specs(lattice.spec)
+                specs = grid.specs(lattice.spec, lattice.spec.touch.k / spec.touch.k)
                 total = len(specs) * (1 if lattice.is_array else len(grid.nw))
                 yield from ((lattice, one) for one in specs)
 
         trials: list[Trial] = []
-        for trial in in_order(partial(_trial, mask), tries(), executor=executor):
+        for trial in in_order(_trial, tries(), executor=executor):
             trials.append(trial)
             report(len(trials), total)
         assert lattice is not None
         amount, unit = budget.of(lattice.frames, lattice.rate_hz)
-        return Plan(tuple(trials), *mask, amount, str(source), len(lattice.reference), unit)
+        touch = lattice.spec.touch
+        return Plan(tuple(trials), touch.k, touch.f0_n, amount, str(source), len(lattice.reference), unit)
 
     if search.coarsest != search:
         searched(search.coarsest, silent)  # refuses what cannot be before a finer lattice is made
@@ -391,7 +390,7 @@ def _lattices(scene: Scene, base: EncodeSpec, nws: Sequence[int]) -> Iterator[La
     reference = tuple(finest.medium[i] for i in chain.from_iterable(_pairs(len(finest.medium))))
     is_array = finest.device.is_array
     for nw in nws[:1] if is_array else nws:
-        asked = replace(base, nw=nw)
+        asked = replace(finest.spec, nw=None if is_array else nw)
         is_finest = nw == max(nws) or is_array
         medium = finest.medium if is_finest else prepare(scene, asked).medium
         count = len(medium)
@@ -408,14 +407,15 @@ def _pairs(count: int) -> tuple[tuple[int, ...], ...]:
     return tuple((start, start + 1) for start in starts)
 
 
-def _trial(mask: tuple[float, float], setting: tuple[Lattice, EncodeSpec]) -> Trial:
-    """A setting coded, decoded and measured by the mask of k and F_0."""
+def _trial(setting: tuple[Lattice, EncodeSpec]) -> Trial:
+    """A setting coded, decoded and measured by the mask of k and F_0 that is asked for."""
     lattice, spec = setting
     grid, fields, reference = lattice.fields[0].grid, iter(lattice.fields), iter(lattice.reference)
     encoder = field_encoder(grid, coder(spec.coder).resolve(spec.coding, lattice.is_array))
     decoder = field_decoder(spec.coder, grid, encoder.parameters)
     length = min(spec.segment_frames_at(lattice.rate_hz), lattice.frames)
-    meter, bits, pairs = FidelityMeter(mask[0], max(mask[1], NO_FLOOR_N)), 0.0, _pairs(lattice.frames)
+    mask = lattice.spec.touch
+    meter, bits, pairs = FidelityMeter(mask.k, max(mask.f0_n, NO_FLOOR_N)), 0.0, _pairs(lattice.frames)
     for pair in pairs:
         coded = encoder.encode_segment([next(fields) for _ in pair])
         # a segment of a long stream: a frame alone, as the first of the pair, and others as costly as the second

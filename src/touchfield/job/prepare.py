@@ -31,6 +31,9 @@ from touchfield.sources.scene import Scene
 from touchfield.sources.stored import StoredScene
 from touchfield.stream.opened import FILTERED, opened
 
+_HEIGHTS: Final = 36
+"""Of pins that state none: as many as adapter `pins` tells apart."""
+
 Source = str | Path | Scene | HapticMedium | ForceField
 """Sources of an encoding: a path or "sample:NAME", a scene, a medium, or a field, which is a medium of one frame."""
 

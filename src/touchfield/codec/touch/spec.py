@@ -23,7 +23,7 @@ _CHOICES: Final = {
 class TouchSpec:
     """The coder `touch`, as asked for; InvalidArgument if a part is out of range."""
 
-    k: float = option(0.1, "Weber fraction of the promise. [default: 0.1]")
+    k: float = option(0.1, "Weber fraction of the promise. [default: 0.1; of pins half a step]")
     """Weber fraction of the promise |F_dec - F| <= max(F_0, k |F|), 0.001 to below 1."""
     f0_n: float = option(0.05, "F_0 of the promise, newtons. [default: 0.05]")
     """F_0, newtons, 0 or more."""

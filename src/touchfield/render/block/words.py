@@ -78,15 +78,15 @@ PARAMETER_WORDS, MOST_DELAY = 38, 4.0
 # and WANTED the force before gain and limits, both in the device's axes, field and friction in the field's; HEAT is
 # of |F|^2, LIMIT of |F| at present; ENERGY is what the hand put in and did not get back; PAST_FORCES the force and
 # the five before it, the latest first, without gravity. The proxy: its place, the part of the frame that carries it
-# and its place there; of the coupling its latest step, what pulled it, what stiffness is added as it went too far,
-# where the hand was. BRAKE_NOW and SOFTNESS (1 / K) are on their way to BRAKE and COUPLING; SLID: metres since
-# friction last gave way
+# and its place there, PROXY_REACH of its steps; of the coupling its latest step, what pulled it, what stiffness is
+# added as it went too far, where the hand was. BRAKE_NOW and SOFTNESS (1 / K) are on their way to BRAKE and COUPLING;
+# SLID: metres since friction last gave way
 
 (
     IS_STARTED, SINCE_S, DEVICE_POSITION, POSITION, VELOCITY, FIELD_FORCE, FRICTION_FORCE, WANTED, FORCE, GAIN, HEAT,
     LIMIT, ENERGY, PHASE, IS_COUPLED, PROXY, PROXY_STEP, PROXY_PULL, PROXY_STIFFNESS, PROXY_HAND, BRAKE_NOW, SOFTNESS,
-    PAST_FORCES, IS_HELD, PROXY_PART, PROXY_LOCAL, FRICTION_NOW, SLID, _STATE_END,
-) = _rows(STATE, 1, 1, 3, 3, 3, 3, 3, 3, 3, 1, 1, 1, 1, 1, 1, 3, 3, 3, 1, 3, 1, 1, 18, 1, 1, 3, 1, 1, 0)  # fmt: skip
+    PAST_FORCES, IS_HELD, PROXY_PART, PROXY_LOCAL, FRICTION_NOW, SLID, PROXY_REACH, _STATE_END,
+) = _rows(STATE, 1, 1, *(3,) * 7, 1, 1, 1, 1, 1, 1, 3, 3, 3, 1, 3, 1, 1, 18, 1, 1, 3, 1, 1, 1, 0)  # fmt: skip
 STATE_WORDS = _STATE_END - STATE
 
 # -- WRENCH: set once, i8: the first word of the tool's numbers (`render.tool`) and how many points, 0: the hand is

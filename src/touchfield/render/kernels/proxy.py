@@ -1,11 +1,12 @@
 """Compiled: the proxy, which stays outside of what the hand is pressed into (the god object of Zilles and Salisbury).
 
 The **surface** lies where the stored force reaches a level, its normal is the force's direction (Salisbury and Tarr
-1997). In a tick the proxy goes towards the hand in steps of half a sample; where one ends within a surface, the
-place where it went in is sought, and it slides on across the normal, in a corner across two or three. The hand is
-pulled to it by a spring, F = K (proxy - hand), longer by K x, with x the depth of the proxy below the surface of
-which the ramp behind it tells: what is thick is felt as the field has it, what is thin holds. **Friction** lets it
-stay as long as its spring pulls along the surface by less than mu times the pressure (Harwin and Melder 2002).
+1997). In a tick the proxy goes towards the hand in steps of half a sample, or less where those of the tick before
+went to and fro, so that it comes to rest; where one ends within a surface, the place where it went in is sought,
+and it slides on across the normal, in a corner across two or three. The hand is pulled to it by a spring, F = K
+(proxy - hand), longer by K x, with x the depth of the proxy below the surface of which the ramp behind it tells: what
+is thick is felt as the field has it, what is thin holds. **Friction** lets it stay as long as its spring pulls along
+the surface by less than mu times the pressure (Harwin and Melder 2002).
 **What moves** carries it, in the axes of the body; a surface that comes over it pushes it out, some steps a tick.
 """
 
@@ -20,8 +21,9 @@ from touchfield.render.kernels.frames import ends, force_at, mixed, part_count, 
 from touchfield.render.kernels.vectors import along, cross, dot, less, plus, put, three, times, turned, turned_back
 
 _MOST_STEPS = 8  # of one tick: some four samples
-_TINY = 1e-8  # m
+_TINY = 1e-7  # m
 _NEAR = 0.003  # of a step
+_BACK = 0.25  # of the way that was left: so much of it turns back
 _ALIKE = 0.9  # cosine of normals that are one surface's
 _SLID = 6.0  # levels: a step along a surface that ends below so much is moved out along the normal
 _OFF = 1.5  # levels
@@ -176,12 +178,15 @@ def _goal(at, q, hand):
         q, size, normal = _settled(at, q, size, normal)
     if size > 0.9 * at.level:
         planes, count = _with(planes, count, _steadied(at, q, normal))
-    last, reach, left = none, at.step, 0
+    last, left, grows = none, 0, 2.0
+    reach = max(at.f8[W.PROXY_REACH], 2.0 * _NEAR * at.step) if at.f8[W.IS_HELD] != 0.0 else at.step
     for _ in range(_MOST_STEPS):
         d = _allowed(less(hand, q), planes, count)
         length = _size(d)
-        if dot(d, last) < 0.0:  # over an edge and back: it comes to rest between
-            reach *= 0.4
+        if dot(d, last) < -_BACK * dot(last, last):  # over an edge and back: it comes to rest between
+            reach, grows = 0.4 * reach, 1.0
+        elif dot(d, last) > _ALIKE * length * _size(last):
+            reach = min(grows * reach, at.step)
         if length <= _TINY or reach < _NEAR * at.step:
             break
         last = d
@@ -199,11 +204,13 @@ def _goal(at, q, hand):
             if size > at.level:  # no way in can be sought from within
                 break
             p, strength, other = _entered(at, q, size, p, strength)
-        if strength > _OFF * at.level:  # no surface was found there: forces that turn within a sample
+        farther = _size(less(hand, p)) - _size(less(hand, q))
+        if strength > _OFF * at.level or farther > at.step:  # no surface was found: forces that turn within a sample
             break
         q, size, normal = p, strength, other
         planes, count = _with(planes, count, _steadied(at, q, normal))
     count = count if count > 0 else left
+    at.f8[W.PROXY_REACH] = reach
     return q, count > 0 and dot(less(hand, q), planes[count - 1]) < 0.0
 
 
