@@ -27,8 +27,8 @@ def test_the_core_alone_shows_something(
         if name.partition(".")[0] in HIDDEN:
             monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setattr(demo, "find_spec", find_spec)
-    words, spec = demo.SHAPES
-    monkeypatch.setattr(demo, "SHAPES", (words, replace(spec, nw=6)))
+    words, spec = demo.SCENES["shapes"]
+    monkeypatch.setitem(demo.SCENES, "shapes", (words, replace(spec, nw=6)))
     assert _exit_code(["demo", str(tmp_path / "out")]) == 0
     out = capsys.readouterr().out
     assert "left out: the motorcycle scene" in out and "left out: the bundled elevation model" in out
