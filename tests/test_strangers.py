@@ -335,7 +335,7 @@ def test_what_mujoco_cannot_go_on_with_is_an_error_and_nothing_is_printed(
         ("mesh", corners, ""),
         ("superquadric", "half_extents_m = [1, 1, 1e-8]\nexponents = [1, 1]", ""),
         ("sphere", "radius_m = 0.1\nvelocity_m_s = [0, 0, 1e9]", "step_s = 1e8"),
-        ("sphere", "radius_m = 0.1", "step_s = 1e-9"),
+        ("sphere", "radius_m = 0.1", "rate_hz = 1e5\nstep_s = 1e-9"),
         ("sphere", "radius_m = 0.1", "gravity_m_s2 = [0, 0, 1e9]\nfriction = 1e6"),
     ):
         path.write_text(PHYSICS.format(physics=physics, kind=kind, body=body))
