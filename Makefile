@@ -8,7 +8,7 @@ demo: .venv/ready
 	$(BIN)/touchfield demo demo
 
 # Two processes side by side, over one cache of compiled kernels; threads of linear algebra would only take turns.
-HERE := $(wildcard tests/test_*.py) tests/conformance/
+HERE := $(wildcard tests/test_*.py) tests/adapters/ tests/integrations/ tests/viewer/
 test: .venv/ready
 	@export OPENBLAS_NUM_THREADS=1; told=$$(mktemp); \
 	$(BIN)/python -m pytest -p no:cacheprovider $(filter-out $(HERE),$(wildcard tests/*/)) > $$told 2>&1 & \
