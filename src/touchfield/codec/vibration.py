@@ -21,7 +21,7 @@ from touchfield.codec.kernels import Bits, end_of, fresh, reader, writer
 from touchfield.codec.support import BRICKS_PER_BYTE, Bricks, check_end, padded
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium.budget import memory_budget_bytes
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, bricks_of
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.kernels import raster_slots
 from touchfield.medium.medium import MAX_FREQUENCY_HZ, VibrationFrame
@@ -180,7 +180,7 @@ def _bricks_of(grid: Grid, positions: Int32s) -> Bricks:
     """The bricks of samples, and which of theirs are meant."""
     own = positions // BRICK
     keys, slots = np.unique(brick_keys(grid, own), return_inverse=True)
-    bricks = np.stack(np.unravel_index(keys, grid.brick_shape), axis=-1).astype(np.int32)
+    bricks = bricks_of(grid, keys)
     mask = np.zeros((len(keys), BRICK, BRICK, BRICK), np.bool_)
     local = positions % BRICK
     mask[slots.reshape(-1), local[:, 0], local[:, 1], local[:, 2]] = True

@@ -177,11 +177,10 @@ def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
         scene: Scene = sample(str(source).removeprefix("sample:"), watched)
     else:
         scene = open_source(source, watched)
-    unread = ", ".join("--" + name.replace("_", "-") for name in watched.unread())
-    if needs_gpu() and not scene.has_gpu:
-        unread += ", --device-compute" if unread else "--device-compute"
-    if unread:
-        scene.notes = (*scene.notes, f"Options that do nothing for this source: {unread}.")
+    idle = [*watched.unread(), *["device_compute"] * (needs_gpu() and not scene.has_gpu)]
+    if idle:
+        names = ", ".join("--" + name.replace("_", "-") for name in idle)
+        scene.notes = (*scene.notes, f"Options that do nothing for this source: {names}.")
     return scene
 
 

@@ -294,13 +294,10 @@ class ArrayPlayer:
             first_s = now if not self._counts["sent"] else first_s
             self._span_s = now - first_s
             missed = max(0, math.floor((now - begin) / period) - tick - 1)  # their time is over
-            for name, more in (
-                ("sent", 1),
-                ("late", late_s > period / 2),
-                ("skipped", missed),
-                ("stalled", shown is None),
-            ):
-                self._counts[name] += int(more)
+            self._counts["sent"] += 1
+            self._counts["late"] += late_s > period / 2
+            self._counts["skipped"] += missed
+            self._counts["stalled"] += shown is None
             tick += 1 + missed
             if shown is not None:
                 step += 1 + missed

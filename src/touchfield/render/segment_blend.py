@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.medium import BRICK, ForceField, HapticMedium, HapticScene
-from touchfield.medium.field import brick_keys
+from touchfield.medium.field import brick_keys, bricks_of
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def _blended(before: ForceField, after: ForceField, share: float, segments: Segm
     slots = np.full((2, len(keys)), -1)
     for own, of_field in zip(slots, both):
         own[np.searchsorted(keys, of_field)] = np.arange(len(of_field))
-    bricks = np.stack(np.unravel_index(keys, after.grid.brick_shape), axis=1).astype(np.int32)
+    bricks = bricks_of(after.grid, keys)
     forces, held = np.empty((len(keys), BRICK, BRICK, BRICK, 3), np.float32), np.empty(len(keys), np.bool_)
     rows = [field.forces_n.reshape(-1, 3 * BRICK**3) for field in (before, after)]
     arguments = (slots, *rows, share, segments.k, segments.f0_n, forces.reshape(len(keys), -1), held)
