@@ -173,21 +173,15 @@ def code(bits, context, bit):
 
 
 @lean
-def mixed_chance(bits, count, chosen):
-    """The chance of a 1, of 65536, by `count` contexts in ``bits.inputs`` and the weights `chosen`."""
+def mix(bits, count, chosen, bit):
+    """One bit by `count` contexts in ``bits.inputs``, mixed by the weights `chosen`."""
     total = np.int64(0)
     for n in range(count):
         logit = np.int64(STRETCH[np.int64(bits.chances[bits.inputs[n]]) >> 20])
         bits.drawn[n] = logit
         total += logit * np.int64(bits.weights[chosen, n])
     x = min(max(total >> 16, np.int64(-_REACH)), np.int64(_REACH))
-    return np.int64(SQUASH[x + _REACH])
-
-
-@lean
-def mix(bits, count, chosen, bit):
-    """One bit by `count` contexts in ``bits.inputs``, mixed by the weights `chosen`."""
-    p = mixed_chance(bits, count, chosen)
+    p = np.int64(SQUASH[x + _REACH])
     bit = _narrow(bits.state, bits.buffer, p, bit)
     error = (bit << 16) - p
     for n in range(count):

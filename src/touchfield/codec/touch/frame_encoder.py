@@ -48,6 +48,7 @@ _SPAN_FLOOR: Final = 1.25  # the same where F_0 rules there, a ball again for sh
 _DISC: Final = 0.97 * math.sqrt(2)
 _BALL: Final = 0.75  # largest error in mode "nmse", steps; measured, as what a bit may cost there, squared steps
 _THRIFT: Final = 0.1
+_ROUNDING: Final = 2e-6  # of a force
 
 
 def lattice_for(spec: TouchSpec, longest_n: float) -> Lattice:
@@ -64,12 +65,13 @@ def lattice_for(spec: TouchSpec, longest_n: float) -> Lattice:
 
 
 def limits_for(spec: TouchSpec, lattice: Lattice) -> Limits:
-    """The error that the passes may make, in units of the lattice."""
+    """The error that the passes may make, in units, less what is lost where whole units become float32 newtons."""
     exact = spec.support == "exact"
     if spec.mode == "nmse":
         return Limits(0.0, _BALL * lattice.floor, 0.0, exact)
+    share = 1 - _ROUNDING / spec.k
     sine = math.sin(math.radians(spec.direction_jnd_deg)) if spec.mode == "mask-direction" else 0.0
-    return Limits(spec.k, spec.f0_n / lattice.unit_n, sine, exact)
+    return Limits(spec.k * share, spec.f0_n / lattice.unit_n * share, max(sine - _ROUNDING, sine / 2), exact)
 
 
 def _floor(units: float) -> int:

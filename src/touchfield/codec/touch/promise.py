@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float32s, Int64s
-from touchfield.codec.touch.kernels.encode_pass import compare
+from touchfield.codec.touch.kernels.encode_pass import Limits, compare
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField
@@ -59,13 +59,13 @@ def compared(
         brick, place = np.nonzero((bits != other).any(axis=2))
         supported, worst = original.support_count, math.inf if len(brick) else 0.0
         return Compared(keys[brick], place, worst, (0, 0, 0), supported, supported, decoded.support_count)
-    angle, exact = math.radians(spec.direction_jnd_deg), spec.support == "exact" and not within_step
-    k, f0_n, sine = spec.k, spec.f0_n, math.sin(angle) if spec.mode == "mask-direction" else 0.0
+    sine = math.sin(math.radians(spec.direction_jnd_deg)) if spec.mode == "mask-direction" else 0.0
+    rule = Limits(spec.k, spec.f0_n, sine, spec.support == "exact" and not within_step)
     if spec.mode == "nmse":  # which promises nothing
-        k, f0_n = 0.0, spec.step_n / 2 if within_step else math.inf
+        rule = rule._replace(k=0.0, f0=spec.step_n / 2 if within_step else math.inf)
     mine, theirs = ((slots_of(brick_keys(f.grid, f.bricks), keys), f.forces_n.reshape(-1, 512, 3)) for f in fields)
     beyond = np.zeros((len(keys), 512), np.bool_)
-    worst2, where, *counts = compare(*mine, *theirs, (k, f0_n, sine, angle), exact, hidden_n, beyond)
+    worst2, where, *counts = compare(*mine, *theirs, rule, hidden_n, beyond)
     voxel = (0, 0, 0)
     if where >= 0:
         bricks, local = np.unravel_index(keys[where >> 9], original.grid.brick_shape), where & 511

@@ -138,18 +138,14 @@ def fit_one(fits, n):
     _tell(u, z, amplitude if flat < depth else 0.0, fits.surfaces[n, 0])
 
 
-# bits, about: of a voxel that the guess misses, of all of a column's constant ones, and above which to try two
-_MISS, _PLATEAU_MISS, _WORTH_TWO = 6.5, 20.0, 16.0
+_MISS = 6.5  # bits, about, of a voxel that the guess misses
 _A, _X, _Y, _Z = layout.A, layout.X, layout.Y, layout.Z
 
 
 @lean
 def _bits(r):
     """Bits of a residual, about."""
-    r = abs(r)
-    if r > 20:
-        return 13.0 + 2 * np.log2(r - 19)
-    return 2.6 + min(r, 4) + 0.35 * max(r - 4, 0) if r else 0.1
+    return 2.5 + 2.0 * np.log2(abs(r)) if r else 0.1
 
 
 @lean
@@ -160,7 +156,6 @@ def _cost(columns, at, fits, n, enough):
     cost = 0.0
     for t in range(max(np.int64(0), min(fits.spans[n, 0], one[_Z] >> 8)), stop):
         share, more = layout.share_at(one, t, heads), layout.share_at(two, t, heads)
-        whole = share == 65536 and (more == 65536 or two[_A] == 0) and t >= fits.spans[n, 1]
         a, b = np.float64(share * one[_A]), np.float64(more * two[_A])
         square = 0.0
         for c in range(3):
@@ -168,9 +163,9 @@ def _cost(columns, at, fits, n, enough):
             square += x * x
         tol = max(fits.mask[1], fits.mask[0] * d[t, 3])
         if square > tol * tol:
-            cost += min(_MISS * (stop - t), _PLATEAU_MISS) if whole else _MISS
-        if whole or cost > enough:
-            return cost
+            cost += _MISS
+        if cost > enough:
+            break
     return cost
 
 
@@ -208,7 +203,7 @@ def _choose(columns, at, fits, n):
     chosen = np.int64(1), np.int64(0), np.int64(0)
     modes = layout.MODES if layout.is_torn(columns.surfaces, at, columns.row) else 1
     for count in range(1, 3):
-        if count == 2 and (best < _WORTH_TWO or not fit_two(fits, n)):
+        if count == 2 and not fit_two(fits, n):
             break
         for mode in range(modes):
             for own in range(8):
