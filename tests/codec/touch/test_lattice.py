@@ -32,8 +32,8 @@ SPECS = (
 
 
 @njit
-def level_of(a: Any, border: Any, first: Any) -> Any:
-    return kernels.level_of(a, border, first)
+def level_of(a: Any, border: Any) -> Any:
+    return kernels.level_of(a, border)
 
 
 @njit
@@ -62,15 +62,15 @@ def test_roots_are_exact(n: int, s: int) -> None:
 @pytest.mark.parametrize(("floor", "rate"), LATTICES)
 def test_lengths_come_back_from_the_warp(floor: int, rate: int) -> None:
     """Within a sixteenth of a sixteenth of a step, and odd; neighbours a step apart are about a step apart."""
-    border, first = warp_of(floor, rate)
+    border = warp_of(floor, rate)
     assert border[0] == 0 and (np.diff(border) > 0).all() and border[-1] > 1 << 26
     rng = np.random.default_rng(floor)
     for a in (0, 1, 5, 31, 32, 1000, 65536, (1 << 18) - 1, *rng.integers(1 << 18, size=50).tolist()):
-        level, step = level_of(a, border, first), max(floor, a * rate >> 16, 1)
+        level, step = level_of(a, border), max(floor, a * rate >> 16, 1)
         made = amplitude_of(level, border)
         assert abs(made - a) <= step / 200 + 1
         assert amplitude_of(-level, border) == -made
-        assert level_of(min(a + step, (1 << 18) - 1), border, first) >= level
+        assert level_of(min(a + step, (1 << 18) - 1), border) >= level
     assert abs(amplitude_of(1 << 40, border)) <= border[-1] >> 8
 
 
@@ -117,9 +117,9 @@ def test_lattices_fit_the_mask() -> None:
 )
 def test_the_table_of_a_lattice_is_short(asked: dict[str, Any], longest: float) -> None:
     lattice = lattice_for(replace(TouchSpec(step_n=1e-9), **asked), longest)
-    assert 1000 < len(warp_of(lattice.floor, lattice.rate)[0]) <= 200_000
+    assert 1000 < len(warp_of(lattice.floor, lattice.rate)) <= 200_000
     for floor, rate in ((LEAST_UNIFORM, 0), (LEAST_UNIFORM, 3), (1, LEAST_RATE)):
-        assert len(warp_of(floor, rate)[0]) <= 200_000
+        assert len(warp_of(floor, rate)) <= 200_000
 
 
 def test_a_lattice_of_a_long_table_is_refused() -> None:

@@ -131,7 +131,7 @@ def fresh_memory() -> Memory:
 def law_of(lattice: Lattice, slope: Int64s) -> Law:
     """The force law of a frame, for its pass."""
     steps = lattice.floor, lattice.rate, lattice.cross_floor, lattice.cross_rate
-    return Law(slope, *steps, *warp_of(lattice.floor, lattice.rate))
+    return Law(slope, *steps, warp_of(lattice.floor, lattice.rate))
 
 
 def decode_frame(payload: bytes, known: Known) -> FixedField:

@@ -38,7 +38,6 @@ class FixedField:
         return field_that_holds(grid, self.bricks, forces)
 
 
-BUCKET: Final = 5  # binary digits of the units in which `warp_of` looks for an amplitude together
 LEAST_UNIFORM: Final = 21
 LEAST_RATE: Final = 64
 """A lattice has a floor of at least `LEAST_UNIFORM` units or a rate of at least `LEAST_RATE`.
@@ -89,17 +88,13 @@ class Lattice:
 
 
 @lru_cache(maxsize=8)
-def warp_of(floor: int, rate: int) -> tuple[Int64s, Int64s]:
-    """The amplitude at each sixteenth of a step, and where to look for an amplitude in it; nobody writes into them.
+def warp_of(floor: int, rate: int) -> Int64s:
+    """The amplitude at each sixteenth of a step, int64 [n], ascending; nobody writes into it.
 
-    ``border[0] = 0``; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border,
-    which is in 1/256 units, until it is past 2^18 units. Returns `border`, int64 [n], ascending,
-    and `first`, int64 [8193]: for each bucket of 32 units the last border not above its begin.
+    It begins at 0; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border, which is
+    in 1/256 units, until it is past 2^18 units.
     """
     borders = [0]
     while borders[-1] <= 1 << 26:
         borders.append(borders[-1] + max(1, max(floor << 8, borders[-1] * rate >> 16) >> 4))
-    border = np.array(borders, np.int64)
-    buckets = np.arange(0, (1 << 26) + 1, 1 << (BUCKET + 8))
-    first = np.searchsorted(border, buckets, side="right") - 1
-    return border, np.minimum(first, len(border) - 2)
+    return np.array(borders, np.int64)

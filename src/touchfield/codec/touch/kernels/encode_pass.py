@@ -77,7 +77,7 @@ def choose(law, work, f, rule):
     along = (f[0] * rows[ws.AXES + 0, 0] + f[1] * rows[ws.AXES + 0, 1] + f[2] * rows[ws.AXES + 0, 2]) / 16384.0
     across_1 = (f[0] * rows[ws.AXES + 1, 0] + f[1] * rows[ws.AXES + 1, 1] + f[2] * rows[ws.AXES + 1, 2]) / 16384.0
     across_2 = (f[0] * rows[ws.AXES + 2, 0] + f[1] * rows[ws.AXES + 2, 1] + f[2] * rows[ws.AXES + 2, 2]) / 16384.0
-    reached = ws.level_of(min(np.int64(round(abs(along))), np.int64((1 << 18) - 1)), law.border, law.first)
+    reached = ws.level_of(min(np.int64(round(abs(along))), np.int64((1 << 18) - 1)), law.border)
     n0 = np.int64(round(((reached if along >= 0 else -reached) - level) / 256.0))
     best = nearest = np.inf
     b0 = b1 = b2 = np.int64(0)

@@ -314,7 +314,7 @@ def aim(law, work, here):
     if rows[ws.CENTRE, 0] == 0 and rows[ws.CENTRE, 1] == 0 and rows[ws.CENTRE, 2] == 0:
         rows[ws.CENTRE, 2] = 1
     ws.axes_along(rows, length)
-    of[LEVEL] = ws.level_of(min(length, (1 << 18) - 1), law.border, law.first)
+    of[LEVEL] = ws.level_of(min(length, (1 << 18) - 1), law.border)
     of[_STEP] = ws.step_at(length, law.floor, law.rate)
     for n in range(ws.ALTERNATIVES):
         if n < 3:

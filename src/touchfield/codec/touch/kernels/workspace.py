@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 
 from touchfield.arrays import Int32s, Int64s
-from touchfield.codec.touch.lattice import BUCKET
 from touchfield.lean import entry, inlined, lean
 
 FEATURES = 13  # differences of neighbours that the blend is made of
@@ -59,10 +58,7 @@ class Law(NamedTuple):
     rate: int
     cross_floor: int
     cross_rate: int
-    # border, first: the table of warped lengths, and where to look in it; see
-    # `touchfield.codec.touch.lattice.warp_of`
-    border: Int64s
-    first: Int64s
+    border: Int64s  # the table of warped lengths (`touchfield.codec.touch.lattice.warp_of`)
 
 
 class Work(NamedTuple):
@@ -89,13 +85,8 @@ LENGTH, AHEAD, SIZES = 3, 4, 7  # places in a cell: the length, the three length
 
 @lean
 def root(n):
-    """floor(sqrt(n)) of 0 <= n < 2^52, whatever the machine's square root."""
-    s = np.int64(np.sqrt(np.float64(n)))
-    while s * s > n:
-        s -= 1
-    while (s + 1) * (s + 1) <= n:
-        s += 1
-    return s
+    """floor(sqrt(n)) of 0 <= n < 2^52: the root of IEEE 754 is rounded to the nearest, never up to a whole number."""
+    return np.int64(np.sqrt(np.float64(n)))
 
 
 @lean
@@ -161,11 +152,10 @@ LIMIT = (1 << 17) - 1  # no component of a decoded vector is beyond it, units
 
 
 @lean
-def level_of(a, border, first):
+def level_of(a, border):
     """The warped amplitude of `a` units (0 <= a < 2^18), in 1/256 steps."""
     x = np.int64(a) << 8
-    low = first[a >> BUCKET]
-    high = first[(a >> BUCKET) + 1] + 1
+    low, high = np.int64(0), np.int64(border.shape[0] - 1)
     while high - low > 1:
         middle = (low + high) >> 1
         if border[middle] <= x:
