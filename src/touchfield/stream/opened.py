@@ -110,9 +110,22 @@ class OpenStream(ABC):
     def bits_by_kind(self) -> dict[str, float]:
         """Mean bits of a frame of each kind."""
 
-    @abstractmethod
     def quantiser(self) -> Callable[[ForceField], Int64s]:
-        """Q: each supported force of a frame to a symbol, the same for all frames."""
+        """Q: each supported force of a frame to a symbol, the same for all frames.
+
+        That of measures by default, for forces up to the device's; what is longer counts as that long.
+        """
+        from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
+
+        top_n = self.reader.head.force_max_n
+        fitted = FieldQuantiserSpec.parse(DEFAULT_QUANTISER).fit((), top_n)
+
+        def quantise(field: ForceField) -> Int64s:
+            vectors = field.vectors_n()
+            longest = np.linalg.norm(vectors, axis=1, keepdims=True)
+            return fitted.symbols_of(vectors * (top_n / np.maximum(longest, top_n))).astype(np.int64)
+
+        return quantise
 
     @abstractmethod
     def _coder(self) -> dict[str, Any]:
@@ -224,7 +237,9 @@ class VoxelStream(OpenStream):
         return {k.name.lower(): float(np.mean([c.bits.total for c in self.costs if c.kind == k])) for k in kinds}
 
     def quantiser(self) -> Callable[[ForceField], Int64s]:
-        """See `OpenStream`: the intra tables of the first segment."""
+        """See `OpenStream`: of a coder with codewords the intra tables of the first segment."""
+        if not coder(self.reader.head.coder).has_codewords:
+            return super().quantiser()
         symbols: Callable[[ForceField], Int64s] = self.decoder.quantiser(self.reader.read_segment(0))
         return symbols
 

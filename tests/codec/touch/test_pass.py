@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from touchfield.codec.touch import frame_encoder
 from touchfield.codec.touch.frame import Course, Known, Memory, decode_frame, fresh_memory
-from touchfield.codec.touch.frame_encoder import CodedFrame, encode_frame, lattice_for, limits_for, sketch_of
+from touchfield.codec.touch.frame_encoder import CodedFrame, encode_frame, lattice_for, limits_for
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.promise import hidden_of
 from touchfield.codec.touch.spec import TouchSpec
@@ -44,8 +44,7 @@ def coded(
     """A frame, and what is known behind it."""
     lattice = lattice_for(spec, 4.0 if np.abs(frame.forces_n).max(initial=0) < 2 else 1e32)
     known = Known(frame.grid, lattice, reference, memory or fresh_memory())
-    limits = limits_for(spec, lattice)
-    made = encode_frame(sketch_of(frame, lattice.unit_n, limits, hidden_of(frame, spec)), known, limits)
+    made = encode_frame(frame, known, limits_for(spec, lattice), hidden_of(frame, spec))
     return made, known._replace(memory=made.memory)
 
 

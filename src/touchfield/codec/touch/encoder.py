@@ -25,7 +25,6 @@ from touchfield.codec.touch.decoder import NAME, TouchDecoder
 from touchfield.codec.touch.frame import AS_THEY_ARE, BRICK_COUNTS, Palette, Told, components, frame_of, models_after
 from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
 from touchfield.codec.touch.kernels import exact as kernels
-from touchfield.codec.touch.kernels.encode_pass import largest
 from touchfield.codec.touch.lattice import MOST_NEWTONS, Lattice
 from touchfield.codec.touch.promise import Compared, compared, hidden_of
 from touchfield.codec.touch.spec import TouchSpec
@@ -72,16 +71,13 @@ class TouchEncoder:
             longest_n = longest_n if longest_n > 1.01 * mine else mine
         lattice = lattice_for(self._spec, longest_n)
         chooser = Chooser(self._grid, self._spec, lattice)
-        records, seen, is_known = [], [], frames is came
+        came, records, seen = [], [], []
         for i, frame in enumerate(frames):
-            if not is_known and self._longest_n(i, frame) > 1.01 * longest_n:
+            if self._longest_n(i, frame) > 1.01 * longest_n:
                 raise InvalidArgument(f"frame {i}", "a force longer than was told", f"{longest_n:.3g} N at most")
-            came += [] if is_known else [frame]
-            hidden_n = hidden_of(frame, self._spec)
-            if i == 0 and anchor is not None:
-                coded, inter, guess = chooser.add(anchor, hidden_of(anchor, self._spec))
-            else:
-                coded, inter, guess = chooser.add(frame, hidden_n)
+            came.append(frame)
+            hidden_n, taken = hidden_of(frame, self._spec), frame if i or anchor is None else anchor
+            coded, inter, guess = chooser.add(taken, hidden_n if taken is frame else hidden_of(taken, self._spec))
             field = coded.decoded.field(self._grid, lattice.unit_n)
             result = compared(frame, field, self._spec, hidden_n=hidden_n)
             apart = Exceptions.of(frame, result.keys, result.places)
@@ -105,8 +101,9 @@ class TouchEncoder:
         if frame.grid != self._grid:
             found = f"a grid of {frame.grid.shape}"
             raise InvalidArgument(f"frame {index}", found, f"that of the stream, {self._grid.shape}")
-        longest_n = float(largest(frame.forces_n.reshape(-1, 3)))
-        if math.isinf(longest_n):
+        vectors = frame.forces_n.reshape(-1, 3)
+        longest_n = math.sqrt(np.einsum("ni,ni->n", vectors, vectors, dtype=np.float64).max(initial=0.0))
+        if not math.isfinite(longest_n):
             raise InvalidArgument(f"frame {index}", "a force that is NaN or infinite", "finite newtons")
         if longest_n > MOST_NEWTONS:
             raise InvalidArgument(f"frame {index}", f"a force of {longest_n:.3g} N", "2^120 N at most")

@@ -13,13 +13,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
+from touchfield.arrays import Float32s
 from touchfield.codec.kernels import end_of, writer
 from touchfield.codec.support import code_bricks, padded
 from touchfield.codec.touch.frame import Course, Known, Memory, fresh_memory, law_of
 from touchfield.codec.touch.guess_fit import fit
 from touchfield.codec.touch.kernels.decode_pass import CONTEXTS, SETS
-from touchfield.codec.touch.kernels.encode_pass import Limits, encode_bricks
+from touchfield.codec.touch.kernels.encode_pass import ROOM, Limits, encode_bricks
 from touchfield.codec.touch.kernels.workspace import fresh_work
 from touchfield.codec.touch.lattice import (
     FLOOR_LIMIT,
@@ -89,33 +89,7 @@ class CodedFrame(NamedTuple):
     decoded: FixedField
     bits: tuple[float, float, float]  # of support, amplitude and direction; their sum is the payload's
     memory: Memory
-
-
-class Sketch(NamedTuple):
-    """A frame as its pass takes it, whatever it is predicted from."""
-
-    course: Course
-    bricks: Int32s  # [n, 3]; of the grid, ascending, without those that hold no force worth coding
-    places: Int64s  # [n, 3]; in scan order
-    order: Int64s  # [n]; which of the bricks each of these is
-    # [n, 512, 3]; in scan order, units; with spatial masking [n, 512, 4], the last what forces around hide
-    forces: Float64s
-
-
-def sketch_of(frame: ForceField, unit_n: float, limits: Limits, hidden_n: Float32s) -> Sketch:
-    """Course and forces of a frame; `hidden_n` as `promise.hidden_of` has it."""
-    bricks, vectors, scale = frame.bricks, frame.forces_n, 1.0 / np.float64(np.float32(unit_n))
-    if not limits.exact and len(bricks):
-        squares = np.einsum("nijkc,nijkc->nijk", vectors, vectors, dtype=np.float64)
-        peak = squares.reshape(len(bricks), -1).max(axis=1) > (limits.f0 / scale) ** 2
-        bricks, vectors, hidden_n = bricks[peak], vectors[peak], hidden_n[peak] if len(hidden_n) else hidden_n
-    course = _course_of(vectors, frame.grid)
-    places, order = course.order(bricks)
-    forces = course.turned(vectors, order, scale)
-    if len(hidden_n):  # a number of each voxel is turned as a vector of three alike, of which one is taken
-        alike = np.repeat(hidden_n.reshape(-1, 8, 8, 8, 1), 3, axis=-1)
-        forces = np.concatenate([forces, np.abs(course.turned(alike, order, scale))[..., :1]], axis=-1)
-    return Sketch(course, bricks, places, order, forces)
+    missed: float  # squares of all errors, units; 0 of frames under a promise
 
 
 def _course_of(vectors: Float32s, grid: Grid) -> Course:
@@ -129,25 +103,34 @@ def _course_of(vectors: Float32s, grid: Grid) -> Course:
     return Course(grid, axis, (down[0], down[1], down[2]))
 
 
-def encode_frame(sketch: Sketch, known: Known, limits: Limits) -> CodedFrame:
-    """Code a frame; `known` stays as it is."""
-    head = bytes([sketch.course.code, 0, 0, 0])  # nothing is expected to be lost along an axis
-    before = None if known.reference is None else known.reference.bricks
-    room = (1 << 16) + 400 * len(sketch.bricks)
-    while True:
-        memory = known.memory.copy()
-        bits = writer(room, memory.models)
-        code_bricks(bits, CONTEXTS, SETS, known.grid.brick_shape, sketch.bricks, before)
-        listed = 8.0 * len(head) + 8.0 * float(bits.state[2])
-        scan = sketch.course.scan(sketch.places, known.reference)
-        law, prices = law_of(known.lattice, np.zeros(3, np.int64)), np.zeros(3)
-        if encode_bricks(bits, scan, law, fresh_work(memory.weights), sketch.forces, limits, prices):
-            break
-        room *= 4
-    payload = head + padded(end_of(bits), len(sketch.bricks))
-    decoded = FixedField(sketch.bricks, sketch.course.turned_back(scan.cells, sketch.order))
-    support, amplitude, direction = prices.tolist()
-    return CodedFrame(payload, decoded, (support + listed, amplitude, direction), memory)
+def encode_frame(frame: ForceField, known: Known, limits: Limits, hidden_n: Float32s) -> CodedFrame:
+    """Code a frame; `known` stays as it is, `hidden_n` as `promise.hidden_of` has it."""
+    bricks, vectors, scale = frame.bricks, frame.forces_n, 1.0 / np.float64(np.float32(known.lattice.unit_n))
+    if not limits.exact and len(bricks):  # without those that hold no force worth coding
+        squares = np.einsum("nijkc,nijkc->nijk", vectors, vectors, dtype=np.float64)
+        peak = squares.reshape(len(bricks), -1).max(axis=1) > (limits.f0 / scale) ** 2
+        bricks, vectors, hidden_n = bricks[peak], vectors[peak], hidden_n[peak] if len(hidden_n) else hidden_n
+    course = _course_of(vectors, frame.grid)
+    places, order = course.order(bricks)
+    forces = course.turned(vectors, order, scale)
+    if len(hidden_n):  # a number of each voxel is turned as a vector of three alike, of which one is taken
+        alike = np.repeat(hidden_n.reshape(-1, 8, 8, 8, 1), 3, axis=-1)
+        forces = np.concatenate([forces, np.abs(course.turned(alike, order, scale))[..., :1]], axis=-1)
+    head = bytes([course.code, 0, 0, 0])  # nothing is expected to be lost along an axis
+    memory, before = known.memory.copy(), None if known.reference is None else known.reference.bricks
+    bits = writer((len(bricks) + 1) * ROOM, memory.models)
+    code_bricks(bits, CONTEXTS, SETS, known.grid.brick_shape, bricks, before)
+    scan = course.scan(places, known.reference)
+    law, prices = law_of(known.lattice, np.zeros(3, np.int64)), np.zeros(4)
+    encode_bricks(bits, scan, law, fresh_work(memory.weights), forces, limits, prices)
+    support, amplitude, direction, _ = prices.tolist()
+    return CodedFrame(
+        head + padded(end_of(bits), len(bricks)),
+        FixedField(bricks, course.turned_back(scan.cells, order)),
+        (8.0 * len(head) + support, amplitude, direction),
+        memory,
+        0.0 if limits.k else float(((scan.cells[..., :3] - forces[..., :3]) ** 2).sum()),
+    )
 
 
 # shares of voxels that keep the rule in the frame before, from which on a frame is coded after that, and no guess is
@@ -171,15 +154,21 @@ class Chooser:
 
     def add(self, frame: ForceField, hidden_n: Float32s) -> tuple[CodedFrame, bool, bytes]:
         """Code the next frame; whether it knows the one before, and the bytes of its guess."""
-        sketch = sketch_of(frame, self._lattice.unit_n, self._limits, hidden_n)
         previous, interframe = self._previous, self._spec.interframe
         alike = 0.0
         if previous is not None and interframe == "auto":
             alike = agreement(frame, previous, self._lattice.unit_n, self._spec)
         inter = previous is not None and (interframe == "on" or alike >= _ALIKE)
-        guesses = self._guesses(frame, alike) if len(sketch.bricks) else [None]
-        tried = [self._coded(sketch, inter, guess) for guess in guesses]
-        worths = [self._worth(sketch, *one) for one in zip(tried, guesses, strict=True)]
+        before, memory = (previous, self._memory) if inter else (None, fresh_memory())
+        guesses = self._guesses(frame, alike)
+        tried, worths = [], []
+        for guess in guesses:
+            known = Known(self._grid, self._lattice, guess[1] if guess else before, memory)
+            coded = encode_frame(frame, known, self._limits, hidden_n)
+            tried.append(coded)
+            # bytes; in mode "nmse", where every error has its price, what they and the errors come to
+            price = coded.missed / self._lattice.floor**2 / (8 * _THRIFT)
+            worths.append(price + len(coded.payload) + (len(guess[0]) if guess else 0))
         if len(tried) > 1:
             self._looks = worths[0] < (1 - _EARNS[self._spec.effort]) * worths[1]
         which = worths.index(min(worths))
@@ -195,18 +184,3 @@ class Chooser:
         if guess is None or kept <= alike:
             return [None]
         return [guess] if kept >= _TRUSTED and self._spec.mode != "nmse" else [guess, None]
-
-    def _coded(self, sketch: Sketch, inter: bool, guess: _Guess | None) -> CodedFrame:
-        reference, memory = (self._previous, self._memory) if inter else (None, fresh_memory())
-        if guess is not None:
-            reference = guess[1]
-        return encode_frame(sketch, Known(self._grid, self._lattice, reference, memory), self._limits)
-
-    def _worth(self, sketch: Sketch, coded: CodedFrame, guess: _Guess | None) -> float:
-        """Bytes; in mode "nmse", where every error has its price, what they and the errors come to."""
-        size = len(coded.payload) + (len(guess[0]) if guess else 0)
-        if self._spec.mode != "nmse":
-            return float(size)
-        decoded = sketch.course.turned(coded.decoded.vectors, sketch.order)
-        error = float(((decoded - sketch.forces) ** 2).sum()) / self._lattice.floor**2
-        return error / (8 * _THRIFT) + size

@@ -10,11 +10,11 @@ will do is taken. Fields without a main axis, and walls that end before the inne
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
+from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, end_of, fresh, writer
 from touchfield.codec.support import code_bricks, padded
 from touchfield.codec.touch import guess as synthesis
@@ -142,17 +142,6 @@ _SETTLED: Final = 0.03  # of what is asked
 _EYE: Final = np.eye(3, dtype=np.float32)
 
 
-class _Frame(NamedTuple):
-    """A frame in units, and what is asked of its guess."""
-
-    grid: Grid
-    bricks: Int32s
-    forces: Float32s  # [n, 8, 8, 8, 3]
-    k: float
-    f0: float
-    stiffness: float  # units a metre
-
-
 def fit_spline(
     frame: ForceField, lattice: Lattice, limits: Limits, level: int = 3
 ) -> tuple[bytes, FixedField] | None:
@@ -160,48 +149,39 @@ def fit_spline(
 
     Nodes lie 2^level samples apart along the axis of the smallest spacing.
     """
-    seen = _looked_at(frame, lattice, limits)
-    if seen is None:
+    grid, bricks, f0 = frame.grid, frame.bricks, max(limits.f0, 1.0)
+    if not len(bricks) or f0 >= TOP:
         return None
-    spacing = np.array(frame.grid.spacing_m)
+    forces, spacing = frame.forces_n / np.float32(lattice.unit_n), np.array(grid.spacing_m)
+    stiffness = _stiffness(forces[:: -(-len(bricks) // _LOOKED_AT)], grid)
+    if not stiffness:
+        return None
     x, y, z = np.clip(np.rint(level - np.log2(spacing / spacing.min())), 2, 5).astype(int).tolist()
-    return _coded(seen, (x, y, z))
-
-
-def _looked_at(frame: ForceField, lattice: Lattice, limits: Limits) -> _Frame | None:
-    """The frame in units, if some of its bricks are smooth, with the stiffness that they speak for."""
-    count = len(frame.bricks)
-    k, f0 = limits.k, max(limits.f0, 1.0)
-    if not count or f0 >= TOP:
-        return None
-    some = frame.forces_n[:: -(-count // _LOOKED_AT)] / np.float32(lattice.unit_n)
-    lengths = np.linalg.norm(some, axis=-1)
-    growth = np.stack(np.gradient(lengths, *frame.grid.spacing_m, axis=(1, 2, 3)), axis=-1)
-    inner = (slice(None), slice(1, -1), slice(1, -1), slice(1, -1))
-    some, lengths, growth = some[inner], lengths[inner], growth[inner]
-    ramp = (lengths > _RAMP[0]) & (lengths < _RAMP[1])
-    stiffness = float(np.median(np.linalg.norm(growth[ramp], axis=1))) if ramp.any() else 0.0
-    if stiffness * min(frame.grid.spacing_m) < 1:
-        return None
-    off = growth[ramp] / stiffness + some[ramp] / lengths[ramp][:, None]
-    if np.mean(np.linalg.norm(off, axis=1) < _MOST_OFF) < _LEAST_SMOOTH:
-        return None
-    forces = frame.forces_n / np.float32(lattice.unit_n)
-    return _Frame(frame.grid, frame.bricks, forces, k, f0, stiffness)
-
-
-def _coded(seen: _Frame, shifts: tuple[int, int, int]) -> tuple[bytes, FixedField]:
-    grid, bricks = seen.grid, seen.bricks
-    x, y, z = np.clip(2**35 / 864 / seen.stiffness / np.array(grid.spacing_m), 1, (1 << 20) - 1).astype(int).tolist()
-    step = int(np.clip(_STEP * max(seen.f0, _RAMP[0] * seen.k), 1, (1 << 20) - 1))
-    head = synthesis.Head(shifts, step, (x, y, z))
-    nodes = synthesis.Nodes(bricks, shifts)
-    values = np.rint(np.clip(_coefficients(seen, shifts, nodes), -kernels.REACH, kernels.REACH)).astype(np.int64)
+    a, b, c = np.clip(2**35 / 864 / stiffness / spacing, 1, (1 << 20) - 1).astype(int).tolist()
+    step = int(np.clip(_STEP * max(f0, _RAMP[0] * limits.k), 1, (1 << 20) - 1))
+    head = synthesis.Head((x, y, z), step, (a, b, c))
+    nodes = synthesis.Nodes(bricks, head.shifts)
+    fitted = _coefficients(_Samples(frame, forces, head.shifts, nodes), limits.k, f0, stiffness)
+    values = np.rint(np.clip(fitted, -kernels.REACH, kernels.REACH)).astype(np.int64)
     bits = writer(320 * len(bricks) + 64 * len(values) + 64, fresh(synthesis.SPLINE_CONTEXTS, LIST_SETS))
     code_bricks(bits, 0, 0, grid.brick_shape, bricks, None)
     kernels.code_nodes(bits, LIST_CONTEXTS, nodes.before, step, values, np.zeros_like(values))
     guess = synthesis.forces_of(head, grid, bricks, values[nodes.around])
     return head.to_bytes() + padded(end_of(bits), len(bricks)), guess
+
+
+def _stiffness(some: Float32s, grid: Grid) -> float:
+    """Growth of the force, units a metre, of bricks [n, 8, 8, 8, 3] that are smooth; 0 of others."""
+    lengths = np.linalg.norm(some, axis=-1)
+    growth = np.stack(np.gradient(lengths, *grid.spacing_m, axis=(1, 2, 3)), axis=-1)
+    inner = (slice(None), slice(1, -1), slice(1, -1), slice(1, -1))
+    some, lengths, growth = some[inner], lengths[inner], growth[inner]
+    ramp = (lengths > _RAMP[0]) & (lengths < _RAMP[1])
+    stiffness = float(np.median(np.linalg.norm(growth[ramp], axis=1))) if ramp.any() else 0.0
+    if stiffness * min(grid.spacing_m) < 1:
+        return 0.0
+    off = growth[ramp] / stiffness + some[ramp] / lengths[ramp][:, None]
+    return stiffness if np.mean(np.linalg.norm(off, axis=1) < _MOST_OFF) >= _LEAST_SMOOTH else 0.0
 
 
 class _Samples:
@@ -210,12 +190,14 @@ class _Samples:
     `around`, int64 [bricks, nodes]; `basis`, float32 [bricks, samples, 4, nodes]; `forces`, float32 [.., .., 3].
     """
 
-    def __init__(self, seen: _Frame, shifts: tuple[int, int, int], nodes: synthesis.Nodes) -> None:
+    def __init__(
+        self, frame: ForceField, forces: Float32s, shifts: tuple[int, int, int], nodes: synthesis.Nodes
+    ) -> None:
         from scipy.sparse import csr_array, eye_array
 
         x, y, z = (np.arange((1 << shift) // 4, BRICK, (1 << shift) // 2) for shift in shifts)
         basis = []
-        for shift, pick, place, spacing in zip(shifts, (x, y, z), seen.bricks.T, seen.grid.spacing_m, strict=True):
+        for shift, pick, place, spacing in zip(shifts, (x, y, z), frame.bricks.T, frame.grid.spacing_m, strict=True):
             table = synthesis.weights(shift)
             corners = table[place % len(table)] / (6 << 3 * shift)
             low, high = corners[:, :, pick], corners[:, :, pick + 1]
@@ -223,10 +205,10 @@ class _Samples:
         kinds = [
             np.einsum("nia,njb,nkc->nabcijk", *(b[int(a == n)] for a, b in enumerate(basis))) for n in range(-1, 3)
         ]
-        self.around = nodes.around.reshape(len(seen.bricks), -1)
+        self.around = nodes.around.reshape(len(frame.bricks), -1)
         bricks, count = self.around.shape
         self.basis = np.stack(kinds, axis=4).reshape(bricks, -1, 4, count)
-        self.forces = seen.forces[:, x[:, None, None], y[:, None], z].reshape(bricks, -1, 3)
+        self.forces = forces[:, x[:, None, None], y[:, None], z].reshape(bricks, -1, 3)
         one, here = nodes.before[:, :3], np.arange(len(nodes.before))[:, None] + np.zeros(3, int)
         two = np.take_along_axis(one, one, axis=0)
         three = np.stack([here, one, two], axis=-1)[(one >= 0) & (two >= 0)]
@@ -266,19 +248,18 @@ class _Samples:
         return c + cg(matrix, goal, rtol=_SETTLED, maxiter=_TURNS, M=scaled)[0]
 
 
-def _coefficients(seen: _Frame, shifts: tuple[int, int, int], nodes: synthesis.Nodes) -> Any:
-    """The coefficients in units, float64 [nodes]."""
-    samples = _Samples(seen, shifts, nodes)
-    forces, stiffness = samples.forces, np.float32(seen.stiffness)
+def _coefficients(samples: _Samples, k: float, f0: float, growth: float) -> Any:
+    """The coefficients in units, float64 [nodes], for a mask and a stiffness."""
+    forces, stiffness = samples.forces, np.float32(growth)
     length = np.linalg.norm(forces, axis=-1)
-    tolerance = np.maximum(np.float32(seen.f0), np.float32(seen.k) * length)
+    tolerance = np.maximum(np.float32(f0), np.float32(k) * length)
     normal = forces / np.maximum(length, 1)[..., None]
     rows = np.zeros((*length.shape, 4, 4), np.float32)
     rows[..., 0, 0] = ((length > 0) & (length < _SATURATED * TOP)) / tolerance
     rows[..., 1:, 1:] = (length / (stiffness * tolerance))[..., None, None] * _EYE
     goal = np.concatenate([length[..., None], -stiffness * normal], axis=-1)
-    c = samples.solved(rows, np.einsum("...ij,...j->...i", rows, goal), np.zeros(len(nodes.before)))
-    weight = np.where(length > 0, 1 / tolerance, np.float32(_EMPTY**0.5 / seen.f0))
+    c = samples.solved(rows, np.einsum("...ij,...j->...i", rows, goal), np.zeros(samples.bending.shape[0]))
+    weight = np.where(length > 0, 1 / tolerance, np.float32(_EMPTY**0.5 / f0))
     for _ in range(_ROUNDS):
         f = samples.seen_of(c)
         steep = np.linalg.norm(f[..., 1:], axis=-1)

@@ -91,8 +91,8 @@ class Lattice:
 def warp_of(floor: int, rate: int) -> Int64s:
     """The amplitude at each sixteenth of a step, int64 [n], ascending; nobody writes into it.
 
-    It begins at 0; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border, which is
-    in 1/256 units, until it is past 2^18 units.
+    It begins at 0; each sixteenth adds max(256 * floor, border * rate >> 16) >> 4, at least 1, to the border, which
+    is in 1/256 units, until it is past 2^18 units.
     """
     borders = [0]
     while borders[-1] <= 1 << 26:

@@ -31,11 +31,8 @@ class Compared(NamedTuple):
     places: Int64s
     worst: float  # the largest error as a share of what is allowed; infinite where nothing is
     voxel: tuple[int, int, int]  # where it is; zeros where there is no error
-    # supported, within, decoded: voxels of the original with a force, how many of them keep the rule, and decoded
-    # voxels with a force
-    supported: int
-    within: int
-    decoded: int
+    within: int  # voxels of the original with a force that keep the rule
+    decoded: int  # decoded voxels with a force
 
 
 def hidden_of(frame: ForceField, spec: TouchSpec) -> Float32s:
@@ -57,8 +54,8 @@ def compared(
     if spec.mode == "lossless":
         bits, other = (field.forces_at(keys).reshape(-1, 512, 3).view(np.int32) for field in fields)
         brick, place = np.nonzero((bits != other).any(axis=2))
-        supported, worst = original.support_count, math.inf if len(brick) else 0.0
-        return Compared(keys[brick], place, worst, (0, 0, 0), supported, supported, decoded.support_count)
+        worst = math.inf if len(brick) else 0.0
+        return Compared(keys[brick], place, worst, (0, 0, 0), original.support_count, decoded.support_count)
     sine = math.sin(math.radians(spec.direction_jnd_deg)) if spec.mode == "mask-direction" else 0.0
     rule = Limits(spec.k, spec.f0_n, sine, spec.support == "exact" and not within_step)
     if spec.mode == "nmse":  # which promises nothing
@@ -78,5 +75,4 @@ def compared(
 def agreement(original: ForceField, guess: FixedField, unit_n: float, spec: TouchSpec) -> float:
     """The share of voxels with a force in either at which `guess` keeps the rule, or half a step; 1 without any."""
     result = compared(original, guess.field(original.grid, unit_n), spec, within_step=spec.mode == "nmse")
-    spurious = len(result.keys) - (result.supported - result.within)
-    return result.within / (result.supported + spurious) if result.supported + spurious else 1.0
+    return result.within / (result.within + len(result.keys)) if len(result.keys) else 1.0

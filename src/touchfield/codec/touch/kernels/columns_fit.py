@@ -100,9 +100,7 @@ def fit_two(fits, n):
         cost = 0.0
         for t in range(first, flat):
             size = behind * min(1.0, max(0.0, (t - z2) * ramp * v[2]))
-            error = 0.0
-            for c in range(3):
-                error += (rest[t, c] - size * v[c]) ** 2
+            error = (rest[t, 0] - size * v[0]) ** 2 + (rest[t, 1] - size * v[1]) ** 2 + (rest[t, 2] - size * v[2]) ** 2
             cost += min(error * weights[t], 4.0)
         if cost < best:
             best = cost
@@ -121,12 +119,7 @@ def fit_one(fits, n):
         first -= 1
         weights[first] = 1.0 / max(f0, k * d[first, 3]) ** 2
     flat = depth - 1
-    while flat > first:
-        apart = 0.0
-        for c in range(3):
-            apart += (d[flat - 1, c] - d[depth - 1, c]) ** 2
-        if apart > 1e-4 * d[depth - 1, 3] ** 2:
-            break
+    while flat > first and abs(d[flat - 1, 3] - d[depth - 1, 3]) <= 0.01 * d[depth - 1, 3]:
         flat -= 1
     if flat == depth - 1:
         flat = depth

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchfield.codec.kernels import PLACE, mix, price
+from touchfield.codec.kernels import mix, price
 from touchfield.codec.touch.kernels import decode_pass as shared
 from touchfield.codec.touch.kernels import voxel
 from touchfield.codec.touch.kernels import workspace as ws
 from touchfield.lean import entry, inlined, lean
 
-_ROOM = 1 << 14  # bytes that a brick cannot fill
+ROOM = 1 << 14  # bytes that a brick cannot fill
 _AROUND = np.array([0, -1, 1], np.int64)
 _LARGER = 0.43  # bits, about, of a component by each step that it is larger
 
@@ -73,55 +73,46 @@ def choose(law, work, f, rule):
 
     Of the points around the force the one that likely costs least; the nearest where none keeps the rule.
     """
-    rows, level = work.rows, work.of[voxel.LEVEL]
+    rows, level, best = work.rows, work.of[voxel.LEVEL], np.inf
+    rows[ws.STEPS] = 0
     along = (f[0] * rows[ws.AXES + 0, 0] + f[1] * rows[ws.AXES + 0, 1] + f[2] * rows[ws.AXES + 0, 2]) / 16384.0
     across_1 = (f[0] * rows[ws.AXES + 1, 0] + f[1] * rows[ws.AXES + 1, 1] + f[2] * rows[ws.AXES + 1, 2]) / 16384.0
     across_2 = (f[0] * rows[ws.AXES + 2, 0] + f[1] * rows[ws.AXES + 2, 1] + f[2] * rows[ws.AXES + 2, 2]) / 16384.0
     reached = ws.level_of(min(np.int64(round(abs(along))), np.int64((1 << 18) - 1)), law.border)
     n0 = np.int64(round(((reached if along >= 0 else -reached) - level) / 256.0))
-    best = nearest = np.inf
-    b0 = b1 = b2 = np.int64(0)
     for i in range(3):
         r0 = n0 + _AROUND[i]
-        length = ws.amplitude_of(level + 256 * r0, law.border)
-        step = ws.step_at(abs(length), law.cross_floor, law.cross_rate)
+        step = ws.step_at(abs(ws.amplitude_of(level + 256 * r0, law.border)), law.cross_floor, law.cross_rate)
         n1, n2 = np.int64(round(across_1 / step)), np.int64(round(across_2 / step))
         for j in range(9):
             r1, r2 = n1 + _AROUND[j // 3], n2 + _AROUND[j % 3]
-            cost = _guessed(r0) + _guessed(r1) + _guessed(r2)
-            if cost >= best:
-                continue
-            if max(abs(r0), abs(r1), abs(r2)) < 1 << 18 and _allowed(law, work, r0, r1, r2, f, rule):
-                best = cost
-                b0, b1, b2 = r0, r1, r2
-            elif best == np.inf:
-                error = (along - length) ** 2 + (across_1 - r1 * step) ** 2 + (across_2 - r2 * step) ** 2
-                if error < nearest:
-                    nearest = error
-                    b0, b1, b2 = r0, r1, r2
-    rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2] = b0, b1, b2
+            cost, most = _guessed(r0) + _guessed(r1) + _guessed(r2), max(abs(r0), abs(r1), abs(r2))
+            if cost < best and most < 1 << 18 and (most > 0 or work.of[voxel.BASED]):
+                voxel.place(law, work, r0, r1, r2)
+                is_kept = kept(rows[ws.VECTOR, 0], rows[ws.VECTOR, 1], rows[ws.VECTOR, 2], f, rule)
+                if is_kept:
+                    best = cost
+                if is_kept or i + j == 0:
+                    rows[ws.STEPS, 0], rows[ws.STEPS, 1], rows[ws.STEPS, 2] = r0, r1, r2
 
 
-@inlined
-def _allowed(law, work, r0, r1, r2, f, rule):
-    """True where a residual may be told, and makes a force that keeps the rule."""
-    if r0 == 0 and r1 == 0 and r2 == 0 and not work.of[voxel.BASED]:
-        return False
-    voxel.place(law, work, r0, r1, r2)
-    return kept(work.rows[ws.VECTOR, 0], work.rows[ws.VECTOR, 1], work.rows[ws.VECTOR, 2], f, rule)
+@lean
+def _account(bits, prices, kind):
+    """Count the bits since the last account as those of a kind."""
+    paid = price(bits)
+    prices[kind] += paid - prices[3]
+    prices[3] = paid
 
 
 @entry
 def encode_bricks(bits, scan, law, work, forces, rule, prices):
-    """Code forces, units float64 [n, 512, 3] in scan order; False where the buffer is too short.
+    """Code forces, units float64 [n, 512, 3] in scan order.
 
-    With spatial masking they are [n, 512, 4], see `tolerance`. ``scan.cells`` takes what the decoder will hold, and
-    `prices`, float64 [3], the bits of support, amplitude and direction.
+    With spatial masking they are [n, 512, 4], see `kept`. ``scan.cells`` takes what the decoder will hold, and
+    `prices`, float64 [4], the bits of support, amplitude and direction, and their sum.
     """
     last = np.int64(0)
     for n in range(scan.near.shape[0]):
-        if bits.state[PLACE] + _ROOM > bits.buffer.shape[0]:
-            return False
         known, state = shared.enter(scan, work, n), np.int64(0)
         if known:
             last = state = shared.code_brick(bits, last, _state_of(work.old, forces[n], rule))
@@ -129,9 +120,7 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
             ws.copy_reference(work.window, work.old, law.slope)
             ws.keep(work.window, scan.cells, n)
             continue
-        paid = price(bits)
         blocks = shared.code_blocks(bits, work, known, _blocks_of(forces[n], rule))
-        prices[0] += price(bits) - paid
         for x in range(scan.low[n, 0], scan.high[n, 0]):
             for y in range(scan.low[n, 1], scan.high[n, 1]):
                 for z in range(scan.low[n, 2], scan.high[n, 2]):
@@ -140,7 +129,7 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
                         f = forces[n, (x * 8 + y) * 8 + z]
                         _encode_voxel(bits, law, work, here, known, state, f, rule, prices)
         ws.keep(work.window, scan.cells, n)
-    return True
+    _account(bits, prices, 0)
 
 
 @inlined
@@ -175,29 +164,24 @@ def _blocks_of(forces, rule):
 def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     near = shared.near_of(work.window, here)
     then = shared.then_of(work.old, here, known)
-    begun = price(bits)
     chosen = shared.look_at_support(bits, work, here, near, then)
     bit = mix(bits, 3, chosen, np.int64(_size_of(f) > (0.0 if rule.exact else rule.f0)))
-    told = price(bits)
-    prices[0] += told - begun
     if not bit:
         return
+    _account(bits, prices, 0)
     voxel.expect(law, work, here, near, state == 1)
     voxel.look(law, work, here, near)
     expected = work.rows[ws.EXPECTED]
     still = np.int64(kept(expected[0], expected[1], expected[2], f, rule))
     voxel.code_still(bits, work, here, then, still)
-    prices[1] += price(bits) - told
-    told = price(bits)
     if not still:
         voxel.aim(law, work, here)
         choose(law, work, f, rule)
         for c in range(3):
             voxel.code_step(bits, work, c)
             if c == 0:
-                prices[1] += price(bits) - told
-                told = price(bits)
-    prices[2] += price(bits) - told
+                _account(bits, prices, 1)
+    _account(bits, prices, 1 if still else 2)
     shared.settle(law, work, here, still)
 
 
@@ -208,10 +192,10 @@ def compare(mine, forces, theirs, other, rule, hidden, beyond):
     `mine` and `theirs` are the places of the same bricks in both, int64 [n], -1 where one has none, so that all is
     zero; `rule` are `Limits` in newtons; `hidden` what forces around hide, newtons, float32 [bricks of the original,
     512], or [0, 512]. `beyond`, bool [n, 512], False before, takes the voxels that break the rule. Returns the square
-    of the largest share of what is allowed, where in `beyond` that is, and how many voxels there are with a force,
-    such within the rule, and decoded ones with a force.
+    of the largest share of what is allowed, where in `beyond` that is, and how many voxels with a force are within
+    the rule, and decoded ones have a force.
     """
-    worst, where, supported, within, decoded = 0.0, -1, 0, 0, 0
+    worst, where, within, decoded = 0.0, -1, 0, 0
     for n in range(mine.shape[0]):
         i, j = mine[n], theirs[n]
         for place in range(512):
@@ -228,23 +212,9 @@ def compare(mine, forces, theirs, other, rule, hidden, beyond):
             ratio = ratio2(f, u, v, w, around, rule)
             if rule.exact and held != sent:
                 ratio = np.inf
-            supported += held
             decoded += sent
             within += held and ratio <= 1.0
             beyond[n, place] = ratio > 1.0
             if ratio > worst:
                 worst, where = ratio, n << 9 | place
-    return worst, where, supported, within, decoded
-
-
-@entry
-def largest(forces):
-    """The longest |F| of float32 [n, 3]; infinite where one is not a finite number."""
-    most = 0.0
-    for i in range(forces.shape[0]):
-        x, y, z = np.float64(forces[i, 0]), np.float64(forces[i, 1]), np.float64(forces[i, 2])
-        size2 = x * x + y * y + z * z
-        if not size2 < np.inf:
-            return np.inf
-        most = max(most, size2)
-    return math.sqrt(most)
+    return worst, where, within, decoded
