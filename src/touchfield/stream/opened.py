@@ -14,7 +14,6 @@ import numpy as np
 from touchfield.arrays import Int64s
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import BitAccount, compression_ratio, promise_kept
-from touchfield.codec.touch.body import TouchCost
 from touchfield.container import TouchReader
 from touchfield.container.remote import is_live
 from touchfield.errors import InvalidArgument
@@ -252,10 +251,8 @@ class VoxelStream(OpenStream):
         }
         if not coder(self.reader.head.coder).has_promise:
             return keys
-        costs = [cost for cost in self.costs if isinstance(cost, TouchCost)]
-        keys["guesses"] = sum(cost.bits.models > 0 for cost in costs)
-        keys["bits_guesses"] = sum(cost.bits.models for cost in costs)
-        keys["bits_sent_apart"] = sum(cost.exception_bits for cost in costs)
+        keys["guesses"] = sum(cost.bits.models > 0 for cost in self.costs)
+        keys["bits_guesses"] = sum(cost.bits.models for cost in self.costs)
         segments = enumerate(self.reader.segments)
         worst = ((s.first_frame, self.decoder.worst(self.reader.read_segment(i))) for i, s in segments)
         return keys | promise_kept(worst)

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from touchfield.codec.touch import frame_encoder
-from touchfield.codec.touch.frame import Course, Known, Memory, decode_frame, fresh_memory
+from touchfield.codec.touch.frame import Course, Memory, decode_frame, fresh_memory
 from touchfield.codec.touch.frame_encoder import CodedFrame, encode_frame, lattice_for, limits_for
-from touchfield.codec.touch.lattice import FixedField
+from touchfield.codec.touch.lattice import FixedField, Lattice
 from touchfield.codec.touch.promise import hidden_of
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
@@ -40,12 +40,11 @@ def learnt_alike(a: Memory, b: Memory) -> bool:
 
 def coded(
     frame: ForceField, spec: TouchSpec, reference: FixedField | None, memory: Memory | None = None
-) -> tuple[CodedFrame, Known]:
-    """A frame, and what is known behind it."""
+) -> tuple[CodedFrame, Lattice]:
+    """A frame, and its lattice."""
     lattice = lattice_for(spec, 4.0 if np.abs(frame.forces_n).max(initial=0) < 2 else 1e32)
-    known = Known(frame.grid, lattice, reference, memory or fresh_memory())
-    made = encode_frame(frame, known, limits_for(spec, lattice), hidden_of(frame, spec))
-    return made, known._replace(memory=made.memory)
+    limits = limits_for(spec, lattice)
+    return encode_frame(frame, lattice, reference, memory or fresh_memory(), limits, hidden_of(frame, spec)), lattice
 
 
 def check(
@@ -53,11 +52,10 @@ def check(
 ) -> tuple[FixedField, Memory]:
     """What is decoded, and learnt; the memory stays as it is."""
     before = memory.copy()
-    made, known = coded(frame, spec, reference, memory)
-    ours = Known(known.grid, known.lattice, reference, before)
-    decoded = decode_frame(made.payload, ours)
+    made, lattice = coded(frame, spec, reference, memory)
+    decoded = decode_frame(made.payload, frame.grid, lattice, reference, before)
     assert same(decoded, made.decoded)
-    assert learnt_alike(known.memory, ours.memory)
+    assert learnt_alike(made.memory, before)
     assert abs(sum(made.bits) - 8 * len(made.payload)) < 100 + 1.1 * 8 * len(frame.bricks) / 16
     # nothing beyond the grid, and no component beyond what a vector holds
     assert np.abs(decoded.vectors).max(initial=0) < 1 << 17
@@ -88,8 +86,8 @@ def test_every_course(axis: int, down: tuple[bool, bool, bool], monkeypatch: pyt
 
 def test_a_frame_as_the_reference_has_it_takes_next_to_nothing() -> None:
     frame = hills(24, 5)
-    first, known = coded(frame, SPECS[0], None)
-    again, _ = coded(frame, SPECS[0], first.decoded, known.memory)
+    first, _ = coded(frame, SPECS[0], None)
+    again, _ = coded(frame, SPECS[0], first.decoded, first.memory)
     assert len(again.payload) < 40 < len(first.payload) // 10
     assert same(again.decoded, first.decoded)
 
@@ -97,10 +95,10 @@ def test_a_frame_as_the_reference_has_it_takes_next_to_nothing() -> None:
 def test_each_half_pays(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a frame has taught, and its forces, each make the next one smaller."""
     frames = [hills(24, 5, 0.1 * i) for i in range(2)]
-    first, known = coded(frames[0], SPECS[0], None)
+    first, _ = coded(frames[0], SPECS[0], None)
     alone, taught, given_it = (
         len(coded(frames[1], SPECS[0], reference, memory)[0].payload)
-        for reference, memory in ((None, None), (None, known.memory), (first.decoded, known.memory))
+        for reference, memory in ((None, None), (None, first.memory), (first.decoded, first.memory))
     )
     assert given_it < taught < alone
 
@@ -109,24 +107,24 @@ def test_each_half_pays(monkeypatch: pytest.MonkeyPatch) -> None:
 @given(st.data())
 def test_a_damaged_frame_is_refused_or_is_another(data: st.DataObject) -> None:
     frame = hills(17, 5)
-    made, known = coded(frame, SPECS[0], None)
-    fresh = known._replace(memory=fresh_memory())
+    made, lattice = coded(frame, SPECS[0], None)
     bad = bytearray(made.payload)
     for at in data.draw(st.sets(st.integers(0, len(bad) - 1), min_size=1, max_size=3)):
         bad[at] ^= data.draw(st.integers(1, 255))
     try:
-        decoded = decode_frame(bytes(bad), fresh)
+        decoded = decode_frame(bytes(bad), frame.grid, lattice, None, fresh_memory())
     except FormatError:
         return
     assert (decoded.bricks < frame.grid.brick_shape).all() and np.abs(decoded.vectors).max(initial=0) < 1 << 17
 
 
 def test_what_no_frame_begins_with() -> None:
-    known = coded(hills(17, 5), SPECS[0], None)[1]
+    frame = hills(17, 5)
+    known = frame.grid, coded(frame, SPECS[0], None)[1], None, fresh_memory()
     with pytest.raises(TruncatedFile, match="course"):
-        decode_frame(b"", known)
+        decode_frame(b"", *known)
     for head in (3, 7, 31, 1 << 5, 255):
         with pytest.raises(CorruptFile, match="course"):
-            decode_frame(bytes([head, 0, 0, 0, 0]), known)
+            decode_frame(bytes([head, 0, 0, 0, 0]), *known)
     with pytest.raises(CorruptFile, match="slope"):
-        decode_frame(b"\0\xff\xff\xff\x7f\0\0\0", known)
+        decode_frame(b"\0\xff\xff\xff\x7f\0\0\0", *known)

@@ -45,13 +45,6 @@ def numbers_of(spec: TouchSpec) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class TouchCost(FrameCost):
-    """Cost of a frame, and how it was coded: ``bits.models`` are those of its guess."""
-
-    exception_bits: int  # of the side bits those of voxels sent apart
-
-
-@dataclass(frozen=True)
 class FrameRecord:
     """A frame as a body holds it."""
 
@@ -73,14 +66,14 @@ class FrameRecord:
         return bytes([how, *self.shares]) + b"".join(map(chunk, chunks))
 
     @property
-    def cost(self) -> TouchCost:
-        """Cost of the frame; exceptions and lengths are side bits."""
+    def cost(self) -> FrameCost:
+        """Cost of the frame; exceptions and lengths are side bits, ``bits.models`` those of its guess."""
         total, payload = 8 * len(self.to_bytes()), 8 * len(self.payload)
         support = payload * self.shares[0] // 255
         amplitude = payload * self.shares[1] // 255
         models = 8 * len(self.guess)
         bits = BitAccount(support, amplitude, payload - support - amplitude, total - payload - models, models=models)
-        return TouchCost(self.kind, bits, 8 * len(self.exceptions))
+        return FrameCost(self.kind, bits)
 
 
 def shares_of(bits: tuple[float, float, float]) -> tuple[int, int]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
-from touchfield.codec.segment import Worst
-from touchfield.codec.touch.body import BodyReader, TouchCost, numbers_of, read_parameters
+from touchfield.codec.segment import FrameCost, Worst
+from touchfield.codec.touch.body import BodyReader, numbers_of, read_parameters
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.medium import ForceField, Grid
 
@@ -31,7 +31,7 @@ class TouchDecoder:
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
         """The frames of a segment in turn; CorruptFile or TruncatedFile for other bytes than the encoder's."""
         from touchfield.codec.touch.body import Exceptions
-        from touchfield.codec.touch.frame import Known, decode_exact, decode_frame, fresh_memory
+        from touchfield.codec.touch.frame import decode_exact, decode_frame, fresh_memory
         from touchfield.codec.touch.guess import synthesise
 
         reader = self._reader(body)
@@ -48,13 +48,13 @@ class TouchDecoder:
             reference = previous if record.inter else None
             if record.guess:
                 reference = synthesise(record.guess, self._grid)
-            previous = decode_frame(record.payload, Known(self._grid, lattice, reference, memory))
+            previous = decode_frame(record.payload, self._grid, lattice, reference, memory)
             field = previous.field(self._grid, lattice.unit_n)
             if record.exceptions:
                 field = Exceptions.from_bytes(record.exceptions, self._grid).applied(field)
             yield field
 
-    def costs(self, body: bytes, frame_count: int) -> list[TouchCost]:
+    def costs(self, body: bytes, frame_count: int) -> list[FrameCost]:
         """Cost of each frame of a segment, without decoding it."""
         return [record.cost for record in self._reader(body).records(frame_count)]
 

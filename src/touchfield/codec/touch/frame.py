@@ -97,7 +97,8 @@ class Course:
         else:
             theirs, slots = self.order(reference.bricks)
             known, around = np.empty((len(theirs), _SAMPLES, 4), np.int32), slots_around(bricks, theirs, count)
-            kernels.fill_cells(self.turned(reference.vectors, slots), known)
+            vectors = known[..., :3] = self.turned(reference.vectors, slots)
+            known[..., 3] = np.sqrt(np.einsum("nik,nik->ni", vectors, vectors, dtype=np.float64))  # exact, see `root`
         cells = np.zeros((len(bricks), _SAMPLES, 8), np.int32)
         return Scan(slots_around(bricks, bricks, count, 13), around, low, high, known, cells)
 
@@ -113,15 +114,6 @@ class Memory(NamedTuple):
         return Memory(self.models.copy(), self.weights.copy())
 
 
-class Known(NamedTuple):
-    """Knowledge of encoder and decoder before a frame."""
-
-    grid: Grid
-    lattice: Lattice
-    reference: FixedField | None  # a field to predict from: a guess that was sent, or the frame decoded before
-    memory: Memory  # changed by who decodes the frame
-
-
 def fresh_memory() -> Memory:
     """Of a frame that stands alone."""
     models = fresh(CONTEXTS + LIST_CONTEXTS, SETS + LIST_SETS)
@@ -134,20 +126,25 @@ def law_of(lattice: Lattice, slope: Int64s) -> Law:
     return Law(slope, *steps, warp_of(lattice.floor, lattice.rate))
 
 
-def decode_frame(payload: bytes, known: Known) -> FixedField:
-    """Decode a frame. CorruptFile or TruncatedFile if the bytes are not what `frame_encoder.encode_frame` writes."""
+def decode_frame(
+    payload: bytes, grid: Grid, lattice: Lattice, reference: FixedField | None, memory: Memory
+) -> FixedField:
+    """Decode a frame, and change the memory by it.
+
+    `reference` is a field to predict from: a guess that was sent, or the frame decoded before. CorruptFile or
+    TruncatedFile if the bytes are not what `frame_encoder.encode_frame` writes.
+    """
     parts = Parts(payload, _WHERE)
     (code,) = parts.take(1, "course of the scan")
     if code & 3 == 3 or code > 31:
         raise CorruptFile(_WHERE, f"a course of {code}", "an axis of 0 to 2, and three bits")
     slope = np.array([parts.varint("slope", SLOPE_LIMIT) for _ in range(3)])
-    bits = reader(parts.rest(), known.memory.models)
-    before = None if known.reference is None else known.reference.bricks
-    bricks = code_bricks(bits, CONTEXTS, SETS, known.grid.brick_shape, None, before)
-    course = Course.of_code(known.grid, code)
+    bits = reader(parts.rest(), memory.models)
+    bricks = code_bricks(bits, CONTEXTS, SETS, grid.brick_shape, None, reference and reference.bricks)
+    course = Course.of_code(grid, code)
     places, order = course.order(bricks)
-    scan = course.scan(places, known.reference)
-    decode_bricks(bits, scan, law_of(known.lattice, slope), fresh_work(known.memory.weights))
+    scan = course.scan(places, reference)
+    decode_bricks(bits, scan, law_of(lattice, slope), fresh_work(memory.weights))
     check_end(bits, len(bricks), _WHERE)
     return FixedField(bricks, course.turned_back(scan.cells, order))
 

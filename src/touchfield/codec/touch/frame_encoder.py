@@ -16,7 +16,7 @@ import numpy as np
 from touchfield.arrays import Float32s
 from touchfield.codec.kernels import end_of, writer
 from touchfield.codec.support import code_bricks, padded
-from touchfield.codec.touch.frame import Course, Known, Memory, fresh_memory, law_of
+from touchfield.codec.touch.frame import Course, Memory, fresh_memory, law_of
 from touchfield.codec.touch.guess_fit import fit
 from touchfield.codec.touch.kernels.decode_pass import CONTEXTS, SETS
 from touchfield.codec.touch.kernels.encode_pass import ROOM, Limits, encode_bricks
@@ -103,25 +103,23 @@ def _course_of(vectors: Float32s, grid: Grid) -> Course:
     return Course(grid, axis, (down[0], down[1], down[2]))
 
 
-def encode_frame(frame: ForceField, known: Known, limits: Limits, hidden_n: Float32s) -> CodedFrame:
-    """Code a frame; `known` stays as it is, `hidden_n` as `promise.hidden_of` has it."""
-    bricks, vectors, scale = frame.bricks, frame.forces_n, 1.0 / np.float64(np.float32(known.lattice.unit_n))
-    if not limits.exact and len(bricks):  # without those that hold no force worth coding
-        squares = np.einsum("nijkc,nijkc->nijk", vectors, vectors, dtype=np.float64)
-        peak = squares.reshape(len(bricks), -1).max(axis=1) > (limits.f0 / scale) ** 2
-        bricks, vectors, hidden_n = bricks[peak], vectors[peak], hidden_n[peak] if len(hidden_n) else hidden_n
-    course = _course_of(vectors, frame.grid)
+def encode_frame(
+    frame: ForceField, lattice: Lattice, reference: FixedField | None, before: Memory, limits: Limits,
+    hidden_n: Float32s,
+) -> CodedFrame:  # fmt: skip
+    """Code a frame beside what `frame.decode_frame` knows; `hidden_n` as `promise.hidden_of` has it."""
+    bricks, scale = frame.bricks, 1.0 / np.float64(np.float32(lattice.unit_n))
+    course = _course_of(frame.forces_n, frame.grid)
     places, order = course.order(bricks)
-    forces = course.turned(vectors, order, scale)
+    forces = course.turned(frame.forces_n, order, scale)
     if len(hidden_n):  # a number of each voxel is turned as a vector of three alike, of which one is taken
         alike = np.repeat(hidden_n.reshape(-1, 8, 8, 8, 1), 3, axis=-1)
         forces = np.concatenate([forces, np.abs(course.turned(alike, order, scale))[..., :1]], axis=-1)
     head = bytes([course.code, 0, 0, 0])  # nothing is expected to be lost along an axis
-    memory, before = known.memory.copy(), None if known.reference is None else known.reference.bricks
+    memory, law, prices = before.copy(), law_of(lattice, np.zeros(3, np.int64)), np.zeros(4)
     bits = writer((len(bricks) + 1) * ROOM, memory.models)
-    code_bricks(bits, CONTEXTS, SETS, known.grid.brick_shape, bricks, before)
-    scan = course.scan(places, known.reference)
-    law, prices = law_of(known.lattice, np.zeros(3, np.int64)), np.zeros(4)
+    code_bricks(bits, CONTEXTS, SETS, frame.grid.brick_shape, bricks, reference and reference.bricks)
+    scan = course.scan(places, reference)
     encode_bricks(bits, scan, law, fresh_work(memory.weights), forces, limits, prices)
     support, amplitude, direction, _ = prices.tolist()
     return CodedFrame(
@@ -163,8 +161,8 @@ class Chooser:
         guesses = self._guesses(frame, alike)
         tried, worths = [], []
         for guess in guesses:
-            known = Known(self._grid, self._lattice, guess[1] if guess else before, memory)
-            coded = encode_frame(frame, known, self._limits, hidden_n)
+            reference = guess[1] if guess else before
+            coded = encode_frame(frame, self._lattice, reference, memory, self._limits, hidden_n)
             tried.append(coded)
             # bytes; in mode "nmse", where every error has its price, what they and the errors come to
             price = coded.missed / self._lattice.floor**2 / (8 * _THRIFT)

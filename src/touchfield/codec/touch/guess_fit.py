@@ -52,15 +52,12 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
     # of nine numbers of some 70 bits each: an adaptive bit costs 14 bits at most, but few of them do
     bits = writer(len(columns.surfaces) * 200 + 64, fresh(kernels.COLUMN_CONTEXTS, kernels.COLUMN_SETS))
     ramp = np.array([heads[kernels.TOP], heads[kernels.RAMP] / 65536])
-    room = np.zeros(view.depth), np.zeros(3), np.zeros(3), np.zeros((view.depth, 3))
+    room = np.zeros(2, np.int64), np.zeros((3, 4)), np.zeros(view.depth), *np.zeros((2, 3)), np.zeros((view.depth, 3))
     rows, count = view.told
     for row in range(rows):
         if row % BRICK == 0:
             forces = _laid_out(view, frame, row // BRICK, 1 / lattice.unit_n)
-        places = np.flatnonzero(forces[row % BRICK, :, -1, 3] > 0)
-        spans, surfaces = np.zeros((len(places), 2), np.int64), np.zeros((len(places), 3, 4))
-        fits = Fits(places, forces[row % BRICK, places], spans, surfaces, mask, ramp, *room)
-        write_row(bits, columns, row, count, fits)
+        write_row(bits, columns, row, count, Fits(forces[row % BRICK], mask, ramp, *room))
     made = synthesis.column_forces(view, columns)
     a, b, tiles_a, tiles_b = view.box
     told = (2 * view.axis + view.inverted, a, b, tiles_a - 1, tiles_b - 1, *heads.tolist())

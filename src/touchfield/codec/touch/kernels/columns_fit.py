@@ -14,20 +14,15 @@ _STEEP = 0.05  # no direction is less outward
 
 
 class Fits(NamedTuple):
-    """Evidence of the columns of a row that can be told."""
+    """Evidence of the columns of a row, and room for what one of them speaks for."""
 
-    places: Int64s  # [n]; in the row, ascending
-    # [n, depth, 4]; across, across, outward, and the length, units, from outside to inside
-    forces: Float32s
-    spans: Int64s  # [n, 2]; the first sample with a force, and that from which on it is constant
-    # [n, 3, 4]; X, Y, Z, A of the one surface, and of two; A is 0 where it cannot be told
-    surfaces: Float64s
-    # mask, ramp: [2]; k, and F_0 in units; the force deep inside, units, and the growth of its share from sample to
-    # sample
-    mask: Float64s
-    ramp: Float64s
-    # weights, one, two, rest: [depth], [3], [3], [depth, 3]; room for what the samples weigh, directions, and what
-    # the first of two surfaces leaves
+    forces: Float32s  # [columns, depth, 4]; across, across, outward, the length; units, from outside to inside
+    mask: Float64s  # [2]; k, and F_0 in units
+    ramp: Float64s  # [2]; the force deep inside, units, and the growth of its share from sample to sample
+    span: Int64s  # [2]; the first sample with a force, and that from which on it is constant
+    surfaces: Float64s  # [3, 4]; X, Y, Z, A of the one surface, and of two; A is 0 where it cannot be told
+    # weights, one, two, rest: [depth], [3], [3], [depth, 3]; what the samples weigh, directions, and what the first
+    # of two surfaces leaves
     weights: Float64s
     one: Float64s
     two: Float64s
@@ -76,8 +71,8 @@ def _tell(u, z, amplitude, out):
 def fit_two(fits, n):
     """Two surfaces one behind the other, where they miss least; False if there are none."""
     weights, u, v, rest = fits.weights, fits.one, fits.two, fits.rest
-    d, out = fits.forces[n], fits.surfaces[n]
-    first, flat = fits.spans[n, 0], fits.spans[n, 1]
+    d, out = fits.forces[n], fits.surfaces
+    first, flat = fits.span[0], fits.span[1]
     top, ramp = fits.ramp[0], fits.ramp[1]
     depth = d.shape[0]
     best = 1e18
@@ -100,8 +95,8 @@ def fit_two(fits, n):
         cost = 0.0
         for t in range(first, flat):
             size = behind * min(1.0, max(0.0, (t - z2) * ramp * v[2]))
-            error = (rest[t, 0] - size * v[0]) ** 2 + (rest[t, 1] - size * v[1]) ** 2 + (rest[t, 2] - size * v[2]) ** 2
-            cost += min(error * weights[t], 4.0)
+            x, y, w = rest[t, 0] - size * v[0], rest[t, 1] - size * v[1], rest[t, 2] - size * v[2]
+            cost += min((x * x + y * y + w * w) * weights[t], 4.0)
         if cost < best:
             best = cost
             _tell(u, z, amplitude, out[1])
@@ -123,12 +118,12 @@ def fit_one(fits, n):
         flat -= 1
     if flat == depth - 1:
         flat = depth
-    fits.spans[n, 0], fits.spans[n, 1] = first, flat
+    fits.span[0], fits.span[1] = first, flat
     _direction(d, first, depth, weights, u)
     u[2] = max(u[2], _STEEP)
     amplitude = np.float64(d[depth - 1, 3]) if flat < depth else top
     z = _start(d, u, amplitude, ramp * u[2], first, flat, weights)
-    _tell(u, z, amplitude if flat < depth else 0.0, fits.surfaces[n, 0])
+    _tell(u, z, amplitude if flat < depth else 0.0, fits.surfaces[0])
 
 
 _MISS = 6.5  # bits, about, of a voxel that the guess misses
@@ -147,7 +142,7 @@ def _cost(columns, at, fits, n, enough):
     heads, d, stop = columns.heads, fits.forces[n], fits.forces.shape[1]
     one, two = columns.surfaces[at], columns.surfaces[at + 1]
     cost = 0.0
-    for t in range(max(np.int64(0), min(fits.spans[n, 0], one[_Z] >> 8)), stop):
+    for t in range(max(np.int64(0), min(fits.span[0], one[_Z] >> 8)), stop):
         share, more = layout.share_at(one, t, heads), layout.share_at(two, t, heads)
         a, b = np.float64(share * one[_A]), np.float64(more * two[_A])
         square = 0.0
@@ -173,7 +168,7 @@ def _try(columns, at, fits, n, own, best):
     columns.surfaces[at + 1, _A] = 0
     bits = 0.2 + 2.0 * (mode > 0) + 3.0 * (count > 1)
     for slot in range(count):
-        fit = fits.surfaces[n, slot + count - 1]
+        fit = fits.surfaces[slot + count - 1]
         layout.expect(columns, at, np.int64(slot))
         for c in range(4):
             told = slot + 1 < count or (own >> max(0, c - 1)) & 1
@@ -211,11 +206,10 @@ def _choose(columns, at, fits, n):
 @entry
 def write_row(bits, columns, row, count, fits):
     """Fit, choose and write a row of columns; those that cannot be told have no surface."""
-    n = 0
+    depth = fits.forces.shape[1]
     for j in range(count):
         place = (row + 1) * columns.row + 2 * j + 2
         columns.told[0] = 0
-        if n < fits.places.shape[0] and fits.places[n] == j:
-            _choose(columns, place, fits, n)
-            n += 1
+        if fits.forces[j, depth - 1, 3] > 0:
+            _choose(columns, place, fits, np.int64(j))
         layout.code_column(bits, columns, place)

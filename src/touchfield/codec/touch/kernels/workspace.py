@@ -219,13 +219,3 @@ def turned(vectors, slots, axes, down, scale, out):
             for i in range(3):
                 v = vectors[n, at, i] * scale
                 out[slots[n], place, axes[i]] = -v if down[i] else v
-
-
-@entry
-def fill_cells(vectors, cells):
-    """Cells of the reference, [m, 512, 4], of vectors [m, 512, 3]; the length of none is 0."""
-    for n in range(cells.shape[0]):
-        for at in range(512):
-            v0, v1, v2 = np.int64(vectors[n, at, 0]), np.int64(vectors[n, at, 1]), np.int64(vectors[n, at, 2])
-            cells[n, at, 0], cells[n, at, 1], cells[n, at, 2] = v0, v1, v2
-            cells[n, at, 3] = root(v0 * v0 + v1 * v1 + v2 * v2)
