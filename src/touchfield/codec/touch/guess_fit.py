@@ -171,8 +171,6 @@ def _stiffness(some: Float32s, grid: Grid) -> float:
     """Growth of the force, units a metre, of bricks [n, 8, 8, 8, 3] that are smooth; 0 of others."""
     lengths = np.linalg.norm(some, axis=-1)
     growth = np.stack(np.gradient(lengths, *grid.spacing_m, axis=(1, 2, 3)), axis=-1)
-    inner = (slice(None), slice(1, -1), slice(1, -1), slice(1, -1))
-    some, lengths, growth = some[inner], lengths[inner], growth[inner]
     ramp = (lengths > _RAMP[0]) & (lengths < _RAMP[1])
     stiffness = float(np.median(np.linalg.norm(growth[ramp], axis=1))) if ramp.any() else 0.0
     if stiffness * min(grid.spacing_m) < 1:

@@ -15,7 +15,7 @@ from touchfield.lean import entry, inlined, lean
 
 ROOM = 1 << 14  # bytes that a brick cannot fill
 _AROUND = np.array([0, -1, 1], np.int64)
-_LARGER = 0.43  # bits, about, of a component by each step that it is larger
+_LARGER = 0.3  # of the bits, about, of a component that is not zero: those of each step of its size
 
 
 class Limits(NamedTuple):
@@ -62,12 +62,6 @@ def kept(d0, d1, d2, f, rule):
 
 
 @lean
-def _guessed(r):
-    """Likely bits of a component; only to compare candidates."""
-    return 0.0 if r == 0 else 1.5 + abs(r) * _LARGER
-
-
-@lean
 def choose(law, work, f, rule):
     """Put the residual of the force `f`, units float64 [3], into the row `STEPS`; the centre is set.
 
@@ -86,7 +80,8 @@ def choose(law, work, f, rule):
         n1, n2 = np.int64(round(across_1 / step)), np.int64(round(across_2 / step))
         for j in range(9):
             r1, r2 = n1 + _AROUND[j // 3], n2 + _AROUND[j % 3]
-            cost, most = _guessed(r0) + _guessed(r1) + _guessed(r2), max(abs(r0), abs(r1), abs(r2))
+            cost = (r0 != 0) + (r1 != 0) + (r2 != 0) + _LARGER * (abs(r0) + abs(r1) + abs(r2))
+            most = max(abs(r0), abs(r1), abs(r2))
             if cost < best and most < 1 << 18 and (most > 0 or work.of[voxel.BASED]):
                 voxel.place(law, work, r0, r1, r2)
                 is_kept = kept(rows[ws.VECTOR, 0], rows[ws.VECTOR, 1], rows[ws.VECTOR, 2], f, rule)
@@ -137,13 +132,10 @@ def _state_of(old, forces, rule):
     """The brick as the reference has it, if that keeps the rule everywhere; else the reference is followed."""
     for at in range(512):
         c = ((((at >> 6) + ws.LOW) * ws.SIDE + (at >> 3 & 7) + ws.LOW) * ws.SIDE + (at & 7) + ws.LOW) * 4
-        f = forces[at]
-        if old[c + 3] == 0 and f[0] == 0 and f[1] == 0 and f[2] == 0:
-            continue
         d0, d1, d2 = np.int64(0), np.int64(0), np.int64(0)
         if old[c + 3] > 0:
             d0, d1, d2 = np.int64(old[c]), np.int64(old[c + 1]), np.int64(old[c + 2])
-        if not kept(d0, d1, d2, f, rule):
+        if not kept(d0, d1, d2, forces[at], rule):
             return np.int64(1)
     return np.int64(2)
 
@@ -151,11 +143,9 @@ def _state_of(old, forces, rule):
 @inlined
 def _blocks_of(forces, rule):
     """Sub-blocks that hold a force that is to be kept."""
-    blocks = np.int64(0)
+    blocks, least = np.int64(0), 0.0 if rule.exact else rule.f0
     for at in range(512):
-        f0, f1, f2 = forces[at, 0], forces[at, 1], forces[at, 2]
-        square = f0 * f0 + f1 * f1 + f2 * f2
-        if square > 0 and (rule.exact or square > rule.f0 * rule.f0):
+        if _size_of(forces[at]) > least:
             blocks |= np.int64(1) << ((at >> 8) * 4 + (at >> 5 & 1) * 2 + (at >> 2 & 1))
     return blocks
 
@@ -206,8 +196,6 @@ def compare(mine, forces, theirs, other, rule, hidden, beyond):
                 u, v, w = 1.0 * other[j, place, 0], 1.0 * other[j, place, 1], 1.0 * other[j, place, 2]
             held = f[0] != 0.0 or f[1] != 0.0 or f[2] != 0.0
             sent = u != 0.0 or v != 0.0 or w != 0.0
-            if not held and not sent:
-                continue
             around = 1.0 * hidden[i, place] if i >= 0 and hidden.shape[0] else 0.0
             ratio = ratio2(f, u, v, w, around, rule)
             if rule.exact and held != sent:
