@@ -79,10 +79,8 @@ class TouchEncoder:
             coded, inter, guess = chooser.add(taken, hidden_n if taken is frame else hidden_of(taken, self._spec))
             field = coded.decoded.field(self._grid, lattice.unit_n)
             result = compared(frame, field, self._spec, hidden_n=hidden_n)
-            apart = Exceptions.of(frame, result.keys, result.places)
-            if len(result.keys):
-                result = compared(frame, apart.applied(field), self._spec, hidden_n=hidden_n)
-            records.append(FrameRecord(inter, guess, coded.payload, shares_of(coded.bits), apart.to_bytes()))
+            apart = Exceptions.of(frame, result.keys, result.places).to_bytes()
+            records.append(FrameRecord(inter, guess, coded.payload, shares_of(coded.bits), apart))
             seen.append(result)
         if self._spec.effort == "fast" and not any(len(result.keys) for result in seen):
             return self._sealed(lattice, records, seen)  # a decoder makes what was compared, bit for bit

@@ -140,7 +140,8 @@ def decode_frame(
         raise CorruptFile(_WHERE, f"a course of {code}", "an axis of 0 to 2, and three bits")
     slope = np.array([parts.varint("slope", SLOPE_LIMIT) for _ in range(3)])
     bits = reader(parts.rest(), memory.models)
-    bricks = code_bricks(bits, CONTEXTS, SETS, grid.brick_shape, None, reference and reference.bricks)
+    known = None if reference is None else reference.bricks
+    bricks = code_bricks(bits, CONTEXTS, SETS, grid.brick_shape, None, known)
     course = Course.of_code(grid, code)
     places, order = course.order(bricks)
     scan = course.scan(places, reference)

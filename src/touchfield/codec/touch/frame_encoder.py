@@ -118,7 +118,7 @@ def encode_frame(
     head = bytes([course.code, 0, 0, 0])  # nothing is expected to be lost along an axis
     memory, law, prices = before.copy(), law_of(lattice, np.zeros(3, np.int64)), np.zeros(4)
     bits = writer((len(bricks) + 1) * ROOM, memory.models)
-    code_bricks(bits, CONTEXTS, SETS, frame.grid.brick_shape, bricks, reference and reference.bricks)
+    code_bricks(bits, CONTEXTS, SETS, frame.grid.brick_shape, bricks, None if reference is None else reference.bricks)
     scan = course.scan(places, reference)
     encode_bricks(bits, scan, law, fresh_work(memory.weights), forces, limits, prices)
     support, amplitude, direction, _ = prices.tolist()
@@ -158,7 +158,11 @@ class Chooser:
             alike = agreement(frame, previous, self._lattice.unit_n, self._spec)
         inter = previous is not None and (interframe == "on" or alike >= _ALIKE)
         before, memory = (previous, self._memory) if inter else (None, fresh_memory())
-        guesses = self._guesses(frame, alike)
+        guesses: list[_Guess | None] = [None]
+        if self._looks and alike < _STILL:  # one that is worth it, and none beside it, unless it is trusted
+            guess, kept = fit(frame, self._lattice, self._limits, self._spec)
+            if guess is not None and kept > alike:
+                guesses = [guess] if kept >= _TRUSTED and self._spec.mode != "nmse" else [guess, None]
         tried, worths = [], []
         for guess in guesses:
             reference = guess[1] if guess else before
@@ -173,12 +177,3 @@ class Chooser:
         best, guess = tried[which], guesses[which]
         self._previous, self._memory = best.decoded, best.memory
         return best, inter, guess[0] if guess else b""
-
-    def _guesses(self, frame: ForceField, alike: float) -> list[_Guess | None]:
-        """Guesses to try: one that is worth it, and none beside it, unless it is trusted."""
-        if not self._looks or alike >= _STILL:
-            return [None]
-        guess, kept = fit(frame, self._lattice, self._limits, self._spec)
-        if guess is None or kept <= alike:
-            return [None]
-        return [guess] if kept >= _TRUSTED and self._spec.mode != "nmse" else [guess, None]

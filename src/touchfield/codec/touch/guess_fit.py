@@ -4,7 +4,7 @@ The spline's coefficients are those whose field is within the mask at most sampl
 |F| where that is below the top, and its gradient -K n. Then some steps of Gauss and Newton on the force itself, whose
 weights fall where the mask is left (an L1 norm beyond it), so that an edge that no spline can follow does not bend
 what lies around it. About eight samples of each cell of the lattice of nodes are looked at. The coarsest lattice that
-will do is taken. Fields without a main axis, and walls that end before the inner border of the grid, have no columns.
+will do is taken. Walls that end before the inner border of the grid have no columns.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from touchfield.codec.varint import write_varint
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.grid import BRICK
 
-_LEAST_SHARE: Final = 0.4  # of the forces along one axis, else there is none to look along
 _LEAST_REACHING: Final = 0.2  # of the tiles that reach the inner border
 _SAMPLED: Final = 64  # bricks that the axis is taken from
 _ROOM: Final = 1 << 24  # samples of a row of tiles, laid out at once
@@ -39,7 +38,7 @@ _XY_SHARE, _Z_SHARE, _A_SHARE = 0.35, 1.4, 0.9  # steps, of the mask
 def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, FixedField] | None:
     """The bytes of columns for a frame, and the guess that `synthesise` makes of them, in the mask of `limits`.
 
-    None where there are no columns to be told: no main axis of the force, or no solid behind a surface.
+    None where there are no columns to be told: no solid behind a surface.
     """
     view = _view_of(frame)
     if view is None:
@@ -66,14 +65,12 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
 
 
 def _view_of(frame: ForceField) -> synthesis.View | None:
-    """Along the main axis of the force; None if there is none, few tiles reach the border, or it is too large."""
+    """Along the main axis of the force; None if few tiles reach the border, or it is too large."""
     if not len(frame.bricks):
         return None
     some = frame.forces_n[:: -(-len(frame.bricks) // _SAMPLED)].reshape(-1, 3)
     total = some.sum(axis=0, dtype=np.float64)
     axis = int(np.abs(total).argmax())
-    if abs(total[axis]) < _LEAST_SHARE * np.sqrt(np.einsum("ij,ij->i", some, some)).sum(dtype=np.float64):
-        return None
     tiles = np.unique(np.delete(frame.bricks, axis, axis=1), axis=0)
     (a, b), (rows, row) = tiles.min(axis=0).tolist(), (np.ptp(tiles, axis=0) + 1).tolist()
     view = synthesis.View(frame.grid, axis, bool(total[axis] > 0), (a, b, rows, row))
@@ -100,13 +97,10 @@ def _heads(view: synthesis.View, frame: ForceField, unit_n: float, mask: Float64
     ramp = float(np.percentile(growth[ramps] * low[ramps] / outward[..., outer][ramps], _STEEP)) / top
     share = max(k, min(f0 / top, 0.5), 1e-3)  # of the force, what the steps should not exceed by much
     a, b, c = (view.grid.spacing_m[axis] for axis in view.order)
-    heads = np.empty(len(kernels.HEADS))
-    heads[kernels.TOP], heads[kernels.RAMP] = top, 65536 * ramp
-    heads[kernels.RATIO_A], heads[kernels.RATIO_B] = 256 * a / c, 256 * b / c
-    heads[kernels.XY_STEP], heads[kernels.A_STEP] = 16384 * share * _XY_SHARE, 65536 * share * _A_SHARE
-    heads[kernels.Z_STEP] = 256 * max(f0 / top, 0.1 * k) / ramp * _Z_SHARE
-    least_heads = np.array([1, 1, 0, 0, 16, 4, 16])
-    whole: Int64s = np.rint(np.clip(heads, least_heads, np.array(kernels.HEADS) - 1)).astype(np.int64)
+    z_step = 256 * max(f0 / top, 0.1 * k) / ramp * _Z_SHARE
+    steps = 16384 * share * _XY_SHARE, z_step, 65536 * share * _A_SHARE
+    heads = np.array([top, 65536 * ramp, 256 * a / c, 256 * b / c, *steps])  # in the order of `kernels.HEADS`
+    whole: Int64s = np.rint(np.clip(heads, (1, 1, 0, 0, 16, 4, 16), np.array(kernels.HEADS) - 1)).astype(np.int64)
     return whole
 
 
