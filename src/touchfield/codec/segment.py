@@ -85,13 +85,11 @@ class FrameCost:
 
 
 @dataclass(frozen=True)
-class FrameStats:
+class FrameStats(FrameCost):
     """Cost of a frame, and how many samples it holds and sends."""
 
-    kind: FrameKind
     supported: int
     sent: int
-    bits: BitAccount
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float32s, Float64s, Int32s
+from touchfield.arrays import EqualByValue, Float32s, Float64s, Int32s
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, HapticMedium
@@ -193,7 +193,7 @@ _BRICKS = 1 << 11  # at a time
 
 
 @dataclass(frozen=True, eq=False)
-class Descriptor:
+class Descriptor(EqualByValue):
     """An entry of an index; see the module.
 
     `values` float64 [83]: all parts one after the other, each number from 0 to 1. InvalidArgument for others.
@@ -214,11 +214,6 @@ class Descriptor:
         """One part by name."""
         require_one_of("part", part, PARTS)
         return self.values[dict(part_slots())[part]]
-
-    def __eq__(self, other: object) -> bool:
-        return np.array_equal(self.values, other.values) if isinstance(other, Descriptor) else NotImplemented
-
-    __hash__ = None  # type: ignore[assignment]
 
 
 def part_slots() -> Iterator[tuple[str, slice]]:

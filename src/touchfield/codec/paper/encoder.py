@@ -275,7 +275,7 @@ def write_body(
         bits = BitAccount(8 * len(symbols.support), amplitudes.bit_length, directions.bit_length)
         bits += BitAccount(side=8 * len(data) - bits.total)
         parts.append(data)
-        stats.append(FrameStats(symbols.kind, len(symbols.sent), len(symbols.levels), bits))
+        stats.append(FrameStats(symbols.kind, bits, len(symbols.sent), len(symbols.levels)))
     return CodedSegment(b"".join(parts), tuple(stats))
 
 
@@ -296,7 +296,7 @@ def encode_staged(frames: Sequence[ForceField], stage: str, step_n: float) -> Co
         bits = BitAccount(8 * len(support), 8 * len(code))
         bits += BitAccount(side=8 * len(data) - bits.total)
         parts.append(data)
-        stats.append(FrameStats(FrameKind.INTRA, frame.support_count, frame.support_count, bits))
+        stats.append(FrameStats(FrameKind.INTRA, bits, frame.support_count, frame.support_count))
     return CodedSegment(b"".join(parts), tuple(stats))
 
 

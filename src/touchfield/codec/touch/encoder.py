@@ -122,7 +122,7 @@ class TouchEncoder:
     ) -> CodedSegment:
         frame = max(range(len(results)), key=lambda i: results[i].worst)
         worst = Worst(min(results[frame].worst, 1.0), frame, results[frame].voxel)
-        stats = (FrameStats(r.kind, f.decoded, f.decoded, r.cost.bits) for r, f in zip(records, results, strict=True))
+        stats = (FrameStats(r.kind, r.cost.bits, f.decoded, f.decoded) for r, f in zip(records, results, strict=True))
         return CodedSegment(write_body(lattice, records, None if self._spec.mode == "nmse" else worst), tuple(stats))
 
 

@@ -4,7 +4,7 @@ The spline's coefficients are those whose field is within the mask at most sampl
 |F| where that is below the top, and its gradient -K n. Then some steps of Gauss and Newton on the force itself, whose
 weights fall where the mask is left (an L1 norm beyond it), so that an edge that no spline can follow does not bend
 what lies around it. About eight samples of each cell of the lattice of nodes are looked at. The coarsest lattice that
-will do is taken. Walls that end before the inner border of the grid have no columns.
+will do is taken. Fields without a main axis, and walls that end before the inner border of the grid, have no columns.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from touchfield.codec.varint import write_varint
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.grid import BRICK
 
+_LEAST_SHARE: Final = 0.4  # of the forces along one axis, else there is none to look along
 _LEAST_REACHING: Final = 0.2  # of the tiles that reach the inner border
 _SAMPLED: Final = 64  # bricks that the axis is taken from
 _ROOM: Final = 1 << 24  # samples of a row of tiles, laid out at once
@@ -38,7 +39,7 @@ _XY_SHARE, _Z_SHARE, _A_SHARE = 0.35, 1.4, 0.9  # steps, of the mask
 def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[bytes, FixedField] | None:
     """The bytes of columns for a frame, and the guess that `synthesise` makes of them, in the mask of `limits`.
 
-    None where there are no columns to be told: no solid behind a surface.
+    None where there are no columns to be told: no main axis of the force, or no solid behind a surface.
     """
     view = _view_of(frame)
     if view is None:
@@ -65,12 +66,14 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
 
 
 def _view_of(frame: ForceField) -> synthesis.View | None:
-    """Along the main axis of the force; None if few tiles reach the border, or it is too large."""
+    """Along the main axis of the force; None if there is none, few tiles reach the border, or it is too large."""
     if not len(frame.bricks):
         return None
     some = frame.forces_n[:: -(-len(frame.bricks) // _SAMPLED)].reshape(-1, 3)
     total = some.sum(axis=0, dtype=np.float64)
     axis = int(np.abs(total).argmax())
+    if abs(total[axis]) < _LEAST_SHARE * np.sqrt(np.einsum("ij,ij->i", some, some)).sum(dtype=np.float64):
+        return None
     tiles = np.unique(np.delete(frame.bricks, axis, axis=1), axis=0)
     (a, b), (rows, row) = tiles.min(axis=0).tolist(), (np.ptp(tiles, axis=0) + 1).tolist()
     view = synthesis.View(frame.grid, axis, bool(total[axis] > 0), (a, b, rows, row))
