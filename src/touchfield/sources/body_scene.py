@@ -82,7 +82,7 @@ class BodyScene(MovingScene):
         """
         require_frame(frame, self.frame_count)
         still, moving = (np.flatnonzero(np.equal(self._still, which)).tolist() for which in (True, False))
-        parts = []
+        parts = list[_Part]()
         if still:
             if self._kept is None or self._kept[:2] != (grid, profile):
                 self._kept = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
@@ -90,7 +90,7 @@ class BodyScene(MovingScene):
         return _sum(grid, [*parts, *self._parts(moving, frame, grid, profile)])
 
     def _parts(self, which: Iterable[int], frame: int, grid: Grid, profile: ForceProfile) -> list[_Part]:
-        parts = []
+        parts = list[_Part]()
         for n in which:
             body = self._bodies[n]
             turn, shift, scene = body.track.rotation(frame), body.track.positions_m[frame], body.scene

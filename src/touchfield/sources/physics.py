@@ -47,7 +47,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import SourceError
 from touchfield.files import require_beside
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.sources.analytic_scene import AnalyticScene, known, number, read_toml, shape_of_table, tables, text
@@ -284,35 +284,21 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
 
 
 def _outside(poses: dict[str, Poses], seconds: float, rate_hz: float) -> tuple[str, ...]:
-    """A note for each body whose poses begin after the scene, or go on after its end."""
-    notes = []
-    for name, (times, _, _) in poses.items():
-        first, last = float(times[0]), float(times[-1])
-        if first * rate_hz > 1.0:
-            notes.append(f"{name} stands still until its first pose, at {min(first, seconds):.6g} s.")
-        if last < 0:
-            notes.append(f"{name} stands still: its last pose is at {last:.6g} s, and the scene begins at 0.")
-        if (last - seconds) * rate_hz > 1.0:
-            notes.append(f"{name}: the poses after {seconds:.6g} s are left out (--seconds).")
-    return tuple(notes)
+    """A note for each body whose poses go on after the end of the scene."""
+    ends = {name: float(times[-1]) for name, (times, _, _) in poses.items()}
+    late = [name for name, last_s in ends.items() if (last_s - seconds) * rate_hz > 1.0]
+    return tuple(f"{name}: the poses after {seconds:.6g} s are left out (--seconds)." for name in late)
 
 
 def _frame_count(
     path: Path, table: PhysicsTable, poses: dict[str, Poses], seconds: float | None, rate_hz: float
 ) -> int:
-    count = len(table.bodies)
     if seconds is None and len(poses) and not any(body.is_simulated for body in table.bodies):
         last_s = max(float(times[-1]) for times, _, _ in poses.values())
-        # the frame at the last pose is one too, but for rounding
-        first_s = min(float(times[0]) for times, _, _ in poses.values())
-        try:
-            return frames_of(str(path), (math.floor(max(last_s, 0.0) * rate_hz + 1e-6) + 1) / rate_hz, rate_hz, count)
-        except InvalidArgument as error:
-            if first_s < last_s / 2:
-                raise
-            found = f"poses that begin at {first_s:.6g} s"
-            raise InvalidArgument(str(path), found, error.expected, "Let their times begin at 0.") from error
-    return frames_of(str(path), SECONDS if seconds is None else seconds, rate_hz, count)
+        seconds = (
+            math.floor(max(last_s, 0.0) * rate_hz + 1e-6) + 1
+        ) / rate_hz  # the frame at the last pose is one too
+    return frames_of(str(path), SECONDS if seconds is None else seconds, rate_hz, len(table.bodies))
 
 
 def _recognise(path: Path) -> bool:
