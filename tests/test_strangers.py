@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from depth_makers import write_plain, write_redwood, write_sun3d, write_threedmatch, write_tum
-from touchfield.adapters.json_values import read_json
 from touchfield.container import TouchReader
 from touchfield.devices.profile import device
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
 from touchfield.files import require_beside
 from touchfield.filters.registry import filter_of
 from touchfield.job import EncodeSpec
+from touchfield.json_values import read_json
 from touchfield.medium.trace import read_trace
 from touchfield.render.material import BANDS_HZ, stored_materials
 from touchfield.render.spec import stated_n_per_m
@@ -351,7 +351,7 @@ def test_a_fault_within_mujoco_is_a_source_error(tmp_path: Path, monkeypatch: py
     def stops(*_: object) -> None:
         raise mujoco.FatalError("mju_makeFrame: xaxis of contact frame undefined")
 
-    monkeypatch.setattr("touchfield.sources.simulation._overlaps", stops)
+    monkeypatch.setattr(mujoco, "mj_forward", stops)
     path = tmp_path / "scene.toml"
     path.write_text(PHYSICS.format(physics="", kind="sphere", body="radius_m = 0.1"))
     with pytest.raises(SourceError, match="xaxis of contact frame"):

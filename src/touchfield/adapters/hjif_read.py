@@ -23,8 +23,8 @@ from typing import Final
 import numpy as np
 
 from touchfield.adapters.hmpg_read import BANDS, CURVES, KINDS, MODALITIES, SIGNALS, read_hmpg
-from touchfield.adapters.json_values import JsonValue, read_json
 from touchfield.arrays import Float64s, Int64s
+from touchfield.json_values import JsonValue, read_json
 from touchfield.medium.medium import MAX_FREQUENCY_HZ
 
 DEFAULT_TIMESCALE: Final = 1000

@@ -14,9 +14,9 @@ import base64
 from pathlib import Path
 from typing import Any, Final
 
-from touchfield.adapters.json_values import JsonValue
 from touchfield.errors import SourceError
 from touchfield.files import read_bytes
+from touchfield.json_values import JsonValue
 
 _WHAT: Final = "an HMPG file (ISO/IEC 23090-31, binary)"
 _MOST_BYTES: Final = 1 << 22
