@@ -1,4 +1,4 @@
-"""JSON from strangers: each value is taken with its type and range, and an error names its place in the file.
+"""JSON and TOML from strangers: each value is taken with its type and range, an error names its place in the file.
 
 A place is written as in ``$.perceptions[0].channels[3].gain``.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
@@ -21,7 +21,7 @@ _MISSING: Final = object()
 
 @dataclass(frozen=True)
 class JsonValue:
-    """A value of a JSON document, as `json` reads it, and where it stands.
+    """A value of a document, as `json` or `tomllib` reads it, and where it stands.
 
     Every method raises SourceError, naming file and place, if the value is of another type or out of range.
     """
@@ -46,6 +46,13 @@ class JsonValue:
         if not isinstance(self.value, dict):
             raise self.refused("an object")
         return self.value
+
+    def only(self, names: Iterable[str]) -> None:
+        """SourceError for a member that is none of these."""
+        names = tuple(names)
+        for key in self.members():
+            if key not in names:
+                raise self.at(key).wrong("a key that is not known", f"one of {', '.join(names)}")
 
     def _inner(self, value: Any, place: str) -> Self:
         return type(self)(value, self.file, self.place + place, self.owner)
