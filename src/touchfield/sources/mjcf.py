@@ -22,7 +22,7 @@ import re
 from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain, count, product
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 from xml.parsers import expat
@@ -65,11 +65,7 @@ def _open(path: Path, options: SourceOptions) -> BodyScene:
     frames = frames_of(str(path), seconds, rate, len(ids))
     tracks, warnings = simulated(model, ids, frames, rate, str(path))
     track_of = dict(zip(ids, tracks, strict=True))
-    names: dict[str, None] = {}
-    for name, _, _ in pieces:
-        tries = chain([name], (f"{name} ({number})" for number in count(2)))
-        names[next(each for each in tries if each not in names)] = None
-    bodies = [Body(name, scene, track_of[body_id]) for name, (_, body_id, scene) in zip(names, pieces, strict=True)]
+    bodies = [Body(name, scene, track_of[body_id]) for name, body_id, scene in pieces]
     return BodyScene(bodies, rate, notes=(*notes, *more, *warnings))
 
 
