@@ -17,6 +17,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.reduction import culled, reduce_medium
 from touchfield.job.spec import ReductionSpec
 from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach_of, reduced
+from touchfield.reduction.reach import _layers
 
 HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
 STEP_M, COUNT = 0.003, 40
@@ -174,6 +175,16 @@ def test_a_faster_hand_reaches_farther_and_more_friction_stops_no_less() -> None
     medium = floor()
     slow, fast = (int(reach_of(medium, Hand(1.0, 0.1, v)).samples.sum()) for v in (0.05, 0.3))
     assert slow <= fast
+
+
+@pytest.mark.parametrize("hand", [HAND, Hand(0.1, 0.5, 0.3), Hand(2.0, 0.02, 0.1)])
+def test_a_layer_turns_a_hand_by_the_rule_at_the_head_of_the_module(hand: Hand) -> None:
+    layers = _layers(floor(), hand, 8.0)
+    assert layers
+    for layer in layers:
+        double_energy = hand.mass_kg * hand.speed_m_s**2
+        least = hand.push_n + double_energy / layer.start_m + double_energy / (2 * (layer.depth_m - layer.start_m))
+        assert least <= layer.need_n <= 2 * least
 
 
 # -- the command ---------------------------------------------------------------------------------------------------
