@@ -19,11 +19,11 @@ from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid, HapticMedium
 
 ASKED: dict[str, list[str]] = {
-    "gaussian": ["1.2mm", "0.7mm,truncate=3"],
+    "gaussian": ["1.2mm", "0.7mm"],
     "fir": ["1/2/1", "1/3/3/1,anchor=causal", "-1/2/-1,normalise=false", "1/1/1"],
-    "lowpass": ["pitch=4mm,axes=xyz", "pitch=9mm,cutoff=literal,kernel=spline"],
+    "lowpass": ["pitch=4mm,axes=xyz", "pitch=2.5mm,kernel=sinc", "pitch=9mm,cutoff=literal"],
     "shading": ["1.5mm", "1mm,smooth=direction", "1mm,smooth=amplitude"],
-    "perona-malik": ["steps=4,kappa=0.5", "0.4,steps=2,conductance=rational", "kappa=inf"],
+    "perona-malik": ["steps=4,kappa=0.5", "0.4,steps=2", "kappa=inf"],
     "multiresolution": ["3", "2,keep=details"],
     "texture": ["salt-pepper:seed=1", "salt-pepper:density=0.3,rms=0.3,grain=2mm,limit=0.5"],
 }

@@ -68,12 +68,11 @@ class AxisTaps:
         """The greater of both distances."""
         return max(self.before, self.origin)
 
-    def check_fits(
-        self, count: int, where: str, mend: str = "Take a shorter kernel, or a finer or larger field."
-    ) -> None:
+    def check_fits(self, count: int, where: str) -> None:
         """`InvalidArgument` naming `where` if there are more taps than samples along the axis."""
         if len(self.taps) > count:
             found = f"{len(self.taps)} taps along an axis of {count} samples"
+            mend = "Take a shorter kernel, or a finer or larger field."
             raise InvalidArgument(where, found, f"at most {count} taps", mend)
 
 

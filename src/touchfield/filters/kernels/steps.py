@@ -52,19 +52,12 @@ def _exponential(s):
 
 
 @njit(cache=True, nogil=True)
-def _rational(s):
-    """Take each s >= 0 to 1 / (1 + s)."""
-    for e in range(s.shape[0]):
-        s[e] = np.float32(1) / (np.float32(1) + s[e])
-
-
-@njit(cache=True, nogil=True)
 def _edges(values, mask, stride, law, s, flux):
     """The flux along each edge of one axis that touches the brick, into `flux` from its first place on.
 
-    `law` is (weight, 1 / kappa, rational); an edge with a side outside the mask has none.
+    `law` is (weight, 1 / kappa); an edge with a side outside the mask has none.
     """
-    weight, per_kappa, rational = law
+    weight, per_kappa = law
     begin = _FIRST - stride
     count = _END - begin
     near, far = mask[begin:_END], mask[begin + stride : _END + stride]
@@ -76,10 +69,7 @@ def _edges(values, mask, stride, law, s, flux):
             x = d[e] * per_kappa
             s[e] = x * x + (s[e] if c else np.float32(0))
     g = s[:count]
-    if rational:
-        _rational(g)
-    else:
-        _exponential(g)
+    _exponential(g)
     for e in range(count):
         g[e] *= near[e] * far[e] * weight
     for c in range(values.shape[0]):
@@ -89,13 +79,13 @@ def _edges(values, mask, stride, law, s, flux):
 
 
 @njit(cache=True, nogil=True)
-def _step(values, mask, weights, per_kappa, rational, s, flux):
+def _step(values, mask, weights, per_kappa, s, flux):
     """One step of the brick in the middle of a tile, in place; `weights` holds lambda of each axis."""
     total = flux[values.shape[0] :]
     total[:] = 0
     for axis in range(3):
         stride = _STRIDES[axis]
-        _edges(values, mask, stride, (weights[axis], per_kappa, rational), s, flux)
+        _edges(values, mask, stride, (weights[axis], per_kappa), s, flux)
         for c in range(values.shape[0]):
             enters, leaves, sums = flux[c, stride:], flux[c], total[c]
             for e in range(_END - _FIRST):
@@ -107,11 +97,11 @@ def _step(values, mask, weights, per_kappa, rational, s, flux):
 
 
 @njit(cache=True, nogil=True)
-def diffused_bricks(begin, end, slots, support, forces, weights, per_kappa, rational, out):
+def diffused_bricks(begin, end, slots, support, forces, weights, per_kappa, out):
     """One explicit step of the samples that take part, from `forces` into `out`, both float32 [n, 512, 3].
 
     `slots` are `touchfield.medium.field.slots_around`; `weights` float32 (x, y, z) are lambda, `per_kappa` is
-    1/kappa, 0 for a conductance of 1, and `rational` takes 1/(1 + s) in place of exp(-s), s = (|difference|/kappa)^2.
+    1/kappa, 0 for a conductance of 1.
     """
     values, mask = np.zeros((3, _TILE), np.float32), np.zeros(_TILE, np.float32)
     s, flux = np.zeros(_TILE, np.float32), np.zeros((6, _TILE), np.float32)
@@ -135,7 +125,7 @@ def diffused_bricks(begin, end, slots, support, forces, weights, per_kappa, rati
                     mask[place + k] = support[n, local + k]
                     for c in range(3):
                         values[c, place + k] = forces[n, local + k, c]
-        _step(values, mask, weights, per_kappa, rational, s, flux)
+        _step(values, mask, weights, per_kappa, s, flux)
         for i in range(8):
             for j in range(8):
                 local, place = i * 64 + j * 8, _FIRST + i * 100 + j * 10
