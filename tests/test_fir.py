@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -237,15 +236,12 @@ def test_a_flat_field_is_filtered_along_its_two_axes() -> None:
 # -- words ------------------------------------------------------------------------------------------------------
 
 
-def test_words_and_files_give_the_same_taps(tmp_path: Path) -> None:
+def test_words_come_back() -> None:
     asked = FirFilter.parse("1/2/1,anchor=causal,boundary=zero")  # as older streams have it
     assert asked == FirFilter("1/2/1", "causal") == FirFilter.parse(asked.words)
     h = np.random.default_rng(1).normal(size=(3, 1, 3))
-    np.save(tmp_path / "h.npy", h)
-    from_file, of_array = FirFilter.parse(f"taps={tmp_path / 'h.npy'}"), filter_of_array(h)
-    assert np.array_equal(from_file.kernel, h) and np.array_equal(of_array.kernel, h)
-    field = random_field((16, 16, 16), 2)
-    assert from_file(field) == of_array(field) == FirFilter.parse(of_array.words)(field)
+    of_array, field = filter_of_array(h), random_field((16, 16, 16), 2)
+    assert np.array_equal(of_array.kernel, h) and of_array(field) == FirFilter.parse(of_array.words)(field)
 
 
 def test_an_empty_field_stays_empty() -> None:
@@ -265,7 +261,7 @@ def test_an_empty_field_stays_empty() -> None:
         ("1/nan/1", "not finite"),
         ("-1/2/-1", "normalise=false"),
         ("0/0/0,normalise=false", "not zero"),
-        ("no/such/file.npy", "cannot be read"),
+        ("taps.npy", "numbers with /"),
         ("1/2/1,anchor=left", "centred or causal"),
         ("1/2/1,boundary=wrap", "each of taps, anchor, normalise"),
         ("1/2/1,normalise=perhaps", "true or false"),

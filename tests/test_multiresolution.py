@@ -63,9 +63,9 @@ def test_nothing_goes_farther_than_the_reach(stages: int) -> None:
 @pytest.mark.parametrize("stages", [1, 3, 5])
 def test_mean_constant_and_sum_are_as_claimed(stages: int) -> None:
     wide = Grid((160, 160, 160), (1, 1, 1), (0, 0, 0))
-    step, rest = MultiresolutionFilter(stages), MultiresolutionFilter(stages, "details")
+    step = MultiresolutionFilter(stages)
     claims = step.claims(wide)
-    assert claims.linear and claims.keeps_mean and claims.dc_gain == 1 and rest.claims(wide).dc_gain == 0
+    assert claims.linear and claims.keeps_mean and claims.dc_gain == 1
     shape = clear_of(claims.reach)
     rng = np.random.default_rng(stages)
     positions = rng.integers(70, 90, (40, 3))
@@ -74,13 +74,11 @@ def test_mean_constant_and_sum_are_as_claimed(stages: int) -> None:
         total = field.forces_n.sum(axis=(0, 1, 2, 3), dtype=np.float64)
         made = step(field).forces_n.sum(axis=(0, 1, 2, 3), dtype=np.float64)
         assert made == pytest.approx(total, abs=1e-5)
-        assert np.abs((step(field) + rest(field) + field.scaled(-1)).forces_n).max(initial=0) < 1e-6
     both = step(fields[0].scaled(2.0) + fields[1])
     parts = step(fields[0]).scaled(2.0) + step(fields[1])
     assert np.abs((both + parts.scaled(-1.0)).forces_n).max(initial=0) < 2e-6
     constant = np.broadcast_to(np.float32([1, -2, 0.3]), (*(min(n, 48) for n in shape), 3))
     assert np.abs(step(field_of(constant)).to_dense() - constant).max() < 1e-6  # at the border, too
-    assert np.abs(rest(field_of(constant)).to_dense()).max() < 1e-6
 
 
 def test_a_level_of_detail_is_one_already() -> None:
@@ -112,8 +110,7 @@ def test_a_field_of_a_million_million_samples_stays_sparse() -> None:
 def test_an_empty_field_and_one_sample() -> None:
     grid = Grid((40, 30, 20), (1, 1, 1), (0, 0, 0))
     for stages in (1, 12):
-        for keep in ("coarse", "details"):
-            assert MultiresolutionFilter(stages, keep)(ForceField.empty(grid)) == ForceField.empty(grid)
+        assert MultiresolutionFilter(stages)(ForceField.empty(grid)) == ForceField.empty(grid)
     point = field_of(np.ones((1, 1, 1, 3), np.float32))
     assert MultiresolutionFilter(5)(point) == point
     assert MultiresolutionFilter(5).claims(point.grid).reach == (0, 0, 0)
@@ -130,13 +127,11 @@ def test_the_threads_do_not_show_in_a_field(monkeypatch: pytest.MonkeyPatch, wav
 
 def test_words() -> None:
     assert issubclass(MultiresolutionFilter, FieldFilter) and MultiresolutionFilter.name == "multiresolution"
-    assert MultiresolutionFilter.parse("") == MultiresolutionFilter.parse("3") == MultiresolutionFilter(3, "coarse")
-    assert MultiresolutionFilter.parse("stages=5,keep=details") == MultiresolutionFilter(5, "details")
-    assert MultiresolutionFilter.parse(MultiresolutionFilter(7, "details").words) == MultiresolutionFilter(
-        7, "details"
-    )
+    assert MultiresolutionFilter.parse("") == MultiresolutionFilter.parse("3") == MultiresolutionFilter(3)
+    assert MultiresolutionFilter.parse("stages=5,keep=coarse") == MultiresolutionFilter(5)  # as older streams have it
+    assert MultiresolutionFilter.parse(MultiresolutionFilter(7).words) == MultiresolutionFilter(7)
     for text in ("0", "13", "-1", "2.5", "stages=nan"):
         with pytest.raises(InvalidArgument, match="stages"):
             MultiresolutionFilter.parse(text)
-    with pytest.raises(InvalidArgument, match="keep: found 'fine'; expected coarse or details"):
-        MultiresolutionFilter.parse("keep=fine")
+    with pytest.raises(InvalidArgument, match="each of stages at most once"):
+        MultiresolutionFilter.parse("keep=details")

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
@@ -21,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, require_one_of
-from touchfield.files import require_plain
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import (
     BOUNDARIES,
@@ -137,9 +135,8 @@ def _sums_along(x: NDArray[Any], weights: Float64s, origin: int, axis: int, boun
 class FirFilter(FieldFilter):
     """Equation 4 on the sparse bricks of a field; nothing is made dense.
 
-    taps : str; the taps of one axis, ``1/2/1``, applied along all three but those of a single sample; a box of taps
-        in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``; or a file NAME.npy with an array of one or
-        three axes.
+    taps : str; the taps of one axis, ``1/2/1``, applied along all three but those of a single sample; or a box of
+        taps in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``.
     anchor : {"centred", "causal"}
     normalise : bool; scale the taps to unit sum, so that a constant field stays itself.
     Raises `InvalidArgument` if the taps cannot be read, are not finite, even and to be centred, or of sum zero and to
@@ -147,7 +144,7 @@ class FirFilter(FieldFilter):
     """
 
     name: ClassVar[str] = "fir"
-    summary: ClassVar[str] = "equation 4 with these taps: 1/2/1, or -1/2/-1,normalise=false, or taps=FILE.npy"
+    summary: ClassVar[str] = "equation 4 with these taps: 1/2/1, or -1/2/-1,normalise=false"
     example: ClassVar[str] = "1/2/1"
 
     taps: str
@@ -230,13 +227,7 @@ class FirFilter(FieldFilter):
 
 
 def _read_taps(text: str) -> Float64s:
-    """The taps of a text or a file, see `FirFilter`."""
-    if text.endswith(".npy"):
-        require_plain(text, "a .npy file")
-        try:
-            return np.asarray(np.load(Path(text), allow_pickle=False), np.float64)
-        except (OSError, ValueError, TypeError) as error:
-            raise InvalidArgument("--fir taps", f"{text}, which cannot be read: {error}", "a .npy file") from None
+    """The taps of a text, see `FirFilter`."""
     shape, colon, numbers = text.rpartition(":")
     try:
         row = np.array([float(part) for part in numbers.split("/")])

@@ -30,11 +30,11 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Float32s, Int64s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.arrays import Float32s
+from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField, Grid
-from touchfield.medium.field import brick_keys, dilated, frozen, slots_around
+from touchfield.medium.field import brick_keys, dilated, slots_around
 from touchfield.parallel import for_chunks
 
 Site = tuple[int, ...]
@@ -64,14 +64,6 @@ class Split:
 def _signed(*places: Site) -> tuple[Site, ...]:
     """Each place with every choice of signs of its non-zero coordinates."""
     return tuple(sorted(o for p in places for o in product(*((-d, d) if d else (0,) for d in p))))
-
-
-@dataclass(frozen=True)
-class LatticeSamples:
-    """Values at the sites of a sublattice, in raster order."""
-
-    positions: Int64s  # [m, dimensions]; indices into the array
-    values: NDArray[Any]  # [m, ...]; with the components of the array
 
 
 @dataclass(frozen=True)
@@ -120,15 +112,6 @@ class Chain:
             _lift(values, split, self, "update", -1)
             _lift(values, split, self, "predict", 1)
         return values if dtype is None else values.astype(dtype, copy=False)
-
-    def coarse(self, coefficients: ArrayLike, stages: int) -> LatticeSamples:
-        """The sites and values of the coarse signal of coefficients that `forward` gave for as many stages."""
-        values = _checked(coefficients, self, "coefficients")
-        splits = self.splits(whole_stages(stages))
-        is_kept = np.full(values.shape[: self.dimensions], not splits)
-        for residue in splits[-1].kept if splits else ():
-            is_kept[tuple(slice(r * splits[-1].scale, None, 2 * splits[-1].scale) for r in residue)] = True
-        return LatticeSamples(frozen(np.argwhere(is_kept)), frozen(values[is_kept]))
 
 
 def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
@@ -208,8 +191,8 @@ FCC: Final = Chain(
     ),
 )
 
-quincunx_forward, quincunx_inverse, quincunx_coarse = QUINCUNX.forward, QUINCUNX.inverse, QUINCUNX.coarse
-fcc_forward, fcc_inverse, fcc_coarse = FCC.forward, FCC.inverse, FCC.coarse
+quincunx_forward, quincunx_inverse = QUINCUNX.forward, QUINCUNX.inverse
+fcc_forward, fcc_inverse = FCC.forward, FCC.inverse
 
 
 @dataclass(frozen=True)
@@ -217,7 +200,6 @@ class MultiresolutionFilter(FieldFilter):
     """The field at a coarser level of detail, on the same lattice.
 
     stages : int; 1 to 12; each halves the number of independent samples, three halve the resolution along each axis.
-    keep : str; "coarse", the level of detail; or "details", the field less that.
     """
 
     name: ClassVar[str] = "multiresolution"
@@ -225,21 +207,18 @@ class MultiresolutionFilter(FieldFilter):
     example: ClassVar[str] = "stages=3"
 
     stages: int = 3
-    keep: str = "coarse"
 
     def __post_init__(self) -> None:
         whole_stages(self.stages, 1, _MAX_FILTER_STAGES)
-        require_one_of("keep", self.keep, ("coarse", "details"))
 
     def claims(self, grid: Grid) -> Claims:
-        """Linear; a constant passes with gain 1 (as details: with 0). Short filters overshoot at a contact."""
-        coarse, far = self.keep == "coarse", [0, 0, 0]
+        """Linear; a constant passes with gain 1. Short filters overshoot at a contact."""
+        far = [0, 0, 0]
         for split in FCC.splits(self.stages):  # each stage takes a coarse site two neighbours far, and back one
             for axis in range(3):
                 if grid.shape[axis] > split.scale:
                     far[axis] += 3 * split.scale * max(o[axis] for o in split.offsets)
-        reach = (far[0], far[1], far[2])
-        return Claims(reach, linear=True, dc_gain=1.0 if coarse else 0.0, keeps_mean=coarse)
+        return Claims((far[0], far[1], far[2]), linear=True, dc_gain=1.0, keeps_mean=True)
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`; the time goes with the number of bricks that a force may reach."""
@@ -252,8 +231,7 @@ class MultiresolutionFilter(FieldFilter):
             _step(place, forces, split, "update", 1.0, 1)
         for split in reversed(splits):
             _step(place, forces, split, "predict", 0.0, 1)  # the prediction in place of the detail
-        coarse = ForceField.from_bricks(grid, bricks, forces)
-        return coarse if self.keep == "coarse" else field + coarse.scaled(-1.0)
+        return ForceField.from_bricks(grid, bricks, forces)
 
 
 def _step(place: Any, forces: Float32s, split: Split, kind: str, hold: float, sign: int) -> None:

@@ -137,7 +137,9 @@ def _value(where: str, name: str, kind: Any, text: str) -> Any:
         raise InvalidArgument(where, repr(text), expected) from None
 
 
-_OF_OLD = ("boundary=zero", "region=support", "spread=false", "truncate=4.0", "conductance=exponential")
+_OF_OLD = (
+    "boundary=zero", "region=support", "spread=false", "truncate=4.0", "conductance=exponential", "keep=coarse",
+)  # fmt: skip
 
 _CLASSES = (
     "smoothing.GaussianFilter", "fir.FirFilter", "smoothing.ActuatorLowPass", "shading.ShadingFilter",
