@@ -18,7 +18,7 @@ What lies in the diamond |w1| + |w2| <= pi, or the octahedron |w1| + |w2| + |w3|
 image: a pattern along an axis passes up to the full Nyquist rate. With P the mean of the cosines of w the coarse
 signal is seen through 1 + P/2 - P^2/2, which is far from steep.
 
-The multiresolution filter takes a field down the FCC chain, puts its details to zero and rebuilds it, all in place.
+The multiresolution filter takes a field down the FCC chain, puts its details to zero and rebuilds it.
 """
 
 from __future__ import annotations
@@ -30,17 +30,16 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField, Grid
-from touchfield.medium.field import brick_keys, dilated, slots_around
-from touchfield.parallel import for_chunks
+from touchfield.medium.budget import require_memory
 
 Site = tuple[int, ...]
 
 MAX_STAGES: Final = 60  # one site is left of any array long before; a stage without sites to drop does nothing
-_MAX_FILTER_STAGES: Final = 12  # four octaves; one more would reach beyond the next brick
+_MAX_FILTER_STAGES: Final = 12  # four octaves
+_DENSE_BYTES: Final = 60  # of a sample: a field, its coefficients, those of the level, and two of what is on its way
 _HEADROOM: Final = 2.0**-16  # of the range of a float: sums of neighbours, stage after stage, stay finite
 
 
@@ -221,29 +220,13 @@ class MultiresolutionFilter(FieldFilter):
         return Claims((far[0], far[1], far[2]), linear=True, dc_gain=1.0, keeps_mean=True)
 
     def __call__(self, field: ForceField) -> ForceField:
-        """See `FieldFilter`; the time goes with the number of bricks that a force may reach."""
-        grid, splits = field.grid, FCC.splits(self.stages)
-        bricks = dilated(grid, field.bricks, self.claims(grid).reach)
-        forces = field.forces_at(brick_keys(grid, bricks))
-        place = (bricks, slots_around(bricks, bricks, grid.brick_shape).astype(np.int32), grid.shape)
-        for split in splits:
-            _step(place, forces, split, "predict", 1.0, -1)
-            _step(place, forces, split, "update", 1.0, 1)
+        """See `FieldFilter`; dense on the way, `InvalidArgument` where the memory allowed is too small for that."""
+        require_memory("--multiresolution", "dense samples", _DENSE_BYTES * field.grid.voxel_count)
+        values, splits = FCC.forward(field.to_dense(), self.stages), FCC.splits(self.stages)
+        coarse, scale = np.zeros_like(values), splits[-1].scale
+        for residue in splits[-1].kept:
+            sites = tuple(slice(r * scale, None, 2 * scale) for r in residue)
+            coarse[sites] = values[sites]
         for split in reversed(splits):
-            _step(place, forces, split, "predict", 0.0, 1)  # the prediction in place of the detail
-        return ForceField.from_bricks(grid, bricks, forces)
-
-
-def _step(place: Any, forces: Float32s, split: Split, kind: str, hold: float, sign: int) -> None:
-    from touchfield.filters.kernels import steps as kernels
-
-    offsets = split.offsets_in(place[2])
-    if not offsets:
-        return
-    starts = np.full((2, 2), -1, np.int64)
-    for x, y, z in split.details if kind == "predict" else split.kept:
-        starts[x, y] = z
-    bricks, slots, shape = place
-    weight = sign / (len(offsets) * (1 if kind == "predict" else 2))
-    law = split.scale, starts, np.array(offsets, np.int64), np.float32(hold), np.float32(weight)
-    for_chunks(kernels.lifted_bricks, len(bricks), bricks, slots, forces.reshape(-1), shape, *law, chunk=64)
+            _lift(coarse, split, FCC, "predict", 1)  # the prediction in place of the detail
+        return ForceField.from_dense(field.grid, coarse)

@@ -1,10 +1,9 @@
-"""Compiled steps in place of a field by what lies around each sample: diffusion, and lifting.
+"""Compiled steps of the diffusion of a field.
 
-Diffusion takes each brick with the samples around it into a tile of 10 x 10 x 10, one row for each component, so that
-every loop over it is a long run that the compiler turns into vector instructions. The flux of an edge between two
-bricks is computed in both from the same numbers by the same operations: what leaves one enters the other to the last
-bit. A step of lifting changes sites of one kind by what their neighbours of the other kind hold, so that it reads
-nothing that it writes. Neither result depends on the number of threads. Imported only when first needed.
+Each brick is taken with the samples around it into a tile of 10 x 10 x 10, one row for each component, so that every
+loop over it is a long run that the compiler turns into vector instructions. The flux of an edge between two bricks is
+computed in both from the same numbers by the same operations: what leaves one enters the other to the last bit. The
+result does not depend on the number of threads. Imported only when first needed.
 """
 
 from __future__ import annotations
@@ -132,72 +131,3 @@ def diffused_bricks(begin, end, slots, support, forces, weights, per_kappa, out)
                 for k in range(8):
                     for c in range(3):
                         out[n, local + k, c] = values[c, place + k]
-
-
-@njit(cache=True, nogil=True)
-def _add(total, begin, end, forces, slot, row):
-    """Add a piece of one row of a brick, from its number ``row`` on, to ``total``; nothing where there is no brick.
-
-    Indices without a sign and one flat array spare tests and counts of users: ten times as fast together.
-    """
-    if slot >= 0:
-        source, target = np.uint64(slot * 1536 + row), np.uint64(begin)
-        for r in range(np.uint64(end - begin)):
-            total[target + r] += forces[source + r]
-
-
-@njit(cache=True, nogil=True)
-def _brick_sum(n, bricks, slots, forces, shape, i, j, offsets, scale, total):
-    """The sum over the neighbours of each site of one row of a brick; what it holds between the sites means nothing.
-
-    Whole rows are added, sites or not, because the processor adds eight consecutive numbers as fast as one. A
-    neighbour beyond the border is its mirror image about the site.
-    """
-    x, y, z = bricks[n, 0] * 8, bricks[n, 1] * 8, bricks[n, 2] * 8
-    step = 3 * scale
-    last = (shape[2] - 1) // scale * scale - z  # the last site of the grid, as a sample of this brick
-    total[:] = 0
-    for o in range(offsets.shape[0]):
-        a, b = i + offsets[o, 0] * scale, j + offsets[o, 1] * scale
-        if x + a < 0 or x + a >= shape[0]:
-            a = i - offsets[o, 0] * scale
-        if y + b < 0 or y + b >= shape[1]:
-            b = j - offsets[o, 1] * scale
-        own = (1 + (a >> 3)) * 9 + (1 + (b >> 3)) * 3 + 1  # before and after it the bricks at its sides
-        row = ((a & 7) * 8 + (b & 7)) * 24
-        if offsets[o, 2] == 0:
-            _add(total, 0, 24, forces, slots[n, own], row)
-        elif offsets[o, 2] > 0:
-            _add(total, 0, 24 - step, forces, slots[n, own], row + step)
-            _add(total, 24 - step, 24, forces, slots[n, own + 1], row)
-            if 0 <= last < 8:
-                image = last - scale
-                _add(total, 3 * last, 3 * last + 3, forces, slots[n, own + (image >> 3)], row + 3 * (image & 7))
-        else:
-            _add(total, step, 24, forces, slots[n, own], row)
-            _add(total, 0, step, forces, slots[n, own - 1], row + 24 - step)
-            if z == 0:
-                _add(total, 0, 3, forces, slots[n, own + (scale >> 3)], row + 3 * (scale & 7))
-
-
-@njit(cache=True, nogil=True)
-def lifted_bricks(begin, end, bricks, slots, forces, shape, scale, starts, offsets, hold, weight):
-    """Put to each site `hold` times what it holds, and `weight` times the sum of its neighbours, in place.
-
-    `forces` are flat, and zero beyond the grid; `scale` is 1, 2, 4 or 8, so that no neighbour lies beyond the next
-    brick. `starts` int64 [2, 2] tells for the parities along the first two axes the parity along the third of the
-    sites to change, -1 for none; `offsets` int64 [k, 3] are those of their neighbours, in units of `scale`.
-    """
-    total = np.zeros(24, np.float32)
-    for n in range(begin, end):
-        x, y, z = bricks[n, 0] * 8, bricks[n, 1] * 8, bricks[n, 2] * 8
-        for i in range(0, min(8, shape[0] - x), scale):
-            for j in range(0, min(8, shape[1] - y), scale):
-                start = starts[((x + i) // scale) & 1, ((y + j) // scale) & 1]
-                first = ((start - z // scale) & 1) * scale
-                if start >= 0 and first < 8:
-                    _brick_sum(n, bricks, slots, forces, shape, i, j, offsets, scale, total)
-                    row = n * 1536 + (i * 8 + j) * 24
-                    for k in range(first, min(8, shape[2] - z), 2 * scale):
-                        for r in range(3 * k, 3 * k + 3):
-                            forces[row + r] = hold * forces[row + r] + weight * total[r]
