@@ -123,7 +123,7 @@ class ShadingFilter(FieldFilter):
         for count, spacing_m in zip(grid.shape, grid.spacing_m, strict=True):
             taps = gaussian_taps(self.sigma_m / spacing_m)
             beyond = max(0, len(taps) // 2 - (count - 1))
-            rows.append(AxisTaps.centred(taps[beyond : len(taps) - beyond]))
+            rows.append(AxisTaps(taps[beyond : len(taps) - beyond]))
         return rows[0], rows[1], rows[2]
 
 

@@ -76,10 +76,10 @@ def gaussian(signal: ArrayLike, sigma_samples: float | Sequence[float], *, bound
         sigmas = [float(s) for s in sigma_samples]
     if not 1 <= len(sigmas) <= x.ndim:
         raise InvalidArgument("sigma_samples", f"{len(sigmas)} for an array {x.shape}", "one for each leading axis")
-    axes = [AxisTaps.centred(gaussian_taps(s)) for s in sigmas]
+    axes = [AxisTaps(gaussian_taps(s)) for s in sigmas]
     for axis, row in enumerate(axes):
         row.check_fits(x.shape[axis], f"sigma_samples of axis {axis}")
-    return without_overflow(direct_sums(x, [a.taps for a in axes], [a.origin for a in axes], boundary), "signal")
+    return without_overflow(direct_sums(x, [a.taps for a in axes], [a.reach for a in axes], boundary), "signal")
 
 
 class _LowPass(FieldFilter):
@@ -125,7 +125,7 @@ class GaussianFilter(_LowPass):
         """The taps along each axis of a grid."""
         rows = []
         for axis, count, spacing_m in zip("xyz", grid.shape, grid.spacing_m, strict=True):
-            rows.append(AxisTaps.centred(gaussian_taps(0.0 if count == 1 else self.sigma_m / spacing_m)))
+            rows.append(AxisTaps(gaussian_taps(0.0 if count == 1 else self.sigma_m / spacing_m)))
             rows[-1].check_fits(count, f"--gaussian sigma {self.sigma_m:g} m along {axis}")
         return rows[0], rows[1], rows[2]
 
@@ -165,37 +165,33 @@ def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", ker
 
 @dataclass(frozen=True)
 class ActuatorLowPass(_LowPass):
-    """The part of a field that an array of actuators of this pitch can show, on the field's own lattice.
+    """The part of a field that an array of actuators of this pitch along x and y can show, on its own lattice.
 
     pitch_m : float; distance between neighbouring actuators, metres, positive.
     cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d, which aliases.
-    kernel : str; of `touchfield.filters.LOW_PASSES`: "spline" spans 2.6 pitches for "nyquist", "sinc" 8.
-    axes : str; the axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of
-        a single sample is left as it is.
+    kernel : str; of `touchfield.filters.LOW_PASSES`: "spline" spans 2.6 pitches for "nyquist", "sinc" 8. An
+        axis of a single sample is left as it is.
     Raises `InvalidArgument` if a value is out of range; on use, for a cut-off or a kernel beyond the field's own.
     """
 
     name: ClassVar[str] = "lowpass"
-    summary: ClassVar[str] = "what actuators this far apart can show: pitch=35mm, or pitch=35mm,axes=xyz,kernel=sinc"
+    summary: ClassVar[str] = "what actuators this far apart can show: pitch=35mm, or pitch=35mm,kernel=sinc"
     example: ClassVar[str] = "pitch=20mm"
 
     pitch_m: float
     cutoff: str = "nyquist"
     kernel: str = "spline"
-    axes: str = "xy"
 
     def __post_init__(self) -> None:
         cutoff_per_m(self.pitch_m, self.cutoff)
         require_one_of("--lowpass kernel", self.kernel, LOW_PASSES)
-        if not self.axes or len(set(self.axes)) != len(self.axes) or not set(self.axes) <= set("xyz"):
-            raise InvalidArgument("--lowpass axes", repr(self.axes), "some of x, y and z, each once")
 
     def taps(self, grid: Grid) -> Axes:
         """The taps along each axis of a grid; `InvalidArgument` also for a cut-off above its Nyquist rate."""
         rows = []
         for axis, count, spacing_m in zip("xyz", grid.shape, grid.spacing_m, strict=True):
-            is_filtered = axis in self.axes and count > 1
-            taps = actuator_taps(spacing_m, self.pitch_m, self.cutoff, self.kernel) if is_filtered else np.ones(1)
-            rows.append(AxisTaps.centred(taps))
+            is_left = axis == "z" or count == 1
+            taps = np.ones(1) if is_left else actuator_taps(spacing_m, self.pitch_m, self.cutoff, self.kernel)
+            rows.append(AxisTaps(taps))
             rows[-1].check_fits(count, f"--lowpass pitch {self.pitch_m:g} m along {axis}")
         return rows[0], rows[1], rows[2]
