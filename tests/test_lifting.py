@@ -42,8 +42,7 @@ def test_integers_come_back_with_the_same_bits(case: tuple[int, NDArray[Any], in
     dimensions, values, stages = case
     coefficients = FORWARD[dimensions](values, stages)
     assert coefficients.dtype == (np.int32 if values.itemsize <= 2 else np.int64)
-    back = INVERSE[dimensions](coefficients, stages, values.dtype)
-    assert back.dtype == values.dtype and np.array_equal(back, values)
+    assert np.array_equal(INVERSE[dimensions](coefficients, stages), values)
 
 
 @given(st.sampled_from((2, 3)), st.lists(st.integers(1, 24), min_size=3, max_size=3), st.integers(0, 12), st.data())
@@ -193,7 +192,7 @@ def test_a_volume_that_is_none() -> None:
 
 def test_booleans_are_numbers() -> None:
     support = np.random.default_rng(0).random((6, 7, 8)) < 0.5
-    assert np.array_equal(fcc_inverse(fcc_forward(support, 5), 5, bool), support)
+    assert np.array_equal(fcc_inverse(fcc_forward(support, 5), 5), support)
 
 
 @pytest.mark.shared
@@ -205,6 +204,6 @@ def test_a_real_picture_comes_back(shared_data: Path) -> None:
         pytest.skip("no picture")
     picture = np.asarray(Image.open(pictures[0]))
     coefficients = quincunx_forward(picture, 8)
-    assert np.array_equal(quincunx_inverse(coefficients, 8, picture.dtype), picture)
+    assert np.array_equal(quincunx_inverse(coefficients, 8), picture)
     energies = mean_squares(coefficients, QUINCUNX, 8)
     assert energies[:8].max() < energies[8]

@@ -100,17 +100,16 @@ class Chain:
             _lift(values, split, self, "update", 1)
         return values
 
-    def inverse(self, coefficients: ArrayLike, stages: int, dtype: Any = None) -> NDArray[Any]:
+    def inverse(self, coefficients: ArrayLike, stages: int) -> NDArray[Any]:
         """The array whose coefficients `forward` gave for as many stages: bit-exact for whole numbers.
 
-        dtype : optional; the type to return, such as the one that `forward` was given; the working type by default.
-        Raises `InvalidArgument` as `forward`.
+        It is of the working type. Raises `InvalidArgument` as `forward`.
         """
         values = _checked(coefficients, self, "coefficients")
         for split in reversed(self.splits(whole_stages(stages))):
             _lift(values, split, self, "update", -1)
             _lift(values, split, self, "predict", 1)
-        return values if dtype is None else values.astype(dtype, copy=False)
+        return values
 
 
 def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
