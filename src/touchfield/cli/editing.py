@@ -23,7 +23,7 @@ RUBBED = tuple(row for row in BESIDE if row.name != "vibration")
 
 Medium = Annotated[str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti).", metavar="MEDIUM")]
 Out = Annotated[Path, typer.Argument(help="OUT.touch, or a field: FIELD.npz, FIELD.vti.")]
-Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, gaussian, box, sinc, or trilinear for none.")]
+Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, box, sinc, or trilinear for none.")]
 
 
 _COUNTS = "NX,NY,NZ, such as 64,64,32"
