@@ -242,7 +242,7 @@ def deform(
 @command(
     "Study",
     "reduce fox.touch",
-    "reduce ground.touch --cull shell.touch --mode lossless --plot reduced.png",
+    "reduce ground.touch --cull shell.touch --mode lossless",
     "reduce fox.touch few-modes.touch --rank 20 --trace log.csv",
 )
 @asks(rows_of(ReductionSpec), CODER)
@@ -251,17 +251,12 @@ def reduce(
     medium: Medium,
     out: Annotated[Path | None, typer.Argument(help="OUT.touch of the modes that are kept; none without it.")] = None,
     cull: Annotated[Path | None, "OUT.touch without what the hand can never feel."] = None,
-    plot: Annotated[Path | None, "PNG to draw: the spectrum, and a section."] = None,
 ) -> Answer:
     """Tell in how few numbers MEDIUM varies, how many bits a degree of freedom has, and what no hand can feel."""
     from touchfield.job.reduction import reduce_medium
 
-    check_results((medium,), plot, out, cull)
+    check_results((medium,), out, cull)
     spec = ReductionSpec(**fields_of(ReductionSpec, asked))
     with progress("reduce") as report:
         done = reduce_medium(medium, out, cull, spec, coder_spec(asked), report)
-    if plot is not None:
-        from touchfield.viewer.plots import draw_reduction
-
-        draw_reduction(plot, done.values, done.field, done.felt, done.shown["hand"])
     return Answer(done.summary(), medium, done.notes, {"held_out": "frames that were not learnt"})
