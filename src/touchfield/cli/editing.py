@@ -110,7 +110,7 @@ def lod(
     most_bytes: Annotated[int | None, "Name the finest level that takes no more."] = None,
 ) -> Answer:
     """Make levels of detail of MEDIUM, each a file with its bytes and its error."""
-    with progress("lod", "level") as report:
+    with progress("lod") as report:
         done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(asked), report)
 
     def people() -> None:
@@ -232,7 +232,7 @@ def deform(
     check_results((stream, model), out)
     moved = fields_of(Motion, asked) | {"frames": frames_of("--frames", asked["frames"])}
     motion = Motion(model, **moved) if model else None
-    with progress("deform", "frame") as report:
+    with progress("deform") as report:
         done = tracks_of(
             stream, out, motion, controls=controls, compliance_m_per_n=yield_m_per_n, relax_s=relax_s, report=report
         )

@@ -28,7 +28,7 @@ def index(folder: Folder, index_file: IndexFile = None, workers: Workers = None)
 
     if index_file is not None and index_file.suffix == ".touch":
         raise InvalidArgument("--index", str(index_file), "a name that ends in .npz")
-    with progress("index", "file") as report, executor_of(workers) as executor:
+    with progress("index") as report, executor_of(workers) as executor:
         done = index_folder(folder, index_file, report, executor)
     faults = done.faults
     left_out = [f"left out: {name}: {fault}" for name, fault in list(faults.items())[:_TOLD]]
@@ -82,7 +82,7 @@ def similar(
     """Tell how alike two media are: voxel by voxel, as histograms, to a compressor, and as `search` ranks them."""
     from touchfield.job.library import similar as run
 
-    with progress("similar", "step") as report:
+    with progress("similar") as report:
         done = run(first, second, encode_spec(asked), quantiser=quantiser, over=over, frames=looks, report=report)
     figures = done.summary()
     names = {"normalised": "NMI", "variation": "VI / bit", "jensen_shannon": "sqrt(JSD)", "compression": "NCD"}

@@ -118,7 +118,7 @@ def measure(
     own = fields_of(MeasureSpec, asked)
     spec = MeasureSpec(**own, devices=tuple(device or ()), limits=not no_limits, encode=encode)
     check_results((medium,), plot)
-    with progress("measure", "step") as report:
+    with progress("measure") as report:
         measurement = job.measure_medium(medium, spec, report)
     if plot is not None:
         measurement.draw(plot)

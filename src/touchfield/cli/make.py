@@ -178,7 +178,7 @@ def plan(
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
     check_results((source,), out)
     spec = replace(spec, touch=replace(spec.touch, effort=effort))
-    with progress("plan", "setting") as report, executor_of(workers) as executor:
+    with progress("plan") as report, executor_of(workers) as executor:
         chosen = job.plan(source, amount, spec, search, report, executor)
     if out is not None:
         chosen.draw(out)
