@@ -41,8 +41,6 @@ class Comparison:
 
     meter: FidelityMeter
     bits: BitAccount
-    bits_by_kind: dict[str, float]
-    entropy: SymbolCounter
     stream: dict[str, Any]
     drawn: tuple[int, ForceField, ForceField]
     notes: tuple[str, ...]
@@ -87,10 +85,6 @@ class Comparison:
             **{f"bits_{key}": getattr(b, key) for key in ("support", "amplitude", "direction")},
             "bits_side": b.side + b.models,
             "bits_poses": b.poses,
-            "bits_per_frame_by_kind": self.bits_by_kind,
-            "frame_kinds": s["frame_kinds"],
-            "entropy_voxel_bits": self.entropy.voxel_bits,
-            "entropy_object_bits": self.entropy.object_bits,
             **self.hand.summary(),
         }
 
@@ -138,13 +132,11 @@ def compare(
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         masking = opened.masking if k is None and f0_n is None else None
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
-        hand, counter, supported = HandMeter(opened, scene, original.exact, slides), SymbolCounter(), 0
-        quantise = opened.quantiser()  # the entropies are of one random variable
+        hand, supported = HandMeter(opened, scene, original.exact, slides), 0
         for i in range(len(decoded)):
             x, y = original.medium[i], decoded[i]
             meter.add(x, y)
             hand.add(i, x, y)
-            counter.add(quantise(x), x.grid.voxel_count)
             supported += y.support_count
             if i == drawn_frame:
                 drawn = (i, x, y)
@@ -157,10 +149,10 @@ def compare(
                 f"the mask is that of the source with each body where the file has it, {1e6 * composed[1]:.1f} um off"
             )
             notes = (*notes, f"{text} at most; *_in_place are without that tolerance")
-        bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
+        bits, summary = opened.bits, opened.summary()
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
-    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, hand.motion(), voxels, composed)
+    return Comparison(meter, bits, summary, drawn, notes, hand.motion(), voxels, composed)
 
 
 def source_medium(source: Source, opened: OpenStream, allow_outside: bool = False) -> Prepared:
