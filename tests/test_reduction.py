@@ -200,7 +200,7 @@ def test_the_command_tells_and_writes(tmp_path: Path, capsys: pytest.CaptureFixt
         assert felt.any()
     assert _exit_code(["reduce", str(field), "--trace", str(log), "--device", "touch", *hand, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["entropy_bits_per_visit"] > 0 and told["never_visited_samples"] > told["behind_samples"]
+    assert told["never_visited_samples"] > told["behind_samples"]
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

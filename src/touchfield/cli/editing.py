@@ -124,7 +124,6 @@ def lod(
 def partition(
     medium: Medium,
     depth: Annotated[int, "The device has 2^-depth of the lattice's samples along each axis."] = 2,
-    shape: Annotated[str | None, "Samples of the device, NX,NY,NZ, in place of --depth."] = None,
     penalty_bits: Annotated[float, "lambda: bits a frame that another box must save."] = 1000.0,
     quantiser: Annotated[str, "Q of the losses."] = "weber:0.25/ico1",
 ) -> Answer:
@@ -135,8 +134,7 @@ def partition(
     source = read_medium(medium).medium
     if not 0 <= depth <= 7:
         raise InvalidArgument("--depth", f"{depth}", "0 to 7")
-    own = [max(1, n >> depth) for n in source.grid.shape]
-    x, y, z = numbers_of("--shape", shape, (3,), _COUNTS, int) if shape else own
+    x, y, z = (max(1, n >> depth) for n in source.grid.shape)
     with progress("partition") as report:
         done = partition_workspace(source, (x, y, z), penalty_bits, quantiser, report)
     rows = []

@@ -207,19 +207,12 @@ def _show_plan(plan: Plan, options: list[str], notes: tuple[str, ...]) -> None:
     rows = [("->" if trial is plan.chosen else "", *_cells(plan, trial)) for trial in plan.front()]
     headings = ("", "nw", "coder", "k or step", plan.unit, "NMSE dB", "mask kept")
     show_table(rows, headings, right=(1, 3, 4, 5, 6))
-    papers = [t for t in plan.trials if t.spec.coder == "paper" and plan.is_within(t)]
     said = [
         *plan.notes,
         f"mask kept: share of the voxels within max({plan.f0_n:g} N, {plan.k:g} |F|) on the finest lattice",
     ]
     if plan.multiplier is not None:
         said.append(f"lambda is {plan.multiplier:.4g} {plan.unit} for a unit of NMSE at the choice")
-    if papers:
-        paper = min(papers, key=lambda t: t.nmse)
-        *_, nmse, kept = _cells(plan, paper)
-        said.append(f"coder paper within the budget: {paper.options}: NMSE {nmse} dB, mask kept {kept}")
-    else:
-        said.append("coder paper: nothing within the budget")
     said.append(shlex.join(["touchfield", "encode", plan.source, "OUT.touch", *options]))
     show_notes((*said, *notes))
 

@@ -23,7 +23,6 @@ from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_between
 from touchfield.filters.registry import noted
 from touchfield.job.editing import _write, fidelity_of, read_medium, spread
-from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.prepare import Prepared
 from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec, ReductionSpec
@@ -101,12 +100,8 @@ def reduce_medium(
         left_out["never_visited"] = ~binary_dilation(near, np.ones((3, 3, 3), bool), iterations=2)
         notes += ("what the hand of --trace never came near is left out, too: nothing is promised to another",)
     felt = ~np.logical_or.reduce(list(left_out.values()))
-    over = "voxel" if trace is None else f"interaction:{spec.trace}"
-    bits = measure_medium(medium, MeasureSpec("weber:0.1", over, limits=False, encode=prepared.spec))
     every, kept = (np.unique(np.argwhere(own) // BRICK, axis=0) for own in (held, held & felt))
     shown |= {
-        "entropy_bits_per_voxel": bits.voxel.value,
-        **({} if trace is None else {"entropy_bits_per_visit": bits.entropy.value}),
         "hand": hand.words,
         "stopping_force_n": reach.stopped_n,
         "supported_samples": int(np.count_nonzero(held)),
