@@ -14,6 +14,7 @@ from touchfield import job
 from touchfield.cli.main import _exit_code
 from touchfield.filters.registry import filter_of
 from touchfield.job import EncodeSpec, MeasureSpec
+from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.medium import HapticMedium
 from touchfield.medium.npz import read_npz
 from touchfield.sources.tiny_scenes import tiny_scenes
@@ -42,7 +43,7 @@ def test_measure_of_a_stream(stream: Path, tmp_path: Path, capsys: Capture) -> N
     assert found["quantiser"] == "distinct" and found["frames"] == 2
     p = found["occupancy"]
     voxel, on_object = (found[key]["value"] for key in ("entropy_voxel", "entropy_object"))
-    assert voxel == pytest.approx(found["occupancy_entropy_bits"] + p * on_object, abs=1e-12)
+    assert voxel == pytest.approx(binary_entropy_bits(p) + p * on_object, abs=1e-12)
     assert found["entropy_frame"]["value"] == pytest.approx(voxel * 32**3)
     assert found["entropy_frame"]["unit"] == "bit/frame"
     assert 0 <= found["in_time"]["conditional_entropy"]["value"] <= voxel
