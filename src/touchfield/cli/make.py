@@ -166,9 +166,7 @@ def plan(
     ],
     k: Annotated[list[float] | None, "Weber fraction to try; may be repeated."] = None,
     effort: Annotated[str, "fast or default, as of encode."] = "fast",
-    out: Annotated[
-        Path | None, typer.Option("--plot", "--out", help="PNG to draw: the frontier and the choice.")
-    ] = None,
+    plot: Annotated[Path | None, "PNG to draw: the frontier and the choice."] = None,
     workers: Workers = None,
 ) -> Answer:
     """Find the lattice and the settings that spend a budget best; --nw is the finest of three lattices."""
@@ -176,13 +174,13 @@ def plan(
     if spec.nw is None:
         raise InvalidArgument("--nominal does not go with plan: name --nw, the finest lattice to try")
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
-    check_results((source,), out)
+    check_results((source,), plot)
     spec = replace(spec, touch=replace(spec.touch, effort=effort))
     with progress("plan") as report, executor_of(workers) as executor:
         chosen = job.plan(source, amount, spec, search, report, executor)
-    if out is not None:
-        chosen.draw(out)
-    options, notes = _options(chosen, asked), (f"the picture is {out}",) if out else ()
+    if plot is not None:
+        chosen.draw(plot)
+    options, notes = _options(chosen, asked), (f"the picture is {plot}",) if plot else ()
     values = {**chosen.summary(), "encode_options": shlex.join(options)}
     return Answer(values, "", (*chosen.notes, *notes), people=lambda: _show_plan(chosen, options, notes))
 

@@ -31,7 +31,6 @@ from touchfield.measure.interaction import visits
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.budget import memory_budget_bytes
-from touchfield.medium.grid import BRICK
 from touchfield.medium.trace import ContactTrace, read_trace
 from touchfield.parallel import Report, silent
 from touchfield.reduction import Hand, Reduced, freedom, held_out, reach_of, reduced
@@ -100,14 +99,12 @@ def reduce_medium(
         left_out["never_visited"] = ~binary_dilation(near, np.ones((3, 3, 3), bool), iterations=2)
         notes += ("what the hand of --trace never came near is left out, too: nothing is promised to another",)
     felt = ~np.logical_or.reduce(list(left_out.values()))
-    every, kept = (np.unique(np.argwhere(own) // BRICK, axis=0) for own in (held, held & felt))
     shown |= {
         "hand": hand.words,
         "stopping_force_n": reach.stopped_n,
         "supported_samples": int(np.count_nonzero(held)),
         **{f"{name}_samples": int(np.count_nonzero(held & own)) for name, own in left_out.items()},
         "felt_samples": int(np.count_nonzero(held & felt)),
-        "bricks_left_out": len(every) - len(kept),
     }
     if cull is not None:
         done = _write(prepared, [source], culled(medium, felt), cull, report)
