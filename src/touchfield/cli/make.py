@@ -91,13 +91,10 @@ def filter_(
     with_report: Annotated[
         bool, typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels.")
     ] = False,
-    quantiser: Annotated[str, "Q of the report's entropies."] = "weber:0.1",
     workers: Workers = None,
 ) -> Answer:
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
-    from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
-
-    spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
+    spec = encode_spec(asked)
     beside = {row.name: getattr(spec, row.key) for row in BESIDE}
     if not spec.filters and all(words is None for words in beside.values()):
         names = ", ".join(f"--{row.name}" for row in (*filter_rows(), *BESIDE))
@@ -111,7 +108,7 @@ def filter_(
     measured = None
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
-            measured = job.filter_report(source, spec, parsed, report).summary()
+            measured = job.filter_report(source, spec, report).summary()
     with progress("filter", later=LATER.get(spec.coder, ()) if is_stream else ()) as report:
         if is_stream:
             with executor_of(workers) as executor:

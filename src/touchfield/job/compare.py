@@ -242,23 +242,16 @@ class HandMeter:
         return HandMotion(self._slides.slides(), hold, vibration_threshold())
 
 
-def filter_report(
-    source: str | Path | Scene, spec: EncodeSpec, quantiser: FieldQuantiserSpec | None = None, report: Report = silent
-) -> Result:
+def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Report = silent) -> Result:
     """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
 
-    ``spec.paper.k`` is the Weber fraction of the mask; `quantiser`, the Q of the entropies, is by default fitted to
-    the device's F_max and kept for all stages. Each of ``stages`` tells its name, support, greatest and
-    root-mean-square force, entropies, and what changed against the medium before the chain: NMSE in dB, and the share
-    of voxels beyond the mask.
+    ``spec.paper.k`` is the Weber fraction of the mask; Q of the entropies is weber:0.1, up to the device's F_max, for
+    all stages. Each of ``stages`` tells its name, support, greatest and root-mean-square force, entropies, and what
+    changed against the medium before the chain: NMSE in dB, and the share of voxels beyond the mask.
     """
     prepared = prepare(source, replace(spec, filters=()))
     medium = prepared.medium
-    asked = quantiser or FieldQuantiserSpec()
-    if asked.form == "distinct":
-        expected = "one that also knows filtered forces, such as weber:0.1"
-        raise InvalidArgument("quantiser of the report", "distinct", expected)
-    quantise = asked.fit(medium, prepared.device.force_max_n)
+    quantise = FieldQuantiserSpec().fit(medium, prepared.device.force_max_n)
     chain, stages_of = spec.chain, _stages(prepared, spec.chain)
     gauges = [_Gauge(name, spec) for name in ("device filter", *(step.name for step in chain))]
     for i in range(len(medium)):
