@@ -25,7 +25,6 @@ COMPARE_KEYS = {
     "file_bytes", "frames", "grid_shape", "supported_voxels", "cr_full", "cr_literal", "nmse_db",
     "nmse_literal_db", "k", "f0_n", "mask_violations", "mask_violation_share", "worst_mask_ratio",
     "bits_per_supported_voxel", "bits_support", "bits_amplitude", "bits_direction", "bits_side",
-    "entropy_voxel_bits", "entropy_object_bits",
 }  # fmt: skip
 
 

@@ -194,10 +194,10 @@ def test_the_command_tells_and_writes(tmp_path: Path, capsys: pytest.CaptureFixt
     field, log = tmp_path / "floor.npz", tmp_path / "log.csv"
     tf.write_field(field, floor(6))
     log.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{i / 1000},{0.03 + i * 5e-5},0.06,0.088\n" for i in range(100)))
-    names = [str(tmp_path / name) for name in ("few.touch", "shell.touch", "a.png")]
-    few, shell, picture = names
+    names = [str(tmp_path / name) for name in ("few.touch", "shell.touch")]
+    few, shell = names
     hand = ["--push-n", "1", "--mass-kg", "0.1"]
-    asked = ["reduce", str(field), few, "--cull", shell, "--mode", "lossless", "--plot", picture, *hand, "--json"]
+    asked = ["reduce", str(field), few, "--cull", shell, "--mode", "lossless", *hand, "--json"]
     assert _exit_code(asked) == 0
     told = json.loads(capsys.readouterr().out)
     assert all(Path(name).stat().st_size for name in names)
@@ -211,7 +211,7 @@ def test_the_command_tells_and_writes(tmp_path: Path, capsys: pytest.CaptureFixt
         assert felt.any()
     assert _exit_code(["reduce", str(field), "--trace", str(log), "--device", "touch", *hand, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["entropy_bits_per_visit"] > 0 and told["never_visited_samples"] > told["behind_samples"]
+    assert told["never_visited_samples"] > told["behind_samples"]
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -98,5 +98,5 @@ def warmup() -> None:
     """Compile all kernels now, so that the first real job does not wait for it."""
     from touchfield import job
 
-    with progress("compile", "step", later=("passes", "measures", "filters")) as report:
+    with progress("compile", later=("passes", "measures", "filters")) as report:
         job.warm_up(report)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache, cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Int64s
 from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.layout import MAX_POSES, CodedObject
 from touchfield.codec.registry import field_decoder
@@ -116,18 +115,6 @@ class SceneStream(OpenStream):
         for i, entry in enumerate(self.reader.segments):
             costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
         return sum(costs, BitAccount())
-
-    def bits_by_kind(self) -> dict[str, float]:
-        """See `OpenStream`: no frame of its own, but poses, and what the fields take spread over all frames."""
-        count, bits = self.reader.head.frame_count, self.bits
-        return {"poses": bits.poses / count, "fields": (bits.total - bits.poses) / count}
-
-    def quantiser(self) -> Callable[[ForceField], Int64s]:
-        """See `OpenStream`: the Weber ladder and directions that measures take by default."""
-        from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
-
-        fitted = FieldQuantiserSpec.parse(DEFAULT_QUANTISER).fit((), self.reader.head.force_max_n)
-        return lambda field: fitted.symbols_of(field.vectors_n()).astype(np.int64)
 
     def _coder(self) -> dict[str, Any]:
         keys = {

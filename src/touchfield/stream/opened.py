@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Int64s
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import BitAccount, compression_ratio, promise_kept
 from touchfield.codec.touch.body import TouchCost
@@ -105,14 +104,6 @@ class OpenStream(ABC):
     @abstractmethod
     def bits(self) -> BitAccount:
         """Bits by what they tell; those of the file's frame are not counted."""
-
-    @abstractmethod
-    def bits_by_kind(self) -> dict[str, float]:
-        """Mean bits of a frame of each kind."""
-
-    @abstractmethod
-    def quantiser(self) -> Callable[[ForceField], Int64s]:
-        """Q: each supported force of a frame to a symbol, the same for all frames."""
 
     @abstractmethod
     def _coder(self) -> dict[str, Any]:
@@ -219,21 +210,14 @@ class VoxelStream(OpenStream):
     def bits(self) -> BitAccount:
         return sum((c.bits for c in self.costs), BitAccount())
 
-    def bits_by_kind(self) -> dict[str, float]:
-        kinds = dict.fromkeys(c.kind for c in self.costs)
-        return {k.name.lower(): float(np.mean([c.bits.total for c in self.costs if c.kind == k])) for k in kinds}
-
-    def quantiser(self) -> Callable[[ForceField], Int64s]:
-        """See `OpenStream`: the intra tables of the first segment."""
-        symbols: Callable[[ForceField], Int64s] = self.decoder.quantiser(self.reader.read_segment(0))
-        return symbols
-
     def _coder(self) -> dict[str, Any]:
-        kinds = [c.kind.name.lower() for c in self.costs]
+        bits_by_kind: dict[str, list[int]] = {}
+        for cost in self.costs:
+            bits_by_kind.setdefault(cost.kind.name.lower(), []).append(cost.bits.total)
         keys: dict[str, Any] = {
             **self.decoder.describe(),
-            "frame_kinds": {k: kinds.count(k) for k in dict.fromkeys(kinds)},
-            "bits_per_frame_by_kind": self.bits_by_kind(),
+            "frame_kinds": {kind: len(bits) for kind, bits in bits_by_kind.items()},
+            "bits_per_frame_by_kind": {kind: float(np.mean(bits)) for kind, bits in bits_by_kind.items()},
         }
         if not coder(self.reader.head.coder).has_promise:
             return keys

@@ -216,15 +216,6 @@ def test_the_registry_knows_the_coder() -> None:
         field_decoder("touch", GRID, b"", "OBJT 7")
 
 
-def test_symbols_of_the_measures() -> None:
-    body, decoder, (field, *_) = round_trip([field_of("dense", 3), field_of("sparse", 1)], FAST)
-    quantise = decoder.quantiser(body)
-    symbols = quantise(field)
-    assert symbols.shape == (field.support_count,) and len(np.unique(symbols)) > 20
-    assert quantise(field.scaled(100)).max() < 1 << 31  # forces that no frame of the segment had
-    assert (quantise(field) == symbols).all()
-
-
 def test_shares_are_of_255() -> None:
     assert shares_of((0.0, 0.0, 0.0)) == (255, 0)
     assert shares_of((1.0, 1.0, 0.0)) == (128, 127)

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
-from touchfield.arrays import Int64s
 from touchfield.codec.segment import Worst
 from touchfield.codec.touch.body import BodyReader, TouchCost, numbers_of, read_parameters
-from touchfield.codec.touch.lattice import TOP, FixedField
+from touchfield.codec.touch.lattice import FixedField
 from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
     from touchfield.codec.touch.frame import Told
 
 NAME: Final = "touch"
-_TOP_UNKNOWN_N: Final = 100.0  # of a field kept exactly: the ladder that it is measured by reaches that far
 
 
 class TouchDecoder:
@@ -69,25 +65,6 @@ class TouchDecoder:
     def describe(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
         return {name: getattr(self.spec, name) for name in ("mode", "effort", "support", *numbers_of(self.spec))}
-
-    def quantiser(self, body: bytes) -> Callable[[ForceField], Int64s]:
-        """Q of the measures: this coder has no symbols of its own, so the default Weber ladder and directions.
-
-        The ladder reaches to twice the longest force of the segment; what is longer counts as that long.
-        """
-        from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
-
-        lattice = self._reader(body).lattice
-        top_n = 2 * TOP * lattice.unit_n if lattice is not None else _TOP_UNKNOWN_N
-        fitted = FieldQuantiserSpec.parse(DEFAULT_QUANTISER).fit((), top_n)
-
-        def quantise(field: ForceField) -> Int64s:
-            vectors = field.vectors_n().astype(np.float64)
-            sizes = np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
-            kept = vectors * (top_n / np.maximum(sizes, top_n))
-            return fitted.symbols_of(kept.astype(np.float32)).astype(np.int64)
-
-        return quantise
 
     def _reader(self, body: bytes) -> BodyReader:
         return BodyReader(body, self._grid, exact=self.spec.mode == "lossless")
