@@ -158,12 +158,12 @@ def test_one_folder_deeper_is_found_and_told(tmp_path: Path) -> None:
     assert np.allclose(inner.poses, make.poses(), atol=1e-6)
 
 
-def test_a_layout_one_folder_deeper_is_opened_as_that_layout(tmp_path: Path) -> None:
+def test_a_layout_one_folder_deeper_is_not_taken_for_plain_pictures(tmp_path: Path) -> None:
     make.write_threedmatch(tmp_path / "s")
     (tmp_path / "s" / "seq-01").rename(tmp_path / "s" / "data")
-    scene = open_source(tmp_path / "s")
-    assert scene.frame_count == make.FRAMES
-    assert scene.notes[0] == "data/ is read, the one folder here that is a source (3dmatch)."
+    with pytest.raises(SourceError, match=r"the folders data/"):
+        open_source(tmp_path / "s")
+    assert open_source(tmp_path / "s" / "data").frame_count == make.FRAMES
 
 
 def test_several_folders_of_depth_are_named(tmp_path: Path) -> None:
