@@ -202,7 +202,7 @@ def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
     if options.reading == "height":
         from touchfield.sources.height_scene import HeightScene
 
-        return HeightScene.from_depth_sequence(sequence, options.exaggeration, options.segment)
+        return HeightScene.from_depth_sequence(sequence, options.exaggeration)
     from touchfield.sources.depth_scene import DepthScene
 
     is_alone = options.world == "frames" or options.frame == "camera" or len(sequence.key_frames()) == 1

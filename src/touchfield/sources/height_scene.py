@@ -29,13 +29,12 @@ from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra, require_positive
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.npz import NpzArchive, map_npy, read_npy_header
-from touchfield.sources.camera import DepthSequence, noise_step_per_m
+from touchfield.sources.camera import DepthSequence
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import opened, page_sizes
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, MovingScene, Scene
-from touchfield.sources.segments import SegmentRule, segmented_bodies
+from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, MovingScene, Scene
 
 DEPTH_STEP: Final = 0.05  # of the median depth: a larger jump between neighbours is an edge
 HEIGHT_KEYS: Final = ("elevation", "height", "heights", "heights_m", "z")
@@ -123,18 +122,13 @@ class HeightScene(MovingScene):
         self.exaggeration = float(exaggeration)
         self._cell_m = cell_m
         self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter asks for one frame many times
-        self._segmented: Callable[[], tuple[tuple[Body, ...], str]] | None = None
-        self._bodies: tuple[Body, ...] = ()
 
     @classmethod
-    def from_depth_sequence(
-        cls, sequence: DepthSequence, exaggeration: float = 1.0, segment: str | None = None
-    ) -> HeightScene:
+    def from_depth_sequence(cls, sequence: DepthSequence, exaggeration: float = 1.0) -> HeightScene:
         """The paper's reading of depth maps: pixels as x and y, depth as height, all behind the surface solid.
 
         Pixels are spaced by their size at the median depth of the first frame that has any, x = (u - cx) / fx
         z_median, so that lengths there are true; nearer things are too large and farther ones too small.
-        `segment` is the rule by which `bodies` are told apart (`touchfield.sources.segments.SegmentRule.parse`).
         """
         for frame in range(sequence.frame_count):
             depth = sequence.depth_m(frame)
@@ -147,32 +141,17 @@ class HeightScene(MovingScene):
         dx_m, dy_m = z / k.fx, z / k.fy
         lattice = HeightLattice(-k.cx / k.fx * z, dx_m, -k.cy / k.fy * z, dy_m, -1, DEPTH_STEP * z * exaggeration)
         note = f"Depth is read as a height map: pixels are spaced as at {z:.3g} m, perspective is not undone."
-        notes, rule = (*sequence.notes, note), SegmentRule.parse(segment)
 
-        def heights_of(part: DepthSequence) -> HeightScene:
-            def heights(frame: int) -> Float32s:
-                depth = part.depth_m(frame)
-                return np.where(depth > 0, depth, np.float32(np.nan))
+        def heights(frame: int) -> Float32s:
+            depth = sequence.depth_m(frame)
+            return np.where(depth > 0, depth, np.float32(np.nan))
 
-            scene = cls(
-                heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=part.frame_count,
-                rate_hz=part.rate_hz, notes=notes, name=part.name,
-            )  # fmt: skip
-            scene.unit = DEPTH_UNIT
-            return scene
-
-        scene = heights_of(sequence)
-        scene._segmented = lambda: segmented_bodies(heights_of, sequence, rule, noise_step_per_m(sequence.depth_m(0)))
+        scene = cls(
+            heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=sequence.frame_count,
+            rate_hz=sequence.rate_hz, notes=(*sequence.notes, note), name=sequence.name,
+        )  # fmt: skip
+        scene.unit = DEPTH_UNIT
         return scene
-
-    def bodies(self) -> tuple[Body, ...]:
-        """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene."""
-        if self._segmented is None:
-            return super().bodies()
-        if not self._bodies:
-            self._bodies, note = self._segmented()
-            self.notes = (*self.notes, note)
-        return self._bodies
 
     def _box_m(self, start: int, stop: int) -> Float64s:
         """Reads every frame."""
