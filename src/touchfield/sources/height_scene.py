@@ -39,15 +39,13 @@ from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, MovingS
 DEPTH_STEP: Final = 0.05  # of the median depth: a larger jump between neighbours is an edge
 HEIGHT_KEYS: Final = ("elevation", "height", "heights", "heights_m", "z")
 PLACE_KEYS: Final = ("dx", "dy", "xmin", "xmax", "ymin", "ymax")
-COORDINATE_KEYS: Final = (("latitude", "longitude"), ("lat", "lon"), ("y", "x"))
-UNEVEN: Final = 0.1  # steps between coordinates may differ by this share: rows of a Mercator map do, by little
 PICTURES: Final = (".png", ".tif", ".tiff")
 GAP_HEIGHTS: Final = (-9999.0, -32767.0, -32768.0, -99999.0)  # what elevation models hold where nothing is known
 LATITUDE_LIMIT_DEG: Final = 89.0  # nearer to a pole the degrees of longitude are no cells of one width
 PICTURE_RELIEF: Final = 0.2  # of a picture without a scale, of its shorter side: a landscape under the hand
 
 _GREY_MODES: Final = ("L", "LA", "I", "F", "I;16", "I;16L", "I;16B", "I;16N", "I;16S", "I;16BS")
-_PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113
+_PIXEL_SCALE, _TIEPOINT, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34735, 42113
 _SAMPLE_FORMAT, _SIGNED = 339, 2
 _MODEL_TYPE_KEY, _LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY = 1024, 3076, 4099
 _GEOGRAPHIC: Final = 2
@@ -289,36 +287,7 @@ def _from_npz(path: Path) -> tuple[_Heights, _Place]:
         # north and south may stand the wrong way round, as in matplotlib's sample: only the middle is needed
         y, x = (scalars[a] / 2 + scalars[b] / 2 for a, b in (("ymin", "ymax"), ("xmin", "xmax")))
         middle = y, x
-    heights = _known(archive.read(name))
-    axes = None if dx > 0 else _coordinates(archive, heights.shape[-2:])
-    if axes is None:
-        return heights, _Place((dy, dx) if dx > 0 and dy > 0 else None, middle)
-    rows, columns, is_degrees = axes
-    if rows[0] < rows[-1]:  # the first row of a map is its northernmost
-        heights = heights[..., ::-1, :]
-    dy, dx = (float(abs(a[-1] - a[0])) / (len(a) - 1) for a in (rows, columns))
-    middle = (float(rows[0] + rows[-1]) / 2, float(columns[0] + columns[-1]) / 2)
-    return heights, _Place((dy, dx), middle, is_degrees)
-
-
-def _coordinates(archive: NpzArchive, shape: tuple[int, ...]) -> tuple[Float64s, Float64s, bool | None] | None:
-    """Coordinates of the rows and columns, and whether they are degrees, where the archive holds them as arrays."""
-    for y_name, x_name in COORDINATE_KEYS:
-        if not {y_name, x_name} <= set(archive.names):
-            continue
-        axes = []
-        for name, count in ((y_name, shape[0]), (x_name, shape[1])):
-            header = archive.header(name)
-            if header.shape != (count,) or header.dtype.kind not in "fiu" or count < 2:
-                return None
-            values = archive.read(name).astype(np.float64)
-            steps = np.diff(values)
-            if not (np.isfinite(values).all() and steps[0] and np.ptp(steps) <= UNEVEN * abs(steps[0])):
-                where = f"{archive.path}, array {name}"
-                raise SourceError(where, "coordinates at uneven distances", "even ones", "Resample the map first.")
-            axes.append(values)
-        return axes[0], axes[1], True if y_name.startswith("lat") else None
-    return None
+    return _known(archive.read(name)), _Place((dy, dx) if dx > 0 and dy > 0 else None, middle)
 
 
 def _from_picture(path: Path) -> tuple[_Heights, _Place]:
@@ -368,15 +337,12 @@ def _geo_tags(tags: Mapping[int, Any], rows: int, cols: int) -> _Place:
     """Read the tags of a picture of `rows` x `cols`; what is missing or malformed is left out."""
     cell: Pair | None = None
     middle: Pair | None = None
-    scale, tie, matrix = (_numbers(tags, tag) for tag in (_PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION))
+    scale, tie = _numbers(tags, _PIXEL_SCALE), _numbers(tags, _TIEPOINT)
     if len(scale) >= 2 and scale[0] > 0 and scale[1] > 0:
         dx, dy = scale[:2]
         cell = dy, dx
         if len(tie) >= 6:
             middle = tie[4] - dy * (rows / 2 - tie[1]), tie[3] + dx * (cols / 2 - tie[0])
-    elif len(matrix) == 16 and matrix[0] and matrix[5] and not (matrix[1] or matrix[4]):  # not turned
-        cell = abs(matrix[5]), abs(matrix[0])
-        middle = matrix[7] + matrix[5] * rows / 2, matrix[3] + matrix[0] * cols / 2
     directory = _numbers(tags, _GEO_KEYS)
     entries = (directory[i : i + 4] for i in range(4, len(directory) - 3, 4))
     keys = {int(key): int(value) for key, location, _, value in entries if location == 0}  # which stand here
