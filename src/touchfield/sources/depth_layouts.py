@@ -35,11 +35,9 @@ from touchfield.sources.pictures import (
     PICTURE_SUFFIXES,
     ArrayFrames,
     PictureFrames,
-    TiffFrames,
     contents,
     has_files,
     list_files,
-    page_sizes,
     picture_header,
 )
 from touchfield.sources.placed_frames import POSE_TOLERANCE_S, PlacedFrames, placed_frames, posed_frames
@@ -369,22 +367,15 @@ def _is_one(path: Path) -> bool:
 
 def _stack(path: Path) -> Shots:
     folder = (path.absolute().parent,)
-    is_tiff = path.suffix.lower() in (".tif", ".tiff")
-    frames = TiffFrames(path) if is_tiff else ArrayFrames(map_npy(path), path)
-    return Shots((), path, folder, folder, one_file=frames)
+    return Shots((), path, folder, folder, one_file=ArrayFrames(map_npy(path), path))
 
 
 def _is_stack(path: Path) -> bool:
-    if not _is_one(path) or path.suffix.lower() == ".png":
+    if not _is_one(path) or path.suffix.lower() != ".npy":
         return False
-    if path.suffix.lower() == ".npy":
-        with path.open("rb") as stream:
-            shape = read_npy_header(stream, str(path)).shape
-        return len(shape) == 3 and shape[2] != 1
-    if picture_header(path).channels != 1:
-        return False
-    sizes = page_sizes(path, most=2)
-    return len(sizes) > 1 and sizes[1] == sizes[0]  # an elevation model keeps smaller copies of itself as pages
+    with path.open("rb") as stream:
+        shape = read_npy_header(stream, str(path)).shape
+    return len(shape) == 3 and shape[2] != 1
 
 
 def _shallow(where: str, found: str) -> SourceError:
@@ -441,7 +432,7 @@ LAYOUTS: Final = (
     ),
     Layout(
         "depth-stack",
-        "depth frames in one file named *depth*: NPY [frames, height, width] in metres, or a TIFF of several pages",
+        "depth frames in one file named *depth*: NPY [frames, height, width] in metres",
         _is_stack, _stack, is_file=True,
     ),
     Layout(

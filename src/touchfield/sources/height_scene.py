@@ -32,7 +32,7 @@ from touchfield.medium.npz import NpzArchive, map_npy, read_npy_header
 from touchfield.sources.camera import DepthSequence
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.pictures import opened, page_sizes
+from touchfield.sources.pictures import has_pages, opened
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, MovingScene, Scene
 
@@ -306,9 +306,8 @@ def _from_picture(path: Path) -> tuple[_Heights, _Place]:
             values = values.view(np.int8)
     if values.shape != size:
         raise SourceError(str(path), f"values of shape {values.shape}", f"{size}")
-    with suppress(SourceError):  # other pages may be of a form that is not read
-        if stored and page_sizes(path, most=1)[1:] == [size[::-1]]:
-            tags = tags._replace(notes=("The file has several pages of this size: the first is read.",))
+    if stored and has_pages(path):
+        tags = tags._replace(notes=("The file has several pages of this size: the first is read.",))
     is_elevation = values.dtype.kind == "f" or tags.cell is not None
     if tags.nodata is not None:
         values = values.astype(np.float64)
