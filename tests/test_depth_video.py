@@ -245,9 +245,7 @@ def test_a_tiff_of_several_pages_is_told_what_to_do(tmp_path: Path) -> None:
     path = tmp_path / "depth.tif"
     first, second, small = (Image.fromarray(page) for page in (*depths_mm(2), depths_mm(1)[0, ::2, ::2]))
     first.save(path, save_all=True, append_images=[second])
-    with pytest.raises(
-        SourceError, match=r"depth\.tif: found a TIFF of several pages.*NPY \[frames"
-    ):
+    with pytest.raises(SourceError, match=r"depth\.tif: found a TIFF of several pages.*NPY \[frames"):
         open_source(path, TOLD)
     first.save(path, save_all=True, append_images=[small])  # a smaller copy is no frame of its own
     assert open_source(path, TOLD).frame_count == 1
