@@ -2,10 +2,9 @@
 
 The form of a text is told by its content:
 
-* 12 or 16 numbers a line: a 3x4 (KITTI) or 4x4 matrix; 13 or 17: the same behind the number of a frame (KITTI-360);
-  4 a line: such matrices over several lines;
+* 12 or 16 numbers a line: a 3x4 (KITTI) or 4x4 matrix; 4 a line: such matrices over several lines;
 * 8 numbers a line: TUM's ``time tx ty tz qx qy qz qw``; times may be in milli-, micro- or nanoseconds;
-* 7 numbers: ``tx ty tz qx qy qz qw`` or ``qw qx qy qz tx ty tz`` (RGB-D Scenes), told by which four are of length 1;
+* 7 numbers a line: the same without the time;
 * Redwood's ``trajectory.log``: three numbers, then a 4x4 matrix over four lines;
 * COLMAP's ``images.txt``: quaternion and translation of the *world in the camera*, and the name of a picture;
 * nerfstudio's ``transforms.json``: 4x4 matrices in the axes of OpenGL, and the names of pictures;
@@ -173,9 +172,10 @@ def parse_poses(text: str, where: str) -> PoseList:
     columns = len(lines[0][1]) if lines else 0
     if [len(words) for _, words in lines[:5]] == [3, 4, 4, 4, 4]:
         rows = _entries(text, 19, where, "entry (3 and a 4x4 matrix)")
-        poses = checked_poses(rows[:, 3:].reshape(-1, 4, 4), where)
-        return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=_numbers(rows[:, 0], where, 0))
-    if columns not in (4, 7, 8, 12, 13, 16, 17):
+        poses, first = checked_poses(rows[:, 3:].reshape(-1, 4, 4), where), rows[:, 0]
+        _refuse(~((first >= 0) & (first < 2**53) & (first % 1 == 0)), where, "no frame number", "a whole number")
+        return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=first.astype(np.int64))
+    if columns not in (4, 7, 8, 12, 16):
         raise SourceError(where, f"{columns} numbers in its first line", _FORMS, IGNORE_POSES)
     for place, words in lines:
         if len(words) != columns:
@@ -189,36 +189,15 @@ def parse_poses(text: str, where: str) -> PoseList:
         poses = quaternion_poses(rows[:, 4:], rows[:, 1:4], where)
         return PoseList(poses, f"time tx ty tz qx qy qz qw, {_FROM_CAMERA}", rows[:, 0])
     if columns == 7:
-        return _of_seven(rows, where)
+        poses = quaternion_poses(rows[:, 3:], rows[:, :3], where)
+        return PoseList(poses, f"tx ty tz qx qy qz qw, {_FROM_CAMERA}")
     if columns == 4:
         height = 4 if len(rows) % 4 == 0 and bool((rows[3::4] == (0, 0, 0, 1)).all()) else 3
         if len(rows) % height:
             raise SourceError(where, f"{len(rows)} lines of 4 numbers", "3 or 4 for each pose", IGNORE_POSES)
         return PoseList(checked_poses(rows.reshape(-1, height, 4), where), f"{height}x4 matrices, {_FROM_CAMERA}")
-    is_numbered = columns in (13, 17)
-    poses = checked_poses(rows[:, is_numbered:].reshape(len(rows), -1, 4), where)
-    numbers = _numbers(rows[:, 0], where) if is_numbered else None
-    return PoseList(poses, f"a {columns // 4}x4 matrix a line, {_FROM_CAMERA}", numbers=numbers)
-
-
-def _numbers(first: Float64s, where: str, least: int = 1 - 2**53) -> Int64s:
-    """The numbers of frames, int64 [n]."""
-    _refuse(~((first >= least) & (first < 2**53) & (first % 1 == 0)), where, "no frame number", "a whole number")
-    return first.astype(np.int64)
-
-
-def _of_seven(rows: Float64s, where: str) -> PoseList:
-    """Positions and quaternions without a time, in one order or the other."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        lengths = [np.linalg.norm(part, axis=1) for part in (rows[:, 3:], rows[:, :4])]
-        is_last, is_first = (bool((np.abs(length - 1) < 0.01).all()) for length in lengths)
-    if is_last == is_first:
-        found = "7 numbers a line, " + ("two ways to read them" if is_last else "no quaternion of length 1")
-        raise SourceError(where, found, _FORMS, IGNORE_POSES)
-    if is_last:
-        return PoseList(quaternion_poses(rows[:, 3:], rows[:, :3], where), f"tx ty tz qx qy qz qw, {_FROM_CAMERA}")
-    poses = quaternion_poses(np.roll(rows[:, :4], -1, axis=1), rows[:, 4:], where)
-    return PoseList(poses, f"qw qx qy qz tx ty tz, {_FROM_CAMERA}")
+    poses = checked_poses(rows.reshape(len(rows), -1, 4), where)
+    return PoseList(poses, f"a {columns // 4}x4 matrix a line, {_FROM_CAMERA}")
 
 
 def _of_transforms(text: str, where: str) -> PoseList:
