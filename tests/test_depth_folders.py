@@ -197,7 +197,6 @@ CAMERAS = {
     "ros.json": json.dumps({"height": 9, "width": 12, "K": [20, 0, 5.5, 0, 21, 4, 0, 0, 1]}),
     "nerfstudio.json": json.dumps({"w": 12, "h": 9, "fl_x": 20, "fl_y": 21, "cx": 5.5, "cy": 4}),
     "cameras.txt": "# cameras\n1 PINHOLE 24 18 40 42 12 9\n",
-    "info.txt": "m_calibrationDepthIntrinsic = 20 0 5.5 0 0 21 4 0 0 0 1 0 0 0 0 1\nm_depthShift = 1000\n",
 }
 
 
@@ -206,7 +205,7 @@ def test_all_forms_of_cameras_are_read(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text(CAMERAS[name])
     camera = camera_of("s", str(tmp_path / name), (), (12, 9))
     assert camera.intrinsics == Intrinsics(20, 21, 5.5, 4)
-    assert camera.units_per_m == (1000 if name == "info.txt" else None)
+    assert camera.units_per_m is None
     assert any("24 x 18 pixels" in note for note in camera.notes) == (name == "cameras.txt")
 
 
@@ -240,14 +239,14 @@ def test_a_camera_that_is_mirrored_turns_its_poses_over(tmp_path: Path) -> None:
     assert np.allclose(sequence.poses[3] @ [x, y, z, 1], theirs * [1, -1, 1, 1])
 
 
-def test_words_called_info_are_passed_over_and_told(tmp_path: Path) -> None:
+def test_words_called_calibration_are_named(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s")
-    (folder / "intrinsics.txt").unlink()
-    (folder / "info.txt").write_text("filmed in the kitchen\n")
-    (folder / "cameras.txt").write_text("1 SIMPLE_PINHOLE 12 9 20 6 4.5\n")
-    sequence = depth_folder.read_sequence(folder, MM)
-    assert sequence.intrinsics == Intrinsics(20, 20, 5.5, 4)
-    assert any("info.txt was found and not used" in note for note in sequence.notes)
+    (folder / "intrinsics.txt").rename(tmp_path / "mine.txt")
+    (folder / "calibration.txt").write_text("filmed in the kitchen\n")
+    with pytest.raises(SourceError, match=r"calibration\.txt: found 'filmed in the kitchen'.*fx,fy,cx,cy"):
+        depth_folder.read_sequence(folder, MM)
+    asked = SourceOptions(depth_scale=1000, intrinsics=str(tmp_path / "mine.txt"))
+    assert depth_folder.read_sequence(folder, asked).intrinsics == Intrinsics(20, 21, 5.5, 4)
 
 
 def test_a_scale_in_metres_a_unit_is_turned_round() -> None:
