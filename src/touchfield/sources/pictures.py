@@ -40,7 +40,7 @@ _PIL_SAMPLES: Final = {
 _PGM_HEADER: Final = re.compile(rb"P5\s" + 2 * rb"(?:#[^\n]*\n|\s)*(\d{1,6})\s" + rb"(?:#[^\n]*\n|\s)*(\d{1,5})\s")
 _PGM_HEADER_BYTES: Final = 512
 _NPY_MAGIC: Final = b"\x93NUMPY"
-_PHOTO_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
+PHOTO_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
 _ORIENTATION: Final = 0x0112
 _ON_ITS_SIDE: Final = (5, 6, 7, 8)
 _PARTS: Final = re.compile(r"(\d+)")
@@ -242,7 +242,7 @@ def read_map(path: Path) -> NDArray[Any]:
 
 def photo_size(path: Path) -> tuple[int, int]:
     """Width and height of a photograph as it is shown, from its head alone; `SourceError` if it is no picture."""
-    with opened(path, _PHOTO_FORMATS, "PNG, JPEG, WebP, BMP or TIFF") as image:
+    with opened(path, PHOTO_FORMATS, "PNG, JPEG, WebP, BMP or TIFF") as image:
         width, height = image.size
         is_on_its_side = image.getexif().get(_ORIENTATION) in _ON_ITS_SIDE
     return (height, width) if is_on_its_side else (width, height)

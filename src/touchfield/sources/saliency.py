@@ -226,15 +226,15 @@ def _in_bricks(image: Float32s) -> Float32s:
 
 
 def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
-    """A video, an animation, a folder of pictures in the order of their numbers, or a picture."""
+    """A video, a folder of pictures in the order of their numbers, or a picture."""
     if options.kind is None and options.depth_scale is not None:
         found, mend = "an ordinary picture or video of 8 bits", "Name its kind with --as saliency if that is meant."
         raise SourceError(str(path), found, "16-bit grey depth, as --depth-scale says", mend)
     with readable(path, "files that can be read"):
         if path.is_dir():
-            files = list_files(path, with_suffix(*PHOTO_SUFFIXES, *moving.ANIMATED_SUFFIXES))
+            files = list_files(path, with_suffix(*PHOTO_SUFFIXES))
             if not files:
-                raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP, TIFF or GIF pictures")
+                raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP or TIFF pictures")
             pictures: Any = moving.ColourPictures(files)
         elif path.suffix.lower() in moving.VIDEO_SUFFIXES:
             header = moving.video_header(path)
@@ -243,22 +243,20 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
                 raise SourceError(str(path), f"a video of {header.pixels} pixels", "8 bits a colour", mend)
             pictures = moving.ColourVideo(path)
         else:
-            pictures = moving.ColourPictures((path,), may_move=True)
+            pictures = moving.ColourPictures((path,))
     note = "Symbolic: forces tell where the picture catches the eye, and no surface; a point device feels a slab."
     return SaliencyScene(pictures, pictures.rate_hz or source_rate(options), options.rate_hz, (note,))
 
 
 def _recognise(path: Path) -> bool:
-    if not path.is_file():
+    if path.suffix.lower() not in moving.VIDEO_SUFFIXES or not path.is_file():
         return False
-    if path.suffix.lower() in moving.VIDEO_SUFFIXES:
-        return not moving.video_header(path).is_deep_grey  # without the extra, "depth-video" has said so before
-    return path.suffix.lower() in moving.ANIMATED_SUFFIXES
+    return not moving.video_header(path).is_deep_grey  # without the extra, "depth-video" has said so before
 
 
 KIND = SourceKind(
     "saliency",
-    "ordinary video (MKV, AVI, MOV, MP4; extra: video), GIF, or with --as saliency pictures or a folder of them: "
+    "ordinary video (MKV, AVI, MOV, MP4, GIF; extra: video), or with --as saliency pictures or a folder of them: "
     "what catches the eye, for arrays of actuators",
     _recognise,
     open_saliency,
