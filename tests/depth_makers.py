@@ -95,7 +95,7 @@ def write_threedmatch(folder: Path) -> Path:
         )
         write_matrix(folder / "seq-01" / f"frame-{i:06d}.pose.txt", pose)
     write_intrinsics(folder / "camera-intrinsics.txt")
-    return folder
+    return folder / "seq-01"
 
 
 def write_plain(folder: Path) -> Path:

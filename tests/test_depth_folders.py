@@ -157,11 +157,10 @@ def test_one_folder_deeper_is_found_and_told(tmp_path: Path) -> None:
 
 
 def test_a_layout_one_folder_deeper_is_not_taken_for_plain_pictures(tmp_path: Path) -> None:
-    make.write_threedmatch(tmp_path / "s")
-    (tmp_path / "s" / "seq-01").rename(tmp_path / "s" / "data")
-    with pytest.raises(SourceError, match=r"the folders data/"):
+    folder = make.write_threedmatch(tmp_path / "s")
+    with pytest.raises(SourceError, match=r"the folders seq-01/"):
         open_source(tmp_path / "s")
-    assert open_source(tmp_path / "s" / "data").frame_count == make.FRAMES
+    assert open_source(folder).frame_count == make.FRAMES
 
 
 def test_several_folders_of_depth_are_named(tmp_path: Path) -> None:

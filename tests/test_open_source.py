@@ -41,8 +41,7 @@ def test_an_error_names_what_lies_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scale", "words"),
-    [(1, "--depth-scale 1000 times larger"), (1000, None), (1e6, "--depth-scale 1000 times smaller")],
+    ("scale", "words"), [(1, "m across (--depth-scale)."), (1000, None), (1e6, "m across (--depth-scale).")]
 )
 @pytest.mark.parametrize("reading", ["camera", "height"])
 def test_depth_in_a_unit_that_cannot_be_is_told(
@@ -57,7 +56,7 @@ def test_depth_in_a_unit_that_cannot_be_is_told(
 
 
 @pytest.mark.parametrize(
-    ("unit_m", "words"), [(1.0, None), (1e-3, "--unit-m 1000 times larger"), (1e5, "--unit-m 1000 times smaller")]
+    ("unit_m", "words"), [(1.0, None), (1e-3, "6e-05 m across (--unit-m)."), (1e5, "6e+03 m across (--unit-m).")]
 )
 def test_a_mesh_in_a_unit_that_cannot_be_is_told(tmp_path: Path, unit_m: float, words: str | None) -> None:
     corners = "v 0 0 0\nv 0.06 0 0\nv 0 0.06 0\nv 0 0 0.06\n"

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -44,9 +43,6 @@ MODULES = (  # in the order in which they are asked: the particular before the g
     "height_scene",
     "depth_layouts:depth-map",
 )
-
-_UNIT_FACTORS: Final = (1000.0, 100.0, 1e4, 1e6, 10.0)  # between units that are mistaken, the usual first
-_LIKELY_M: Final = (0.01, 20.0)  # usual sizes of things and rooms
 
 
 @dataclass(frozen=True)
@@ -108,18 +104,11 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
 
 
 def unit_notes(scene: Scene, start: int, stop: int) -> tuple[str, ...]:
-    """A warning where frames start to stop - 1 are out of all proportion, with the factor that would mend it."""
+    """A question where frames start to stop - 1 are out of all proportion."""
     if scene.unit is None:
         return ()
-    option, (low, high), is_divided = scene.unit
+    option, low, high = scene.unit
     size_m = float(np.ptp(scene.bounds_between_m(start, stop), axis=0).max())
-    if low <= size_m <= high:
-        return ()
-    is_large = size_m > high
-    sizes = [(factor, size_m / factor if is_large else size_m * factor) for factor in _UNIT_FACTORS]
-    factor, mended_m = next((s for s in sizes if _LIKELY_M[0] <= s[1] <= _LIKELY_M[1]), sizes[0])
-    way = "larger" if is_large == is_divided else "smaller"
     return (
-        f"Is the unit right? The scene measures {size_m:.3g} m across: with {option} {factor:g} times {way} it would "
-        f"be {mended_m:.3g} m.",
+        () if low <= size_m <= high else (f"Is the unit right? The scene measures {size_m:.3g} m across ({option}).",)
     )
