@@ -29,7 +29,7 @@
     [[body]]
     kind = "mesh"
     file = "hand.ply"                # and unit_m; or vertices_m and triangles, as lists of three numbers
-    poses = "hand.csv"               # in place of position_m and what follows: see touchfield.sources.poses
+    poses = "hand.csv"               # in place of position_m and what follows: see touchfield.medium.trace
 
 The other keys of a body are those of its shape, as in `touchfield.sources.analytic_scene`; its middle is the origin
 of the body's frame. Axes are x east, y north, z up. A body that a file poses pushes others and is moved by none.
@@ -46,21 +46,19 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.files import require_beside
 from touchfield.medium.pose_track import PoseTrack
+from touchfield.medium.trace import Trace, read_trace
 from touchfield.sources.analytic_scene import AnalyticScene, known, number, read_toml, shape_of_table, tables, text
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.poses import quaternion_of_turns, read_pose_csv, track_at_rate
+from touchfield.sources.poses import quaternion_of_turns, track_at_rate
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Body
 from touchfield.sources.shapes import SHAPES, Plane, Triple
 from touchfield.sources.simulation import FRAME_RATE_HZ, SECONDS, frames_of, load_mujoco, model_of, simulated
-
-Poses = tuple[Float64s, Float64s, Float64s]
 
 _FEWEST_STEPS: Final = 7
 _KINDS: Final = (*(kind for kind in SHAPES if kind != "plane"), "mesh")
@@ -261,9 +259,9 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     """
     table = read_physics(path, anywhere=options.allow_outside)
     rate = options.rate_hz or table.world.rate_hz
-    poses = {body.name: read_pose_csv(body.poses) for body in table.bodies if body.poses}
+    poses = {body.name: read_trace(body.poses) for body in table.bodies if body.poses}
     frames = _frame_count(path, table, poses, options.seconds or table.world.seconds, rate)
-    posed = {name: track_at_rate(*rows, rate, frames) for name, rows in poses.items()}
+    posed = {name: track_at_rate(trace, rate, frames) for name, trace in poses.items()}
     notes: tuple[str, ...] = ()
     if any(body.is_simulated for body in table.bodies):
         model, ids, warnings = model_of(load_mujoco(), table, posed, str(path))
@@ -283,11 +281,11 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     return BodyScene(bodies, rate, UP_Z_AXES, (*_outside(poses, frames / rate, rate), *notes))
 
 
-def _outside(poses: dict[str, Poses], seconds: float, rate_hz: float) -> tuple[str, ...]:
+def _outside(poses: dict[str, Trace], seconds: float, rate_hz: float) -> tuple[str, ...]:
     """A note for each body whose poses begin after the scene, or go on after its end."""
     notes = []
-    for name, (times, _, _) in poses.items():
-        first, last = float(times[0]), float(times[-1])
+    for name, trace in poses.items():
+        first, last = float(trace.times_s[0]), float(trace.times_s[-1])
         if first * rate_hz > 1.0:
             notes.append(f"{name} stands still until its first pose, at {min(first, seconds):.6g} s.")
         if last < 0:
@@ -298,13 +296,13 @@ def _outside(poses: dict[str, Poses], seconds: float, rate_hz: float) -> tuple[s
 
 
 def _frame_count(
-    path: Path, table: PhysicsTable, poses: dict[str, Poses], seconds: float | None, rate_hz: float
+    path: Path, table: PhysicsTable, poses: dict[str, Trace], seconds: float | None, rate_hz: float
 ) -> int:
     count = len(table.bodies)
     if seconds is None and len(poses) and not any(body.is_simulated for body in table.bodies):
-        last_s = max(float(times[-1]) for times, _, _ in poses.values())
+        last_s = max(float(trace.times_s[-1]) for trace in poses.values())
         # the frame at the last pose is one too, but for rounding
-        first_s = min(float(times[0]) for times, _, _ in poses.values())
+        first_s = min(float(trace.times_s[0]) for trace in poses.values())
         try:
             return frames_of(str(path), (math.floor(max(last_s, 0.0) * rate_hz + 1e-6) + 1) / rate_hz, rate_hz, count)
         except InvalidArgument as error:

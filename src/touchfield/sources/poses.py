@@ -17,7 +17,6 @@ that is off by up to 1 % is made exactly orthonormal (text rounds).
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -29,15 +28,14 @@ from touchfield.files import plain_size, readable
 from touchfield.medium.pose_track import PoseTrack, rotation_matrices, slerp
 
 if TYPE_CHECKING:
+    from touchfield.medium.trace import Trace
     from touchfield.sources.shapes import Triple
 
 MAX_TIME_S: Final = 1e12  # time stamps stay below this: 32 thousand years
-COLUMNS: Final = ("t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")  # of the track of a body
 IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."  # the way on from a pose at fault
 
 _MAX_TEXT_BYTES: Final = 1 << 26
 _ROTATION_TOLERANCE: Final = 0.01
-_UNIT: Final = 1e-3  # how far from one the length of a body's quaternion may be: what three digits give
 _FORMS: Final = (
     "12 or 16 numbers a line (3x4, 4x4), 8 or 7 ([time] tx ty tz qx qy qz qw), a Redwood log, or COLMAP's images.txt"
 )
@@ -245,40 +243,6 @@ def _is_number(word: str) -> bool:
 
 
 # -- tracks of bodies (paper section 4.3, object motion) -----------------------------------------------------
-def read_pose_csv(path: Path) -> tuple[Float64s, Float64s, Float64s]:
-    """Times, s, float64 [n], ascending; positions, m, float64 [n, 3]; quaternions w, x, y, z, float64 [n, 4].
-
-    Comma-separated text, its columns named in the first line (`COLUMNS`), ``#`` before a comment. Raises
-    `SourceError`, which names file and line, if the file cannot be read, its columns are others, a number is missing
-    or not finite, time stands still or runs backwards, or a quaternion is not of length 1 to within 0.001.
-    """
-    lines = words_of(read_text(path), str(path), ",")
-    for where, names in lines[:1]:
-        if sorted(names) != sorted(COLUMNS):
-            found, expected = repr(",".join(names))[:80], f"the columns {','.join(COLUMNS)}"
-            mend = "Name these columns in the first line, in any order, with commas between them."
-            raise SourceError(where, found, expected, mend)
-    rows: list[list[float]] = []
-    for where, words in lines[1:]:
-        if len(words) != len(COLUMNS):
-            raise SourceError(where, f"{len(words)} values", f"{len(COLUMNS)}: {','.join(COLUMNS)}")
-        word_of = dict(zip(lines[0][1], words))
-        row = floats([word_of[name] for name in COLUMNS], where)
-        if not all(abs(value) < MAX_TIME_S for value in row):  # nan compares as false
-            raise SourceError(where, repr(",".join(str(value) for value in row))[:80], "finite numbers")
-        if rows and row[0] <= rows[-1][0]:
-            found = f"t_s {row[0]:.9g} after {rows[-1][0]:.9g}"
-            raise SourceError(where, found, "times that rise from line to line", "Sort the lines, and drop doubles.")
-        if abs(math.hypot(*row[4:]) - 1.0) > _UNIT:
-            found = f"a quaternion of length {math.hypot(*row[4:]):g}"
-            raise SourceError(where, found, "length 1, in qw, qx, qy, qz")
-        rows.append(row)
-    if not rows:
-        raise SourceError(str(path), "no pose", f"lines of {','.join(COLUMNS)}")
-    table = np.array(rows, np.float64)
-    return table[:, 0], table[:, 1:4], table[:, 4:]
-
-
 def poses_between(quaternions: Float64s, positions_m: Float64s, at: Float64s) -> tuple[Float64s, Float64s]:
     """Quaternions float64 [m, 4] and positions float64 [m, 3] at the indices `at`, which may be broken.
 
@@ -292,16 +256,14 @@ def poses_between(quaternions: Float64s, positions_m: Float64s, at: Float64s) ->
     return slerp(quaternions[before], quaternions[after], share), positions
 
 
-def track_at_rate(
-    times_s: Float64s, positions_m: Float64s, quaternions: Float64s, rate_hz: float, frame_count: int
-) -> PoseTrack:
-    """The poses at the times 0, 1 / rate, ..., one a frame, of what `read_pose_csv` gives.
+def track_at_rate(trace: Trace, rate_hz: float, frame_count: int) -> PoseTrack:
+    """The poses at the times 0, 1 / rate, ..., one a frame, of a recorded motion.
 
-    Before its first and after its last pose a body stands still.
+    Before its first and after its last pose a body stands still; one that is never turned keeps the scene's axes.
     """
-    at = np.interp(np.arange(frame_count) / rate_hz, times_s, np.arange(len(times_s)))
-    unit = quaternions / np.linalg.norm(quaternions, axis=1)[:, None]
-    return PoseTrack(*poses_between(unit, positions_m, at))
+    at = np.interp(np.arange(frame_count) / rate_hz, trace.times_s, np.arange(len(trace)))
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(trace), 1)) if trace.quaternions is None else trace.quaternions
+    return PoseTrack(*poses_between(turns, trace.positions_m, at))
 
 
 def quaternion_of_turns(rotation_deg: Triple) -> Float64s:
