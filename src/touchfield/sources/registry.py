@@ -99,7 +99,8 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     kind = by_name[name] if name is not None else next((kind for kind in kinds() if kind.recognise(path)), None)
     if kind is None:
         found = "no kind of source that is known" + (f", but {contents(path)}" if path.is_dir() else "")
-        raise SourceError(str(path), found, f"one of {', '.join(by_name)}", "Name its kind with --as.")
+        mend = "Name its kind with --as, or a folder in it." if path.is_dir() else "Name its kind with --as."
+        raise SourceError(str(path), found, f"one of {', '.join(by_name)}", mend)
     return kind.open(path, options)
 
 
