@@ -160,25 +160,21 @@ def test_the_reduced_picture(width: int, height: int) -> None:
 # -- maps in any order ---------------------------------------------------------------------------------------------
 
 
-def test_maps_in_any_order_are_those_in_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(saliency, "_MOST_KEPT", 4)
+def test_maps_in_any_order_are_those_in_sequence() -> None:
     pictures = Drawn()
     maps = SaliencyMaps(pictures, 25.0)
     expected = run(pictures.frames)
     for frame in [*range(COUNT), 3, 19, 0, 12, 11, 12]:
         assert np.array_equal(maps.at(frame), expected[frame]), frame
-    assert len(maps._kept) <= 4 and 0 in maps._kept
 
 
-def test_a_pass_in_order_reads_each_picture_once_and_a_step_back_few() -> None:
+def test_a_pass_in_order_reads_each_picture_once() -> None:
     pictures = Drawn()
     maps = SaliencyMaps(pictures, 25.0)
     for frame in range(COUNT):
         maps.at(frame)
         maps.at(frame)
     assert pictures.read == list(range(COUNT))
-    maps.at(COUNT - 2)
-    assert pictures.read[COUNT:] == [COUNT - 2]
 
 
 # -- the scene -----------------------------------------------------------------------------------------------------

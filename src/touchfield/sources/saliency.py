@@ -60,7 +60,6 @@ NOISE_LEVEL: Final = 0.02  # standard deviation of white noise that is not worth
 _LEAST_TOTAL: Final = 1 / 3  # of the averaged parts: one part alone at its peak
 _CENTRE_PX, _SURROUND_PX, _RESIDUAL_PX = 1.5, 8.0, 2.0  # standard deviations
 _LEAST: Final = 1e-6  # saliency that is none
-_MOST_KEPT: Final = 64  # moments of the model to which a pass backwards can return
 
 
 @dataclass(frozen=True)
@@ -126,21 +125,11 @@ class SaliencyMaps(InOrder):
 
     def __init__(self, pictures: Frames, rate_hz: float) -> None:
         super().__init__("pictures", pictures.frame_count)
-        self.pictures = pictures
-        self._kept = {0: SaliencyModel(rate_hz)}  # the model before that picture
-        self._apart = 1  # pictures between two that are kept
-
-    def _begin(self, frame: int) -> int:
-        return max(number for number in self._kept if number <= frame)
+        self.pictures, self._rate_hz = pictures, rate_hz
 
     def _from(self, first: int) -> Iterator[Float32s]:
-        model = self._kept[first]
+        model = SaliencyModel(self._rate_hz)
         for number in range(first, self.frame_count):
-            if number % self._apart == 0:
-                self._kept[number] = model
-            if len(self._kept) > _MOST_KEPT:
-                self._apart *= 2
-                self._kept = {n: kept for n, kept in self._kept.items() if n % self._apart == 0}
             saliency, model = model.update(self.pictures.values(number))
             saliency.flags.writeable = False
             yield saliency
