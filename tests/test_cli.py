@@ -190,6 +190,22 @@ def test_interruption_leaves_nothing(tmp_path: Path, number: signal.Signals) -> 
     assert list(tmp_path.iterdir()) == [source]
 
 
+def test_an_interrupt_while_libraries_are_loaded_is_one_line() -> None:
+    program = """
+import signal, sys
+class Interrupting:
+    def find_spec(self, name, *_):
+        if name == "typer":
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Interrupting())
+import touchfield.__main__
+assert "typer" not in sys.modules and "numpy" not in sys.modules, "nothing heavy is loaded before somebody listens"
+touchfield.__main__.main()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", "touchfield: interrupted\n")
+
+
 def test_who_writes_no_file_is_told_of_none_when_interrupted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
