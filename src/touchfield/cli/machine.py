@@ -68,8 +68,7 @@ def sources() -> Answer:
     """List the kinds of source."""
     from touchfield.sources.registry import kinds
 
-    title = "kinds of source (--as takes a name, or a word that one description alone has)"
-    return Answer({kind.name: kind.summary for kind in kinds()}, title)
+    return Answer({kind.name: kind.summary for kind in kinds()}, "kinds of source (--as NAME)")
 
 
 @command("Set up", "doctor --device haply")

@@ -29,7 +29,7 @@
     [[body]]
     kind = "mesh"
     file = "hand.ply"                # and unit_m; or vertices_m and triangles, as lists of three numbers
-    poses = "hand.csv"               # in place of position_m and what follows: see touchfield.sources.poses
+    poses = "hand.csv"               # in place of position_m and what follows: see touchfield.medium.trace
 
 The other keys of a body are those of its shape, as in `touchfield.sources.analytic_scene`; its middle is the origin
 of the body's frame. Axes are x east, y north, z up. A body that a file poses pushes others and is moved by none.
@@ -46,22 +46,20 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.arrays import Float64s
 from touchfield.errors import SourceError
 from touchfield.files import require_beside
 from touchfield.json_values import JsonValue
 from touchfield.medium.pose_track import PoseTrack
+from touchfield.medium.trace import Trace, read_trace
 from touchfield.sources.analytic_scene import AnalyticScene, read_toml, shape_of_table, tables
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.poses import quaternion_of_turns, read_pose_csv, track_at_rate
+from touchfield.sources.poses import quaternion_of_turns, track_at_rate
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Body
 from touchfield.sources.shapes import SHAPES, Plane, Triple
 from touchfield.sources.simulation import FRAME_RATE_HZ, SECONDS, frames_of, load_mujoco, model_of, simulated
-
-Poses = tuple[Float64s, Float64s, Float64s]
 
 _FEWEST_STEPS: Final = 7
 _KINDS: Final = (*(kind for kind in SHAPES if kind != "plane"), "mesh")
@@ -255,9 +253,9 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     """
     table = read_physics(path, anywhere=options.allow_outside)
     rate = options.rate_hz or table.world.rate_hz
-    poses = {body.name: read_pose_csv(body.poses) for body in table.bodies if body.poses}
+    poses = {body.name: read_trace(body.poses) for body in table.bodies if body.poses}
     frames = _frame_count(path, table, poses, options.seconds or table.world.seconds, rate)
-    posed = {name: track_at_rate(*rows, rate, frames) for name, rows in poses.items()}
+    posed = {name: track_at_rate(trace, rate, frames) for name, trace in poses.items()}
     notes: tuple[str, ...] = ()
     if any(body.is_simulated for body in table.bodies):
         model, ids, warnings = model_of(load_mujoco(), table, posed, str(path))
@@ -277,21 +275,19 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     return BodyScene(bodies, rate, UP_Z_AXES, (*_outside(poses, frames / rate, rate), *notes))
 
 
-def _outside(poses: dict[str, Poses], seconds: float, rate_hz: float) -> tuple[str, ...]:
+def _outside(poses: dict[str, Trace], seconds: float, rate_hz: float) -> tuple[str, ...]:
     """A note for each body whose poses go on after the end of the scene."""
-    ends = {name: float(times[-1]) for name, (times, _, _) in poses.items()}
-    late = [name for name, last_s in ends.items() if (last_s - seconds) * rate_hz > 1.0]
+    late = [name for name, trace in poses.items() if (float(trace.times_s[-1]) - seconds) * rate_hz > 1.0]
     return tuple(f"{name}: the poses after {seconds:.6g} s are left out (--seconds)." for name in late)
 
 
 def _frame_count(
-    path: Path, table: PhysicsTable, poses: dict[str, Poses], seconds: float | None, rate_hz: float
+    path: Path, table: PhysicsTable, poses: dict[str, Trace], seconds: float | None, rate_hz: float
 ) -> int:
     if seconds is None and len(poses) and not any(body.is_simulated for body in table.bodies):
-        last_s = max(float(times[-1]) for times, _, _ in poses.values())
-        seconds = (
-            math.floor(max(last_s, 0.0) * rate_hz + 1e-6) + 1
-        ) / rate_hz  # the frame at the last pose is one too
+        last_s = max(float(trace.times_s[-1]) for trace in poses.values())
+        # the frame at the last pose is one too
+        seconds = (math.floor(max(last_s, 0.0) * rate_hz + 1e-6) + 1) / rate_hz
     return frames_of(str(path), SECONDS if seconds is None else seconds, rate_hz, len(table.bodies))
 
 
