@@ -54,16 +54,12 @@ def measure(samples: int) -> Figures:
     """All filters, and the peers that are here."""
     dense = np.random.default_rng(0).normal(size=(samples, samples, samples, 3)).astype(np.float32) / 5
     field = shell(samples, 0.3735, 0.4)
-    options = {"steps": STEPS, "kappa_n": KAPPA_N, "lam": LAM}
+    options = {"steps": STEPS, "kappa_n": KAPPA_N}
     jobs: dict[str, Callable[[], object] | None] = {
-        f"perona_malik, dense {samples}^3 x 3, exponential": lambda: perona_malik(dense, **options),
-        f"perona_malik, dense {samples}^3 x 3, rational": lambda: perona_malik(
-            dense, conductance="rational", **options
-        ),
+        f"perona_malik, dense {samples}^3 x 3": lambda: perona_malik(dense, **options),
         "peer: numpy, the same equation": lambda: in_numpy(dense),
         "peer: medpy, each component apart": medpy_row(dense),
-        "perona-malik, wall, region=support": lambda: DiffusionFilter(KAPPA_N, STEPS)(field),
-        "perona-malik, wall, region=all": lambda: DiffusionFilter(KAPPA_N, STEPS, region="all")(field),
+        "perona-malik, wall": lambda: DiffusionFilter(KAPPA_N, STEPS)(field),
         "shading, wall, sigma 2 samples": lambda: ShadingFilter(2 / samples)(field),
         "shading, wall, sigma 4 samples": lambda: ShadingFilter(4 / samples)(field),
     }
@@ -77,9 +73,9 @@ def measure(samples: int) -> Figures:
 def bars(figures: Figures) -> list[Bar]:
     """Ahead of the fastest peer with the same numbers, and the sparse wall as fast as frames of a camera come."""
     rows = figures["rows"]
-    ours = figure(rows, f"perona_malik, dense {figures['samples']}^3 x 3, exponential", "min_ms")
+    ours = figure(rows, f"perona_malik, dense {figures['samples']}^3 x 3", "min_ms")
     peers = [row["min_ms"] for name, row in rows.items() if name.startswith("peer")]
-    wall_ms = figure(rows, "perona-malik, wall, region=support", "min_ms")
+    wall_ms = figure(rows, "perona-malik, wall", "min_ms")
     return [
         at_least("time of the fastest peer over ours, dense", min(peers) / ours if peers else None, 1.0),
         at_least("time of our dense one over the sparse wall's", wall_ms and ours / wall_ms, 1.0),

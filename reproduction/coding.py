@@ -157,7 +157,7 @@ def _stats(segment: BodyReader, frame_count: int) -> Iterator[FrameStats]:
     """Cost of each frame of a segment, and how many samples it holds and sends."""
     for frame, cost in segment.frames(frame_count):
         symbols = segment.symbols(frame)
-        yield FrameStats(cost.kind, len(symbols.sent), len(symbols.levels), cost.bits)
+        yield FrameStats(cost.kind, cost.bits, len(symbols.sent), len(symbols.levels))
 
 
 class _Kept(Scene):

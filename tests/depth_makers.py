@@ -95,7 +95,7 @@ def write_threedmatch(folder: Path) -> Path:
         )
         write_matrix(folder / "seq-01" / f"frame-{i:06d}.pose.txt", pose)
     write_intrinsics(folder / "camera-intrinsics.txt")
-    return folder
+    return folder / "seq-01"
 
 
 def write_plain(folder: Path) -> Path:
@@ -148,13 +148,6 @@ def write_kitti(folder: Path) -> Path:
     return folder
 
 
-def write_numbered_rows(folder: Path) -> Path:
-    """KITTI-360's: the number of the frame, then a 4x4 matrix; more frames than depth pictures."""
-    rows = np.column_stack([np.arange(FRAMES + 4), poses(FRAMES + 4).reshape(-1, 16)])
-    write_rows(write_frames(folder) / "cam0_poses.txt", rows)
-    return folder
-
-
 def write_stacked(folder: Path) -> Path:
     """4x4 matrices over four lines each, as numpy's savetxt of stacked matrices writes them."""
     write_rows(write_frames(folder) / "poses.txt", poses().reshape(-1, 4))
@@ -197,17 +190,6 @@ def write_slambook(folder: Path) -> Path:
     for i, values in enumerate(depths_mm()):
         write_png(folder / "depth" / f"{i + 1}.png", values)
     write_rows(folder / "pose.txt", tum_rows(np.zeros(FRAMES))[:, 1:])
-    return folder
-
-
-def write_rgbd_scenes(folder: Path) -> Path:
-    """Washington's RGB-D Scenes: the quaternion first, beside the folder's depth and colour pictures."""
-    for i, values in enumerate(depths_mm()):
-        write_png(folder / f"{i:05d}-depth.png", values)
-        write_png(folder / f"{i:05d}-color.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))
-    write_intrinsics(folder / "intrinsics.txt")
-    turns = np.roll(quaternions(poses()), 1, axis=1)
-    write_rows(folder / "01_poses.txt", np.column_stack([turns, poses()[:, :3, 3]]))
     return folder
 
 

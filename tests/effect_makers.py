@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from touchfield.adapters.hjif_import import force_n, keyframe_ticks
+from touchfield.adapters.hjif_import import force_n
 from touchfield.adapters.hjif_read import read_hjif
 from touchfield.adapters.symbolic import ArrayEffect
 
@@ -129,5 +129,10 @@ def read_force(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """The force that a file holds, at its keyframes: ascending seconds [n], and newtons along x, y, z [n, 3]."""
     document = read_hjif(path)
     perception = next((one for one in document.perceptions if one.modality == "Force"), document.perceptions[0])
-    ticks = keyframe_ticks(perception)
+    ends = [np.zeros(1, np.int64)]  # every tick at which a line begins or ends, and one at which an effect is over
+    for band in (band for channel in perception.channels for band in channel.bands):
+        effects = [effect for effect in band.effects if len(effect.ticks)]
+        ends += [effect.position + effect.ticks for effect in effects]
+        ends += [one.position + one.ticks[-1:] + 1 for one in effects[:-1]]
+    ticks = np.unique(np.concatenate(ends)).astype(np.float64)
     return ticks / document.timescale, force_n(perception, ticks)

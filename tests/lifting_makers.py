@@ -11,23 +11,22 @@ from touchfield.filters.lifting import (
     FCC,
     QUINCUNX,
     Chain,
-    fcc_coarse,
     fcc_forward,
     fcc_inverse,
-    quincunx_coarse,
     quincunx_forward,
     quincunx_inverse,
 )
 
 FORWARD = {2: quincunx_forward, 3: fcc_forward}
 INVERSE = {2: quincunx_inverse, 3: fcc_inverse}
-COARSE = {2: quincunx_coarse, 3: fcc_coarse}
 
 
 def coarse_mask(shape: tuple[int, ...], stages: int) -> NDArray[np.bool_]:
     """The sites that hold the coarse signal after some stages."""
-    mask = np.zeros(shape, np.bool_)
-    mask[tuple({2: QUINCUNX, 3: FCC}[len(shape)].coarse(mask, stages).positions.T)] = True
+    splits = {2: QUINCUNX, 3: FCC}[len(shape)].splits(stages)
+    mask = np.full(shape, not splits)
+    for residue in splits[-1].kept if splits else ():
+        mask[tuple(slice(r * splits[-1].scale, None, 2 * splits[-1].scale) for r in residue)] = True
     return mask
 
 

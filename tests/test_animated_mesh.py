@@ -64,7 +64,7 @@ def test_a_file_with_an_animation_is_an_animated_mesh_and_others_are_meshes(tmp_
 def test_a_damaged_document_says_what_is_wrong_with_it(tmp_path: Path) -> None:
     whole = everything().save(tmp_path / "a.glb", "glb").read_bytes()
     text = everything().save(tmp_path / "a.gltf").read_bytes()
-    for name, data, said in (("b.gltf", text[:-9], "not JSON"), ("b.glb", whole[:-9], "header declares")):
+    for name, data, said in (("b.gltf", text[:-9], "no JSON"), ("b.glb", whole[:-9], "header declares")):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(SourceError, match=said):
             open_source(tmp_path / name)

@@ -67,7 +67,7 @@ def test_the_field_is_the_sum_of_the_formulas(seed: int, profile: ForceProfile, 
 
 @settings(max_examples=15)
 @given(seeds, st.sampled_from([WALL, AROUND]))
-def test_a_mesh_in_a_part_of_the_lattice_is_the_mesh_in_all_of_it(seed: int, profile: ForceProfile) -> None:
+def test_a_mesh_as_a_body_is_the_mesh_where_the_body_is(seed: int, profile: ForceProfile) -> None:
     poses = track(seed, 1, 0.07)
     field = BodyScene([Body("tetra", MeshScene(*TETRA), poses)], RATE_HZ).field(0, GRID, profile)
     whole = MeshScene(poses.to_scene(TETRA[0], 0), TETRA[1]).field(0, GRID, profile)

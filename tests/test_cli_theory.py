@@ -14,6 +14,7 @@ from touchfield import job
 from touchfield.cli.main import _exit_code
 from touchfield.filters.registry import filter_of
 from touchfield.job import EncodeSpec, MeasureSpec
+from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.medium import HapticMedium
 from touchfield.medium.npz import read_npz
 from touchfield.sources.tiny_scenes import tiny_scenes
@@ -42,7 +43,7 @@ def test_measure_of_a_stream(stream: Path, tmp_path: Path, capsys: Capture) -> N
     assert found["quantiser"] == "distinct" and found["frames"] == 2
     p = found["occupancy"]
     voxel, on_object = (found[key]["value"] for key in ("entropy_voxel", "entropy_object"))
-    assert voxel == pytest.approx(found["occupancy_entropy_bits"] + p * on_object, abs=1e-12)
+    assert voxel == pytest.approx(binary_entropy_bits(p) + p * on_object, abs=1e-12)
     assert found["entropy_frame"]["value"] == pytest.approx(voxel * 32**3)
     assert found["entropy_frame"]["unit"] == "bit/frame"
     assert 0 <= found["in_time"]["conditional_entropy"]["value"] <= voxel
@@ -215,14 +216,6 @@ def test_a_still_scene_is_there_for_the_whole_trace(sphere: Path, tmp_path: Path
     assert json.loads(capsys.readouterr().out)["entropy"]["samples"] == 200
 
 
-def test_a_report_that_cannot_be_made_leaves_no_file(stream: Path, tmp_path: Path, capsys: Capture) -> None:
-    out = tmp_path / "out.touch"
-    words = ["filter", str(stream), str(out), "--multiresolution", "1", "--report", "--quantiser"]
-    for quantiser in ("distinct", "components:0.0001"):
-        assert _exit_code([*words, quantiser]) in (1, 2)
-        assert capsys.readouterr().err.count("\n") == 1 and not out.exists()
-
-
 def test_a_report_on_forces_beyond_the_device(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     strong = tmp_path / "strong.npz"
     medium = job.prepare(stream).medium
@@ -233,19 +226,10 @@ def test_a_report_on_forces_beyond_the_device(stream: Path, tmp_path: Path, caps
     assert all(stage["greatest_n"] <= 3.3 + 1e-6 for stage in stages) and stages[0]["nmse_db"] is None
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--gaussian", "2mm", "--gaussian", "3mm"], "Filter twice"),
-        (["--gaussian", "2mm", "--quantiser", "nothing:1"], "nothing"),
-    ],
-)
-def test_filter_says_what_is_wrong_before_it_works(
-    stream: Path, tmp_path: Path, words: list[str], says: str, capsys: Capture
-) -> None:
+def test_filter_says_what_is_wrong_before_it_works(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "out.touch"
-    assert _exit_code(["filter", str(stream), str(out), *words]) == 2
-    assert says in capsys.readouterr().err and not out.exists()
+    assert _exit_code(["filter", str(stream), str(out), "--gaussian", "2mm", "--gaussian", "3mm"]) == 2
+    assert "Filter twice" in capsys.readouterr().err and not out.exists()
     assert _exit_code(["filter", str(stream), str(tmp_path / "out.foo"), "--gaussian", "2mm"]) == 2
     assert "OUT.touch" in capsys.readouterr().err
 

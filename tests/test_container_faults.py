@@ -84,7 +84,9 @@ def refused(data: bytes, kind: type[FormatError], match: str) -> str:
 def test_a_file_cut_at_any_byte_is_truncated() -> None:
     refused(b"", ForeignFile, "an empty file")
     for size in range(1, len(EXAMPLE)):
-        refused(EXAMPLE[:size], TruncatedFile, "found ")
+        assert "more before" not in refused(EXAMPLE[:size], TruncatedFile, "found "), (
+            "nothing changed while it was read"
+        )
 
 
 def test_every_flipped_bit_is_noticed() -> None:

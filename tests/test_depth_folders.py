@@ -26,13 +26,11 @@ MM = SourceOptions(depth_scale=1000)
 LAYOUTS: dict[Callable[[Path], Path], str] = {
     make.write_matrix_rows: "a 4x4 matrix a line, scene from camera",
     make.write_kitti: "a 3x4 matrix a line, scene from camera",
-    make.write_numbered_rows: "matched by the numbers of frames",
     make.write_stacked: "4x4 matrices, scene from camera; one for each frame",
     make.write_timed: "the nearest in time",
     make.write_timed_poses_txt: "one for each frame, in order",
     make.write_freiburg: "livingRoom1n.gt.freiburg",
     make.write_slambook: "tx ty tz qx qy qz qw, scene from camera; one for each frame",
-    make.write_rgbd_scenes: "qw qx qy qz tx ty tz, scene from camera; one for each frame",
     make.write_log: "a log of 4x4 matrices",
     make.write_colmap: "camera from scene, turned round",
     make.write_nerfstudio: "in the axes of OpenGL, turned over; matched by the names of pictures",
@@ -99,8 +97,8 @@ def test_what_is_named_like_poses_and_not_read_is_named(tmp_path: Path) -> None:
     [
         (make.poses().reshape(-1, 16)[:3], "3 poses for 5 frames"),
         (np.tile(np.arange(6.0), (5, 1)), "6 numbers in its first line"),
-        (np.tile(np.arange(7.0), (5, 1)), "no quaternion of length 1"),
-        (np.eye(7)[[3] * 5], "two ways to read them"),
+        (np.tile(np.arange(7.0), (5, 1)), "pose 0: found a quaternion that is not finite and small"),
+        (np.eye(7)[[0] * 5], "pose 0: found a quaternion of another norm; expected norm 1 .qx qy qz qw."),
         (np.tile(np.diag([1.0, 1, 1.1, 1]).ravel(), (5, 1)), "pose 0: found a matrix that is no rotation"),
         (np.tile(np.diag([1.0, 1, -1, 1]).ravel(), (5, 1)), "mirrors"),
     ],
@@ -158,12 +156,11 @@ def test_one_folder_deeper_is_found_and_told(tmp_path: Path) -> None:
     assert np.allclose(inner.poses, make.poses(), atol=1e-6)
 
 
-def test_a_layout_one_folder_deeper_is_opened_as_that_layout(tmp_path: Path) -> None:
-    make.write_threedmatch(tmp_path / "s")
-    (tmp_path / "s" / "seq-01").rename(tmp_path / "s" / "data")
-    scene = open_source(tmp_path / "s")
-    assert scene.frame_count == make.FRAMES
-    assert scene.notes[0] == "data/ is read, the one folder here that is a source (3dmatch)."
+def test_a_layout_one_folder_deeper_is_not_taken_for_plain_pictures(tmp_path: Path) -> None:
+    folder = make.write_threedmatch(tmp_path / "s")
+    with pytest.raises(SourceError, match=r"the folders seq-01/"):
+        open_source(tmp_path / "s")
+    assert open_source(folder).frame_count == make.FRAMES
 
 
 def test_several_folders_of_depth_are_named(tmp_path: Path) -> None:
@@ -199,7 +196,6 @@ CAMERAS = {
     "ros.json": json.dumps({"height": 9, "width": 12, "K": [20, 0, 5.5, 0, 21, 4, 0, 0, 1]}),
     "nerfstudio.json": json.dumps({"w": 12, "h": 9, "fl_x": 20, "fl_y": 21, "cx": 5.5, "cy": 4}),
     "cameras.txt": "# cameras\n1 PINHOLE 24 18 40 42 12 9\n",
-    "info.txt": "m_calibrationDepthIntrinsic = 20 0 5.5 0 0 21 4 0 0 0 1 0 0 0 0 1\nm_depthShift = 1000\n",
 }
 
 
@@ -208,7 +204,7 @@ def test_all_forms_of_cameras_are_read(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text(CAMERAS[name])
     camera = camera_of("s", str(tmp_path / name), (), (12, 9))
     assert camera.intrinsics == Intrinsics(20, 21, 5.5, 4)
-    assert camera.units_per_m == (1000 if name == "info.txt" else None)
+    assert camera.units_per_m is None
     assert any("24 x 18 pixels" in note for note in camera.notes) == (name == "cameras.txt")
 
 
@@ -242,14 +238,14 @@ def test_a_camera_that_is_mirrored_turns_its_poses_over(tmp_path: Path) -> None:
     assert np.allclose(sequence.poses[3] @ [x, y, z, 1], theirs * [1, -1, 1, 1])
 
 
-def test_words_called_info_are_passed_over_and_told(tmp_path: Path) -> None:
+def test_words_called_calibration_are_named(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s")
-    (folder / "intrinsics.txt").unlink()
-    (folder / "info.txt").write_text("filmed in the kitchen\n")
-    (folder / "cameras.txt").write_text("1 SIMPLE_PINHOLE 12 9 20 6 4.5\n")
-    sequence = depth_folder.read_sequence(folder, MM)
-    assert sequence.intrinsics == Intrinsics(20, 20, 5.5, 4)
-    assert any("info.txt was found and not used" in note for note in sequence.notes)
+    (folder / "intrinsics.txt").rename(tmp_path / "mine.txt")
+    (folder / "calibration.txt").write_text("filmed in the kitchen\n")
+    with pytest.raises(SourceError, match=r"calibration\.txt: found 'filmed in the kitchen'.*fx,fy,cx,cy"):
+        depth_folder.read_sequence(folder, MM)
+    asked = SourceOptions(depth_scale=1000, intrinsics=str(tmp_path / "mine.txt"))
+    assert depth_folder.read_sequence(folder, asked).intrinsics == Intrinsics(20, 21, 5.5, 4)
 
 
 def test_a_scale_in_metres_a_unit_is_turned_round() -> None:

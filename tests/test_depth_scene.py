@@ -234,7 +234,7 @@ def test_the_noise_step_follows_the_noise_and_not_the_edges() -> None:
 # -- forces -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("normal", [(0, 0, -1), (0.5, 0.1, -1), (-0.3, 0.9, -1)])
+@pytest.mark.parametrize("normal", [(0, 0, -1), (0.5, 0.1, -1), (-0.3, 0.9, -1), (0.3, -2.4, -1)])
 @pytest.mark.parametrize("profile", [WALL, GUIDE])
 def test_a_plane_gives_the_closed_form(normal: tuple[float, ...], profile: ForceProfile) -> None:
     n = np.array(normal) / np.linalg.norm(normal)

@@ -15,7 +15,6 @@ from touchfield.sources import moving_pictures
 from touchfield.sources.depth_layouts import LAYOUTS
 from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.pictures import TiffFrames
 from touchfield.sources.registry import open_source
 from video_makers import depths_mm, write_video
 
@@ -224,20 +223,11 @@ def test_without_the_library_the_user_is_told_of_the_extra(tmp_path: Path, monke
 # -- stacks --------------------------------------------------------------------------------------------------------
 
 
-def write_pages(path: Path, pages: list[np.ndarray]) -> Path:
-    first, *rest = [Image.fromarray(page) for page in pages]
-    first.save(path, save_all=True, append_images=rest)
-    return path
-
-
-@pytest.mark.parametrize("name", ["depth.npy", "depth_f.npy", "depth.tif"])
+@pytest.mark.parametrize("name", ["depth.npy", "depth_f.npy"])
 def test_a_stack_comes_back(tmp_path: Path, name: str) -> None:
     stored = depths_mm(5)
     path = tmp_path / name
-    if path.suffix == ".npy":
-        np.save(path, np.asfortranarray(stored) if "_f" in name else stored.astype(">u2"))
-    else:
-        write_pages(path, list(stored))
+    np.save(path, np.asfortranarray(stored) if "_f" in name else stored.astype(">u2"))
     assert depth_stack.kind.recognise(path)
     options = SourceOptions(depth_scale=1000, intrinsics=TOLD.intrinsics, source_rate_hz=10, rate_hz=40)
     sequence = depth_stack.read_sequence(path, options)
@@ -251,20 +241,14 @@ def test_a_stack_comes_back(tmp_path: Path, name: str) -> None:
         sequence.depth_m(5)
 
 
-@pytest.mark.parametrize("compression", [None, "tiff_lzw"])
-def test_the_pages_of_a_tiff_are_looked_up_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compression: str | None
-) -> None:
-    """Each page names the next: going through all pages before each would cost the square of their number."""
-    stored = depths_mm(6)
-    first, *rest = [Image.fromarray(page) for page in stored]
-    first.save(tmp_path / "depth.tif", save_all=True, append_images=rest, compression=compression)
-    frames = TiffFrames(tmp_path / "depth.tif")
-    opened = []
-    monkeypatch.setattr(Image, "open", lambda *a, _open=Image.open, **k: opened.append(a) or _open(*a, **k))
-    for frame in (0, 1, 2, 5, 3, 3, 0, 4):
-        assert np.array_equal(frames.values(frame), stored[frame])
-    assert len(opened) == 1
+def test_a_tiff_of_several_pages_is_told_what_to_do(tmp_path: Path) -> None:
+    path = tmp_path / "depth.tif"
+    first, second, small = (Image.fromarray(page) for page in (*depths_mm(2), depths_mm(1)[0, ::2, ::2]))
+    first.save(path, save_all=True, append_images=[second])
+    with pytest.raises(SourceError, match=r"depth\.tif: found a TIFF of several pages.*NPY \[frames"):
+        open_source(path, TOLD)
+    first.save(path, save_all=True, append_images=[small])  # a smaller copy is no frame of its own
+    assert open_source(path, TOLD).frame_count == 1
 
 
 def test_a_stack_of_floats_is_in_metres(tmp_path: Path) -> None:
@@ -288,8 +272,3 @@ def test_stacks_at_fault(tmp_path: Path) -> None:
     np.save(path, depths_mm(2).astype(np.uint8))
     with pytest.raises(SourceError, match="uint8"):
         depth_stack.read_sequence(path, TOLD)
-    pages = [depths_mm(1)[0], depths_mm(1)[0, ::2, ::2]]
-    copies = write_pages(tmp_path / "depth.tif", pages)
-    assert not depth_stack.kind.recognise(copies)
-    with pytest.raises(SourceError, match="page 1: found 20 x 15 pixels"):
-        depth_stack.read_sequence(copies, TOLD)

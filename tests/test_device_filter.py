@@ -334,11 +334,6 @@ def test_a_deep_array_is_pooled_in_slabs(monkeypatch: pytest.MonkeyPatch) -> Non
     assert scene.asked - before > 5
 
 
-def test_an_array_is_one_sample_deep() -> None:
-    with pytest.raises(InvalidArgument, match="deep"):
-        DeviceFilter(SHIRT, device_grid(OMNI, 3), Placement())
-
-
 # -- the medium ----------------------------------------------------------------------------------------------------
 
 

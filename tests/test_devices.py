@@ -97,6 +97,7 @@ def test_arrays_count_their_actuators() -> None:
         "tactsuit-x16": 16, "dotpad": 2400, "graphiti": 2400, "hyperbraille": 6240,
     }  # fmt: skip
     assert device("tshirt-32x32").sources["pitch_mm"].startswith("our choice")
+    assert device("dotpad").lattice == (60, 40, 1) and device("dotpad").workspace_mm == (150.0, 100.0, 150.0)
 
 
 def test_the_file_of_a_profile_is_named_as_the_device() -> None:

@@ -49,7 +49,7 @@ def random_field(seed: int, share: float = 0.4, grid: Grid = GRID) -> ForceField
 
 FIELD, OTHER = random_field(1), random_field(2)
 
-SMALLER = {"lowpass": "pitch=4mm,axes=x"}
+SMALLER = {"lowpass": "pitch=4.5mm"}
 """Words for filters whose own example is wider than the grid."""
 
 OPERATORS: list[EditOperator] = [

@@ -349,7 +349,7 @@ def test_geotiff_in_degrees_with_nodata(tmp_path: Path) -> None:
 
 def test_geotiff_in_feet(tmp_path: Path) -> None:
     keys = (1, 1, 0, 3, 1024, 0, 1, 1, 3076, 0, 1, 9002, 4099, 0, 1, 9002)
-    tags = {34264: (12, (10.0, 0, 0, 5.0, 0, -10.0, 0, 5.0, *[0.0] * 7, 1.0)), 34735: (3, keys), 42113: (2, "nan")}
+    tags = {33550: (12, (10.0, 10.0, 0.0)), 34735: (3, keys), 42113: (2, "nan")}
     tiff(tmp_path / "ground.tif", MAP, tags)
     np.testing.assert_allclose(opened(tmp_path / "ground.tif").bounds_m()[1], np.array([30, 20, 11]) * 0.3048)
 
@@ -441,26 +441,3 @@ def test_what_is_not_taken_for_a_height_map(tmp_path: Path) -> None:
     (tmp_path / "bad.png").write_bytes(b"\x89PNG")
     for path in (*tmp_path.iterdir(), tmp_path, tmp_path / "absent.npy"):
         assert not KIND.recognise(path), path.name
-
-
-def test_coordinates_of_rows_and_columns_give_the_cells(tmp_path: Path) -> None:
-    heights = 1000 * np.random.default_rng(2).random((6, 7))
-    latitude, longitude = 60 - 0.01 * np.arange(6), 234 + 0.02 * np.arange(7)
-    north_first, south_first, plain = (tmp_path / f"{name}.npz" for name in ("north", "south", "plain"))
-    np.savez(north_first, topo=heights, latitude=latitude, longitude=longitude)
-    np.savez(south_first, topo=heights[::-1], lat=latitude[::-1], lon=longitude)
-    along, across = degree_m(59.975)
-    np.savez(plain, elevation=heights, dx=1.0, dy=1.0)
-    scenes = [KIND.open(path, SourceOptions()) for path in (north_first, south_first)]
-    assert "Degrees" in " ".join(scenes[0].notes)
-    unit = KIND.open(plain, SourceOptions()).bounds_m()
-    stretched = (unit[1] - unit[0])[:2] * [0.02 * across, 0.01 * along]
-    np.testing.assert_allclose((scenes[0].bounds_m()[1] - scenes[0].bounds_m()[0])[:2], stretched, rtol=1e-6)
-    grid = Grid.over_box(*scenes[0].bounds_m(), (16, 16, 8))
-    profile = profile_of(LawSpec(stiffness_n_per_m=0.01), np.inf)
-    fields = [scene.field(0, grid, profile).to_dense() for scene in scenes]
-    assert np.abs(fields[0]).max() > 1
-    np.testing.assert_allclose(fields[0], fields[1], atol=1e-4)
-    np.savez(plain, topo=heights[:4], y=[0.0, 1.0, 5.0, 6.0], x=np.arange(7.0))
-    with pytest.raises(SourceError, match="uneven"):
-        KIND.open(plain, SourceOptions())

@@ -263,39 +263,39 @@ position_m = [0.5, 0, 0.5]
 
 
 BAD = [
-    ("[physics]", "[physics]\nspeed = 1", "physics: speed"),
-    ("[physics]", "[physics]\nseconds = 0", "physics: seconds"),
-    ("[physics]", "[physics]\nrate_hz = nan", "physics: rate_hz"),
-    ("[physics]", "[physics]\nrestitution = 1.5", "physics: restitution"),
-    ("[physics]", "[physics]\nfriction = -1", "physics: friction"),
-    ("[physics]", "[physics]\ncontact_s = 0.001", "physics: contact_s"),
-    ("[physics]", "[physics]\ngravity_m_s2 = 9.81", "physics: gravity_m_s2"),
+    ("[physics]", "[physics]\nspeed = 1", "physics.speed"),
+    ("[physics]", "[physics]\nseconds = 0", "physics.seconds"),
+    ("[physics]", "[physics]\nrate_hz = nan", "physics.rate_hz"),
+    ("[physics]", "[physics]\nrestitution = 1.5", "physics.restitution"),
+    ("[physics]", "[physics]\nfriction = -1", "physics.friction"),
+    ("[physics]", "[physics]\ncontact_s = 0.001", "physics.contact_s"),
+    ("[physics]", "[physics]\ngravity_m_s2 = 9.81", "physics.gravity_m_s2"),
     ("[physics]", "physics = 3", "physics"),
-    ("[floor]", "[floor]\ndepth_m = 1", "floor: depth_m"),
-    ("[floor]", '[floor]\ntouchable = "no"', "floor: touchable"),
+    ("[floor]", "[floor]\ndepth_m = 1", "floor.depth_m"),
+    ("[floor]", '[floor]\ntouchable = "no"', "floor.touchable"),
     ("[[body]]", "[body]", "body"),
-    ('kind = "box"', 'kind = "brick"', "body 1: kind"),
-    ('kind = "box"', 'kind = "plane"', "body 1: kind"),
-    ('kind = "box"', 'kind = "box"\nradius_m = 1', "body 1: radius_m"),
-    ('kind = "box"', 'kind = "box"\ncenter_m = [0, 0, 0]', "body 1: center_m"),
-    ('kind = "box"', 'kind = "box"\nname = "floor"', "body 1: name"),
-    ('kind = "box"', 'kind = "box"\nname = 3', "body 1: name"),
-    ("half_extents_m = [1, 1, 1]", "", "body 1: half_extents_m"),
-    ("half_extents_m = [1, 1, 1]", "half_extents_m = [1, 1, 0]", "body 1: half_extents_m"),
-    ("position_m = [0, 0, 2]", "", "body 1: position_m"),
-    ("position_m = [0, 0, 2]", "position_m = [0, 0]", "body 1: position_m"),
-    ("position_m = [0, 0, 2]", "position_m = [0, 0, inf]", "body 1: position_m"),
-    ("position_m = [0, 0, 2]", 'position_m = [0, 0, 2]\nposes = "a.csv"', "body 1: position_m"),
-    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nfixed = 1", "body 1: fixed"),
-    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nfixed = true\nmass_kg = 1", "body 1: mass_kg"),
-    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nmass_kg = 0", "body 1: mass_kg"),
-    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nmass_kg = 1\ndensity_kg_m3 = 1", "body 1: density_kg_m3"),
-    ('kind = "box"\nhalf_extents_m = [1, 1, 1]', 'kind = "mesh"', "body 1: vertices_m"),
+    ('kind = "box"', 'kind = "brick"', "body 1.kind"),
+    ('kind = "box"', 'kind = "plane"', "body 1.kind"),
+    ('kind = "box"', 'kind = "box"\nradius_m = 1', "body 1.radius_m"),
+    ('kind = "box"', 'kind = "box"\ncenter_m = [0, 0, 0]', "body 1.center_m"),
+    ('kind = "box"', 'kind = "box"\nname = "floor"', "body 1.name"),
+    ('kind = "box"', 'kind = "box"\nname = 3', "body 1.name"),
+    ("half_extents_m = [1, 1, 1]", "", "body 1: found no 'half_extents_m'"),
+    ("half_extents_m = [1, 1, 1]", "half_extents_m = [1, 1, 0]", "body 1.half_extents_m"),
+    ("position_m = [0, 0, 2]", "", "body 1: found no 'position_m'"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0]", "body 1.position_m"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0, inf]", "body 1.position_m"),
+    ("position_m = [0, 0, 2]", 'position_m = [0, 0, 2]\nposes = "a.csv"', "body 1.position_m"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nfixed = 1", "body 1.fixed"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nfixed = true\nmass_kg = 1", "body 1.mass_kg"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nmass_kg = 0", "body 1.mass_kg"),
+    ("position_m = [0, 0, 2]", "position_m = [0, 0, 2]\nmass_kg = 1\ndensity_kg_m3 = 1", "body 1.density_kg_m3"),
+    ('kind = "box"\nhalf_extents_m = [1, 1, 1]', 'kind = "mesh"', "body 1: found no 'vertices_m'"),
     ('kind = "box"\nhalf_extents_m = [1, 1, 1]', 'kind = "mesh"\nfile = "none.ply"', "none.ply"),
     (
         'kind = "box"\nhalf_extents_m = [1, 1, 1]',
         'kind = "mesh"\nvertices_m = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]\ntriangles = [[0, 1, 3]]',
-        "body 1: triangles",
+        "body 1.triangles",
     ),
 ]
 
@@ -323,7 +323,7 @@ def test_a_mesh_without_volume_is_refused(tmp_path: Path) -> None:
 def test_two_bodies_of_one_name(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text('[[body]]\nkind = "sphere"\nradius_m = 1\nname = "a"\nposition_m = [0, 0, 0]\n' * 2)
-    with pytest.raises(SourceError, match="body 2: name"):
+    with pytest.raises(SourceError, match=r"body 2\.name"):
         open_physics(path, SourceOptions())
 
 

@@ -22,7 +22,7 @@ from touchfield.medium import ForceField, Grid
 from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.viewer import picture
 from touchfield.viewer.information import Bar, draw_information
-from touchfield.viewer.page import lines_that_fit, shortened
+from touchfield.viewer.page import lines_that_fit
 from touchfield.viewer.picture import draw_comparison
 
 Capture = pytest.CaptureFixture[str]
@@ -56,7 +56,6 @@ def test_long_titles_are_broken_into_lines() -> None:
     assert len(lines) > 3 and max(map(len, lines)) < 90
     assert "".join(lines).replace(" ", "") == text.replace(" ", "")
     assert lines_that_fit("two\nlines", 7) == ["two", "lines"]
-    assert shortened("x" * 60 + "end", 20).endswith("end") and len(shortened("x" * 63, 20)) == 20
 
 
 def test_bits_of_nothing_and_full_devices_are_drawn(tmp_path: Path) -> None:

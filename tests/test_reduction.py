@@ -17,6 +17,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.reduction import culled, reduce_medium
 from touchfield.job.spec import ReductionSpec
 from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach_of, reduced
+from touchfield.reduction.reach import _layers
 
 HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
 STEP_M, COUNT = 0.003, 40
@@ -176,6 +177,16 @@ def test_a_faster_hand_reaches_farther_and_more_friction_stops_no_less() -> None
     assert slow <= fast
 
 
+@pytest.mark.parametrize("hand", [HAND, Hand(0.1, 0.5, 0.3), Hand(2.0, 0.02, 0.1)])
+def test_a_layer_turns_a_hand_by_the_rule_at_the_head_of_the_module(hand: Hand) -> None:
+    layers = _layers(floor(), hand, 8.0)
+    assert layers
+    for layer in layers:
+        double_energy = hand.mass_kg * hand.speed_m_s**2
+        least = hand.push_n + double_energy / layer.start_m + double_energy / (2 * (layer.depth_m - layer.start_m))
+        assert least <= layer.need_n <= 2 * least
+
+
 # -- the command ---------------------------------------------------------------------------------------------------
 
 
@@ -183,10 +194,10 @@ def test_the_command_tells_and_writes(tmp_path: Path, capsys: pytest.CaptureFixt
     field, log = tmp_path / "floor.npz", tmp_path / "log.csv"
     tf.write_field(field, floor(6))
     log.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{i / 1000},{0.03 + i * 5e-5},0.06,0.088\n" for i in range(100)))
-    names = [str(tmp_path / name) for name in ("few.touch", "shell.touch", "a.png")]
-    few, shell, picture = names
+    names = [str(tmp_path / name) for name in ("few.touch", "shell.touch")]
+    few, shell = names
     hand = ["--push-n", "1", "--mass-kg", "0.1"]
-    asked = ["reduce", str(field), few, "--cull", shell, "--mode", "lossless", "--plot", picture, *hand, "--json"]
+    asked = ["reduce", str(field), few, "--cull", shell, "--mode", "lossless", *hand, "--json"]
     assert _exit_code(asked) == 0
     told = json.loads(capsys.readouterr().out)
     assert all(Path(name).stat().st_size for name in names)
@@ -200,7 +211,7 @@ def test_the_command_tells_and_writes(tmp_path: Path, capsys: pytest.CaptureFixt
         assert felt.any()
     assert _exit_code(["reduce", str(field), "--trace", str(log), "--device", "touch", *hand, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["entropy_bits_per_visit"] > 0 and told["never_visited_samples"] > told["behind_samples"]
+    assert told["never_visited_samples"] > told["behind_samples"]
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -60,7 +60,6 @@ def test_frequency_response_in_two_and_three_dimensions() -> None:
     ("name", "minus_three", "at_cutoff", "at_stop", "overshoot"),
     [
         ("spline", 0.71, -6.0, -14.2, 0.0),
-        ("gaussian", 0.71, -6.0, -13.5, 0.0),
         ("box", 0.89, -3.9, -10.5, 0.0),
         ("sinc", 0.90, -6.0, -54.0, 0.076),
     ],
@@ -163,9 +162,9 @@ def test_smoothing_at_the_same_rate_equals_scipy() -> None:
     field = random_field(grid, 9)
     expected = field.to_dense().astype(float)
     for axis in range(3):
-        weights = grid_weights(grid, grid, low_pass("gaussian"))[axis].weights[10]
+        weights = grid_weights(grid, grid, low_pass("spline"))[axis].weights[10]
         expected = ndimage.convolve1d(expected, weights.astype(float), axis=axis, mode="constant")
-    assert np.abs(resample(field, grid, "gaussian").to_dense() - expected).max() < 1e-6
+    assert np.abs(resample(field, grid).to_dense() - expected).max() < 1e-6
 
 
 def test_a_kernel_does_not_shift_the_field() -> None:

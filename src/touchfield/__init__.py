@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 
 from touchfield._version import __version__
 from touchfield.errors import TouchfieldError
-from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 
 if TYPE_CHECKING:
     from touchfield import (
@@ -57,6 +56,7 @@ if TYPE_CHECKING:
     from touchfield.job.play import PlaySpec, play
     from touchfield.job.prepare import decode
     from touchfield.job.view import view
+    from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
     from touchfield.render.player import Player
     from touchfield.render.sampler import FieldSampler
     from touchfield.sources.options import SourceOptions
@@ -75,6 +75,7 @@ _NAMES = {
     "touchfield.job": (
         "EncodeSpec MeasureSpec compare encode filter_report measure_medium open_stream plan prepare write_field"
     ),
+    "touchfield.medium": "ForceField Grid HapticMedium HapticObject HapticScene PoseTrack",
     "touchfield.render.sampler": "FieldSampler",
     "touchfield.codec.paper.spec": "PaperSpec",
     "touchfield.job.play": "PlaySpec play",

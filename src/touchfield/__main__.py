@@ -1,5 +1,16 @@
-"""``python -m touchfield`` is the command line."""
+"""The command line: ``touchfield``, or ``python -m touchfield``."""
 
-from touchfield.cli.main import run
+import sys
 
-run()
+
+def main() -> None:
+    """Run the command line; who interrupts it before its libraries are there gets one line, too."""
+    try:
+        from touchfield.cli.main import run
+    except KeyboardInterrupt:
+        sys.exit("touchfield: interrupted")
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -16,6 +16,7 @@ A message is one line: where, what was found, what was expected, how to mend it.
 
 from __future__ import annotations
 
+import copyreg
 import math
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -47,13 +48,7 @@ class TouchfieldError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """As it travels from a process to another: its text, whatever made it."""
-        return _travelled, (type(self), str(self), self.__dict__)
-
-
-def _travelled(kind: type[TouchfieldError], text: str, told: dict[str, Any]) -> TouchfieldError:
-    error = kind.__new__(kind, text)
-    error.__dict__.update(told)
-    return error
+        return copyreg.__newobj__, (type(self), str(self)), self.__dict__  # type: ignore[attr-defined]
 
 
 class InvalidArgument(TouchfieldError, ValueError):

@@ -142,14 +142,14 @@ def test_wavelets_and_waves(tmp_path: Path) -> None:
     [
         (FILE[:-1], "its length"),
         (b"{}", "bits left"),
-        (b"", "no packet"),
+        (b"", "no perception"),
         (head(99), "a modality of number 99"),
         (unit(0, 0, channel(0, 1.0)), "a channel of perception 0"),
         (head(6, band(0, 3, 1, LINEAR)), "a band of channel 3"),
         (head(6, channel(0, 1.0), band(0, 0, 6, [])), "a band of type 6"),
         (head(6, channel(0, 1.0)) + unit(1, 1, curve(0, (0, 1.0))), "effects of band 0"),
         (unit(0, 0, packed([(1, 6), (9, 17), (0, 1)])), "packet's length"),
-        (unit(0, 0, packet(1, [(9, 8)])), "8 more"),
+        (unit(0, 0, packet(2, [(9, 8)])), "8 more"),
     ],
 )
 def test_damage_is_named(tmp_path: Path, data: bytes, told: str) -> None:

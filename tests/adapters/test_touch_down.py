@@ -83,9 +83,9 @@ def test_a_hand_on_a_spring_comes_to_the_same_force() -> None:
     assert forces[0] == forces[-1] == 0
 
 
-def test_an_empty_field_is_crossed_through_its_middle() -> None:
+def test_in_an_empty_field_the_probe_rests_in_the_middle() -> None:
     trace = touch_down(still(ForceField.empty(GRID)))
-    assert np.abs(trace.positions_m).min(axis=0) == pytest.approx(0, abs=1e-6)
+    assert len(trace) == 3001 and np.abs(trace.positions_m).max() < 1e-6
 
 
 def test_a_medium_is_touched_as_it_is_when_the_probe_arrives_and_within_its_time() -> None:

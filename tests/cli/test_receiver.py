@@ -17,7 +17,6 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.trace import read_trace
 from touchfield.sources.stored import StoredScene
 from touchfield.sources.tiny_scenes import tiny_scenes
-from touchfield.viewer.interaction import contacts
 
 Capture = pytest.CaptureFixture[str]
 
@@ -62,7 +61,7 @@ def test_contact_friction_and_release(stream: Path, tmp_path: Path, capsys: Capt
     friction = np.stack([at[f"friction_{c}_n"] for c in "xyz"], axis=1)
     velocity = np.stack([at[f"v{c}_m_s"] for c in "xyz"], axis=1)
     force = np.stack([at[f"force_{c}_n"] for c in "xyz"], axis=1)
-    assert not field[0].any() and not force[-1].any() and len(contacts(at["t_s"], field)) >= 1
+    assert not field[0].any() and not force[-1].any() and field.any()
     size = np.linalg.norm(friction, axis=1)
     assert size.max() > 0.1  # it slides
     assert (size <= 0.5 * np.linalg.norm(field, axis=1) + 1e-6).all()

@@ -345,14 +345,14 @@ def test_the_commands_as_their_user_meets_them(
     assert isinstance(boxes, list) and len(boxes) == shown["box_count"] > 1
     volume = sum(float(np.prod(np.subtract(box["high_mm"], box["low_mm"]))) for box in boxes)
     assert volume == pytest.approx(80.0**3)
-    assert told(capsys, "partition", stream, "--shape", "8,8,8", "--penalty-bits", "1e9")["box_count"] == 1
+    assert told(capsys, "partition", stream, "--depth", "1", "--penalty-bits", "1e9")["box_count"] == 1
     assert _exit_code(["partition", str(stream)]) == 0
     capsys.readouterr()
     for bad in (
         ["edit", stream, out], ["edit", stream, stream, "--operator", "erase"], ["splice", out],
         ["edit", stream, out, "--operator", "erase", "--frames", "3"], ["resample", stream, out, "--shape", "8,8"],
         ["edit", stream, out, "--operator", "erase", "--feather", "2"], ["partition", stream, "--depth", "9"],
-        ["partition", stream, "--shape", "7,7,7"], ["resample", stream, out], ["lod", stream, "--levels", "-1"],
+        ["partition", stream, "--depth", "-1"], ["resample", stream, out], ["lod", stream, "--levels", "-1"],
     ):  # fmt: skip
         assert _exit_code([str(word) for word in bad]) == 2, bad
         error = capsys.readouterr().err

@@ -123,7 +123,7 @@ def test_a_probe_seen_seldom_meets_what_lies_between(tmp_path: Path) -> None:
     export(path, tmp_path / "f.hjif", trajectory=fast)
     _, forces = read_force(tmp_path / "f.hjif")
     assert not forces[0].any() and not forces[-1].any() and forces[:, 2].max() > 2.5
-    for rows, ticks in (([0.0, 0.0001], 10000), ([0.0, 131.07], 500), ([5.0], 1000)):
+    for rows, ticks in (([0.0, 0.0001], 1000), ([0.0, 131.07], 500), ([5.0], 1000)):
         slow = probe(tmp_path / "p.csv", [(t, 0, 0, 0) for t in rows])
         assert export(path, tmp_path / "f.hjif", trajectory=slow).shown["ticks_per_second"] == ticks
 

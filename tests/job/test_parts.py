@@ -19,7 +19,7 @@ import pytest
 from touchfield import EncodeSpec, Grid, TouchSpec, encode
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
 from touchfield.job import coding
-from touchfield.job.coding import Sent, Task, code_part
+from touchfield.job.coding import Task, code_part
 from touchfield.job.executors import executor_of
 from touchfield.job.library import index_folder
 from touchfield.job.plan import PlanGrid, plan
@@ -128,12 +128,12 @@ def test_processes_write_the_same_bytes(source: Path, alone: bytes, tmp_path: Pa
     assert (tmp_path / "a.touch").read_bytes() == alone
 
 
-def test_arrays_and_vibrating_media_travel_too(tmp_path: Path) -> None:
+def test_vibrating_media_and_the_paper_s_coder_travel_too(source: Path, tmp_path: Path) -> None:
     spec = replace(SPEC, vibration="gain=0.1,frequency=150")
-    for i, asked in enumerate((SPEC, spec, replace(SPEC, coder="paper", touch=TouchSpec()))):
+    for i, asked in enumerate((spec, replace(SPEC, coder="paper", touch=TouchSpec()))):
         files = [tmp_path / f"{i}{name}.touch" for name in "ab"]
-        encode(moving(8), files[0], asked, grid=GRID)
-        encode(moving(8), files[1], asked, grid=GRID, executor=Shuffled())
+        encode(source, files[0], asked)
+        encode(source, files[1], asked, executor=Shuffled())
         assert files[0].read_bytes() == files[1].read_bytes()
 
 
@@ -208,9 +208,9 @@ def test_a_part_that_is_damaged_before_the_join_is_named(
 
 def test_what_cannot_be_is_said(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     medium = HapticMedium.from_array(moving(4), GRID)
-    with pytest.raises(InvalidArgument, match="path, an array"):
+    with pytest.raises(InvalidArgument, match="a path, which workers can open"):
         encode(medium, tmp_path / "a.touch", SPEC, executor=Shuffled())
-    task = Task("job", Sent.of(source, None), SPEC, coding.Stretch(0, 3, 0), "0.0.1")
+    task = Task("job", str(source), SPEC, coding.Stretch(0, 3, 0), "0.0.1")
     with pytest.raises(InvalidArgument, match=r"a worker: found touchfield .*; expected 0\.0\.1"):
         code_part(task)
     for words in ("", "processes", "processes:0", "processes:x", "dask:", "slurm:4"):

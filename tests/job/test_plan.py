@@ -104,7 +104,7 @@ def test_a_scene_that_the_coarsest_lattice_misses_is_planned_all_the_same() -> N
 
 @given(st.lists(st.tuples(st.integers(1, 60), st.integers(0, 30)), min_size=1, max_size=20), st.integers(1, 60))
 def test_lambda_makes_the_choice_where_it_lies_on_the_hull(rows: list[tuple[int, int]], budget: int) -> None:
-    trials = tuple(Trial(SPEC, size, 8, nmse / 30, 0.0, 1.0, 1.0) for size, nmse in rows)
+    trials = tuple(Trial(SPEC, size, 8, nmse / 30, 1.0, 1.0) for size, nmse in rows)
     if all(t.bits_per_s > budget for t in trials):
         with pytest.raises(InvalidArgument, match="budget"):
             Plan(trials, 0.1, 0.05, budget, "x", 2)
@@ -121,7 +121,7 @@ def test_lambda_makes_the_choice_where_it_lies_on_the_hull(rows: list[tuple[int,
 
 @given(st.lists(st.tuples(st.integers(1, 50), st.integers(0, 9)), min_size=1, max_size=30))
 def test_a_front_is_a_front(rows: list[tuple[int, int]]) -> None:
-    tried = Plan(tuple(Trial(SPEC, size, 2, nmse / 9, 0.0) for size, nmse in rows), 0.1, 0.01, 1e9, "x", 2)
+    tried = Plan(tuple(Trial(SPEC, size, 2, nmse / 9) for size, nmse in rows), 0.1, 0.01, 1e9, "x", 2)
     front = tried.front()
     for a, b in zip(front, front[1:], strict=False):
         assert a.file_bytes < b.file_bytes and a.nmse > b.nmse
@@ -166,7 +166,7 @@ def test_a_trial_is_what_encode_and_a_meter_make(tmp_path: Path) -> None:
         meter.add(reference, decoded)
         assert meter.nmse_db is not None
         assert trial.nmse == pytest.approx(10 ** (meter.nmse_db / 10))
-        assert trial.beyond_mask == meter.mask_violations / reference.support_count
+        assert trial.mask_kept == 1 - meter.mask_violation_share
 
 
 def test_what_the_settings_do() -> None:
@@ -243,7 +243,7 @@ def test_what_cannot_be_is_refused_before_the_finest_lattice_is_made(monkeypatch
 
 def test_a_choice_that_a_hand_feels_is_told() -> None:
     def trial(size: int, nmse: float, kept: float) -> Trial:
-        return Trial(SPEC, size, 1, nmse, 1 - kept, 30.0, kept)
+        return Trial(SPEC, size, 1, nmse, 30.0, kept)
 
     rows = (trial(10, 0.5, 0.08), trial(40, 0.1, 0.99))
     (note,) = Plan(rows, 0.1, 0.05, 20, "x", 1, "bytes").notes

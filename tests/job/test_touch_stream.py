@@ -70,17 +70,6 @@ def test_the_file_tells_the_promise_it_keeps(tmp_path: Path) -> None:
     assert compared["worst_mask_ratio"] == pytest.approx(ratio, abs=1e-6)
 
 
-def test_symbols_of_the_measures(tmp_path: Path) -> None:
-    encode(breathing(), tmp_path / "s.touch", SPEC)
-    with open_stream(tmp_path / "s.touch") as opened:
-        field, quantise = opened.medium[3], opened.quantiser()
-    symbols = quantise(field)
-    assert symbols.shape == (field.support_count,) and len(np.unique(symbols)) > 20
-    most = quantise(field.scaled(1e6))  # beyond the device's
-    assert len(np.unique(most // 1000)) < len(np.unique(symbols // 1000))
-    assert (quantise(field) == symbols).all()
-
-
 def test_no_floor_can_be_compared_too(tmp_path: Path) -> None:
     stream = tmp_path / "s.touch"
     encode(breathing(2), stream, replace(SPEC, touch=replace(FAST, f0_n=0.0)))

@@ -25,7 +25,7 @@ class Desk:
 
     def __init__(self, medium: HapticMedium, spec: RenderSpec | None = None, **options: object) -> None:
         self.session, self.memory = laid_out(medium, spec, **options)
-        self.feeder = self.session.feeder(self.memory)
+        self.feeder = self.session.feeder(self.memory, is_timed=False)  # time is the number of the tick
         self.log = TickLog(self.memory, 1 << 30)
         self.now_ns, self.is_fed = START_NS, True
 

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
 from touchfield.medium.medium import VibrationFrame
@@ -150,11 +149,3 @@ def test_a_field_can_be_moved_as_it_is() -> None:
     before = memory.i8[5 : 5 + words].copy()
     write_field(memory, 777, pool)
     assert np.array_equal(memory.i8[777 : 777 + words], before)
-
-
-def test_what_does_not_fit_is_refused() -> None:
-    pool = CellPool.of(ForceField.from_dense(GRID, np.ones((*GRID.shape, 3))))
-    with pytest.raises(InvalidArgument, match="place in the block"):
-        write_field(Memory.empty(field_words(pool)), 1, pool)
-    with pytest.raises(InvalidArgument, match="one field"):
-        write_field(Memory.empty(100_000), 0, CellPool.joined([pool, pool]))

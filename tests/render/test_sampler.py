@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.medium import VibrationFrame
-from touchfield.render.kernels.frames import force_at
 from touchfield.render.kernels.points import force_at_once
 from touchfield.render.sampler import FieldSampler
 
@@ -50,39 +49,36 @@ def some_points(rng: np.random.Generator, *shape: int) -> np.ndarray:
 HELD = FieldSampler(HapticMedium.from_frames([full_field(np.random.default_rng(7)) for _ in range(3)], RATE_HZ))
 
 
-def between(medium: HapticMedium, place: float, points: np.ndarray, loop: bool = False) -> np.ndarray:
+def between(medium: HapticMedium, place: float, points: np.ndarray) -> np.ndarray:
     """The definition: two frames, blended."""
-    place = place % len(medium) if loop else min(max(place, 0.0), len(medium) - 1.0)
-    first = int(place) % len(medium)  # a round may end where it began
-    after = (first + 1) % len(medium)
-    share = place - int(place)
+    place = min(max(place, 0.0), len(medium) - 1.0)
+    first, share = int(place), place - int(place)
     found = (1 - share) * medium[first].sample_n(points).astype(float)
-    return found + share * medium[after].sample_n(points) if share else found
+    return found + share * medium[first + 1].sample_n(points) if share else found
 
 
 @settings(max_examples=25)
-@given(seeds, st.floats(-2, 6), st.integers(1, 4), st.booleans())
-def test_voxels_at_one_instant(seed: int, place: float, count: int, loop: bool) -> None:
+@given(seeds, st.floats(-2, 6), st.integers(1, 4))
+def test_voxels_at_one_instant(seed: int, place: float, count: int) -> None:
     rng = np.random.default_rng(seed)
     medium, points = some_medium(rng, count), some_points(rng, 5, 8)
-    found = FieldSampler(medium).force_n(place / RATE_HZ, points, loop)
+    found = FieldSampler(medium).force_n(place / RATE_HZ, points)
     assert found.dtype == np.float32 and found.shape == points.shape
-    np.testing.assert_allclose(found, between(medium, place, points, loop), atol=2e-6, rtol=0)
+    np.testing.assert_allclose(found, between(medium, place, points), atol=2e-6, rtol=0)
 
 
 @settings(max_examples=15)
-@given(seeds, st.integers(1, 4), st.booleans())
-def test_each_point_at_its_own_time(seed: int, count: int, loop: bool) -> None:
+@given(seeds, st.integers(1, 4))
+def test_each_point_at_its_own_time(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     medium, points, places = some_medium(rng, count), some_points(rng, 30), rng.uniform(-2, 6, 30)
     places[::5] = np.round(places[::5])
     sampler = FieldSampler(medium)
-    found = sampler.force_n(places / RATE_HZ, points, loop)
-    expected = [between(medium, t, p[None], loop)[0] for t, p in zip(places, points)]
+    found = sampler.force_n(places / RATE_HZ, points)
+    expected = [between(medium, t, p[None])[0] for t, p in zip(places, points)]
     np.testing.assert_allclose(found, expected, atol=2e-6, rtol=0)
-    if not loop:
-        one = [sampler.at(t / RATE_HZ, *p) for t, p in zip(places.tolist(), points.tolist())]
-        np.testing.assert_allclose(one, expected, atol=2e-6, rtol=0)
+    one = [sampler.at(t / RATE_HZ, *p) for t, p in zip(places.tolist(), points.tolist())]
+    np.testing.assert_allclose(one, expected, atol=2e-6, rtol=0)
 
 
 def test_exact_at_samples_and_frames() -> None:
@@ -219,16 +215,6 @@ def test_any_number_is_a_place(point: tuple[float, float, float], time_s: float)
     spacing = np.array(GRID.spacing_m)
     if not ((point > low - spacing) & (point < high + spacing)).all():
         assert found == (0.0, 0.0, 0.0)
-
-
-def test_compiled_callers_find_the_same() -> None:
-    scene = some_scene(np.random.default_rng(4))
-    sampler, points = FieldSampler(scene), some_points(np.random.default_rng(5), 20).tolist()
-    for place in (0.0, 1.3, 7.0):
-        memory, first, second, blend = sampler.frames_at(place / RATE_HZ)
-        found = [force_at(*memory.views, first, second, blend, *p) for p in points]
-        assert found == [sampler.at(place / RATE_HZ, *p) for p in points]
-        assert np.any(found)
 
 
 def test_points_of_any_kind() -> None:

@@ -181,8 +181,6 @@ def test_what_cannot_be_rendered_is_refused() -> None:
     for mu, b in ((-1.0, 0.0), (math.nan, 0.0), (0.0, math.inf)):
         with pytest.raises(InvalidArgument, match="of the medium"):
             write_parameters(Memory.empty(W.FREE), RenderSpec(), OMNI, mu, b, "")
-    with pytest.raises(InvalidArgument, match="memory"):
-        write_parameters(Memory.empty(100), RenderSpec(), OMNI, 0, 0, "")
 
 
 def test_a_weight_that_leaves_nothing_is_told() -> None:

@@ -27,7 +27,6 @@ from typing import Final
 
 import numpy as np
 
-from touchfield.adapters.json_values import JsonValue, read_json
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
     MAX_SECONDS,
@@ -39,6 +38,7 @@ from touchfield.adapters.symbolic import (
     checked_frames,
 )
 from touchfield.arrays import Float64s
+from touchfield.json_values import JsonValue, read_json
 
 SHARPNESS_HZ: Final = (65.0, 300.0)
 """Frequencies of sharpness 0 and 1."""

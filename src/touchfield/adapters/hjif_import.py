@@ -6,7 +6,6 @@ in a row. Body parts lie side by side, in the order in which they come. Where se
 up, to 1 at most, and the frequency is that of the strongest.
 
 Drives are sampled at the frames of a rate; between frames they are linear, so that what moves faster is smoothed.
-A force is read at its own keyframes, and nothing is lost.
 
 What counts is what an actuator is driven with, not the wave that it makes of it: of a VectorialWave the amplitude and
 the frequency, whatever its base signal; of a Transient a burst that falls to nothing within `TRANSIENT_S`; of a block
@@ -93,19 +92,6 @@ def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> Impor
     return ImportedEffect(effect, perception.device_name, notes=notes)
 
 
-def keyframe_ticks(perception: Perception) -> Float64s:
-    """Every tick at which a line begins or ends; where an effect ends there is one more, at which it is over."""
-    ends = [np.zeros(1, np.int64)]
-    for channel in perception.channels:
-        for band in channel.bands:
-            effects = [effect for effect in band.effects if len(effect.ticks)]
-            ends += [effect.position + effect.ticks for effect in effects]
-            ends += [one.position + one.ticks[-1:] + 1 for one in effects[:-1]]
-    ticks = np.unique(np.concatenate(ends)).astype(np.float64)
-    _check_work(perception, len(ticks))
-    return ticks
-
-
 def force_n(perception: Perception, ticks: Float64s) -> Float64s:
     """The force at ascending ticks [n], the sum of all channels along their directions, float64 [n, 3]."""
     forces, unit_n = np.zeros((len(ticks), 3)), 10.0**perception.unit_exponent
@@ -131,10 +117,10 @@ def _magnitude(
     """A force as the drive of one actuator."""
     ticks = np.arange(frames, dtype=np.float64) * (document.timescale / rate_hz)
     magnitude_n = np.linalg.norm(force_n(perception, ticks), axis=1)
-    greatest_n = float(np.linalg.norm(force_n(perception, keyframe_ticks(perception)), axis=1).max())
+    greatest_n = float(magnitude_n.max())
     if not 0 < greatest_n <= 1e6:
         raise perception.place.wrong(f"a greatest force of {greatest_n:g} N", "newtons above 0, up to a million")
-    drives = np.minimum(magnitude_n / greatest_n, 1).astype(np.float32).reshape(-1, 1, 1)
+    drives = (magnitude_n / greatest_n).astype(np.float32).reshape(-1, 1, 1)
     notes += ("Of the force its magnitude is taken, as the drive of one actuator.",)
     return ImportedEffect(ArrayEffect(float(rate_hz), drives), perception.device_name, greatest_n, notes)
 

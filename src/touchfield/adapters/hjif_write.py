@@ -30,7 +30,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.adapters.hjif_read import DEFAULT_TIMESCALE, LARGEST_VECTOR
-from touchfield.adapters.hmpg_read import LARGEST_PHASE
 from touchfield.adapters.symbolic import filled_hz
 from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument, require_one_of, require_up_to
@@ -55,6 +54,7 @@ _PANELS: Final = {"front": ("Front", 0x10 | 0x20 | 0x40), "back": ("Back", 0x100
 """Body part, and its bits: chest right and left with abdomen, upper and lower back."""
 
 _LARGEST_FORCE_N: Final = 1e6
+_LARGEST_PHASE: Final = 6.28318
 
 
 def write_hjif_array(
@@ -212,7 +212,7 @@ def _effects(ticks: Int64s, samples: Float64s) -> Iterator[dict[str, Any]]:
             {"relative_position": tick, "amplitude_modulation": amplitude, "frequency_modulation": int(hertz)}
             for tick, (amplitude, hertz) in zip((ticks[kept] - ticks[first]).tolist(), samples[kept].tolist())
         ]
-        yield _effect(int(ticks[first]), min(round(phase, _DIGITS), LARGEST_PHASE), keyframes)
+        yield _effect(int(ticks[first]), min(round(phase, _DIGITS), _LARGEST_PHASE), keyframes)
         seconds, hertz = np.diff(ticks[kept]) / DEFAULT_TIMESCALE, samples[kept, 1]
         cycles = float(seconds @ (hertz[1:] + hertz[:-1])) / 2
         first, phase = last, math.fmod(phase + 2 * math.pi * cycles, 2 * math.pi)

@@ -14,15 +14,15 @@ import base64
 from pathlib import Path
 from typing import Any, Final
 
-from touchfield.adapters.json_values import JsonValue
 from touchfield.errors import SourceError
 from touchfield.files import read_bytes
+from touchfield.json_values import JsonValue
 
 _WHAT: Final = "an HMPG file (ISO/IEC 23090-31, binary)"
 _MOST_BYTES: Final = 1 << 22
 _UNIT_HEAD: Final = 9
 _PACKET_HEAD: Final = 3
-_TIMING, _HAPTICS, _PERCEPTION, _CHANNEL, _BAND, _DATA, _LIBRARY = range(7)
+_TIMING, _, _PERCEPTION, _CHANNEL, _BAND, _DATA, _LIBRARY = range(7)
 _INITIAL_TIMING: Final = 11
 MODALITIES: Final = (
     "Other", "Pressure", "Acceleration", "Velocity", "Position", "Temperature", "Vibrotactile", "Water", "Wind",
@@ -32,11 +32,9 @@ MODALITIES: Final = (
 
 BANDS: Final = ("Transient", "Curve", "VectorialWave", "WaveletWave")
 CURVES: Final = ("Unknown", "Cubic", "Linear", "Akima", "Bezier", "BSpline")
-SIGNALS: Final = ("Sine", "Square", "Triangle", "SawToothUp", "SawToothDown")
 KINDS: Final = ("Basis", "Reference", "Composite")
 _SPATIAL: Final = 2
 _GREATEST: Final = 10000.0
-LARGEST_PHASE: Final = 6.28318
 
 
 class _Bits:
@@ -79,7 +77,6 @@ class _Document:
 
     def __init__(self) -> None:
         self.timescale, self.time, self.is_spatial = 1000, 0, False
-        self.root: dict[str, Any] = {}
         self.perceptions: dict[int, dict[str, Any]] = {}
         self.channels: dict[tuple[int, int], dict[str, Any]] = {}
         self.bands: dict[int, dict[str, Any]] = {}
@@ -105,10 +102,10 @@ def read_hmpg(path: str | Path) -> JsonValue:
         _unit(document, data[begin : begin + length], f"{path}: unit {unit}")
         at, unit = begin + length, unit + 1
         document.time += duration
-    if not document.root:
-        raise SourceError(str(path), "no packet of metadata", _WHAT)
+    if not document.perceptions:
+        raise SourceError(str(path), "no perception", _WHAT)
     perceptions = list(document.perceptions.values())
-    return JsonValue({**document.root, "timescale": document.timescale, "perceptions": perceptions}, str(path))
+    return JsonValue({"timescale": document.timescale, "perceptions": perceptions}, str(path))
 
 
 def _unit(document: _Document, data: bytes, where: str) -> None:
@@ -135,41 +132,33 @@ def _timing(document: _Document, bits: _Bits) -> None:
     document.time = bits.whole(32)
 
 
-def _haptics(document: _Document, bits: _Bits) -> None:
-    document.root = {"version": bits.text(), "profile": bits.text(), "level": bits.whole(8)}
-    document.root |= {"date": bits.text(), "description": bits.text(), "avatars": []}
-
-
 def _perception(document: _Document, bits: _Bits) -> None:
-    number, _ = bits.whole(8), bits.whole(8)
-    description = bits.text()
-    modality, avatar = bits.one_of(8, MODALITIES, "a modality of number"), bits.whole(8)
-    bits.whole(16)  # effects of the library
+    number, _, _ = bits.whole(8), bits.whole(8), bits.text()
+    modality = bits.one_of(8, MODALITIES, "a modality of number")
+    bits.whole(8 + 16)  # its avatar, and effects of the library
     if bits.whole(1):
         bits.text()
     bits.signed(8)
     exponent = bits.signed(8)
     devices = [_device(bits) for _ in range(bits.whole(8))]
     known = document.perceptions.setdefault(number, {"channels": []})
-    known.update(
-        id=number, description=description, perception_modality=modality, avatar_id=avatar, effect_library=[],
-        perception_unit_exponent=exponent, reference_devices=devices,
-    )  # fmt: skip
+    known.update(perception_modality=modality, perception_unit_exponent=exponent, reference_devices=devices)
 
 
 def _device(bits: _Bits) -> dict[str, Any]:
-    number, name = bits.whole(8), bits.text()
+    _, name = bits.whole(8), bits.text()
     bits.whole(32)  # body parts
     flags = bits.whole(12)
     bits.whole(32 * (flags >> 1).bit_count() + 4 * (flags & 1))  # none of which we use
-    return {"id": max(1, number), "name": name}
+    return {"name": name}
 
 
 def _channel(document: _Document, bits: _Bits) -> None:
     number, perception = bits.whole(16), bits.whole(8)
     bits.whole(8)  # priority
-    own: dict[str, Any] = {"id": number, "description": bits.text()}
+    bits.text()
     bits.whole(8)  # its device
+    own: dict[str, Any] = {}
     own["gain"] = max(0.0, round(bits.number(32, -_GREATEST, _GREATEST), 5))
     own["mixing_coefficient"] = round(bits.number(32, 0, _GREATEST), 5)
     flags = bits.whole(8)
@@ -227,7 +216,7 @@ def _data(document: _Document, bits: _Bits) -> None:
         own["position"] = bits.signed(25) + (0 if document.is_spatial else document.time)
         if own["effect_type"] == "Basis":
             _semantic(bits)
-            own["keyframes"] = _keyframes(bits, band["band_type"], own)
+            own["keyframes"] = _keyframes(bits, band["band_type"])
         known = document.effects.get(name)
         if known is None or own["effect_type"] != "Basis":
             document.effects[name] = own
@@ -241,12 +230,11 @@ def _semantic(bits: _Bits) -> None:
         bits.whole(12)
 
 
-def _keyframes(bits: _Bits, kind: str, effect: dict[str, Any]) -> list[dict[str, Any]]:
+def _keyframes(bits: _Bits, kind: str) -> list[dict[str, Any]]:
     count, keyframes = bits.whole(16), []
     is_wave = kind == "VectorialWave"
     if is_wave:
-        effect["phase"] = bits.number(16, 0, LARGEST_PHASE)
-        effect["base_signal"] = bits.one_of(4, SIGNALS, "a signal of number")
+        bits.whole(16 + 4)  # phase and base signal
     for _ in range(count):
         flags = bits.whole(2) if is_wave else 1 if kind == "Curve" else 3
         own: dict[str, Any] = {}
@@ -260,6 +248,6 @@ def _keyframes(bits: _Bits, kind: str, effect: dict[str, Any]) -> list[dict[str,
 
 
 _READERS: Final = {
-    _TIMING: _timing, _HAPTICS: _haptics, _PERCEPTION: _perception, _CHANNEL: _channel, _BAND: _band,
+    _TIMING: _timing, _PERCEPTION: _perception, _CHANNEL: _channel, _BAND: _band,
     _DATA: _data, _INITIAL_TIMING: _initial_timing,
 }  # fmt: skip

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 MOST_BYTES: Final = 8192
 """Of a datagram: one that needs no more than a few fragments on any net."""
 
-_HEAD_BYTES: Final = 256  # of a bundle: its own head, the frame message, and the heads of the two messages of a panel
-_FLOATS_AT_ONCE: Final = (MOST_BYTES - _HEAD_BYTES) // 5  # a float is four bytes and one letter of the type
+_HEAD_BYTES: Final = 128  # of a bundle: its own head and the frame message
+_FLOATS_AT_ONCE: Final = (MOST_BYTES - 2 * _HEAD_BYTES) // 5  # a float is four bytes and one letter of the type
 _PANELS: Final = ("front", "back")
 _GOODBYES: Final = 3
 _AT_ONCE: Final = b"#bundle\0" + struct.pack(">Q", 1)
@@ -98,42 +98,27 @@ class Osc(ArrayDevice):
         values = {"drives": drives}
         if frequencies_hz is not None:
             values["frequencies"] = np.asarray(frequencies_hz, np.float64)
-        pieces = [
-            (f"/touchfield/{what}/{_PANELS[nth] if nth < len(_PANELS) else nth}", first, flat)
-            for what, array in values.items()
-            for nth, panel in enumerate(array.reshape(len(array), -1))
-            for first in range(0, len(panel), _FLOATS_AT_ONCE)
-            for flat in (panel[first : first + _FLOATS_AT_ONCE],)
-        ]
-        parts, number, seconds = _filled(pieces), self._number & 0x7FFFFFFF, monotonic() - self._began_s
-        for part, some in enumerate(parts):
-            head = struct.pack(">idiiiii", number, seconds, part, len(parts), *drives.shape)
-            messages = [_message("/touchfield/frame", "idiiiii", head)]
-            for name, first, flat in some:
-                body = struct.pack(">i", first) + flat.astype(">f4").tobytes()
-                messages.append(_message(name, "i" + "f" * len(flat), body))
-            yield _AT_ONCE + b"".join(struct.pack(">i", len(m)) + m for m in messages)
-
-
-_Piece = tuple[str, int, "Float64s"]
-
-
-def _filled(pieces: list[_Piece]) -> list[list[_Piece]]:
-    """The pieces in as few datagrams as their order allows."""
-    datagrams: list[list[_Piece]] = []
-    left = 0
-    for piece in pieces:
-        size = 5 * len(piece[2])
-        if not datagrams or size + 64 > left:
-            datagrams.append([])
-            left = MOST_BYTES - _HEAD_BYTES + 64  # the head counts the heads of two messages
-        datagrams[-1].append(piece)
-        left -= size + 64
-    return datagrams
+        bodies = [b""]
+        for what, array in values.items():
+            for nth, panel in enumerate(array.reshape(len(array), -1)):
+                name = f"/touchfield/{what}/{_PANELS[nth] if nth < len(_PANELS) else nth}"
+                for first in range(0, len(panel), _FLOATS_AT_ONCE):
+                    flat = panel[first : first + _FLOATS_AT_ONCE]
+                    numbers = struct.pack(">i", first) + flat.astype(">f4").tobytes()
+                    message = _message(name, "i" + "f" * len(flat), numbers)
+                    if len(bodies[-1]) + len(message) > MOST_BYTES - _HEAD_BYTES:
+                        bodies.append(b"")
+                    bodies[-1] += message
+        number, seconds = self._number & 0x7FFFFFFF, monotonic() - self._began_s
+        for part, body in enumerate(bodies):
+            head = struct.pack(">idiiiii", number, seconds, part, len(bodies), *drives.shape)
+            yield _AT_ONCE + _message("/touchfield/frame", "idiiiii", head) + body
 
 
 def _message(name: str, types: str, values: bytes) -> bytes:
-    return _text(name) + _text("," + types) + values
+    """A message with its length before it, as bundles have them."""
+    message = _text(name) + _text("," + types) + values
+    return struct.pack(">i", len(message)) + message
 
 
 def _text(words: str) -> bytes:

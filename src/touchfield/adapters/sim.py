@@ -93,12 +93,6 @@ class SimHand(PointDevice):
         w, x, y, z = self._turn.tolist()
         return w, x, y, z
 
-    def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:
-        """Push the hand; a torque is taken, and moves nothing."""
-        if not math.isfinite(tx + ty + tz):
-            raise DeviceError("simulated hand", f"a torque of {tx:g}, {ty:g}, {tz:g} N m", "finite newton metres")
-        self.put_force_n(fx, fy, fz)
-
     def put_force_n(self, x: float, y: float, z: float) -> None:
         """Push the hand, newtons, from the next `advance` on."""
         if not math.isfinite(x + y + z):

@@ -1,8 +1,8 @@
 """A probe for a field that nobody has touched yet: what a simulated hand does when it is told nothing.
 
 It comes from outside, through free space, to a strong part of the field, presses in until the force is `SHARE` of
-the greatest on its way, slides along the surface at that force, and leaves: contact, friction and release, each
-to be seen in a plot. Where that is, is found by looking:
+the greatest on its way, slides along the surface at that force, and leaves the way it came: contact, friction and
+release, each to be seen in a plot. Where that is, is found by looking:
 
 1. some strong samples of the support, and two ways out of each, along the force and against it;
 2. the best way: one that is free from the surface on, on which the field pushes back (a wall, a solid, a guide; a
@@ -11,8 +11,8 @@ to be seen in a plot. Where that is, is found by looking:
    the force first reaches that share; the longest walk is taken.
 
 An object that moves is met: the way is that of its own frame, which goes with it. All is done with the receiver's own
-query, so that it works for voxels and for objects, and gives the same trace on every machine. An empty field is
-crossed through its middle.
+query, so that it works for voxels and for objects, and gives the same trace on every machine. In an empty field it
+rests in the middle.
 """
 
 from __future__ import annotations
@@ -81,13 +81,14 @@ def touch_down(
     if len(touched) > 1:
         seconds = min(SECONDS, max(0.1, (len(touched) / touched.rate_hz - start_s) / speed))
     grid, query, points, frame = _frame(touched, start_s + speed * seconds * _LEGS[0][1])
-    viewer = axes_matrix(BOX_AXES, touched.axes)[:, 2]
-    legs = _touch(grid, query, points, force_max_n, viewer) if len(points) else _crossing(grid, viewer)
-    places = _timed(legs, max(2, round(seconds * HAPTIC_RATE_HZ) + 1))
-    met = legs["slide"][0]
-    if len(points) and math.isfinite(stiffness_n_per_m):
+    count = max(2, round(seconds * HAPTIC_RATE_HZ) + 1)
+    if not len(points):
+        return Trace.regular(np.tile(np.mean(grid.box_m, axis=0), (count, 1)))
+    legs = _touch(grid, query, points, force_max_n, axes_matrix(BOX_AXES, touched.axes)[:, 2])
+    places, met = _timed(legs, count), legs["slide"][0]
+    if math.isfinite(stiffness_n_per_m):
         places = places - query(places) / stiffness_n_per_m
-    if isinstance(touched, HapticScene) and len(points):
+    if isinstance(touched, HapticScene):
         times_s = start_s + speed * np.arange(len(places)) / HAPTIC_RATE_HZ
         places = _following(touched, frame, met, places, np.asarray(times_s * touched.rate_hz, np.float64))
     return Trace.regular(places)
@@ -162,12 +163,8 @@ def _touch(grid: Grid, query: Query, points: Float64s, force_max_n: float, viewe
     slide = _slide(query, touched, out, _SLIDE * diagonal, 2 * max(grid.spacing_m))
     lead = max(min(_LEAD * diagonal, 0.9 * free), fine)
     before = surface + out * min(2 * fine, lead / 2)
-    return {
-        "come": np.stack([surface + out * lead, before]),
-        "press": np.stack([before, touched]),
-        "slide": slide,
-        "leave": np.stack([slide[-1], _left(query, slide[-1], out, pressed + lead)]),
-    }
+    come, press = np.stack([surface + out * lead, before]), np.stack([before, touched])
+    return {"come": come, "press": press, "slide": slide, "leave": np.concatenate([come, press, slide])[::-1]}
 
 
 def _way_out(
@@ -235,42 +232,6 @@ def _slide(query: Query, touched: Float64s, out: Float64s, length: float, slack:
         counts += alive
     longest = int(np.argmax(counts))
     return np.stack([step_[longest] for step_ in walks[: counts[longest] + 1]])
-
-
-def _left(query: Query, last: Float64s, out: Float64s, length: float) -> Float64s:
-    """Where the probe goes from its last touch: out, or along the force there, whichever is free sooner.
-
-    A way on which the field pushes harder than at the touch itself, as through another wall, is the last choice.
-    """
-    force = query(last[None])[0]
-    touch_n = max(float(_sizes(force)), 1e-30)
-    normal = force / touch_n
-    distances = np.linspace(0.0, length, _ACROSS)
-    best, end = -math.inf, last
-    for way in (out, normal, -normal):
-        sizes = _sizes(query(last + way * distances[:, None]))
-        free = np.append(sizes <= 1e-6 * sizes.max(), False)
-        begin = int(np.argmax(free))
-        run = int(np.argmin(free[begin:]))
-        if not run:
-            continue
-        excess = max(0.0, float(sizes[: max(begin, 1)].max()) / touch_n - 1.05)
-        score = 2 * min(1.0, 2 * run / _ACROSS) - begin / _ACROSS - 4 * excess
-        if score > best + 0.02:  # of ways as good as another the first
-            best, end = score, last + way * distances[max(0, begin + run - 1)]
-    return end
-
-
-def _crossing(grid: Grid, viewer: Float64s) -> dict[str, Float64s]:
-    """Through the middle of an empty workspace, as if a plane lay there."""
-    low, high = grid.box_m
-    middle, aside = (low + high) / 2, np.array([_SLIDE * _diagonal(grid), 0.0, 0.0])
-    above = viewer * (float(high[2] - low[2]) / 2 + _LEAD * _diagonal(grid))
-    return {
-        "come": np.stack([middle + above, middle]),
-        "slide": np.stack([middle, middle + aside]),
-        "leave": np.stack([middle + aside, middle + aside + above]),
-    }
 
 
 def _timed(legs: dict[str, Float64s], count: int) -> Float64s:

@@ -136,7 +136,7 @@ def mux(
     """Put STREAM beside sound and picture, as a timed track that other players pass over."""
     from touchfield.stream.mux import mux as run
 
-    with progress("mux", "segment") as report:
+    with progress("mux") as report:
         done = run(movie, stream, out, at_s, report)
     return Answer(done.summary(), str(out))
 

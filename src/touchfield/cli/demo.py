@@ -75,7 +75,7 @@ def _one(stem: Path, source: str, spec: EncodeSpec, draws: bool) -> dict[str, An
         compared.draw(picture)
     summary = compared.summary()
     view(stream).save(stem.with_suffix(".html"))
-    with progress(f"play {stem.name}", "s") as report:
+    with progress(f"play {stem.name}") as report:
         played = play(stream, PlaySpec(offline=True, is_logged=True, is_drawn=draws), report).checked()
     played.write_log(stem.with_suffix(".forces.csv"))
     if draws:

@@ -23,7 +23,7 @@ RUBBED = tuple(row for row in BESIDE if row.name != "vibration")
 
 Medium = Annotated[str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti).", metavar="MEDIUM")]
 Out = Annotated[Path, typer.Argument(help="OUT.touch, or a field: FIELD.npz, FIELD.vti.")]
-Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, gaussian, box, sinc, or trilinear for none.")]
+Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, box, sinc, or trilinear for none.")]
 
 
 _COUNTS = "NX,NY,NZ, such as 64,64,32"
@@ -110,7 +110,7 @@ def lod(
     most_bytes: Annotated[int | None, "Name the finest level that takes no more."] = None,
 ) -> Answer:
     """Make levels of detail of MEDIUM, each a file with its bytes and its error."""
-    with progress("lod", "level") as report:
+    with progress("lod") as report:
         done = editing.levels_of_detail(medium, folder, levels, most_bytes, coder_spec(asked), report)
 
     def people() -> None:
@@ -124,7 +124,6 @@ def lod(
 def partition(
     medium: Medium,
     depth: Annotated[int, "The device has 2^-depth of the lattice's samples along each axis."] = 2,
-    shape: Annotated[str | None, "Samples of the device, NX,NY,NZ, in place of --depth."] = None,
     penalty_bits: Annotated[float, "lambda: bits a frame that another box must save."] = 1000.0,
     quantiser: Annotated[str, "Q of the losses."] = "weber:0.25/ico1",
 ) -> Answer:
@@ -135,8 +134,7 @@ def partition(
     source = read_medium(medium).medium
     if not 0 <= depth <= 7:
         raise InvalidArgument("--depth", f"{depth}", "0 to 7")
-    own = [max(1, n >> depth) for n in source.grid.shape]
-    x, y, z = numbers_of("--shape", shape, (3,), _COUNTS, int) if shape else own
+    x, y, z = (max(1, n >> depth) for n in source.grid.shape)
     with progress("partition") as report:
         done = partition_workspace(source, (x, y, z), penalty_bits, quantiser, report)
     rows = []
@@ -232,7 +230,7 @@ def deform(
     check_results((stream, model), out)
     moved = fields_of(Motion, asked) | {"frames": frames_of("--frames", asked["frames"])}
     motion = Motion(model, **moved) if model else None
-    with progress("deform", "frame") as report:
+    with progress("deform") as report:
         done = tracks_of(
             stream, out, motion, controls=controls, compliance_m_per_n=yield_m_per_n, relax_s=relax_s, report=report
         )
@@ -242,7 +240,7 @@ def deform(
 @command(
     "Study",
     "reduce fox.touch",
-    "reduce ground.touch --cull shell.touch --mode lossless --plot reduced.png",
+    "reduce ground.touch --cull shell.touch --mode lossless",
     "reduce fox.touch few-modes.touch --rank 20 --trace log.csv",
 )
 @asks(rows_of(ReductionSpec), CODER)
@@ -251,17 +249,12 @@ def reduce(
     medium: Medium,
     out: Annotated[Path | None, typer.Argument(help="OUT.touch of the modes that are kept; none without it.")] = None,
     cull: Annotated[Path | None, "OUT.touch without what the hand can never feel."] = None,
-    plot: Annotated[Path | None, "PNG to draw: the spectrum, and a section."] = None,
 ) -> Answer:
     """Tell in how few numbers MEDIUM varies, how many bits a degree of freedom has, and what no hand can feel."""
     from touchfield.job.reduction import reduce_medium
 
-    check_results((medium,), plot, out, cull)
+    check_results((medium,), out, cull)
     spec = ReductionSpec(**fields_of(ReductionSpec, asked))
     with progress("reduce") as report:
         done = reduce_medium(medium, out, cull, spec, coder_spec(asked), report)
-    if plot is not None:
-        from touchfield.viewer.plots import draw_reduction
-
-        draw_reduction(plot, done.values, done.field, done.felt, done.shown["hand"])
     return Answer(done.summary(), medium, done.notes, {"held_out": "frames that were not learnt"})

@@ -64,7 +64,7 @@ def play(
     is_logged = not (log is plot is None)
     beside = {"is_logged": is_logged, "is_drawn": plot is not None, "render": render_spec(asked)}
     spec = PlaySpec(**{**fields_of(PlaySpec, asked), **beside})
-    with _bridge(stream, bridge) as watch, progress("play", "s") as report:
+    with _bridge(stream, bridge) as watch, progress("play") as report:
         played = run(stream, spec, report, _say, watch)
     notes = played.notes
     if log is not None:

@@ -28,7 +28,7 @@ def index(folder: Folder, index_file: IndexFile = None, workers: Workers = None)
 
     if index_file is not None and index_file.suffix == ".touch":
         raise InvalidArgument("--index", str(index_file), "a name that ends in .npz")
-    with progress("index", "file") as report, executor_of(workers) as executor:
+    with progress("index") as report, executor_of(workers) as executor:
         done = index_folder(folder, index_file, report, executor)
     faults = done.faults
     left_out = [f"left out: {name}: {fault}" for name, fault in list(faults.items())[:_TOLD]]
@@ -82,7 +82,7 @@ def similar(
     """Tell how alike two media are: voxel by voxel, as histograms, to a compressor, and as `search` ranks them."""
     from touchfield.job.library import similar as run
 
-    with progress("similar", "step") as report:
+    with progress("similar") as report:
         done = run(first, second, encode_spec(asked), quantiser=quantiser, over=over, frames=looks, report=report)
     figures = done.summary()
     names = {"normalised": "NMI", "variation": "VI / bit", "jensen_shannon": "sqrt(JSD)", "compression": "NCD"}
@@ -113,7 +113,7 @@ def correlate(
     return Answer(done.summary(), title, done.notes, {"looks": ""})
 
 
-@command("Study", "points 15 fox.touch rebuilt.touch --plot points.png", "points 5 felt.csv --next")
+@command("Study", "points 15 fox.touch rebuilt.touch", "points 5 felt.csv --next")
 @asks(CODER)
 def points(
     asked: Asked,
@@ -129,23 +129,18 @@ def points(
         False
     ),
     measured: Annotated[Path | None, "With --next: a recording of what was measured of IN."] = None,
-    plot: Annotated[Path | None, "PNG to draw."] = None,
 ) -> Answer:
     """Find the fewest points of IN that tell the rest, or where to measure next."""
     from touchfield.job.reduction import fewest_points, next_points
-    from touchfield.job.spec import EncodeSpec
 
-    check_results((source,), plot, out)
+    check_results((source,), out)
     if is_next and (out is not None or modes is not None):
         raise InvalidArgument("--next", "OUT or --modes beside it", "neither: nothing is rebuilt yet")
     if measured is not None and not is_next:
         raise InvalidArgument("--measured", "no --next", "both, or neither")
-    spec = coder_spec(asked)
     if is_next:
         done = next_points(source, count, measured)
     else:
         with progress("points") as report:
-            done = fewest_points(source, count, out, modes, spec, report)
-    if plot is not None:
-        done.draw(plot, (spec.k, spec.f0_n or EncodeSpec().f0_n or 0.0))
+            done = fewest_points(source, count, out, modes, coder_spec(asked), report)
     return Answer(done.summary(), f"{count} points of {source}", done.notes, {"next": "places, the first one first"})

@@ -34,12 +34,7 @@ if TYPE_CHECKING:
 @command("Look", "view room.touch", "view room.touch --source scan.ply --out room.html --no-open")
 def view(
     stream: Stream,
-    source: Annotated[
-        str | None,
-        typer.Option(
-            "--source", "--against", help="SOURCE of the file: shown too, and the difference; NMSE, vibration."
-        ),
-    ] = None,
+    source: Annotated[str | None, "SOURCE of the file: shown too, and the difference; NMSE, vibration."] = None,
     device: Annotated[list[str] | None, "Tell its capacity, WMR and HIL, and the entropy; may be repeated."] = None,
     out: Annotated[Path | None, "HTML file to write; default: a temporary one."] = None,
     no_open: Annotated[bool, "Open no browser."] = False,
@@ -118,7 +113,7 @@ def measure(
     own = fields_of(MeasureSpec, asked)
     spec = MeasureSpec(**own, devices=tuple(device or ()), limits=not no_limits, encode=encode)
     check_results((medium,), plot)
-    with progress("measure", "step") as report:
+    with progress("measure") as report:
         measurement = job.measure_medium(medium, spec, report)
     if plot is not None:
         measurement.draw(plot)

@@ -68,8 +68,7 @@ def sources() -> Answer:
     """List the kinds of source."""
     from touchfield.sources.registry import kinds
 
-    title = "kinds of source (--as takes a name, or a word that one description alone has)"
-    return Answer({kind.name: kind.summary for kind in kinds()}, title)
+    return Answer({kind.name: kind.summary for kind in kinds()}, "kinds of source (--as NAME)")
 
 
 @command("Set up", "doctor --device haply")
@@ -98,5 +97,5 @@ def warmup() -> None:
     """Compile all kernels now, so that the first real job does not wait for it."""
     from touchfield import job
 
-    with progress("compile", "step", later=("passes", "measures", "filters")) as report:
+    with progress("compile", later=("passes", "measures", "filters")) as report:
         job.warm_up(report)

@@ -91,13 +91,10 @@ def filter_(
     with_report: Annotated[
         bool, typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels.")
     ] = False,
-    quantiser: Annotated[str, "Q of the report's entropies."] = "weber:0.1",
     workers: Workers = None,
 ) -> Answer:
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
-    from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
-
-    spec, parsed = encode_spec(asked), FieldQuantiserSpec.parse(quantiser)
+    spec = encode_spec(asked)
     beside = {row.name: getattr(spec, row.key) for row in BESIDE}
     if not spec.filters and all(words is None for words in beside.values()):
         names = ", ".join(f"--{row.name}" for row in (*filter_rows(), *BESIDE))
@@ -111,7 +108,7 @@ def filter_(
     measured = None
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
-            measured = job.filter_report(source, spec, parsed, report).summary()
+            measured = job.filter_report(source, spec, report).summary()
     with progress("filter", later=LATER.get(spec.coder, ()) if is_stream else ()) as report:
         if is_stream:
             with executor_of(workers) as executor:
@@ -166,9 +163,7 @@ def plan(
     ],
     k: Annotated[list[float] | None, "Weber fraction to try; may be repeated."] = None,
     effort: Annotated[str, "fast or default, as of encode."] = "fast",
-    out: Annotated[
-        Path | None, typer.Option("--plot", "--out", help="PNG to draw: the frontier and the choice.")
-    ] = None,
+    plot: Annotated[Path | None, "PNG to draw: the frontier and the choice."] = None,
     workers: Workers = None,
 ) -> Answer:
     """Find the lattice and the settings that spend a budget best; --nw is the finest of three lattices."""
@@ -176,13 +171,13 @@ def plan(
     if spec.nw is None:
         raise InvalidArgument("--nominal does not go with plan: name --nw, the finest lattice to try")
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
-    check_results((source,), out)
+    check_results((source,), plot)
     spec = replace(spec, touch=replace(spec.touch, effort=effort))
-    with progress("plan", "setting") as report, executor_of(workers) as executor:
+    with progress("plan") as report, executor_of(workers) as executor:
         chosen = job.plan(source, amount, spec, search, report, executor)
-    if out is not None:
-        chosen.draw(out)
-    options, notes = _options(chosen, asked), (f"the picture is {out}",) if out else ()
+    if plot is not None:
+        chosen.draw(plot)
+    options, notes = _options(chosen, asked), (f"the picture is {plot}",) if plot else ()
     values = {**chosen.summary(), "encode_options": shlex.join(options)}
     return Answer(values, "", (*chosen.notes, *notes), people=lambda: _show_plan(chosen, options, notes))
 
@@ -207,19 +202,12 @@ def _show_plan(plan: Plan, options: list[str], notes: tuple[str, ...]) -> None:
     rows = [("->" if trial is plan.chosen else "", *_cells(plan, trial)) for trial in plan.front()]
     headings = ("", "nw", "coder", "k or step", plan.unit, "NMSE dB", "mask kept")
     show_table(rows, headings, right=(1, 3, 4, 5, 6))
-    papers = [t for t in plan.trials if t.spec.coder == "paper" and plan.is_within(t)]
     said = [
         *plan.notes,
         f"mask kept: share of the voxels within max({plan.f0_n:g} N, {plan.k:g} |F|) on the finest lattice",
     ]
     if plan.multiplier is not None:
         said.append(f"lambda is {plan.multiplier:.4g} {plan.unit} for a unit of NMSE at the choice")
-    if papers:
-        paper = min(papers, key=lambda t: t.nmse)
-        *_, nmse, kept = _cells(plan, paper)
-        said.append(f"coder paper within the budget: {paper.options}: NMSE {nmse} dB, mask kept {kept}")
-    else:
-        said.append("coder paper: nothing within the budget")
     said.append(shlex.join(["touchfield", "encode", plan.source, "OUT.touch", *options]))
     show_notes((*said, *notes))
 

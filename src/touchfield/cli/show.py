@@ -156,10 +156,8 @@ def _text(value: Any, name: str = "") -> str:
 
 
 @contextmanager
-def progress(
-    what: str, unit: str = "frame", later: Sequence[str] = (), compiles: bool = True
-) -> Iterator[Callable[[int, int], None]]:
-    """A bar with rate and time left on a terminal, nothing elsewhere; yields ``report(done, total)``.
+def progress(what: str, later: Sequence[str] = (), compiles: bool = True) -> Iterator[Callable[[int, int], None]]:
+    """A bar with the time left on a terminal, nothing elsewhere; yields ``report(done, total)``.
 
     `later` are the kernels that helpers compile ahead, if any need be compiled; without `compiles` none does.
     """
@@ -172,20 +170,9 @@ def progress(
             yield lambda done, total: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
-    from rich.text import Text
+    from rich.progress import MofNCompleteColumn, Progress
 
-    class Rate(ProgressColumn):
-        def render(self, task: Any) -> Text:
-            return Text(f"{task.speed:.2f} {unit}s/s" if task.speed else "")
-
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        Rate(),
-        TimeRemainingColumn(),
-    )
+    columns = *Progress.get_default_columns(), MofNCompleteColumn()
     with Progress(*columns, console=Console(stderr=True, emoji=False), transient=True) as bar:
         task = bar.add_task(what, total=None)
         with compilation(lambda line: bar.console.print(line, highlight=False)):

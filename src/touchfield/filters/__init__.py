@@ -34,10 +34,8 @@ from touchfield.filters.edit import (
 )
 from touchfield.filters.fir import fir_filter, frequency_response
 from touchfield.filters.lifting import (
-    fcc_coarse,
     fcc_forward,
     fcc_inverse,
-    quincunx_coarse,
     quincunx_forward,
     quincunx_inverse,
 )
@@ -61,8 +59,8 @@ __all__ = [
     "COMPOSITIONS", "LOW_PASSES", "NW_RANGE", "Ball", "Box", "Claims", "Composed", "DeviceFilter", "DeviceFilterSpec",
     "EditOperator", "Erased", "Everywhere", "FieldFilter", "ForceRange", "Gain", "HalfSpace",
     "Limited", "LowPass", "Moved", "Placement", "Region", "RigidMotion", "Voxels", "actuator_taps",
-    "cross_faded", "cutoff_per_m", "device_grid", "device_medium", "edited", "edited_medium", "fcc_coarse",
+    "cross_faded", "cutoff_per_m", "device_grid", "device_medium", "edited", "edited_medium",
     "fcc_forward", "fcc_inverse", "field_filters", "filter_of", "filtered", "filtered_medium", "fir_filter",
     "frequency_response", "gaussian", "halved", "interpolated", "limited", "most_levels",
-    "perona_malik", "pyramid", "quincunx_coarse", "quincunx_forward", "quincunx_inverse", "rebuilt", "resample",
+    "perona_malik", "pyramid", "quincunx_forward", "quincunx_inverse", "rebuilt", "resample",
 ]  # fmt: skip

@@ -17,12 +17,12 @@ Texture: section 3.2, "convolving the force field with a high-pass kernel". Depa
 leave its edges alone. It takes impulses, and what comes out is added to the amplitude along the force's own
 direction, where there is a force::
 
-    y = x (1 + t),    t = clip(g (h * s), -limit, limit),    g = rms / sqrt(density (1 - 1/taps))
+    y = x (1 + t),    t = clip(g (h * s), -1, 1),    g = rms / sqrt(density (1 - 1/taps))
 
 s is +1 or -1 at a share `density` of all grains and 0 at the others, drawn by a hash of the seed and the grain's
 place in the lattice, like the grain of wood: the texture neither flickers from frame to frame nor moves when a brick
-comes or goes. The clip acts from about rms > limit sqrt(density) on; what is added then has less than the RMS asked
-for. limit <= 1 keeps a force from being turned round.
+comes or goes. The clip, which keeps a force from being turned round, acts from about rms > sqrt(density) on; what is
+added then has less than the RMS asked for.
 """
 
 from __future__ import annotations
@@ -123,9 +123,8 @@ class TextureFilter(FieldFilter):
     kind: str = "salt-pepper"
     seed: int = 1  # 0 to 2^64 - 1
     density: float = 0.05  # share of the grains that hold an impulse, above 0, at most 1
-    rms: float = 0.1  # root mean square of what is added, as a share of the local |F|; 0 to `limit`
+    rms: float = 0.1  # root mean square of what is added, as a share of the local |F|; 0 to 1
     grain_m: float | None = None
-    limit: float = 1.0  # the most that is added or taken away, as a share of the local |F|; above 0, at most 1
 
     name: ClassVar[str] = "texture"
     summary: ClassVar[str] = "rough surface, salt-pepper:seed=1,density=0.05,rms=0.1,grain=1mm"
@@ -135,8 +134,8 @@ class TextureFilter(FieldFilter):
         require_one_of("texture kind", self.kind, KINDS)
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 1 << 64:
             raise InvalidArgument("texture seed", repr(self.seed), "a whole number from 0 to 2^64 - 1")
-        require_up_to(1, **{"texture density": self.density, "texture limit": self.limit})
-        require_between(0, self.limit, **{"texture rms": self.rms})
+        require_up_to(1, **{"texture density": self.density})
+        require_between(0, 1, **{"texture rms": self.rms})
         if self.grain_m is not None:
             require_positive(**{"texture grain_m": self.grain_m})
 
@@ -159,7 +158,7 @@ class TextureFilter(FieldFilter):
         forces = zero_forces(len(field.bricks))
         for begin in range(0, len(forces), _BRICKS_AT_ONCE):
             some = slice(begin, begin + _BRICKS_AT_ONCE)
-            factor = 1 + np.clip(self._shares(field.bricks[some], grain, half), -self.limit, self.limit)
+            factor = 1 + np.clip(self._shares(field.bricks[some], grain, half), -1.0, 1.0)
             with np.errstate(over="ignore"):
                 forces[some] = field.forces_n[some] * factor[..., None]
         without_overflow(forces, "--texture forces")

@@ -126,10 +126,6 @@ class DeviceFilter:
     placement: Placement
     spec: DeviceFilterSpec = DeviceFilterSpec()
 
-    def __post_init__(self) -> None:
-        if self.device.is_array and self.grid.shape[2] != 1:
-            raise InvalidArgument("grid of an array", f"{self.grid.shape[2]} samples deep", "one")
-
     def frames(self, scene: Scene, profile_hand: ForceProfile) -> Callable[[int], ForceField]:
         """M(W) by frame, newtons on the device's lattice; `profile_hand` is the law in hand metres.
 
@@ -348,11 +344,8 @@ def _provenance(mapping: DeviceFilter, pool: str) -> dict[str, str]:
 
 def same_lattice(a: Grid, b: Grid) -> bool:
     """Test that two lattices are one, to within a millionth of a sample."""
-    if a.shape != b.shape:
-        return False
-    first = np.abs(np.subtract(a.origin_m, b.origin_m)) / b.spacing_m
-    last = np.abs(a.to_m(np.subtract(a.shape, 1)) - b.to_m(np.subtract(b.shape, 1))) / b.spacing_m
-    return bool(max(first.max(), last.max()) < 1e-6)
+    ends = [np.stack([g.origin_m, g.to_m(np.subtract(g.shape, 1))]) for g in (a, b)]
+    return a.shape == b.shape and bool((np.abs(ends[0] - ends[1]) < 1e-6 * np.array(b.spacing_m)).all())
 
 
 def _padded(grid: Grid, margins: tuple[int, int, int]) -> Grid:

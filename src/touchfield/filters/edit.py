@@ -198,13 +198,10 @@ def edited_medium(
     stop = len(medium) if stop is None else stop
     if not 0 <= start < stop <= len(medium):
         raise InvalidArgument("frames to edit", f"{start}:{stop}", f"a range within 0:{len(medium)}")
-    if isinstance(operator, Composed) and isinstance(operator.other, HapticMedium):
-        other, needed = operator.other, stop - start
-        if other.grid != medium.grid:
-            raise InvalidArgument("compose", f"a medium on {other.grid}", f"one on {medium.grid}")
-        if len(other) < needed:
-            found = f"a medium of {len(other)} frames"
-            raise InvalidArgument("compose", found, f"at least the {needed} to be edited")
+    other = operator.other if isinstance(operator, Composed) else None
+    if isinstance(other, HapticMedium) and len(other) < stop - start:
+        found = f"a medium of {len(other)} frames"
+        raise InvalidArgument("compose", found, f"at least the {stop - start} to be edited")
 
     def make(i: int) -> ForceField:
         if not start <= i < stop:

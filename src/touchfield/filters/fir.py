@@ -1,8 +1,9 @@
 """Equation 4, the finite impulse response filter of a haptic medium, and 5, what it does to each frequency.
 
 y[n] = sum over k of h[k] x[n - k], componentwise, along any number of axes of space and time. Printed like this,
-with k = 0 .. N - 1, it is causal and moves the field by (N - 1)/2 samples; that is ``anchor="causal"``. The default,
-``anchor="centred"``, puts the middle tap over the sample, and needs an odd number of taps along each axis. What lies
+with k = 0 .. N - 1, it is causal and moves the signal by (N - 1)/2 samples; that is ``anchor="causal"``. The default,
+``anchor="centred"``, and the only one for a field, puts the middle tap over the sample, and needs an odd number of
+taps along each axis. What lies
 beyond the border is said by name (`touchfield.filters.separable`), which the paper leaves open.
 
 H(w1, ..) = sum over n of h[n] exp(-i (w1 n1 + ..)), frequencies in radians per sample (paper section 3.2).
@@ -13,7 +14,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, require_one_of
-from touchfield.files import require_plain
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import (
     BOUNDARIES,
@@ -63,7 +62,7 @@ def fir_filter(
         raise InvalidArgument("taps", f"{h.ndim} axes for a signal {x.shape}", f"at most {x.ndim}")
     origins = [n // 2 if anchor == "centred" else 0 for n in h.shape]
     for axis, (n, count) in enumerate(zip(h.shape, x.shape, strict=False)):
-        AxisTaps(np.ones(n), 0).check_fits(count, f"taps of axis {axis}")
+        AxisTaps(np.ones(n)).check_fits(count, f"taps of axis {axis}")
     with np.errstate(over="ignore", invalid="ignore"):
         sums = direct_sums(x, factors(h) or h, origins, boundary)
     return without_overflow(sums, "signal")
@@ -94,7 +93,7 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
         raise InvalidArgument("taps", f"an array {h.shape}", "at least one tap along each of one or more axes")
     require_one_of("anchor", anchor, ANCHORS)
     if anchor == "centred" and any(n % 2 == 0 for n in h.shape):
-        mend = 'An even kernel has no middle tap: add a zero, or take anchor="causal".'
+        mend = "An even kernel has no middle tap: add a zero."
         raise InvalidArgument("taps", f"{h.shape} taps to be centred", "an odd number along each axis", mend)
     return h
 
@@ -137,21 +136,18 @@ def _sums_along(x: NDArray[Any], weights: Float64s, origin: int, axis: int, boun
 class FirFilter(FieldFilter):
     """Equation 4 on the sparse bricks of a field; nothing is made dense.
 
-    taps : str; the taps of one axis, ``1/2/1``, applied along all three but those of a single sample; a box of taps
-        in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``; or a file NAME.npy with an array of one or
-        three axes.
-    anchor : {"centred", "causal"}
+    taps : str; the taps of one axis, ``1/2/1``, applied along all three but those of a single sample; or a box of
+        taps in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``.
     normalise : bool; scale the taps to unit sum, so that a constant field stays itself.
-    Raises `InvalidArgument` if the taps cannot be read, are not finite, even and to be centred, or of sum zero and to
-    be normalised; on use, if the kernel is larger than the field, or a sum is beyond float32.
+    Raises `InvalidArgument` if the taps cannot be read, are not finite, even, or of sum zero and to be normalised;
+    on use, if the kernel is larger than the field, or a sum is beyond float32.
     """
 
     name: ClassVar[str] = "fir"
-    summary: ClassVar[str] = "equation 4 with these taps: 1/2/1, or -1/2/-1,normalise=false, or taps=FILE.npy"
+    summary: ClassVar[str] = "equation 4 with these taps: 1/2/1, or -1/2/-1,normalise=false"
     example: ClassVar[str] = "1/2/1"
 
     taps: str
-    anchor: str = "centred"
     normalise: bool = True
 
     def __post_init__(self) -> None:
@@ -164,7 +160,7 @@ class FirFilter(FieldFilter):
     @cached_property
     def kernel(self) -> Float64s:
         """The taps as they were given, float64 [n] or [nx, ny, nz]."""
-        h = _checked_taps(_read_taps(self.taps), self.anchor)
+        h = _checked_taps(_read_taps(self.taps), "centred")
         if h.ndim not in (1, 3):
             raise InvalidArgument("--fir taps", f"an array of {h.ndim} axes", "one axis or three")
         return h
@@ -186,23 +182,21 @@ class FirFilter(FieldFilter):
         for axis, (row, count) in enumerate(zip(rows, grid.shape, strict=True)):
             if count == 1 and self.kernel.ndim == 1:
                 row = np.ones(1)
-            axes.append(AxisTaps(row, len(row) // 2 if self.anchor == "centred" else 0))
+            axes.append(AxisTaps(row))
             axes[-1].check_fits(count, f"--fir taps along {'xyz'[axis]}")
         return axes[0], axes[1], axes[2]
 
     def claims(self, grid: Grid) -> Claims:
-        """Linear, with the sum of the taps as its gain; the literal form moves the field by (N - 1)/2."""
+        """Linear, with the sum of the taps as its gain."""
         axes = self._axes(grid)
         parts = [a.taps for a in axes] if self._rows else [self._weights]
         gain, most = (math.prod(float(part.sum()) for part in each) for each in (parts, map(np.abs, parts)))
-        x, y, z = (0.0 if self.anchor == "centred" else (len(a.taps) - 1) / 2 for a in axes)
         return Claims(
             reach_of(axes),
             linear=True,
             dc_gain=gain,
             keeps_mean=abs(gain - 1) < 1e-9,
             max_principle=most < 1 + 1e-9,
-            shift=(x, y, z),
         )
 
     def __call__(self, field: ForceField) -> ForceField:
@@ -223,20 +217,14 @@ class FirFilter(FieldFilter):
         bricks = bricks_of(field.grid, keys_of_passes(field, axes)[3])
         weights, sums = np.flip(self._weights)[None, ..., None], zero_forces(len(bricks))
         middle = (slice(None), *(slice(n // 2, n // 2 + BRICK) for n in self.kernel.shape))
-        before, after = zip(*((a.before, a.origin) for a in axes), strict=True)
-        for span, blocks in blocks_around(field, field.forces_n, bricks, before, after):
+        reach = reach_of(axes)
+        for span, blocks in blocks_around(field, field.forces_n, bricks, reach, reach):
             sums[span] = ndimage.correlate(blocks, weights, mode="constant")[middle]
         return brick_field(field.grid, bricks, sums, np.asarray(sums.any(axis=(1, 2, 3, 4))))
 
 
 def _read_taps(text: str) -> Float64s:
-    """The taps of a text or a file, see `FirFilter`."""
-    if text.endswith(".npy"):
-        require_plain(text, "a .npy file")
-        try:
-            return np.asarray(np.load(Path(text), allow_pickle=False), np.float64)
-        except (OSError, ValueError, TypeError) as error:
-            raise InvalidArgument("--fir taps", f"{text}, which cannot be read: {error}", "a .npy file") from None
+    """The taps of a text, see `FirFilter`."""
     shape, colon, numbers = text.rpartition(":")
     try:
         row = np.array([float(part) for part in numbers.split("/")])

@@ -18,7 +18,7 @@ What lies in the diamond |w1| + |w2| <= pi, or the octahedron |w1| + |w2| + |w3|
 image: a pattern along an axis passes up to the full Nyquist rate. With P the mean of the cosines of w the coarse
 signal is seen through 1 + P/2 - P^2/2, which is far from steep.
 
-The multiresolution filter takes a field down the FCC chain, puts its details to zero and rebuilds it, all in place.
+The multiresolution filter takes a field down the FCC chain, puts its details to zero and rebuilds it.
 """
 
 from __future__ import annotations
@@ -30,17 +30,16 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Float32s, Int64s
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.medium import ForceField, Grid
-from touchfield.medium.field import brick_keys, dilated, frozen, slots_around
-from touchfield.parallel import for_chunks
+from touchfield.medium.budget import require_memory
 
 Site = tuple[int, ...]
 
 MAX_STAGES: Final = 60  # one site is left of any array long before; a stage without sites to drop does nothing
-_MAX_FILTER_STAGES: Final = 12  # four octaves; one more would reach beyond the next brick
+_MAX_FILTER_STAGES: Final = 12  # four octaves
+_DENSE_BYTES: Final = 60  # of a sample: a field, its coefficients, those of the level, and two of what is on its way
 _HEADROOM: Final = 2.0**-16  # of the range of a float: sums of neighbours, stage after stage, stay finite
 
 
@@ -64,14 +63,6 @@ class Split:
 def _signed(*places: Site) -> tuple[Site, ...]:
     """Each place with every choice of signs of its non-zero coordinates."""
     return tuple(sorted(o for p in places for o in product(*((-d, d) if d else (0,) for d in p))))
-
-
-@dataclass(frozen=True)
-class LatticeSamples:
-    """Values at the sites of a sublattice, in raster order."""
-
-    positions: Int64s  # [m, dimensions]; indices into the array
-    values: NDArray[Any]  # [m, ...]; with the components of the array
 
 
 @dataclass(frozen=True)
@@ -109,26 +100,16 @@ class Chain:
             _lift(values, split, self, "update", 1)
         return values
 
-    def inverse(self, coefficients: ArrayLike, stages: int, dtype: Any = None) -> NDArray[Any]:
+    def inverse(self, coefficients: ArrayLike, stages: int) -> NDArray[Any]:
         """The array whose coefficients `forward` gave for as many stages: bit-exact for whole numbers.
 
-        dtype : optional; the type to return, such as the one that `forward` was given; the working type by default.
-        Raises `InvalidArgument` as `forward`.
+        It is of the working type. Raises `InvalidArgument` as `forward`.
         """
         values = _checked(coefficients, self, "coefficients")
         for split in reversed(self.splits(whole_stages(stages))):
             _lift(values, split, self, "update", -1)
             _lift(values, split, self, "predict", 1)
-        return values if dtype is None else values.astype(dtype, copy=False)
-
-    def coarse(self, coefficients: ArrayLike, stages: int) -> LatticeSamples:
-        """The sites and values of the coarse signal of coefficients that `forward` gave for as many stages."""
-        values = _checked(coefficients, self, "coefficients")
-        splits = self.splits(whole_stages(stages))
-        is_kept = np.full(values.shape[: self.dimensions], not splits)
-        for residue in splits[-1].kept if splits else ():
-            is_kept[tuple(slice(r * splits[-1].scale, None, 2 * splits[-1].scale) for r in residue)] = True
-        return LatticeSamples(frozen(np.argwhere(is_kept)), frozen(values[is_kept]))
+        return values
 
 
 def whole_stages(stages: object, least: int = 0, most: int = MAX_STAGES) -> int:
@@ -208,8 +189,8 @@ FCC: Final = Chain(
     ),
 )
 
-quincunx_forward, quincunx_inverse, quincunx_coarse = QUINCUNX.forward, QUINCUNX.inverse, QUINCUNX.coarse
-fcc_forward, fcc_inverse, fcc_coarse = FCC.forward, FCC.inverse, FCC.coarse
+quincunx_forward, quincunx_inverse = QUINCUNX.forward, QUINCUNX.inverse
+fcc_forward, fcc_inverse = FCC.forward, FCC.inverse
 
 
 @dataclass(frozen=True)
@@ -217,7 +198,6 @@ class MultiresolutionFilter(FieldFilter):
     """The field at a coarser level of detail, on the same lattice.
 
     stages : int; 1 to 12; each halves the number of independent samples, three halve the resolution along each axis.
-    keep : str; "coarse", the level of detail; or "details", the field less that.
     """
 
     name: ClassVar[str] = "multiresolution"
@@ -225,47 +205,27 @@ class MultiresolutionFilter(FieldFilter):
     example: ClassVar[str] = "stages=3"
 
     stages: int = 3
-    keep: str = "coarse"
 
     def __post_init__(self) -> None:
         whole_stages(self.stages, 1, _MAX_FILTER_STAGES)
-        require_one_of("keep", self.keep, ("coarse", "details"))
 
     def claims(self, grid: Grid) -> Claims:
-        """Linear; a constant passes with gain 1 (as details: with 0). Short filters overshoot at a contact."""
-        coarse, far = self.keep == "coarse", [0, 0, 0]
+        """Linear; a constant passes with gain 1. Short filters overshoot at a contact."""
+        far = [0, 0, 0]
         for split in FCC.splits(self.stages):  # each stage takes a coarse site two neighbours far, and back one
             for axis in range(3):
                 if grid.shape[axis] > split.scale:
                     far[axis] += 3 * split.scale * max(o[axis] for o in split.offsets)
-        reach = (far[0], far[1], far[2])
-        return Claims(reach, linear=True, dc_gain=1.0 if coarse else 0.0, keeps_mean=coarse)
+        return Claims((far[0], far[1], far[2]), linear=True, dc_gain=1.0, keeps_mean=True)
 
     def __call__(self, field: ForceField) -> ForceField:
-        """See `FieldFilter`; the time goes with the number of bricks that a force may reach."""
-        grid, splits = field.grid, FCC.splits(self.stages)
-        bricks = dilated(grid, field.bricks, self.claims(grid).reach)
-        forces = field.forces_at(brick_keys(grid, bricks))
-        place = (bricks, slots_around(bricks, bricks, grid.brick_shape).astype(np.int32), grid.shape)
-        for split in splits:
-            _step(place, forces, split, "predict", 1.0, -1)
-            _step(place, forces, split, "update", 1.0, 1)
+        """See `FieldFilter`; dense on the way, `InvalidArgument` where the memory allowed is too small for that."""
+        require_memory("--multiresolution", "dense samples", _DENSE_BYTES * field.grid.voxel_count)
+        values, splits = FCC.forward(field.to_dense(), self.stages), FCC.splits(self.stages)
+        coarse, scale = np.zeros_like(values), splits[-1].scale
+        for residue in splits[-1].kept:
+            sites = tuple(slice(r * scale, None, 2 * scale) for r in residue)
+            coarse[sites] = values[sites]
         for split in reversed(splits):
-            _step(place, forces, split, "predict", 0.0, 1)  # the prediction in place of the detail
-        coarse = ForceField.from_bricks(grid, bricks, forces)
-        return coarse if self.keep == "coarse" else field + coarse.scaled(-1.0)
-
-
-def _step(place: Any, forces: Float32s, split: Split, kind: str, hold: float, sign: int) -> None:
-    from touchfield.filters.kernels import steps as kernels
-
-    offsets = split.offsets_in(place[2])
-    if not offsets:
-        return
-    starts = np.full((2, 2), -1, np.int64)
-    for x, y, z in split.details if kind == "predict" else split.kept:
-        starts[x, y] = z
-    bricks, slots, shape = place
-    weight = sign / (len(offsets) * (1 if kind == "predict" else 2))
-    law = split.scale, starts, np.array(offsets, np.int64), np.float32(hold), np.float32(weight)
-    for_chunks(kernels.lifted_bricks, len(bricks), bricks, slots, forces.reshape(-1), shape, *law, chunk=64)
+            _lift(coarse, split, FCC, "predict", 1)  # the prediction in place of the detail
+        return ForceField.from_dense(field.grid, coarse)

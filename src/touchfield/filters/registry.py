@@ -32,7 +32,6 @@ class Claims:
 
     reach : (int, int, int); along each axis no output sample depends on an input sample farther than this.
     dc_gain : float or None; what a constant field is multiplied by, clear of the border; None makes no claim.
-    shift : (float, float, float); by how many samples the literal causal form moves the field along each axis.
     """
 
     reach: tuple[int, int, int]
@@ -43,7 +42,6 @@ class Claims:
     keeps_support: bool = False  # a sample has a force only if it had one before
     keeps_direction: bool = False  # where both have a force, F' is parallel to F (or opposite)
     keeps_amplitude: bool = False  # where both have a force, |F'| = |F|
-    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class FieldFilter(ABC):
@@ -137,7 +135,10 @@ def _value(where: str, name: str, kind: Any, text: str) -> Any:
         raise InvalidArgument(where, repr(text), expected) from None
 
 
-_OF_OLD = ("boundary=zero", "region=support", "spread=false")
+_OF_OLD = (
+    "boundary=zero", "region=support", "spread=false", "truncate=4.0", "conductance=exponential", "keep=coarse",
+    "anchor=centred", "limit=1.0", "axes=xy",
+)  # fmt: skip
 
 _CLASSES = (
     "smoothing.GaussianFilter", "fir.FirFilter", "smoothing.ActuatorLowPass", "shading.ShadingFilter",

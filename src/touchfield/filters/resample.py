@@ -13,14 +13,13 @@ cut-off; overshoot in per cent of a step):
 kernel   -3 dB at at f_c  at 1.5f_c at 2f_c   overshoot half width
 ======== ======== ======= ========= ========= ========= ==========
 spline   0.71 f_c -6.0 dB -14.2 dB  -27.5 dB  0         0.64 / f_c
-gaussian 0.71 f_c -6.0 dB -13.5 dB  -24.1 dB  0         0.75 / f_c
 box      0.89 f_c -3.9 dB -10.5 dB  none left 0         0.25 / f_c
 sinc     0.90 f_c -6.0 dB -54 dB    -78 dB    7.6       2.00 / f_c
 ======== ======== ======= ========= ========= ========= ==========
 
 The default is the cubic B-spline. A field of forces jumps at a contact, and a kernel with negative lobes rings there;
 one that is never negative gives a mean of the forces around: no force turns round, none exceeds what was there, and
-the price is a blunter edge in frequency. Of the two such kernels with -6 dB at the cut-off the spline is the steeper.
+the price is a blunter edge in frequency.
 
 Trilinear interpolation is what a receiver renders between samples; it has no low-pass.
 
@@ -61,7 +60,6 @@ from touchfield.medium.grid import CORNERS, ON_A_SAMPLE
 MAX_WEIGHTS: Final = 1 << 24
 _BATCH: Final = 1 << 14
 _SPLINE_KNOT: Final = 0.3189166986852232  # sinc(f T)^4 = 1/2 at f T = this
-_GAUSSIAN_SIGMA: Final = math.sqrt(math.log(2) / 2) / math.pi  # exp(-2 (pi sigma f)^2) = 1/2 at f = 1
 _SINC_HALF_WIDTH: Final = 2.0
 _SINC_KAISER_BETA: Final = 5.0
 
@@ -82,10 +80,6 @@ def _spline(x: Float64s, h: float) -> Float64s:
     return np.where(a < 1, inner, outer)
 
 
-def _gaussian(x: Float64s, h: float) -> Float64s:
-    return np.asarray(np.exp(-0.5 * (x / _GAUSSIAN_SIGMA) ** 2))
-
-
 def _box(x: Float64s, h: float) -> Float64s:
     """The share of each sample's cell in the box, which is one cell of a lattice with that Nyquist rate."""
     overlap: Float64s = np.minimum(x + h / 2, 0.25) - np.maximum(x - h / 2, -0.25)
@@ -102,7 +96,6 @@ LOW_PASSES: Final = {
     kernel.name: kernel
     for kernel in (
         LowPass("spline", 2 * _SPLINE_KNOT, _spline),
-        LowPass("gaussian", 4 * _GAUSSIAN_SIGMA, _gaussian),
         LowPass("box", 0.25, _box),
         LowPass("sinc", _SINC_HALF_WIDTH, _sinc),
     )
@@ -169,18 +162,17 @@ def grid_weights(source: Grid, target: Grid, kernel: LowPass) -> list[AxisWeight
     return [axis_weights(ends[0][a], ends[1][a], kernel, 0.5 / target.spacing_m[a]) for a in range(3)]
 
 
-def resample(field: ForceField, grid: Grid, kernel: str | LowPass = "spline") -> ForceField:
+def resample(field: ForceField, grid: Grid, kernel: str = "spline") -> ForceField:
     """The field on another lattice, through a low-pass that cuts off at the lower of the two Nyquist rates.
 
     grid : Grid; the target, with the same axes and in the same metres.
-    kernel : str or LowPass; a name of `touchfield.filters.LOW_PASSES`, or a kernel.
+    kernel : str; a name of `touchfield.filters.LOW_PASSES`.
     Returns ForceField: On `grid`, linear in the field, the same bits for any number of threads.
     Raises `InvalidArgument` if there is no such kernel, or the target is too fine for a field of that size.
     """
     from touchfield.filters.kernels import forces as kernels
 
-    chosen = low_pass(kernel) if isinstance(kernel, str) else kernel
-    weights = grid_weights(field.grid, grid, chosen)
+    weights = grid_weights(field.grid, grid, low_pass(kernel))
     reach = [_reach(one, bricks) for one, bricks in zip(weights, field.grid.brick_shape)]
     bricks = bricks_within(grid, np.stack([row[field.bricks[:, a]] for a, row in enumerate(reach)], axis=1))
     own = brick_keys(field.grid, field.bricks)

@@ -1,7 +1,7 @@
 """Equation 4 where its kernel is a product of one row of taps for each axis (paper section 3.2), and the border.
 
 Three passes of N taps instead of one of N^3; each adds only the bricks that it reaches along its own axis. Departure
-from equation 4: the origin of the taps is free, so that a filter need not shift the field.
+from equation 4: the taps stand about the sample, so that a filter does not shift the field.
 
 What a filter sees beyond the border equation 4 leaves open. Four continuations of samples a b c d, with the names of
 `scipy.ndimage`, which calls "zero" "constant":
@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.errors import InvalidArgument
@@ -44,36 +43,23 @@ BOUNDARIES: Final = tuple(SCIPY_MODES)
 
 @dataclass(frozen=True)
 class AxisTaps:
-    """The taps of one axis: y[n] = sum over k of taps[k] x[n + origin - k]."""
+    """The taps of one axis about their middle: y[n] = sum over k of taps[k] x[n + reach - k]."""
 
-    taps: Float64s  # [N]; the impulse response h of equation 4
-    origin: int  # the tap over the sample itself: 0 for the causal form of equation 4, (N - 1) / 2 for the centred
+    taps: Float64s  # [N], N odd; the impulse response h of equation 4
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "taps", frozen(np.array(self.taps, np.float64)))
 
-    @classmethod
-    def centred(cls, taps: ArrayLike) -> AxisTaps:
-        """An odd number of taps about their middle."""
-        row = np.asarray(taps, np.float64)
-        return cls(row, len(row) // 2)
-
-    @property
-    def before(self) -> int:
-        """The distance back from a sample to the first one of its sum; `origin` is the one ahead to the last."""
-        return len(self.taps) - 1 - self.origin
-
     @property
     def reach(self) -> int:
-        """The greater of both distances."""
-        return max(self.before, self.origin)
+        """The distance from a sample to the first one of its sum, and to the last."""
+        return len(self.taps) // 2
 
-    def check_fits(
-        self, count: int, where: str, mend: str = "Take a shorter kernel, or a finer or larger field."
-    ) -> None:
+    def check_fits(self, count: int, where: str) -> None:
         """`InvalidArgument` naming `where` if there are more taps than samples along the axis."""
         if len(self.taps) > count:
             found = f"{len(self.taps)} taps along an axis of {count} samples"
+            mend = "Take a shorter kernel, or a finer or larger field."
             raise InvalidArgument(where, found, f"at most {count} taps", mend)
 
 
@@ -117,8 +103,8 @@ def keys_of_passes(field: ForceField, axes: Axes) -> list[Int64s]:
     lattice = field.grid.brick_shape
     keys = [brick_keys(field.grid, field.bricks)]
     for axis in range(3):
-        margins = -(-axes[axis].origin // BRICK), -(-axes[axis].before // BRICK)
-        keys.append(spread_keys(keys[-1], lattice, axis, margins))
+        margin = -(-axes[axis].reach // BRICK)
+        keys.append(spread_keys(keys[-1], lattice, axis, (margin, margin)))
     return keys
 
 
@@ -138,7 +124,7 @@ def sums_of_bricks(grid: Grid, forces_n: Float32s, axes: Axes, keys: list[Int64s
         place = np.flatnonzero(row)
         counts[axis] = len(place)
         places[axis, : len(place)], weights[axis, : len(place)] = place, row[place]
-    before, deep = [tuple(n) for n in zip(*((a.before, len(a.taps) - 1) for a in axes), strict=True)]
+    before, deep = [tuple(n) for n in zip(*((a.reach, len(a.taps) - 1) for a in axes), strict=True)]
     count, (_, columns, depth) = len(keys[3]), grid.brick_shape
     require_memory("force field", f"{count} bricks", count * BYTES_PER_BRICK)
     out = np.empty((count, BRICK, BRICK, BRICK, 3), np.float32)  # the kernel sets every row

@@ -16,14 +16,13 @@ Diffusion: Perona and Malik, "Scale-space and edge detection using anisotropic d
 equations 7 to 9, for vectors. In each step a sample takes from each neighbour j along the axes ::
 
     F_i  <-  F_i + sum_j lambda_ij g(|F_j - F_i|) (F_j - F_i)
-    g(d) = exp(-(d/kappa)^2)   "exponential", keeps high edges       g(d) = 1/(1 + (d/kappa)^2)   "rational"
+    g(d) = exp(-(d/kappa)^2)
 
 with one conductance g for the three components: a change of direction is an edge as much as one of amplitude. The sum
 of the forces stays, and no |F| exceeds what was there as long as lambda <= 1/(2 axes); at that limit a checkerboard
-never fades, and the default is 1/(2 axes + 1). With g = 1 (kappa = inf) n steps blur as a Gaussian of sigma = spacing
-sqrt(2 lambda n). Where spacings differ lambda along an axis is (finest spacing / spacing)^2 of the lambda asked for,
-a diffusion in metres; kappa is not divided by the spacing. Nothing crosses the border of the grid, nor the edge of
-the support.
+never fades, and lambda is 1/(2 axes + 1). With g = 1 (kappa = inf) n steps blur as a Gaussian of sigma = spacing
+sqrt(2 lambda n). Where spacings differ lambda along an axis is less by (finest spacing / spacing)^2, a diffusion in
+metres; kappa is not divided by the spacing. Nothing crosses the border of the grid, nor the edge of the support.
 """
 
 from __future__ import annotations
@@ -36,20 +35,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Bools, Float32s, Int32s
-from touchfield.errors import InvalidArgument, require_one_of, require_positive, require_up_to
+from touchfield.errors import InvalidArgument, require_one_of, require_positive
+from touchfield.filters.fir import without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
-from touchfield.filters.separable import AxisTaps, keys_of_passes, sums_of_bricks
+from touchfield.filters.separable import AxisTaps, keys_of_passes, reach_of, sums_of_bricks
+from touchfield.filters.smoothing import gaussian_taps
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.medium.budget import memory_budget_bytes, zero_forces
-from touchfield.medium.field import bricks_of, slots_around, tiled
-from touchfield.parallel import for_chunks, worker_count
+from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import bricks_of, numbers_of, slots_around, tiled
+from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
     from touchfield.filters.separable import Axes
 
 SMOOTHED: Final = ("both", "direction", "amplitude")
-MAX_TRUNCATE: Final = 16.0
-MAX_REACH: Final = 1 << 15
 _CANCELLED: Final = 1e-4  # a mean of unit vectors shorter than this has no direction but that of rounding
 
 
@@ -57,16 +56,13 @@ _CANCELLED: Final = 1e-4  # a mean of unit vectors shorter than this has no dire
 class ShadingFilter(FieldFilter):
     """Gaussian force shading.
 
-    sigma_m : float; of the Gaussian, metres. Facets vanish from about 0.4 of their edge on.
+    sigma_m : float; of the Gaussian, metres, cut off at 4 sigma. Facets vanish from about 0.4 of their edge on.
     smooth : str; "both"; "direction" keeps every amplitude, "amplitude" keeps every direction.
-    truncate : float; the Gaussian is 0 beyond so many sigma, above 0, at most 16.
-    Raises `InvalidArgument` if a value is out of range; on a call, if sigma is larger than the grid or reaches too
-    many samples.
+    Raises `InvalidArgument` if a value is out of range; on a call, if sigma reaches too many samples.
     """
 
     sigma_m: float
     smooth: str = "both"
-    truncate: float = 4.0
 
     name: ClassVar[str] = "shading"
     summary: ClassVar[str] = "smooth direction and amplitude apart within the support, 2mm or 2mm,smooth=direction"
@@ -75,14 +71,11 @@ class ShadingFilter(FieldFilter):
     def __post_init__(self) -> None:
         require_positive(**{"shading sigma_m": self.sigma_m})
         require_one_of("shading smooth", self.smooth, SMOOTHED)
-        require_up_to(MAX_TRUNCATE, **{"shading truncate": self.truncate})
 
     def claims(self, grid: Grid) -> Claims:
-        """The reach is truncate * sigma, rounded to samples; means of amplitudes never exceed the greatest."""
-        radii = [int(min(self.truncate * self.sigma_m / h + 0.5, 1 << 30)) for h in grid.spacing_m]
-        x, y, z = (min(radius, n - 1) for radius, n in zip(radii, grid.shape))
+        """Means of amplitudes never exceed the greatest."""
         return Claims(
-            reach=(x, y, z),
+            reach=reach_of(self._axes(grid)),
             dc_gain=1.0,
             max_principle=True,
             keeps_support=True,
@@ -94,7 +87,7 @@ class ShadingFilter(FieldFilter):
         """The shaded field, newtons, on the same grid."""
         if not field.support_count:
             return field
-        axes = self._axes(field)
+        axes = self._axes(field.grid)
         own = field.forces_n[field.mask].astype(np.float64)
         lengths_n = np.sqrt((own * own).sum(axis=1))
         scale_n = math.ldexp(1.0, math.frexp(float(lengths_n.max()))[1])
@@ -124,37 +117,18 @@ class ShadingFilter(FieldFilter):
         forces[reached] = unit * lengths_n[:, None]
         return ForceField.from_bricks(field.grid, field.bricks, forces)
 
-    def _axes(self, field: ForceField) -> Axes:
-        """The Gaussian along each axis, 1 in its middle; no longer than the support is."""
-        grid = field.grid
-        longest_m = max(h * n for h, n in zip(grid.spacing_m, grid.shape))
-        if self.sigma_m > longest_m:
-            expected = f"at most the longest edge of the grid, {longest_m:g} m"
-            raise InvalidArgument("shading sigma_m", f"{self.sigma_m:g} m", expected)
-        extents = (field.bricks.max(axis=0) - field.bricks.min(axis=0) + 1) * BRICK
-        rows, needed = [], self.claims(grid).reach
-        for spacing, extent, reach in zip(grid.spacing_m, extents.tolist(), needed):
-            reach = min(reach, extent - 1)
-            if reach > MAX_REACH:
-                found = f"{self.sigma_m:g} m, {reach} samples on either side"
-                raise InvalidArgument("shading sigma_m", found, f"a reach of up to {MAX_REACH} samples")
-            taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) * spacing / self.sigma_m) ** 2)
-            rows.append(AxisTaps.centred(taps))
-        # the rows that the passes of each thread keep at hand
-        wide, high, deep = (2 * -(-a.reach // BRICK) + 2 for a in rows)
-        row_bytes = (min(grid.brick_shape[2], 32) + deep) * BRICK * 12
-        taken, allowed = worker_count() * (wide + high) * BRICK**2 * row_bytes, memory_budget_bytes()
-        if taken > allowed:
-            found = f"{self.sigma_m:g} m, for whose reach the threads take {taken / 2**30:.1f} GiB"
-            mend = "Take a smaller sigma or truncate, or a coarser grid."
-            raise InvalidArgument("shading sigma_m", found, f"at most {allowed / 2**30:.1f} GiB", mend)
+    def _axes(self, grid: Grid) -> Axes:
+        """The Gaussian along each axis, no longer than the grid is."""
+        rows = []
+        for count, spacing_m in zip(grid.shape, grid.spacing_m, strict=True):
+            taps = gaussian_taps(self.sigma_m / spacing_m)
+            beyond = max(0, len(taps) // 2 - (count - 1))
+            rows.append(AxisTaps(taps[beyond : len(taps) - beyond]))
         return rows[0], rows[1], rows[2]
 
 
-CONDUCTANCES: Final = ("exponential", "rational")
 MAX_STEPS: Final = 10_000
 _LEAST_KAPPA: Final = 1e-30
-_MOST: Final = 1e37  # beyond, the difference of two float32 values may not be one
 
 
 @dataclass(frozen=True)
@@ -164,15 +138,11 @@ class DiffusionFilter(FieldFilter):
     kappa_n : float; newtons: of a difference to the next sample well below it little is left, well above it is an
         edge. inf makes every conductance 1.
     steps : int; 1 to 10000.
-    lam : float, optional; lambda along the axis with the finest spacing, above 0, at most 1/6; by default 1/7.
-    conductance : str; "exponential" or "rational".
     Raises `InvalidArgument` if a value is out of range; on a call, if the forces are too great for float32.
     """
 
     kappa_n: float
     steps: int = 10
-    lam: float | None = None
-    conductance: str = "exponential"
 
     name: ClassVar[str] = "perona-malik"
     summary: ClassVar[str] = "smooth within surfaces and keep edges, steps=10,kappa=0.3 (newtons)"
@@ -185,8 +155,6 @@ class DiffusionFilter(FieldFilter):
         if not self.kappa_n >= _LEAST_KAPPA:
             expected = f"newtons, {_LEAST_KAPPA:g} or more, or inf"
             raise InvalidArgument("perona-malik kappa_n", repr(self.kappa_n), expected)
-        require_one_of("perona-malik conductance", self.conductance, CONDUCTANCES)
-        _lambda(self.lam, 3)
 
     def claims(self, grid: Grid) -> Claims:
         """One sample further in each step, within the support."""
@@ -201,42 +169,28 @@ class DiffusionFilter(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """The diffused field, newtons, on the same grid."""
-        _check_size("forces_n", field.forces_n)
         # an axis of one sample has no edges, and its spacing does not count
         finest = min((h for h, n in zip(field.grid.spacing_m, field.grid.shape) if n > 1), default=1.0)
-        lam = [_lambda(self.lam, 3) * min(1.0, finest / h) ** 2 for h in field.grid.spacing_m]
+        lam = [min(1.0, finest / h) ** 2 / 7 for h in field.grid.spacing_m]
         forces = _diffused(field.grid, field.bricks, field.mask.copy(), field.forces_n.copy(), lam, self)
         return ForceField.from_bricks(field.grid, field.bricks, forces)
 
 
-def perona_malik(
-    values: ArrayLike,
-    *,
-    steps: int,
-    kappa_n: float,
-    lam: float | None = None,
-    conductance: str = "exponential",
-    where: ArrayLike | None = None,
-) -> Float32s:
+def perona_malik(values: ArrayLike, *, steps: int, kappa_n: float, where: ArrayLike | None = None) -> Float32s:
     """Perona-Malik diffusion of a dense array, sample by sample; see the head of this module.
 
     values : float array [nx, ny, nz, 3], or [nx], [nx, ny] or [nx, ny, nz]; taken as float32.
     steps : int; 1 to 10000.
     kappa_n : float; in the unit of the values; inf makes every conductance 1.
-    lam : float, optional; lambda, above 0, at most 1/(2 axes) of space; by default 1/(2 axes + 1).
-    conductance : str; "exponential" or "rational".
     where : bool array of the shape of space, optional; the samples that take part; nothing flows to or from the
         others. By default all.
     Returns float32: Of the shape of `values`; the same bits for any number of threads.
     Raises `InvalidArgument` if a value is out of range or not finite, or shapes do not fit.
     """
-    law = DiffusionFilter(kappa_n, steps, conductance=conductance)
-    array = np.array(values, np.float32)
+    law, array = DiffusionFilter(kappa_n, steps), numbers_of("values", values, np.float32, is_finite=True)
     if array.size == 0 or array.ndim not in (1, 2, 3, 4) or (array.ndim == 4 and array.shape[3] != 3):
         raise InvalidArgument("values", f"shape {array.shape}", "[nx, ny, nz, 3], or scalars with one to three axes")
-    _check_size("values", array)
     space = array.shape[:3]
-    factor = _lambda(lam, len(space))
     mask = np.ones(space, np.bool_) if where is None else np.array(where)
     if mask.shape != space or mask.dtype != np.bool_:
         raise InvalidArgument("where", f"{mask.dtype} {mask.shape}", f"bool {space}")
@@ -246,7 +200,7 @@ def perona_malik(
     support, forces = tiled(mask.reshape(lattice)).reshape(-1, *[BRICK] * 3), zero_forces(len(bricks))
     values_of = array.reshape(*lattice, -1)
     forces[..., : values_of.shape[3]] = tiled(values_of).reshape(len(bricks), *[BRICK] * 3, -1)
-    forces = _diffused(grid, bricks, support, forces, [factor] * 3, law)
+    forces = _diffused(grid, bricks, support, forces, [1 / (2 * len(space) + 1)] * 3, law)
     rows = np.moveaxis(forces.reshape(*grid.brick_shape, BRICK, BRICK, BRICK, 3), (1, 2), (2, 4))
     dense = rows.reshape(*(n * BRICK for n in grid.brick_shape), 3)[:nx, :ny, :nz, : values_of.shape[3]]
     return np.ascontiguousarray(dense).reshape(array.shape)
@@ -261,26 +215,10 @@ def _diffused(
     slots = slots_around(bricks, bricks, grid.brick_shape).astype(np.int32)
     count, out = len(bricks), zero_forces(len(bricks))
     x, y, z = (np.float32(part) for part in lam)
-    numbers = (x, y, z), np.float32(1 / law.kappa_n), law.conductance == "rational"
+    numbers = (x, y, z), np.float32(1 / law.kappa_n)
     takes_part = support.reshape(count, BRICK**3)
     for _ in range(law.steps):
         flat, into = (each.reshape(count, BRICK**3, 3) for each in (forces, out))
         for_chunks(kernels.diffused_bricks, count, slots, takes_part, flat, *numbers, into, chunk=32)
         forces, out = out, forces
-    return forces
-
-
-def _lambda(lam: float | None, axes: int) -> float:
-    """lambda, or its default, if it is within the stability limit of so many axes."""
-    if lam is None:
-        return 1 / (2 * axes + 1)
-    if not 0 < lam <= 1 / (2 * axes):
-        expected = f"above 0 and at most 1/{2 * axes}, the stability limit of {axes} axes"
-        raise InvalidArgument("perona-malik lam", repr(lam), expected)
-    return float(lam)
-
-
-def _check_size(what: str, values: Float32s) -> None:
-    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
-    if not (low >= -_MOST and high <= _MOST):  # also where one is NaN
-        raise InvalidArgument(what, f"values from {low:g} to {high:g}", f"finite values up to {_MOST:g}")
+    return without_overflow(forces, "perona-malik forces")

@@ -27,11 +27,10 @@ from touchfield.errors import (
     require_not_negative,
     require_one_of,
     require_positive,
-    require_up_to,
 )
 from touchfield.filters.fir import checked_signal, direct_sums, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
-from touchfield.filters.resample import LOW_PASSES
+from touchfield.filters.resample import LOW_PASSES, axis_weights, low_pass
 from touchfield.filters.separable import AxisTaps, filter_field, reach_of
 from touchfield.medium import ForceField, Grid
 
@@ -41,22 +40,16 @@ if TYPE_CHECKING:
 MAX_RADIUS_SAMPLES: Final = 1 << 15
 
 CUTOFFS: Final = {"nyquist": 0.5, "literal": 2.0}  # cut-off times pitch
-KERNELS: Final = ("firwin", *LOW_PASSES)
-AUTO: Final = "auto"  # not a kernel, but the choice of one by the grid: see `ActuatorLowPass`
-_FIRWIN_HALF_WIDTH: Final = 3.75  # over the cut-off in Nyquist rates: 31 taps at a quarter
-_MAX_TAPS: Final = 1 << 16
 
 
-def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> Float64s:
-    """The taps of one axis, unit sum, float64 [2 r + 1], with r = floor(truncate * sigma + 1/2).
+def gaussian_taps(sigma_samples: float) -> Float64s:
+    """The taps of one axis, unit sum, float64 [2 r + 1], with r = floor(4 sigma + 1/2).
 
     sigma_samples : float; standard deviation in samples, 0 or more; 0 gives the one tap that changes nothing.
-    truncate : float; where the kernel is cut off, in standard deviations.
-    Raises `InvalidArgument` if either is negative, not finite, or the radius exceeds 2^15 samples.
+    Raises `InvalidArgument` if it is negative, not finite, or the radius exceeds 2^15 samples.
     """
     require_not_negative(sigma_samples=sigma_samples)
-    require_positive(truncate=truncate)
-    radius = math.floor(min(truncate * sigma_samples, 1e9) + 0.5)
+    radius = math.floor(min(4.0 * sigma_samples, 1e9) + 0.5)
     if radius > MAX_RADIUS_SAMPLES:
         expected = f"a radius of up to {MAX_RADIUS_SAMPLES} samples"
         raise InvalidArgument("sigma_samples", f"{sigma_samples:g}", expected)
@@ -66,15 +59,12 @@ def gaussian_taps(sigma_samples: float, truncate: float = 4.0) -> Float64s:
     return np.asarray(taps / taps.sum())
 
 
-def gaussian(
-    signal: ArrayLike, sigma_samples: float | Sequence[float], *, truncate: float = 4.0, boundary: str = "zero"
-) -> NDArray[Any]:
+def gaussian(signal: ArrayLike, sigma_samples: float | Sequence[float], *, boundary: str = "zero") -> NDArray[Any]:
     """A dense array smoothed by a Gaussian.
 
     signal : float32, or taken as float64, N-D; a field [nx, ny, nz, 3], or scalars of any number of axes.
     sigma_samples : float or one for each leading axis; standard deviation in samples. One number holds for every axis
         but the components of a field: those are the last axis, of length 3, of an array of four.
-    truncate : float; where the kernel is cut off, in standard deviations.
     boundary : {"zero", "nearest", "reflect", "wrap"}; see `touchfield.filters.separable`.
     Returns float32 or float64: Of the signal's shape; the same bits for any number of threads.
     Raises `InvalidArgument` if a number is out of range or not finite, or the kernel is larger than the signal.
@@ -86,10 +76,10 @@ def gaussian(
         sigmas = [float(s) for s in sigma_samples]
     if not 1 <= len(sigmas) <= x.ndim:
         raise InvalidArgument("sigma_samples", f"{len(sigmas)} for an array {x.shape}", "one for each leading axis")
-    axes = [AxisTaps.centred(gaussian_taps(s, truncate)) for s in sigmas]
+    axes = [AxisTaps(gaussian_taps(s)) for s in sigmas]
     for axis, row in enumerate(axes):
         row.check_fits(x.shape[axis], f"sigma_samples of axis {axis}")
-    return without_overflow(direct_sums(x, [a.taps for a in axes], [a.origin for a in axes], boundary), "signal")
+    return without_overflow(direct_sums(x, [a.taps for a in axes], [a.reach for a in axes], boundary), "signal")
 
 
 class _LowPass(FieldFilter):
@@ -115,32 +105,28 @@ class _LowPass(FieldFilter):
 
 @dataclass(frozen=True)
 class GaussianFilter(_LowPass):
-    """Each component of the force smoothed by a Gaussian, on sparse bricks.
+    """Each component of the force smoothed by a Gaussian, cut off at 4 sigma, on sparse bricks.
 
     sigma_m : float; standard deviation, metres, positive; an axis of a single sample is left as it is.
-    truncate : float; where the kernel is cut off, in standard deviations.
-    Raises `InvalidArgument` if a number is out of range; on use, if the kernel or a sum does not fit the field.
+    Raises `InvalidArgument` if it is not positive; on use, if the kernel or a sum does not fit the field.
     """
 
     name: ClassVar[str] = "gaussian"
-    summary: ClassVar[str] = "smooth by a Gaussian of this standard deviation: 2mm, or sigma=2mm,truncate=3"
+    summary: ClassVar[str] = "smooth by a Gaussian of this standard deviation: 2mm"
     example: ClassVar[str] = "2mm"
 
     sigma_m: float
-    truncate: float = 4.0
 
     def __post_init__(self) -> None:
         if not (is_finite(self.sigma_m) and self.sigma_m > 0):
             raise InvalidArgument("--gaussian sigma", f"{self.sigma_m!r} m", "a positive length")
-        require_up_to(16, **{"--gaussian truncate": self.truncate})
 
     def taps(self, grid: Grid) -> Axes:
         """The taps along each axis of a grid."""
         rows = []
-        for axis, (count, spacing_m) in enumerate(zip(grid.shape, grid.spacing_m, strict=True)):
-            sigma = 0.0 if count == 1 else self.sigma_m / spacing_m
-            rows.append(AxisTaps.centred(gaussian_taps(sigma, self.truncate)))
-            rows[-1].check_fits(count, f"--gaussian sigma {self.sigma_m:g} m along {'xyz'[axis]}")
+        for axis, count, spacing_m in zip("xyz", grid.shape, grid.spacing_m, strict=True):
+            rows.append(AxisTaps(gaussian_taps(0.0 if count == 1 else self.sigma_m / spacing_m)))
+            rows[-1].check_fits(count, f"--gaussian sigma {self.sigma_m:g} m along {axis}")
         return rows[0], rows[1], rows[2]
 
 
@@ -154,91 +140,58 @@ def cutoff_per_m(pitch_m: float, cutoff: str = "nyquist") -> float:
     return CUTOFFS[cutoff] / pitch_m
 
 
-def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", kernel: str = "firwin") -> Float64s:
+def actuator_taps(spacing_m: float, pitch_m: float, cutoff: str = "nyquist", kernel: str = "sinc") -> Float64s:
     """The centred taps of one axis, unit sum, float64 [odd].
 
     spacing_m, pitch_m : float; distance between the field's samples, and between neighbouring actuators, metres.
     cutoff : {"nyquist", "literal"}; see `cutoff_per_m`.
-    kernel : str; "firwin" (a Hamming window, -6 dB at the cut-off, -54 dB at 1.5 times it, 31 taps where the cut-off
-        is a quarter of the field's Nyquist rate), or one of `touchfield.filters.LOW_PASSES`. It and "sinc" have
-        negative lobes: beside a contact they leave up to some per cent of its force turned round.
+    kernel : str; of `touchfield.filters.LOW_PASSES`. "sinc" has negative lobes: beside a contact they leave up to
+        some per cent of its force turned round.
     Raises `InvalidArgument` if the cut-off lies above the field's own Nyquist rate, or a value is out of range.
     """
     require_positive(spacing_m=spacing_m)
-    require_one_of("kernel", kernel, KERNELS)
-    ratio = cutoff_per_m(pitch_m, cutoff) * 2 * spacing_m
-    if ratio > 1 + 1e-9:
-        found = f"{pitch_m:g} m, whose {cutoff} cut-off is {ratio / (2 * spacing_m):g} cycles/m"
-        expected = f"a cut-off up to {0.5 / spacing_m:g} cycles/m, the Nyquist rate of samples {spacing_m:g} m apart"
-        mend = f"Take a pitch of at least {CUTOFFS[cutoff] * 2 * spacing_m:g} m, or a finer field."
+    wanted, most = cutoff_per_m(pitch_m, cutoff), 0.5 / spacing_m
+    if wanted > most * (1 + 1e-9):
+        found = f"{pitch_m:g} m, whose {cutoff} cut-off is {wanted:g} cycles/m"
+        expected = f"a cut-off up to {most:g} cycles/m, the Nyquist rate of samples {spacing_m:g} m apart"
+        mend = f"Take a pitch of at least {CUTOFFS[cutoff] / most:g} m, or a finer field."
         raise InvalidArgument("pitch_m", found, expected, mend)
-    if ratio > 1 - 1e-9:
+    if wanted > most * (1 - 1e-9):
         return np.ones(1)  # the samples are as far apart as the actuators: there is nothing finer
-    if _FIRWIN_HALF_WIDTH / ratio > _MAX_TAPS:
-        raise InvalidArgument("pitch_m", f"{pitch_m / spacing_m:g} samples", f"up to {_MAX_TAPS // 8} samples")
-    if kernel == "firwin":
-        from scipy import signal
-
-        half = math.ceil(_FIRWIN_HALF_WIDTH / ratio - 1e-9)
-        taps = np.asarray(signal.firwin(2 * half + 1, ratio), np.float64)
-    else:  # at the samples, which lie ratio/2 apart in units of 1 over the cut-off
-        chosen, step = LOW_PASSES[kernel], ratio / 2
-        radius = math.floor(chosen.half_width / step + (0.5 if kernel == "box" else 0.0))
-        taps = chosen.shape(np.arange(-radius, radius + 1, dtype=np.float64) * step, step)
-        taps = taps[1:-1] if radius and not taps[0] else taps
+    first, weights = axis_weights((0, spacing_m, 0.0), (1, pitch_m, 0.0), low_pass(kernel), wanted)
+    taps = weights[0, : 1 - 2 * first[0]].astype(np.float64)
     return np.asarray(taps / taps.sum())
 
 
 @dataclass(frozen=True)
 class ActuatorLowPass(_LowPass):
-    """The part of a field that an array of actuators of this pitch can show, on the field's own lattice.
+    """The part of a field that an array of actuators of this pitch along x and y can show, on its own lattice.
 
     pitch_m : float; distance between neighbouring actuators, metres, positive.
     cutoff : {"nyquist", "literal"}; 1/(2d), or the paper's 2/d, which aliases.
-    kernel : str; "firwin", or one of `touchfield.filters.LOW_PASSES`, see `actuator_taps`; or "auto":
-        "firwin" where its taps fit along every filtered axis (7.5 pitches, for "nyquist"), and else "spline", which
-        needs 2.6.
-    axes : str; the axes to filter: "xy", the plane that an array lies in, or "xyz" for actuators in space. An axis of
-        a single sample is left as it is.
+    kernel : str; of `touchfield.filters.LOW_PASSES`: "spline" spans 2.6 pitches for "nyquist", "sinc" 8. An
+        axis of a single sample is left as it is.
     Raises `InvalidArgument` if a value is out of range; on use, for a cut-off or a kernel beyond the field's own.
     """
 
     name: ClassVar[str] = "lowpass"
-    summary: ClassVar[str] = (
-        "what actuators this far apart can show: pitch=35mm, or pitch=35mm,axes=xyz,kernel=firwin"
-    )
+    summary: ClassVar[str] = "what actuators this far apart can show: pitch=35mm, or pitch=35mm,kernel=sinc"
     example: ClassVar[str] = "pitch=20mm"
 
     pitch_m: float
     cutoff: str = "nyquist"
-    kernel: str = "auto"
-    axes: str = "xy"
+    kernel: str = "spline"
 
     def __post_init__(self) -> None:
         cutoff_per_m(self.pitch_m, self.cutoff)
-        require_one_of("--lowpass kernel", self.kernel, (AUTO, *KERNELS))
-        if not self.axes or len(set(self.axes)) != len(self.axes) or not set(self.axes) <= set("xyz"):
-            raise InvalidArgument("--lowpass axes", repr(self.axes), "some of x, y and z, each once")
+        require_one_of("--lowpass kernel", self.kernel, LOW_PASSES)
 
     def taps(self, grid: Grid) -> Axes:
         """The taps along each axis of a grid; `InvalidArgument` also for a cut-off above its Nyquist rate."""
-        x, y, z = self._rows(grid, "firwin" if self.kernel == AUTO else self.kernel)
-        if self.kernel == AUTO and any(len(row.taps) > count for row, count in zip((x, y, z), grid.shape)):
-            x, y, z = self._rows(grid, "spline")
-        for axis, (row, count) in enumerate(zip((x, y, z), grid.shape)):
-            needed = len(self._rows(grid, "spline")[axis].taps) if len(row.taps) > count else 0
-            mend = "Take a smaller pitch or a larger field, or name the other axes only (axes=xy)."
-            if needed <= count and needed < len(row.taps):
-                mend = f"kernel=spline needs only {needed} taps."
-            row.check_fits(count, f"--lowpass pitch {self.pitch_m:g} m along {'xyz'[axis]}", mend)
-        return x, y, z
-
-    def _rows(self, grid: Grid, kernel: str) -> list[AxisTaps]:
-        """The taps of a kernel along each axis, whether or not they fit."""
-        return [
-            AxisTaps.centred(
-                actuator_taps(spacing_m, self.pitch_m, self.cutoff, kernel) if name in self.axes and count > 1
-                else np.ones(1)
-            )
-            for name, count, spacing_m in zip("xyz", grid.shape, grid.spacing_m, strict=True)
-        ]  # fmt: skip
+        rows = []
+        for axis, count, spacing_m in zip("xyz", grid.shape, grid.spacing_m, strict=True):
+            is_left = axis == "z" or count == 1
+            taps = np.ones(1) if is_left else actuator_taps(spacing_m, self.pitch_m, self.cutoff, self.kernel)
+            rows.append(AxisTaps(taps))
+            rows[-1].check_fits(count, f"--lowpass pitch {self.pitch_m:g} m along {axis}")
+        return rows[0], rows[1], rows[2]

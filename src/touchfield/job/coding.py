@@ -9,20 +9,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-import secrets
 import shutil
-import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from threading import Lock
 from typing import Any, Final, NamedTuple
-
-from numpy.typing import ArrayLike
 
 from touchfield._version import __version__
 from touchfield.codec.objects.encoder import ObjectsEncoder
@@ -31,7 +27,7 @@ from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
 from touchfield.job.executors import in_order
-from touchfield.job.prepare import Prepared, as_source, prepare
+from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
@@ -181,29 +177,21 @@ ALONE: Final = Lock()
 """A process makes and codes one stretch at a time, on all of its threads: sources are not made for more."""
 
 
-class Sent(NamedTuple):
-    """A source that can be sent to a worker: a path, an array with its grid, or a field."""
-
-    source: str | ArrayLike | ForceField
-    grid: Grid | None
-
-    @classmethod
-    def of(cls, source: object, grid: Grid | None) -> Sent:
-        """A path as any folder knows it; InvalidArgument for what cannot be sent."""
-        if isinstance(source, str | Path):
-            path = Path(source)
-            return cls(str(path.resolve()) if path.exists() else str(source), grid)
-        if isinstance(source, ForceField) or (grid is not None and not hasattr(source, "make_frame")):
-            return cls(source, grid)  # type: ignore[arg-type]
+def path_of(source: object) -> str:
+    """A path as workers in any folder know it; InvalidArgument for what they could not open."""
+    if not isinstance(source, str | Path):
         found = f"a {type(source).__name__}, which stays in its process"
-        raise InvalidArgument("source", found, "what workers can open: a path, an array and grid=, or a ForceField")
+        mend = "Write it first: touchfield.write_field."
+        raise InvalidArgument("source", found, "a path, which workers can open", mend)
+    path = Path(source)
+    return str(path.resolve()) if path.exists() else str(source)
 
 
 class Task(NamedTuple):
     """A stretch to be coded; `job` tells the tasks of one file from those of others."""
 
     job: str
-    sent: Sent
+    source: str
     spec: EncodeSpec
     stretch: Stretch
     version: str = __version__
@@ -220,13 +208,13 @@ _prepared: dict[str, Prepared] = {}
 """By the name of its job, what this process codes."""
 
 
-def prepared_here(job: str, sent: Sent, spec: EncodeSpec, version: str) -> Prepared:
+def prepared_here(job: str, source: str, spec: EncodeSpec, version: str) -> Prepared:
     """The source of a job, prepared once in each process; InvalidArgument if another version began the job."""
     if version != __version__:
         raise InvalidArgument("a worker", f"touchfield {__version__}", f"{version}, as where the job was begun")
     if job not in _prepared:
         _prepared.clear()
-        _prepared[job] = prepare(as_source(sent.source, spec.device, sent.grid), spec)
+        _prepared[job] = prepare(source, spec)
     return _prepared[job]
 
 
@@ -236,7 +224,7 @@ def code_part(task: Task) -> Part:
     At most the source, a frame and 1 GiB of fields are held. InvalidArgument if another version sent the task.
     """
     with ALONE:
-        prepared = prepared_here(task.job, task.sent, task.spec, task.version)
+        prepared = prepared_here(task.job, task.source, task.spec, task.version)
         medium = prepared.medium
         encoder = field_encoder(medium.grid, prepared.coding)
         groups = groups_of(medium, task.spec, encoder, task.stretch)
@@ -244,7 +232,7 @@ def code_part(task: Task) -> Part:
 
 
 def spread_voxels(
-    out: Path, sent: Sent, prepared: Prepared, provenance: Mapping[str, str], executor: Executor, report: Report
+    out: Path, source: str, prepared: Prepared, provenance: Mapping[str, str], executor: Executor, report: Report
 ) -> tuple[int, tuple[str, ...]]:
     """Write the voxel representation with the workers of an executor; samples with a force, and notes.
 
@@ -253,40 +241,35 @@ def spread_voxels(
     medium = prepared.medium
     encoder = field_encoder(medium.grid, prepared.coding)
     head = head_of(prepared, encoder)
-    with ExitStack() as stack:
-        job = name_of(sent, repr(head), dict(provenance))
-        if job is None:  # nobody could tell that it is the same source another time
-            folder, job = Path(stack.enter_context(tempfile.TemporaryDirectory())), secrets.token_hex(32)
-        else:
-            folder = Path(f"{out}.parts")
-            try:
-                folder.mkdir(exist_ok=True)
-            except OSError as error:
-                raise SourceError(str(folder), error.strerror or "an error", "a folder that can be made") from None
-        parts = _Parts(folder, head, job)
-        waiting: deque[Stretch] = deque()
-        every: list[Stretch] = []
+    job, folder = name_of(source, repr(head), dict(provenance)), Path(f"{out}.parts")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise SourceError(str(folder), error.strerror or "an error", "a folder that can be made") from None
+    parts = _Parts(folder, head, job)
+    waiting: deque[Stretch] = deque()
+    every: list[Stretch] = []
 
-        def tasks() -> Iterator[Task]:
-            cut = stretches(medium, prepared.spec, encoder)
-            while True:
-                with ALONE:  # this process may be a worker, too
-                    stretch = next(cut, (None,))[0]
-                if stretch is None:
-                    return
-                every.append(stretch)
-                if not parts.has(stretch):
-                    waiting.append(stretch)
-                    yield Task(job, sent, prepared.spec, stretch)
+    def tasks() -> Iterator[Task]:
+        cut = stretches(medium, prepared.spec, encoder)
+        while True:
+            with ALONE:  # this process may be a worker, too
+                stretch = next(cut, (None,))[0]
+            if stretch is None:
+                return
+            every.append(stretch)
+            if not parts.has(stretch):
+                waiting.append(stretch)
+                yield Task(job, source, prepared.spec, stretch)
 
-        notes: dict[str, None] = {}
-        for part in in_order(code_part, tasks(), executor=executor):
-            stretch = waiting.popleft()
-            parts.write(stretch, part)
-            notes.update(dict.fromkeys(part.notes))
-            report(stretch.stop, len(medium))
-        supported, lost = parts.join(out, every, provenance)
-        shutil.rmtree(folder, ignore_errors=True)
+    notes: dict[str, None] = {}
+    for part in in_order(code_part, tasks(), executor=executor):
+        stretch = waiting.popleft()
+        parts.write(stretch, part)
+        notes.update(dict.fromkeys(part.notes))
+        report(stretch.stop, len(medium))
+    supported, lost = parts.join(out, every, provenance)
+    shutil.rmtree(folder, ignore_errors=True)
     if parts.found:
         notes[f"{parts.found} of {len(every)} parts were there from an earlier run"] = None
     return supported, (*notes, *lost_notes(prepared, lost))
@@ -351,13 +334,11 @@ class _Parts:
             return [sum(column) for column in zip(*((one.supported, one.lost) for one in parts))]
 
 
-def name_of(sent: Sent, *asked: Any) -> str | None:
-    """A name for a job: what is asked, of which source, and how that is now; None where nobody could tell."""
-    if not isinstance(sent.source, str):
-        return None
-    path, state = Path(sent.source), []
+def name_of(source: str, *asked: Any) -> str:
+    """A name for a job: what is asked, of which source, and how that is now."""
+    path, state = Path(source), []
     files = sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() else []
     for file in files:
         state_of = file.stat()
         state.append((str(file), state_of.st_size, state_of.st_mtime_ns))
-    return hashlib.sha256(json.dumps([__version__, sent.source, state, *asked]).encode()).hexdigest()
+    return hashlib.sha256(json.dumps([__version__, source, state, *asked]).encode()).hexdigest()

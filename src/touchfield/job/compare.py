@@ -41,8 +41,6 @@ class Comparison:
 
     meter: FidelityMeter
     bits: BitAccount
-    bits_by_kind: dict[str, float]
-    entropy: SymbolCounter
     stream: dict[str, Any]
     drawn: tuple[int, ForceField, ForceField]
     notes: tuple[str, ...]
@@ -87,10 +85,6 @@ class Comparison:
             **{f"bits_{key}": getattr(b, key) for key in ("support", "amplitude", "direction")},
             "bits_side": b.side + b.models,
             "bits_poses": b.poses,
-            "bits_per_frame_by_kind": self.bits_by_kind,
-            "frame_kinds": s["frame_kinds"],
-            "entropy_voxel_bits": self.entropy.voxel_bits,
-            "entropy_object_bits": self.entropy.object_bits,
             **self.hand.summary(),
         }
 
@@ -138,13 +132,11 @@ def compare(
         floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
         masking = opened.masking if k is None and f0_n is None else None
         meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
-        hand, counter, supported = HandMeter(opened, scene, original.exact, slides), SymbolCounter(), 0
-        quantise = opened.quantiser()  # the entropies are of one random variable
+        hand, supported = HandMeter(opened, scene, original.exact, slides), 0
         for i in range(len(decoded)):
             x, y = original.medium[i], decoded[i]
             meter.add(x, y)
             hand.add(i, x, y)
-            counter.add(quantise(x), x.grid.voxel_count)
             supported += y.support_count
             if i == drawn_frame:
                 drawn = (i, x, y)
@@ -157,10 +149,10 @@ def compare(
                 f"the mask is that of the source with each body where the file has it, {1e6 * composed[1]:.1f} um off"
             )
             notes = (*notes, f"{text} at most; *_in_place are without that tolerance")
-        bits, by_kind, summary = opened.bits, opened.bits_by_kind(), opened.summary()
+        bits, summary = opened.bits, opened.summary()
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
-    return Comparison(meter, bits, by_kind, counter, summary, drawn, notes, hand.motion(), voxels, composed)
+    return Comparison(meter, bits, summary, drawn, notes, hand.motion(), voxels, composed)
 
 
 def source_medium(source: Source, opened: OpenStream, allow_outside: bool = False) -> Prepared:
@@ -250,23 +242,16 @@ class HandMeter:
         return HandMotion(self._slides.slides(), hold, vibration_threshold())
 
 
-def filter_report(
-    source: str | Path | Scene, spec: EncodeSpec, quantiser: FieldQuantiserSpec | None = None, report: Report = silent
-) -> Result:
+def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Report = silent) -> Result:
     """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
 
-    ``spec.paper.k`` is the Weber fraction of the mask; `quantiser`, the Q of the entropies, is by default fitted to
-    the device's F_max and kept for all stages. Each of ``stages`` tells its name, support, greatest and
-    root-mean-square force, entropies, and what changed against the medium before the chain: NMSE in dB, and the share
-    of voxels beyond the mask.
+    ``spec.paper.k`` is the Weber fraction of the mask; Q of the entropies is weber:0.1, up to the device's F_max, for
+    all stages. Each of ``stages`` tells its name, support, greatest and root-mean-square force, entropies, and what
+    changed against the medium before the chain: NMSE in dB, and the share of voxels beyond the mask.
     """
     prepared = prepare(source, replace(spec, filters=()))
     medium = prepared.medium
-    asked = quantiser or FieldQuantiserSpec()
-    if asked.form == "distinct":
-        expected = "one that also knows filtered forces, such as weber:0.1"
-        raise InvalidArgument("quantiser of the report", "distinct", expected)
-    quantise = asked.fit(medium, prepared.device.force_max_n)
+    quantise = FieldQuantiserSpec().fit(medium, prepared.device.force_max_n)
     chain, stages_of = spec.chain, _stages(prepared, spec.chain)
     gauges = [_Gauge(name, spec) for name in ("device filter", *(step.name for step in chain))]
     for i in range(len(medium)):

@@ -220,9 +220,6 @@ def edit(
         prepared, [source], medium, out, report,
         region=where.words, operators=list(operators), looked_at_frame=middle,
         samples_changed=(before.scaled(-1.0) + after).support_count,
-        samples_felt_before=before.support_count, samples_felt_after=after.support_count,
-        greatest_n_before=float(before.support().amplitudes_n.max(initial=0.0)),
-        greatest_n_after=float(after.support().amplitudes_n.max(initial=0.0)),
     )  # fmt: skip
     is_lossy = prepared.spec.coder == "touch" and prepared.spec.touch.mode != "lossless"
     if is_lossy and where != Everywhere() and done.path.suffix == ".touch":

@@ -22,11 +22,11 @@ from touchfield.container import TouchWriter
 from touchfield.container.remote import is_remote, sender
 from touchfield.errors import InvalidArgument, require_ending
 from touchfield.job.coding import (
-    Sent,
     coded_segments,
     groups_of,
     head_of,
     lost_notes,
+    path_of,
     spread_voxels,
     stretches,
     written,
@@ -96,9 +96,9 @@ def encode(
 
     A path, a scene, a medium, a field or an array: a medium and a field keep their lattice and forces; an array of
     newtons [nx, ny, nz, 3] or, at 30 frames a second, [frame, nx, ny, nz, 3] is one on `grid`. `report` gets ``(done,
-    total)`` in frames. With `executor`, any of `concurrent.futures`, its workers code a path, an array or a field,
-    each a stretch of the frames; the bytes are the same. What they finished before an error stays in ``OUT.parts``,
-    and the same call goes on from there. `out` may lie in a store of objects (``s3://...``, extra ``remote``): the
+    total)`` in frames. With `executor`, any of `concurrent.futures`, its workers open a path and code stretches of
+    its frames; the bytes are the same. What they finished before an error stays in ``OUT.parts``, and the same call
+    goes on from there. `out` may lie in a store of objects (``s3://...``, extra ``remote``): the
     file is made as ``NAME.unsent`` in the working folder, sent as a whole, and removed; it stays there if it cannot
     be sent. TouchfieldError if anything is at fault; nothing is then left under the name `out`.
     """
@@ -116,7 +116,7 @@ def encode(
         if executor is not None:
             done = replace(done, told=("Objects take one process: no worker was asked",))
     else:
-        supported, notes = spread_voxels(here, Sent.of(source, grid), prepared, story, executor, report)
+        supported, notes = spread_voxels(here, path_of(source), prepared, story, executor, report)
         done = Encoded(prepared, here.stat().st_size, 0.0, supported, notes)
     done = replace(done, encode_s=time.perf_counter() - began)
     if send is not None:

@@ -5,7 +5,7 @@ stream + trajectory of a probe -> force over time -> .hjif, .wav                
 stream -> the page in the browser -> .html                                        `export`
 .hjif, .hmpg, .ahap -> drives -> symbolic medium -> stream   `import_effect`
 
-The force over time is that of the field where the probe is, at every tick of the file, a thousand a second or more
+The force over time is that of the field where the probe is, at every tick of the file, a thousand a second
 (fewer beyond 65 s), the probe going straight from one sample to the next and waiting at the first. What the receiver
 adds, friction, damping and its device's limits, depends on the hand: only what exceeds the peak is shortened to it.
 """
@@ -30,7 +30,6 @@ from touchfield.adapters.effect_files import (
     write_wav_array,
 )
 from touchfield.adapters.hjif_import import read_hjif_array
-from touchfield.adapters.hjif_read import MAX_TIMESCALE
 from touchfield.adapters.hjif_write import MAX_SPAN_TICKS, write_hjif_array, write_hjif_force
 from touchfield.adapters.symbolic import (
     DEFAULT_RATE_HZ,
@@ -242,12 +241,9 @@ def _export_force(
 
 
 def _ticks_per_second(trace: Trace) -> int:
-    """A thousand, more where the probe was seen more often, fewer where so many would not go into one effect."""
-    gaps, seconds = np.diff(trace.times_s), float(trace.times_s[-1])
-    usual_s = float(np.median(gaps)) if len(gaps) else 1.0
-    wanted = round(min(max(1 / max(usual_s, 1e-9), HAPTIC_RATE_HZ), MAX_TIMESCALE))
-    if seconds * wanted > MAX_SPAN_TICKS:
-        wanted = math.floor(MAX_SPAN_TICKS / seconds)
+    """A thousand, fewer where so many would not go into one effect."""
+    seconds = float(trace.times_s[-1])
+    wanted = min(round(HAPTIC_RATE_HZ), math.floor(MAX_SPAN_TICKS / max(seconds, 1.0)))
     if wanted < 1:
         raise InvalidArgument("trajectory", f"{seconds:g} s", f"at most {MAX_SPAN_TICKS} s", "Cut it.")
     return wanted

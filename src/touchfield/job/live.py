@@ -20,7 +20,7 @@ from typing import Any, Final
 from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.vibration import encode_vibration
-from touchfield.errors import InvalidArgument, require_between, require_kinds
+from touchfield.errors import InvalidArgument, require_between, require_kinds, require_one_of
 from touchfield.filters.resample import pyramid, rebuilt
 from touchfield.job.coding import head_of
 from touchfield.job.editing import detail_level
@@ -69,7 +69,6 @@ class Sent:
     segments: int = 0
     sent_bytes: int = 0
     left_out: int = 0
-    slowest_encode_s: float = 0.0
     coarse_bytes: int = 0
 
     def leave_out(self, frames: int, why: str, tell: Callable[[str], None]) -> None:
@@ -84,10 +83,10 @@ class Sent:
 
 
 def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSender]:
-    """A source that is prepared as voxels, and a sender that has its opening."""
-    if spec.coder == "touch":  # what is live has no time for a search
-        spec = replace(spec, touch=replace(spec.touch, effort="fast"))
-    spec = replace(spec, representation="voxel")
+    """A source that is prepared as voxels, and a sender that has its opening; InvalidArgument for another coder."""
+    require_one_of("coder of a live stream", spec.coder, ("touch",))
+    # what is live has no time for a search
+    spec = replace(spec, representation="voxel", touch=replace(spec.touch, effort="fast"))
     prepared = prepare(captured(source, spec.source) or as_source(source, spec.device), spec)
     return prepared, _sender(source, prepared)
 
@@ -109,9 +108,8 @@ def coarse_layer(source: Source, prepared: Prepared) -> tuple[Prepared, LiveSend
         raise InvalidArgument("--coarse", f"a lattice of {fine.grid.shape} samples", "one that can be halved")
     meter, first = FidelityMeter(spec.k, spec.f0_n or EncodeSpec().f0_n), fine[0]
     meter.add(first, rebuilt(_coarse(first), fine.grid))
-    if spec.coder == "touch":
-        k, f0_n = min(2 * spec.touch.k, 0.5), 2 * spec.touch.f0_n
-        spec = replace(spec, touch=replace(spec.touch, k=k, f0_n=f0_n, mode="mask"))
+    k, f0_n = min(2 * spec.touch.k, 0.5), 2 * spec.touch.f0_n
+    spec = replace(spec, touch=replace(spec.touch, k=k, f0_n=f0_n, mode="mask"))
     coarse = replace(prepared, medium=detail_level(fine, 1), spec=spec, scene=None, exact=None, source=None)
     layer = f"half of {fine.grid.words}; NMSE of the first frame {meter.nmse_db:.1f} dB"
     return coarse, _sender(source, coarse, layer=layer)
@@ -193,7 +191,7 @@ class _Lane:
     ) -> None:
         self.sent, self.is_late = Sent(), False
         self._send, self._clock_s, self._make = send, clock_s, make
-        self._encoder: Any = field_encoder(prepared.medium.grid, prepared.coding)
+        self._encoder = TouchEncoder(prepared.medium.grid, prepared.coding)
         self._force_max_n = prepared.device.force_max_n
         self._anchor: ForceField | None = None
         self._under_way: deque[Future[None]] = deque()
@@ -202,10 +200,7 @@ class _Lane:
     def warm(self, frame: ForceField) -> float:
         """Code two frames that nobody gets; seconds of one."""
         began, frames = self._clock_s(), [self._make(frame)] * 2
-        if isinstance(self._encoder, TouchEncoder):
-            self._encoder.encode_segment(frames, self._encoder.anchor(*frames), self._force_max_n)
-        else:
-            self._encoder.encode_segment(frames)
+        self._encoder.encode_segment(frames, self._encoder.anchor(*frames), self._force_max_n)
         return (self._clock_s() - began) / 2
 
     def begin(self, first: int, band: list[VibrationFrame]) -> SimpleQueue[ForceField | None]:
@@ -220,31 +215,14 @@ class _Lane:
 
     def _deliver(self, first: int, coming: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> None:
         """Code and send the frames that come; nothing where there are none, as the source ended before."""
-        count, spent = 0, 0.0
-
-        def next_frames() -> Iterator[ForceField]:
-            nonlocal count, spent
-            for frame in map(self._make, iter(coming.get, None)):
-                count += 1
-                began = self._clock_s()
-                yield frame
-                spent += self._clock_s() - began
-
-        frames = next_frames()
+        frames = map(self._make, iter(coming.get, None))
         start = next(frames, None)
         if start is None:
             return
-        every = chain([start], frames)
-        if isinstance(self._encoder, TouchEncoder):  # codes a frame while the next one is made
-            self._anchor = self._encoder.anchor(start, self._anchor)  # of a world that stands
-            body = self._encoder.encode_segment(every, self._anchor, self._force_max_n).body
-        else:
-            came = list(every)
-            began = self._clock_s()
-            body = self._encoder.encode_segment(came).body
-            spent = self._clock_s() - began
-        segment, sent = LiveSegment(first, count, body, encode_vibration(band) if band else None), self.sent
-        sent.slowest_encode_s = max(sent.slowest_encode_s, spent)
+        self._anchor = self._encoder.anchor(start, self._anchor)  # of a world that stands
+        coded = self._encoder.encode_segment(chain([start], frames), self._anchor, self._force_max_n)
+        count, beside, sent = len(coded.frames), encode_vibration(band) if band else None, self.sent
+        segment = LiveSegment(first, count, coded.body, beside)
         self._send(segment)
         sent.sent_bytes += len(segment.body) + len(segment.vibration or b"")
         sent.segments, sent.frames = sent.segments + 1, sent.frames + count

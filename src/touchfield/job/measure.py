@@ -15,8 +15,6 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from touchfield.asked import option
 from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.codec.registry import coder
@@ -28,7 +26,7 @@ from touchfield.job.prepare import StreamScene, is_stream, prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
 from touchfield.measure.counts import Counts
-from touchfield.measure.estimators import ESTIMATORS, binary_entropy_bits
+from touchfield.measure.estimators import ESTIMATORS
 from touchfield.measure.field_count import field_counts, shared_counts
 from touchfield.measure.information import (
     conditional_entropy,
@@ -40,7 +38,7 @@ from touchfield.measure.information import (
 from touchfield.measure.interaction import interaction_entropy
 from touchfield.measure.limits import CodingLimits, coding_limits
 from touchfield.measure.passivity import Passivity, passivity
-from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity
+from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.parallel import Report, silent
@@ -99,7 +97,6 @@ class Measurement:
             "voxels_per_frame": self.voxels,
             "supported_voxels": self.supported_voxels,
             "occupancy": self.occupancy,
-            "occupancy_entropy_bits": binary_entropy_bits(self.occupancy),
             "entropy": self.entropy.summary(),
             "entropy_voxel": self.voxel.summary(),
             "entropy_object": self.object.summary(),
@@ -279,15 +276,8 @@ def _capacity(
     rendered_counts = field_counts(frames, overs=("voxel",))["voxel"]
     rendered = entropy(rendered_counts, estimator=spec.estimator).times(voxels, "bit/frame", "H(M(W))")
     most = codomain_bits(voxels, quantise.alphabet)
-    is_same = reference.medium.grid.shape == shown.medium.grid.shape and reference.quantiser.words == quantise.words
-    if is_same and all(
-        np.array_equal(x.bricks, y.bricks) and np.array_equal(x.symbols, y.symbols)
-        for x, y in zip(reference, frames, strict=True)
-    ):  # no loss has to be estimated
-        ratio: Interval | None = Interval(1.0, 1.0, 1.0, "M(W) and W have the same symbols everywhere")
-    else:
-        both = shared_counts((reference, frames), (shown.own_grid, shown.medium.grid), (counts, rendered_counts))
-        per_lattice = reference.medium.grid.voxel_count, voxels
-        ratio = None if both is None else paired_ratio(both, per_lattice, most, spec.estimator)
+    both = shared_counts((reference, frames), (shown.own_grid, shown.medium.grid), (counts, rendered_counts))
+    per_lattice = reference.medium.grid.voxel_count, voxels
+    ratio = None if both is None else paired_ratio(both, per_lattice, most, spec.estimator)
     result = capacity(per_frame, rendered, most, ratio=ratio)
     return result, (*shown.notes, *result.notes, f"its Q is {quantise.words}")

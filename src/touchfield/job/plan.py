@@ -128,16 +128,14 @@ class Trial:
     """One setting, as `touchfield.job.encode` takes it, and what came of it.
 
     `file_bytes` are the file of a still medium, or of a medium that moves a segment of `frames` in a long stream.
-    Measured on the finest lattice are `nmse`, sum |e|^2 / sum |F|^2; `beyond_mask`, the voxels that differ by more
-    than a hand can feel over those that held a force, which can exceed 1; and `mask_kept`, the share of the voxels
-    whose error no hand can feel.
+    Measured on the finest lattice are `nmse`, sum |e|^2 / sum |F|^2, and `mask_kept`, the share of the voxels whose
+    error no hand can feel.
     """
 
     spec: EncodeSpec
     file_bytes: int
     frames: int
     nmse: float
-    beyond_mask: float
     rate_hz: float = 1.0
     mask_kept: float = 1.0
 
@@ -181,7 +179,6 @@ class Trial:
             "bits_per_frame": self.bits_per_frame,
             "nmse": self.nmse,
             "nmse_db": self.nmse_db if self.nmse > 0 else None,
-            "beyond_mask": self.beyond_mask,
             "mask_kept": self.mask_kept,
         }
 
@@ -201,7 +198,7 @@ class Trial:
 class Plan:
     """All settings that were tried, in the order of the search, and the best within a budget.
 
-    `k` and `f0_n` are the mask of `Trial.beyond_mask` and `Trial.mask_kept`; `unit` is the budget's, "bit/s", or
+    `k` and `f0_n` are the mask of `Trial.mask_kept`; `unit` is the budget's, "bit/s", or
     "bytes" for a still medium. InvalidArgument if no setting is within the budget; it names the smallest.
     """
 
@@ -426,8 +423,7 @@ def _trial(setting: tuple[Lattice, EncodeSpec]) -> Trial:
             meter.add(original, field if same else interpolated(field, original.grid, border="cell"))
     size = round(_SEGMENT_BYTES + _FILE_BYTES * length / lattice.frames + bits / 8 / len(pairs))
     nmse = 0.0 if meter.nmse_db is None else 10 ** (meter.nmse_db / 10)
-    beyond = meter.mask_violations / max(1, meter.supported_voxels)
-    return Trial(spec, size, length, nmse, beyond, lattice.rate_hz, 1 - meter.mask_violation_share)
+    return Trial(spec, size, length, nmse, lattice.rate_hz, 1 - meter.mask_violation_share)
 
 
 def amount(cost: float, unit: str) -> str:

@@ -23,7 +23,6 @@ from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_between
 from touchfield.filters.registry import noted
 from touchfield.job.editing import _write, fidelity_of, read_medium, spread
-from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.prepare import Prepared
 from touchfield.job.result import Result
 from touchfield.job.spec import EncodeSpec, ReductionSpec
@@ -32,7 +31,6 @@ from touchfield.measure.interaction import visits
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.atomic import atomic_path
 from touchfield.medium.budget import memory_budget_bytes
-from touchfield.medium.grid import BRICK
 from touchfield.medium.trace import ContactTrace, read_trace
 from touchfield.parallel import Report, silent
 from touchfield.reduction import Hand, Reduced, freedom, held_out, reach_of, reduced
@@ -40,20 +38,10 @@ from touchfield.reduction.kernel_points import Kernel, best_kernel, error_points
 from touchfield.reduction.modes import ModePoints, mode_points, pod
 from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.sources.contact_trace import CurlFree, recorded_contacts, require_contacts, thinned_contacts
-from touchfield.viewer.plots import draw_points
 
 _HAND_KG, _INERTIA_KG = 0.05, 0.045  # as `touchfield.render.spec` has them, the second of the least device
 _SPEED_M_S: Final = 0.2  # the fastest slide of `touchfield.perception.hand_motion`
 _PUSH_SHARE: Final = 0.25  # of a device's greatest force, where its continuous one is not known
-
-
-@dataclass(frozen=True, kw_only=True)
-class Reduction(Result):
-    """Findings for people and programs; singular values, the frame in the middle, and what of it is felt."""
-
-    values: Float64s
-    field: ForceField
-    felt: Bools
 
 
 def hand_of(known: Device, spec: ReductionSpec) -> Hand:
@@ -81,7 +69,7 @@ def reduce_medium(
     spec: ReductionSpec | None = None,
     coder: EncodeSpec | None = None,
     report: Report = silent,
-) -> Reduction:
+) -> Result:
     """Modes, degrees of freedom and what no hand can feel of a medium; `out` and `cull` are written if named.
 
     TouchfieldError if anything is at fault; nothing is then left under these names.
@@ -111,18 +99,12 @@ def reduce_medium(
         left_out["never_visited"] = ~binary_dilation(near, np.ones((3, 3, 3), bool), iterations=2)
         notes += ("what the hand of --trace never came near is left out, too: nothing is promised to another",)
     felt = ~np.logical_or.reduce(list(left_out.values()))
-    over = "voxel" if trace is None else f"interaction:{spec.trace}"
-    bits = measure_medium(medium, MeasureSpec("weber:0.1", over, limits=False, encode=prepared.spec))
-    every, kept = (np.unique(np.argwhere(own) // BRICK, axis=0) for own in (held, held & felt))
     shown |= {
-        "entropy_bits_per_voxel": bits.voxel.value,
-        **({} if trace is None else {"entropy_bits_per_visit": bits.entropy.value}),
         "hand": hand.words,
         "stopping_force_n": reach.stopped_n,
         "supported_samples": int(np.count_nonzero(held)),
         **{f"{name}_samples": int(np.count_nonzero(held & own)) for name, own in left_out.items()},
         "felt_samples": int(np.count_nonzero(held & felt)),
-        "bricks_left_out": len(every) - len(kept),
     }
     if cull is not None:
         done = _write(prepared, [source], culled(medium, felt), cull, report)
@@ -136,7 +118,7 @@ def reduce_medium(
         done = _write(prepared, [source], rebuilt, out, report)
         shown |= {"file": str(done.path), "file_bytes": done.path.stat().st_size}
         notes += done.notes
-    return Reduction(shown, notes, values=approximation.modes.values, field=medium[len(medium) // 2], felt=felt)
+    return Result(shown, notes)
 
 
 def _modes(prepared: Prepared, spec: ReductionSpec) -> tuple[Reduced, dict[str, Any]]:
@@ -187,13 +169,6 @@ class FewestPoints(Result):
     """Points of a medium or a recording, in the order they were chosen."""
 
     points_m: Float64s = field(repr=False)  # [n, 3]
-    places_m: Float64s = field(repr=False)  # [m, 3]; where the field is known
-    forces_n: Float64s = field(repr=False)  # [m, 3]; there, in the frame that is drawn
-    rebuilt_n: Float64s | None = field(default=None, repr=False)  # likewise; None of points yet to be measured
-
-    def draw(self, path: Path, mask: tuple[float, float]) -> None:
-        """Write the picture, PNG: the field, the field rebuilt and the error in units of the mask (k, F_0)."""
-        draw_points(path, self.points_m, self.places_m, self.forces_n, self.rebuilt_n, mask)
 
 
 class _Domain:
@@ -271,7 +246,6 @@ def fewest_points(
             measured = domain.forces_n(one)[chosen].astype(np.float64)
             return np.asarray(by_modes.modes.rebuild(by_modes.coefficients(measured)).reshape(-1, 3))
 
-        back = rebuild(given.medium[len(given.medium) // 2])
     meter = FidelityMeter(given.spec.k, given.spec.f0_n or EncodeSpec().f0_n)
     words = noted(given.medium.provenance, "edits", f"rebuilt from {count} points")
     medium = replace(given.medium, vibration=None, segments=None, provenance=words)
@@ -281,8 +255,7 @@ def fewest_points(
         report(n + 1, len(frames))
     figures = {"points": count, "samples": len(middle), "frames_learnt": len(frames), **shown}
     figures |= {name: getattr(meter, name) for name in ("nmse_db", "worst_mask_ratio", "mask_violation_share")}
-    places_m = domain.places_m
-    done = FewestPoints(figures, points_m=places_m[chosen], places_m=places_m, forces_n=middle, rebuilt_n=back)
+    done = FewestPoints(figures, points_m=domain.places_m[chosen])
     if out is None or Path(out).suffix == ".csv":
         return _with_points(done, out, middle[chosen])
     written = _write(given, [source], medium, out, report)
@@ -299,9 +272,7 @@ def _of_recording(trace: ContactTrace, source: str, count: int, out: str | Path 
     chosen, kernel, back = _kept(trace.positions_m, trace.forces_n, count)
     error, whole = ((back - trace.forces_n) ** 2).sum(), (trace.forces_n**2).sum()
     shown = {"points": count, "samples": len(back), **_words(kernel), "nmse_db": _db(error / whole)}
-    places_m, forces_n = trace.positions_m, trace.forces_n
-    done = FewestPoints(shown, points_m=places_m[chosen], places_m=places_m, forces_n=forces_n, rebuilt_n=back)
-    return _with_points(done, out, forces_n[chosen])
+    return _with_points(FewestPoints(shown, points_m=trace.positions_m[chosen]), out, trace.forces_n[chosen])
 
 
 def _kept(points_m: Float64s, forces_n: Float64s, count: int) -> tuple[Int64s, Kernel, Float64s]:
@@ -367,7 +338,7 @@ def next_points(source: str | Path, count: int, measured: str | Path | None = No
         "deviation_nowhere_measured_n": interpolant.scale_n * 3**0.5,
         "next": rows,
     }
-    return FewestPoints(shown, points_m=every[chosen], places_m=known.positions_m, forces_n=known.forces_n)
+    return FewestPoints(shown, points_m=every[chosen])
 
 
 def _words(kernel: Kernel, criterion: str = "error") -> dict[str, Any]:

@@ -7,7 +7,6 @@ import platform
 import shutil
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
@@ -68,12 +67,10 @@ def library_checks() -> list[Check]:
 
 
 def host_checks() -> list[Check]:
-    """Checks of the machine for a loop of 1 kHz; takes a quarter of a second."""
+    """Checks of the machine for a loop of 1 kHz."""
     cores = worker_count()
-    checks = [
-        Check("two cores, one of them for the servo", cores > 1, f"{cores}", "Allow the process a second core.")
-    ]
-    checks.append(_realtime())
+    mend = "Allow the process a second core."
+    checks = [Check("two cores, one of them for the servo", cores > 1, f"{cores}", mend), _realtime()]
 
     what, latency = "processors that stay awake while the servo runs", Path("/dev/cpu_dma_latency")
     is_allowed = os.access(latency, os.W_OK)
@@ -105,22 +102,7 @@ def host_checks() -> list[Check]:
     places = [Path(named)] if named else [Path(__file__).parent, cache if cache.exists() else Path.home()]
     kept = next((place for place in places if os.access(place, os.W_OK)), None)
     mend = "Set NUMBA_CACHE_DIR to a folder of yours."
-    checks.append(Check(what, kept is not None, "not writeable" if kept is None else f"{kept}", mend))
-
-    late = sleep_lateness_us()
-    mend = "Close other programs, or take a machine that is not shared; see also SCHED_FIFO above."
-    what = "sleeps at normal priority end in time (99 % within 0.5 ms)"
-    return [*checks, Check(what, late <= 500, f"{late:.0f} us late", mend)]
-
-
-def sleep_lateness_us() -> float:
-    """By how much the worst but 1 % of 200 sleeps of 1 ms end late, microseconds."""
-    late = []
-    for _ in range(200):
-        began = time.perf_counter()
-        time.sleep(1e-3)
-        late.append(time.perf_counter() - began - 1e-3)
-    return 1e6 * sorted(late)[198]
+    return [*checks, Check(what, kept is not None, "not writeable" if kept is None else f"{kept}", mend)]
 
 
 def _realtime() -> Check:

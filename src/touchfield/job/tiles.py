@@ -8,7 +8,6 @@ shard. Nothing is as large as the lattice: a tile has at most 256^3 samples, and
 
 from __future__ import annotations
 
-import secrets
 import shutil
 import time
 from concurrent.futures import Executor
@@ -21,10 +20,10 @@ import numpy as np
 
 from touchfield._version import __version__
 from touchfield.errors import InvalidArgument, require_ending
-from touchfield.job.coding import ALONE, Sent, name_of, prepared_here
+from touchfield.job.coding import ALONE, name_of, path_of, prepared_here
 from touchfield.job.encode import Encoded
 from touchfield.job.executors import in_order
-from touchfield.job.prepare import as_source, prepare
+from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import Grid
 from touchfield.medium.zarr_store import boxes, create, whole_folder, write_box
@@ -37,7 +36,7 @@ class Tile(NamedTuple):
     """A part of a frame to be made: its first sample and its shape."""
 
     job: str
-    sent: Sent
+    source: str
     spec: EncodeSpec
     store: str
     frame: int
@@ -65,7 +64,7 @@ class Tiled(Encoded):
 
 
 def encode_tiles(
-    source: Any, out: Path, spec: EncodeSpec, report: Report = silent, executor: Executor | None = None
+    source: str | Path, out: Path, spec: EncodeSpec, report: Report = silent, executor: Executor | None = None
 ) -> Tiled:
     """Write a source as a zarr store whose chunks are of coder `touch`, tile by tile.
 
@@ -76,7 +75,7 @@ def encode_tiles(
     began = time.perf_counter()
     require_ending(out, "OUT.zarr")
     asked = replace(spec, representation="voxel")
-    prepared = prepare(as_source(source, spec.device), asked)
+    path, prepared = path_of(source), prepare(source, asked)
     for found, is_asked in (
         ("a haptic filter", bool(spec.chain)),
         ("a vibration", spec.vibration is not None),
@@ -88,20 +87,20 @@ def encode_tiles(
     ):
         if is_asked:
             raise InvalidArgument(str(out), found, "a scene for a point device, as it is", "Write OUT.touch.")
-    medium, sent = prepared.medium, Sent.of(source, None)
+    medium = prepared.medium
     settings = {key: getattr(spec.touch, key) for key in ("k", "f0_n", "mode", "effort")}
     settings["spacing_m"] = list(medium.grid.spacing_m)
     codec = {"name": "touchfield.touch", "configuration": settings}
     parts = list(boxes(medium.grid))
     total = len(medium) * len(parts)
     with whole_folder(out, is_kept=True) as store:
-        name = name_of(sent, asked.to_json(), medium.grid.words)
-        finished, job = _Finished(store, name or ""), name or secrets.token_hex(32)
+        job = name_of(path, asked.to_json(), medium.grid.words)
+        finished = _Finished(store, job)
         if not finished.counts:
             create(store, medium, prepared.placement.told(), codec)
         before = len(finished.counts)
         root, places = str(store.resolve()), product(range(len(medium)), parts)
-        every = (Tile(job, sent, asked, root, frame, *part) for frame, part in places)
+        every = (Tile(job, path, asked, root, frame, *part) for frame, part in places)
         left = [tile for tile in every if tile.place not in finished.counts]
         counts = map(make_tile, left) if executor is None else in_order(make_tile, left, executor=executor)
         for tile, count in zip(left, counts, strict=True):
@@ -121,7 +120,7 @@ class _Finished:
         self._file = store.with_name(f"{store.name}.txt")
         self.counts: dict[str, int] = {}
         lines = self._file.read_text("utf-8").splitlines() if self._file.is_file() and store.is_dir() else []
-        for line in lines[1:] if job and lines[:1] == [job] else ():
+        for line in lines[1:] if lines[:1] == [job] else ():
             place, _, count = line.partition(" ")
             if count.isdigit():  # the last line of a run that was killed may be cut
                 self.counts[place] = int(count)
@@ -141,7 +140,7 @@ class _Finished:
 def make_tile(tile: Tile) -> int:
     """Make, code and write a tile, in whichever process this is; how many of its samples hold a force."""
     with ALONE:
-        prepared = prepared_here(tile.job, tile.sent, tile.spec, tile.version)
+        prepared = prepared_here(tile.job, tile.source, tile.spec, tile.version)
         scene, mapping = prepared.source, prepared.mapping
         assert scene is not None and mapping is not None  # or it would have been refused
         forces, supported = np.zeros((*tile.shape, 3), np.float32), 0

@@ -43,8 +43,7 @@ class FieldSampler:
     """The force at a point and a time.
 
     Frame i lies at i / rate_hz. Before the first and after the last frame the field is that of the first and the
-    last; with `loop` the last frame is followed by the first one, so that a round takes frame_count / rate_hz. One
-    thread at a time; a batch itself runs on all cores.
+    last. One thread at a time; a batch itself runs on all cores.
 
     `memory_bytes` are for the latest fields, which are kept; blocks of two frames, one for `at`, one that it begins
     and one for all other queries, take as much each at most. A `deformation` bends a medium of voxels by its tracks.
@@ -67,7 +66,7 @@ class FieldSampler:
         self._low, self._high, self._base = _NEVER  # between which instants, in frames, `at` has all that it needs
         self._point: Any = None
 
-    def force_n(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> Float32s:
+    def force_n(self, time_s: ArrayLike, points_m: ArrayLike) -> Float32s:
         """Force, newtons, float32 [..., 3], at points float [..., 3], metres; one that is not finite has none.
 
         `time_s`, seconds, is one time for all points, or one for each.
@@ -76,24 +75,24 @@ class FieldSampler:
 
         times = numbers_of("time_s", time_s)
         if not times.ndim and self._is_voxels:
-            return self._voxels_n(float(times), _points(points_m, np.float32), loop)
-        return self._each(kernels.forces_at_points, times, points_m, loop, 3, np.float32)
+            return self._voxels_n(float(times), _points(points_m, np.float32))
+        return self._each(kernels.forces_at_points, times, points_m, 3, np.float32)
 
-    def gradient_n_per_m(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> Float64s:
+    def gradient_n_per_m(self, time_s: ArrayLike, points_m: ArrayLike) -> Float64s:
         """dF_i/dx_j, N/m, float64 [..., 3, 3]: the derivative of the interpolation; zeros where no force can be.
 
         On a plane of the lattice it is the one towards greater indices.
         """
         from touchfield.render.kernels import points as kernels
 
-        rows: Float64s = self._each(kernels.gradients_at_points, time_s, points_m, loop, 9, np.float64)
+        rows: Float64s = self._each(kernels.gradients_at_points, time_s, points_m, 9, np.float64)
         return rows.reshape(*rows.shape[:-1], 3, 3)
 
-    def vibration(self, time_s: ArrayLike, points_m: ArrayLike, loop: bool = False) -> tuple[Float32s, Float32s]:
+    def vibration(self, time_s: ArrayLike, points_m: ArrayLike) -> tuple[Float32s, Float32s]:
         """Amplitudes, newtons, and frequencies, Hz, of the vibration, each float32 [...]; zeros where none is."""
         from touchfield.render.kernels import points as kernels
 
-        both: Float32s = self._each(kernels.vibrations_at_points, time_s, points_m, loop, 2, np.float32)
+        both: Float32s = self._each(kernels.vibrations_at_points, time_s, points_m, 2, np.float32)
         return both[..., 0], both[..., 1]
 
     def at(self, time_s: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
@@ -115,16 +114,11 @@ class FieldSampler:
             force_n = self.at(*numbers_of("time_s, x_m, y_m, z_m", given, shape=(4,)).tolist())
         return force_n
 
-    def frames_at(self, time_s: float, loop: bool = False) -> tuple[Memory, int, int, float]:
-        """Block, words of two frames and blend of an instant, for compiled callers; valid until the next query."""
-        a, b, blend = self._instant(time_s, loop)
-        return *self._take(a, b)[:3], blend
-
     def _prepare(self, time_s: float) -> None:
         """Make `at` ready for the frames about an instant."""
         from touchfield.render.kernels.points import force_at_once
 
-        a, _, _ = self._instant(time_s, False)
+        a, _, _ = self._instant(time_s)
         b = min(a + 1, self._parts.frame_count - 1)
         self._low, self._high, self._base = _NEVER
         memory, first, second = self._pairs.take(a, b)[:3]
@@ -137,13 +131,13 @@ class FieldSampler:
         self._low = float(a) if a > 0 else -_ALWAYS
         self._high = float(b) if b < self._parts.frame_count - 1 else _ALWAYS
 
-    def _instant(self, time_s: float, loop: bool) -> tuple[int, int, float]:
+    def _instant(self, time_s: float) -> tuple[int, int, float]:
         """Two frames and the blend between them."""
-        firsts, blends = self._instants(time_s, (), loop)
+        firsts, blends = self._instants(time_s, ())
         a, blend = int(firsts[0]), float(blends[0])
-        return a, (a + 1) % self._parts.frame_count if blend else a, blend
+        return a, a + (blend > 0.0), blend
 
-    def _instants(self, time_s: ArrayLike, shape: tuple[int, ...], loop: bool) -> tuple[Int64s, Float64s]:
+    def _instants(self, time_s: ArrayLike, shape: tuple[int, ...]) -> tuple[Int64s, Float64s]:
         """First frames int64 [m] and blends [m] of one time, or of one for each of the points."""
         times = numbers_of("time_s", time_s)
         if times.ndim and times.shape != shape:
@@ -152,12 +146,11 @@ class FieldSampler:
             place = times.reshape(-1) * self._rate_hz
         if not np.isfinite(place).all():
             raise InvalidArgument("time_s", "a time that is not finite", "finite numbers of seconds")
-        count = self._parts.frame_count
-        place = place % count if loop else np.clip(place, 0.0, count - 1.0)
+        place = np.clip(place, 0.0, self._parts.frame_count - 1.0)
         firsts = (place + W.AT_A_FRAME).astype(np.int64)
         blends = place - firsts
         blends[blends <= W.AT_A_FRAME] = 0.0
-        return firsts % count, blends
+        return firsts, blends
 
     def _take(self, a: int, b: int) -> Pair:
         """Two frames for all queries but `at`; the latest are kept."""
@@ -165,11 +158,11 @@ class FieldSampler:
             self._latest = self._pairs.take(a, b, self._latest)
         return self._latest
 
-    def _voxels_n(self, time_s: float, points: NDArray[Any], loop: bool) -> Float32s:
+    def _voxels_n(self, time_s: float, points: NDArray[Any]) -> Float32s:
         """One field, or two that are blended, at many points of one instant."""
         from touchfield.render.kernels import points as kernels
 
-        a, b, blend = self._instant(time_s, loop)
+        a, b, blend = self._instant(time_s)
         pair = self._take(a, b)
         out = np.empty(points.shape, np.float32)
         flat, forces = points.reshape(-1, 3), out.reshape(-1, 3)
@@ -179,20 +172,20 @@ class FieldSampler:
         return out
 
     def _each(
-        self, kernel: Callable[..., Any], time_s: ArrayLike, points_m: ArrayLike, loop: bool, columns: int, dtype: Any
+        self, kernel: Callable[..., Any], time_s: ArrayLike, points_m: ArrayLike, columns: int, dtype: Any
     ) -> NDArray[Any]:
         """A kernel at all points; those between the same two frames together."""
         points = _points(points_m)
         flat = points.reshape(-1, 3)
         out = np.empty((len(flat), columns), dtype)
-        firsts, blends = self._instants(time_s, points.shape[:-1], loop)
+        firsts, blends = self._instants(time_s, points.shape[:-1])
         groups: list[Any] = [slice(None)]
         if len(blends) != 1:
             order = np.argsort(firsts, kind="stable")
             groups = np.split(order, np.flatnonzero(np.diff(firsts[order])) + 1) if len(order) else []
         for which in groups:
             a, shares, part = int(firsts[which][0]), blends[which], out[which]
-            memory, *frames = self._take(a, (a + 1) % self._parts.frame_count if shares.any() else a)[:3]
+            memory, *frames = self._take(a, a + bool(shares.any()))[:3]
             arguments = (flat[which], shares, *memory.views, *frames, part)
             for_chunks(kernel, len(part), *arguments, chunk=_POINTS_AT_ONCE // 4)
             out[which] = part
@@ -312,7 +305,7 @@ class DeviceSampler:
         self._latest: Pair | None = None
         self._views: tuple[Any, ...] = ()
 
-    def force_n(self, time_s: float, points_m: Any, loop: bool = False) -> Any:
+    def force_n(self, time_s: float, points_m: Any) -> Any:
         """Force, newtons, float32 [n, 3], on the device, with a ``__cuda_array_interface__``.
 
         Points, float64 [n, 3] in metres, are an array on a GPU of any library (``__dlpack__`` or
@@ -324,7 +317,7 @@ class DeviceSampler:
         if len(points_m.shape) != 2 or points_m.shape[1] != 3 or points_m.dtype != np.float64:
             found = f"{points_m.dtype}, shape {tuple(points_m.shape)}"
             raise InvalidArgument("points_m", found, "float64 [n, 3], metres")
-        a, b, blend = self._sampler._instant(time_s, loop)
+        a, b, blend = self._sampler._instant(time_s)
         pair = self._sampler._take(a, b)
         if self._latest is not pair:
             self._views, self._latest = on_device(tuple(pair.memory.views)), pair

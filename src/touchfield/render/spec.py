@@ -116,8 +116,6 @@ def write_parameters(
     """
     if device.is_array:
         raise DeviceError(device.name, "a type 2 device", "a type 1 device: a point that the hand moves")
-    if memory.words < W.FREE:
-        raise InvalidArgument("memory", f"{memory.words} words", f"at least {W.FREE}")
     words = memory.f8
     memory.i8[[W.MATERIAL, W.MATERIAL_COUNT]] = 0
     words[W.STATE : W.STATE + W.STATE_WORDS] = 0.0

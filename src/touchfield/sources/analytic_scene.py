@@ -22,7 +22,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,6 +30,7 @@ import numpy as np
 
 from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, require_one_of, require_positive
+from touchfield.json_values import JsonValue
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import field_of_points
 from touchfield.medium.pose_track import checked_rotation
@@ -120,44 +121,20 @@ class AnalyticScene(Scene):
 
 
 # -- from a file ---------------------------------------------------------------------------------------------
-def read_toml(path: Path, expected: str) -> dict[str, Any]:
+def read_toml(path: Path, expected: str) -> JsonValue:
     """The table of a TOML file of up to 16 MiB; `SourceError` if it cannot be read, is longer, or is no TOML."""
     try:
-        return tomllib.loads(read_text(path, _MAX_BYTES))
+        return JsonValue(tomllib.loads(read_text(path, _MAX_BYTES)), str(path))
     except (ValueError, RecursionError) as error:
         raise SourceError(str(path), f"no TOML ({error})", expected) from error
 
 
-def known(where: str, table: dict[str, Any], names: Iterable[str]) -> None:
-    """`SourceError` for a key that is not one of `names`."""
-    names = tuple(names)
-    for key in table:
-        if key not in names:
-            raise SourceError(f"{where}: {key}", "a key that is not known", f"one of {', '.join(names)}")
-
-
-def number(where: str, value: Any) -> float:
-    """A number of TOML as float; `SourceError` for anything else, true and false among it."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SourceError(where, repr(value)[:60], "a number")
-    try:
-        return float(value)
-    except OverflowError as error:
-        raise SourceError(where, "a number beyond all bounds", "a number") from error
-
-
-def text(where: str, value: Any) -> str:
-    """A text; `SourceError` for anything else."""
-    if not isinstance(value, str):
-        raise SourceError(where, repr(value)[:60], "a text")
-    return value
-
-
-def tables(where: str, value: Any, name: str) -> list[dict[str, Any]]:
-    """At least one table of ``[[name]]``; `SourceError` for anything else."""
+def tables(table: JsonValue, name: str) -> list[JsonValue]:
+    """At least one table of ``[[name]]``, called "name 1" and so on; `SourceError` for anything else."""
+    value = table.value.get(name)
     if not isinstance(value, list) or not value or not all(isinstance(entry, dict) for entry in value):
-        raise SourceError(f"{where}: {name}", "no list of tables", f"at least one [[{name}]] table")
-    return value
+        raise SourceError(f"{table.file}: {name}", "no list of tables", f"at least one [[{name}]] table")
+    return [JsonValue(entry, table.file, f"{name} {i}") for i, entry in enumerate(value, 1)]
 
 
 def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
@@ -167,41 +144,33 @@ def read_analytic(path: Path, rate_hz: float | None = None) -> AnalyticScene:
     thing.
     """
     table = read_toml(path, "a TOML file with [[shape]] tables")
-    known(f"{path}", table, ("axes", "rate_hz", "combine", "shape"))
-    entries = tables(f"{path}", table.get("shape"), "shape")
-    shapes = [shape_of_table(f"{path}: shape {i + 1}", entry) for i, entry in enumerate(entries)]
-    axes = text(f"{path}: axes", table.get("axes", UP_Y_AXES))
-    combine = text(f"{path}: combine", table.get("combine", "sum"))
-    rate = number(f"{path}: rate_hz", table["rate_hz"]) if "rate_hz" in table else rate_hz or 30.0
+    table.only(("axes", "rate_hz", "combine", "shape"))
+    shapes = [shape_of_table(entry) for entry in tables(table, "shape")]
+    axes, combine = table.at("axes", UP_Y_AXES).text(), table.at("combine", "sum").text()
+    rate = table.at("rate_hz", rate_hz or 30.0).number()
     with blamed_on(f"{path}: "):
         return AnalyticScene(shapes, combine, axes, rate)
 
 
-def shape_of_table(where: str, entry: dict[str, Any]) -> Shape:
+def shape_of_table(entry: JsonValue) -> Shape:
     """The shape that a table describes: its kind, and the parameters of that kind.
 
-    Raises `SourceError` if the kind is unknown, or a parameter is unknown, missing or at fault; it names `where` and
-    the key.
+    Raises `SourceError` if the kind is unknown, or a parameter is unknown, missing or at fault; it names the key.
     """
-    kind = entry.get("kind")
-    if not isinstance(kind, str) or kind not in SHAPES:
-        raise SourceError(f"{where}: kind", repr(kind), f"one of {', '.join(SHAPES)}")
-    shape_type = SHAPES[kind]
-    fields = dataclasses.fields(shape_type)  # type: ignore[arg-type]
-    known(where, entry, ("kind", *(f.name for f in fields)))
-    values = {}
+    kind = entry.at("kind").text(tuple(SHAPES))
+    fields = dataclasses.fields(SHAPES[kind])  # type: ignore[arg-type]
+    entry.only(("kind", *(f.name for f in fields)))
+    values: dict[str, Any] = {}
     for f in fields:
-        if f.name in entry:
-            value, place = entry[f.name], f"{where}: {f.name}"
-            is_list = isinstance(value, list)
-            values[f.name] = tuple(number(place, item) for item in value) if is_list else number(place, value)
-        elif f.default is dataclasses.MISSING:
-            raise SourceError(f"{where}: {f.name}", "nothing", f"a value; a {kind} needs it")
+        if f.name in entry.members() or f.default is dataclasses.MISSING:
+            value = entry.at(f.name)
+            is_list = isinstance(value.value, list)
+            values[f.name] = tuple(one.number() for one in value.each()) if is_list else value.number()
     try:
-        with blamed_on(f"{where}: "):
-            return shape_type(**values)
+        with blamed_on(f"{entry.file}: {entry.place}."):
+            return SHAPES[kind](**values)
     except (TypeError, ValueError) as error:
-        raise SourceError(where, "a number for a list, or a list for a number", f"the keys of a {kind}") from error
+        raise entry.wrong("a number for a list, or a list for a number", f"the keys of a {kind}") from error
 
 
 KIND = SourceKind(

@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, require_positive
-from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, bricks_of, field_that_holds
 from touchfield.parallel import for_chunks
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.camera import require_frame
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
 from touchfield.sources.shapes import Plane
 
 _AT_REST = (0.0,) * 9
-
-
-class _Part(NamedTuple):
-    """A body's field on a part of the lattice that begins at a brick, and the motion of its surface."""
-
-    field: ForceField
-    first: tuple[int, int, int]
-    motion: tuple[float, ...] = _AT_REST
+_Part = tuple[ForceField, tuple[float, ...]]  # a body's field, and the motion of its surface
 
 
 class BodyScene(MovingScene):
@@ -92,79 +82,42 @@ class BodyScene(MovingScene):
         """
         require_frame(frame, self.frame_count)
         still, moving = (np.flatnonzero(np.equal(self._still, which)).tolist() for which in (True, False))
-        parts = []
+        parts = list[_Part]()
         if still:
             if self._kept is None or self._kept[:2] != (grid, profile):
                 self._kept = grid, profile, _sum(grid, self._parts(still, 0, grid, profile))
-            parts = [_Part(self._kept[2], (0, 0, 0))]
+            parts = [(self._kept[2], _AT_REST)]
         return _sum(grid, [*parts, *self._parts(moving, frame, grid, profile)])
 
     def _parts(self, which: Iterable[int], frame: int, grid: Grid, profile: ForceProfile) -> list[_Part]:
-        parts = []
+        parts = list[_Part]()
         for n in which:
             body = self._bodies[n]
-            turn, shift = body.track.rotation(frame), body.track.positions_m[frame]
-            scene, part, first = body.scene, grid, (0, 0, 0)
-            reach_m = _reach_m(scene, profile)
-            if math.isfinite(reach_m):
-                low, high = _moved_boxes(scene.bounds_m(), turn[None], shift[None])
-                place = _part_of(grid, low[0] - reach_m, high[0] + reach_m)
-                if place is None:
-                    continue
-                part, first = place
+            turn, shift, scene = body.track.rotation(frame), body.track.positions_m[frame], body.scene
             if not (np.array_equal(turn, np.eye(3)) and not shift.any()):
                 scene = scene.moved(turn, shift)
-            field = scene.field(0 if body.is_rigid else frame, part, profile)
+            field = scene.field(0 if body.is_rigid else frame, grid, profile)
             motion, damping = _AT_REST, profile.surface_damping_n_s_per_m
             if damping and not self._still[n]:  # origin, b v and b omega
                 velocity, spin = (damping * values[frame] for values in self._velocities(n))
                 motion = tuple(np.concatenate([body.track.positions_m[frame], velocity, spin]).tolist())
-            parts.append(_Part(field, first, motion))
+            parts.append((field, motion))
         return parts
 
 
 def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:
-    """The sum of parts of a lattice."""
+    """The sum of fields on a lattice."""
     from touchfield.sources.kernels.points import add_body
 
-    if len(parts) == 1 and parts[0].field.grid == grid and parts[0].motion == _AT_REST:
-        return parts[0].field
-    places = [brick_keys(grid, part.field.bricks + np.array(part.first, np.int32)) for part in parts]
+    if len(parts) == 1 and parts[0][1] == _AT_REST:
+        return parts[0][0]
+    places = [brick_keys(grid, field.bricks) for field, _ in parts]
     keys = np.unique(np.concatenate([np.zeros(0, np.int64), *places]))
-    total = zero_forces(len(keys))
-    for part, place in zip(parts, places):
-        field, lattice = part.field, (*part.field.grid.origin_m, *part.field.grid.spacing_m)
-        work = field.bricks, field.forces_n, np.searchsorted(keys, place), lattice, part.motion, total
+    total, lattice = zero_forces(len(keys)), (*grid.origin_m, *grid.spacing_m)
+    for (field, motion), place in zip(parts, places):
+        work = field.bricks, field.forces_n, np.searchsorted(keys, place), lattice, motion, total
         for_chunks(add_body, len(place), *work, chunk=32)
     return field_that_holds(grid, bricks_of(grid, keys), total)
-
-
-def _reach_m(scene: Scene, profile: ForceProfile) -> float:
-    """Reach of forces beyond the scene's box, metres; inf where its box does not tell.
-
-    The distance to a shape with a formula may be a lower bound, and a plane has no box.
-    """
-    if isinstance(scene, AnalyticScene):
-        is_bounded = profile.high_m <= 0 and not any(isinstance(shape, Plane) for shape in scene.shapes)
-        return 0.0 if is_bounded else math.inf
-    if isinstance(scene, MeshScene):
-        behind = -profile.low_m if math.isfinite(profile.low_m) else 0.0  # a solid ends at its surface
-        return max(profile.high_m, 0.0) + max(behind, 0.0)
-    return math.inf
-
-
-def _part_of(grid: Grid, low_m: Float64s, high_m: Float64s) -> tuple[Grid, tuple[int, int, int]] | None:
-    """The bricks of a lattice that a box meets, as a lattice, and its first brick; None if there is none."""
-    shape = np.array(grid.shape)
-    begin = np.floor(np.clip(grid.to_index(low_m) - 1e-6, 0, shape)).astype(int) // BRICK
-    last = np.floor(np.clip(grid.to_index(high_m) + 1e-6, -1, shape - 1)).astype(int)
-    end = np.minimum((last // BRICK + 1) * BRICK, shape)
-    counts = end - begin * BRICK
-    if (counts <= 0).any() or (last < 0).any():
-        return None
-    x, y, z = begin.tolist()
-    i, j, k = counts.tolist()
-    return Grid((i, j, k), grid.spacing_m, tuple(grid.to_m(begin * BRICK).tolist())), (x, y, z)
 
 
 def _moved_boxes(box_m: Float64s, turns: Float64s, shifts_m: Float64s) -> tuple[Float64s, Float64s]:

@@ -124,25 +124,14 @@ class DepthCode:
         Unknown are 0, negative values and what is not finite; and 65535 in 16 bits, by the 7-Scenes and 3DMatch
         convention and as the end of the scale elsewhere.
         """
-        if values.dtype == np.uint16:
-            depth: Float32s = _table(self)[values]
-            return depth
+        if self.is_rotated:
+            values = ((values >> 3) | (values << 13)).astype(np.uint16)
         with np.errstate(over="ignore"):  # what float32 cannot hold becomes inf, and so unknown
-            depth = (values.astype(np.float64) / self.units_per_m).astype(np.float32, order="C")
+            depth: Float32s = np.divide(values, self.units_per_m, dtype=np.float64).astype(np.float32, order="C")
         depth[~(np.isfinite(depth) & (depth > 0))] = 0
+        if values.dtype == np.uint16:
+            depth[values == 0xFFFF] = 0
         return depth
-
-
-@lru_cache(maxsize=16)
-def _table(code: DepthCode) -> Float32s:
-    """Metres of all 65536 values: one look-up a pixel is the fastest way in numpy."""
-    values = np.arange(1 << 16, dtype=np.uint16)
-    if code.is_rotated:
-        values = ((values >> 3) | (values << 13)).astype(np.uint16)
-    table = code(values.astype(np.float64))
-    table[values == 0xFFFF] = 0
-    table.flags.writeable = False
-    return table
 
 
 class CodedSequence(DepthSequence):

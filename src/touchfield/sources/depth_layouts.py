@@ -6,8 +6,8 @@ redwood     Redwood (Choi et al., CVPR 2015) and Open3D.
 sun3d       SUN3D (Xiao et al., ICCV 2013), the recordings of the paper's section 5.2 ("hotel barcelona"):
             ``depth/FRAME-MICROSECONDS.png`` with rotated bits, and ``extrinsics/*.txt`` with the 3x4 camera-to-world
             matrices of all colour frames; of several files the last is the newest.
-3dmatch     3DMatch (Zeng et al., CVPR 2017) and 7-Scenes (Shotton et al., CVPR 2013); of ``seq-01``, ``seq-02``, ...
-            the first is read. ``camera-intrinsics.txt`` lies beside the frames or one folder up.
+3dmatch     3DMatch (Zeng et al., CVPR 2017) and 7-Scenes (Shotton et al., CVPR 2013), a part (``seq-01``) at a time.
+            ``camera-intrinsics.txt`` lies beside the frames or one folder up.
 depth-folder, depth-map, depth-stack, depth-video  Pictures of no data set. Scale and intrinsics must be said, or
             lie in a file; floats are metres. A stack is named *depth*: an NPY of heights over time is alike.
 
@@ -35,11 +35,9 @@ from touchfield.sources.pictures import (
     PICTURE_SUFFIXES,
     ArrayFrames,
     PictureFrames,
-    TiffFrames,
     contents,
     has_files,
     list_files,
-    page_sizes,
     picture_header,
 )
 from touchfield.sources.placed_frames import POSE_TOLERANCE_S, PlacedFrames, placed_frames, posed_frames
@@ -202,7 +200,7 @@ def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
     if options.reading == "height":
         from touchfield.sources.height_scene import HeightScene
 
-        return HeightScene.from_depth_sequence(sequence, options.exaggeration, options.segment)
+        return HeightScene.from_depth_sequence(sequence, options.exaggeration)
     from touchfield.sources.depth_scene import DepthScene
 
     is_alone = options.world == "frames" or options.frame == "camera" or len(sequence.key_frames()) == 1
@@ -300,14 +298,7 @@ def _extrinsics(path: Path, paths: tuple[Path, ...]) -> PlacedFrames | None:
 
 
 def _threedmatch(path: Path) -> Shots:
-    """Frames of a folder, or of the first of its parts, with a note."""
-    folder, notes = path, tuple[str, ...]()
-    if not has_files(path, _FRAME_PNG):
-        parts = [part for part in list_files(path, r"seq-\d+") if has_files(part, _FRAME_PNG)]
-        folder = parts[0] if parts else path
-        notes = (f"The first of {len(parts)} sequences, {folder.name}, is read.",) if len(parts) > 1 else ()
-    places = tuple(dict.fromkeys((folder, path)))
-    return Shots(list_files(folder, _FRAME_PNG), folder, places, (folder, folder.absolute().parent), None, notes)
+    return Shots(list_files(path, _FRAME_PNG), path, (path,), (path, path.absolute().parent))
 
 
 # -- pictures of no data set ---------------------------------------------------------------------------------
@@ -369,33 +360,23 @@ def _is_one(path: Path) -> bool:
 
 def _stack(path: Path) -> Shots:
     folder = (path.absolute().parent,)
-    is_tiff = path.suffix.lower() in (".tif", ".tiff")
-    frames = TiffFrames(path) if is_tiff else ArrayFrames(map_npy(path), path)
-    return Shots((), path, folder, folder, one_file=frames)
+    return Shots((), path, folder, folder, one_file=ArrayFrames(map_npy(path), path))
 
 
 def _is_stack(path: Path) -> bool:
-    if not _is_one(path) or path.suffix.lower() == ".png":
+    if not _is_one(path) or path.suffix.lower() != ".npy":
         return False
-    if path.suffix.lower() == ".npy":
-        with path.open("rb") as stream:
-            shape = read_npy_header(stream, str(path)).shape
-        return len(shape) == 3 and shape[2] != 1
-    if picture_header(path).channels != 1:
-        return False
-    sizes = page_sizes(path, most=2)
-    return len(sizes) > 1 and sizes[1] == sizes[0]  # an elevation model keeps smaller copies of itself as pages
-
-
-def _shallow(where: str, found: str) -> SourceError:
-    mend = "It looks like an ordinary video: take --as saliency, or --as relative-depth with its depth beside it."
-    return SourceError(where, found, "16-bit grey (gray16le, gray12le, ...)", mend)
+    with path.open("rb") as stream:
+        shape = read_npy_header(stream, str(path)).shape
+    return len(shape) == 3 and shape[2] != 1
 
 
 def _video(path: Path) -> Shots:
     header = video_header(path)
     if not header.is_deep_grey:
-        raise _shallow(str(path), f"{header.codec} video of {header.pixels} pixels")
+        found, expected = f"{header.codec} video of {header.pixels} pixels", "16-bit grey (gray16le, gray12le, ...)"
+        mend = "It looks like an ordinary video: take --as saliency, or --as relative-depth with its depth beside it."
+        raise SourceError(str(path), found, expected, mend)
     folder = (path.absolute().parent,)
     return Shots((), path, folder, folder, one_file=GreyVideo(path), rate_hz=header.rate_hz)
 
@@ -426,7 +407,7 @@ LAYOUTS: Final = (
     ),
     Layout(
         "3dmatch", "3DMatch or 7-Scenes sequence: a folder with frame-NNNNNN.depth.png (millimetres) and .pose.txt",
-        lambda path: path.is_dir() and bool(_threedmatch(path).paths), _threedmatch, 1000.0, _SEVEN_SCENES,
+        lambda path: has_files(path, _FRAME_PNG), _threedmatch, 1000.0, _SEVEN_SCENES,
     ),
     Layout(
         "depth-folder",
@@ -441,7 +422,7 @@ LAYOUTS: Final = (
     ),
     Layout(
         "depth-stack",
-        "depth frames in one file named *depth*: NPY [frames, height, width] in metres, or a TIFF of several pages",
+        "depth frames in one file named *depth*: NPY [frames, height, width] in metres",
         _is_stack, _stack, is_file=True,
     ),
     Layout(

@@ -9,11 +9,8 @@ from __future__ import annotations
 
 import base64
 import binascii
-import json
-import math
 import os
 import struct
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import unquote
@@ -24,6 +21,7 @@ from numpy.typing import NDArray
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import SourceError
 from touchfield.files import readable, require_beside, require_plain
+from touchfield.json_values import JsonValue, parsed
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _SPARE: Final = 1 << 20
@@ -38,69 +36,45 @@ HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights
 """Extensions that do not change where the triangles are, or that are understood."""
 
 
-@dataclass(frozen=True)
-class Element:
-    """A JSON object and where it stands ("Fox.glb, accessors[3]"): what is read is checked."""
+class Element(JsonValue):
+    """A value of a document, its `owner`."""
 
-    where: str
-    members: dict[str, Any]
-    document: Document = field(repr=False)
+    owner: Document
 
     def __contains__(self, key: str) -> bool:
-        return key in self.members
+        return key in self.members()
 
-    def fault(self, found: str, expected: str, mend: str = "") -> SourceError:
-        """The error to raise about this object."""
-        return SourceError(self.where, found, expected, mend)
-
-    def integer(self, key: str, default: int | None = None, *, least: int = 0) -> int:
-        """A whole number of at least `least`; without a default it must be there."""
-        value = self.members.get(key, default)
-        if value is None and key not in self.members:
-            raise self.fault(f"no {key}", f"a whole number of at least {least}")
-        number = _whole(value)
-        if number is None or (number < least and key in self.members):
-            raise self.fault(f"{key} {_shown(value)}", f"a whole number of at least {least}")
-        return number
+    def number_of(self, of: str | int) -> int:
+        """The number of one of a list of the document, or of `of` things."""
+        count = len(self.owner.all(of)) if isinstance(of, str) else of
+        if not count:
+            raise self.refused("none, as there are no such things")
+        return self.whole(0, count - 1)
 
     def index(self, key: str, of: str | int) -> int | None:
-        """The number of one of a list of the document, or of `of` things; None where there is none."""
-        return None if key not in self.members else self._within(key, self.members[key], of)
+        """The number of such a thing; None where there is none."""
+        value = self.get(key)
+        return None if value is None else value.number_of(of)
 
     def indices(self, key: str, of: str | int) -> list[int]:
         """Numbers of such things; none where there is no list."""
-        return [self._within(f"{key}[{i}]", value, of) for i, value in enumerate(self.list_of(key))]
+        return [value.number_of(of) for value in self.at(key, []).each()]
 
-    def _within(self, place: str, value: Any, of: str | int) -> int:
-        number, count = _whole(value), len(self.document.all(of)) if isinstance(of, str) else of
-        if number is None or not 0 <= number < count:
-            expected = f"0 to {count - 1}" if count else "none, as there are no such things"
-            raise self.fault(f"{place} {_shown(value)}", expected)
-        return number
+    def integer(self, key: str, default: int = -1, least: int = 0) -> int:
+        """A whole number of at least `least`; without a default it must be there."""
+        return default if default >= 0 and key not in self else self.at(key).whole(least, _LARGEST)
 
     def numbers(self, key: str, count: int) -> list[float] | None:
         """`count` finite numbers; None where there is no list."""
-        if key not in self.members:
-            return None
-        values = self.list_of(key)
-        if len(values) != count or not all(_is_finite(value) for value in values):
-            raise self.fault(f"{key} {_shown(values)}", f"{count} finite numbers")
-        return [float(value) for value in values]
+        value = self.get(key)
+        if value is not None and len(value.items()) != count:
+            raise value.wrong(f"{len(value.items())} numbers", f"{count} finite numbers")
+        return None if value is None else [one.number() for one in value.each()]
 
-    def text(self, key: str) -> str | None:
+    def word(self, key: str) -> str | None:
         """A string; None where there is none."""
-        value = self.members.get(key)
-        if value is not None and not isinstance(value, str):
-            raise self.fault(f"{key} {_shown(value)}", "a string")
-        return value
-
-    def child(self, key: str) -> Element | None:
-        """An object within this one; None where there is none."""
-        return None if key not in self.members else self._object(key, self.members[key])
-
-    def children(self, key: str) -> list[Element]:
-        """A list of objects within this one; none where there is no list."""
-        return [self._object(f"{key}[{i}]", value) for i, value in enumerate(self.list_of(key))]
+        value = self.get(key)
+        return None if value is None else value.text()
 
     def floats(self, key: str, kind: str) -> Float64s | None:
         """Numbers of the accessor that `key` names, float64 [count, width], read-only; None where there is none.
@@ -109,42 +83,12 @@ class Element:
         data are not there, or one of them is not finite.
         """
         number = self.index(key, "accessors")
-        return None if number is None else self.document.array(number, kind)
+        return None if number is None else self.owner.array(number, kind)
 
-    def whole(self, key: str, kind: str, below: int) -> Int64s | None:
+    def unsigned(self, key: str, kind: str, below: int) -> Int64s | None:
         """The unsigned numbers, each below `below`, of the accessor that `key` names, int64 [count, width]."""
         number = self.index(key, "accessors")
-        return None if number is None else self.document.array(number, kind, below)
-
-    def list_of(self, key: str) -> list[Any]:
-        """A list of anything; empty where there is none."""
-        values = self.members.get(key, [])
-        if not isinstance(values, list):
-            raise self.fault(f"{key} {_shown(values)}", "a list")
-        return values
-
-    def _object(self, place: str, value: Any) -> Element:
-        if not isinstance(value, dict):
-            raise self.fault(f"{place} {_shown(value)}", "a JSON object")
-        return Element(f"{self.where}, {place}", value, self.document)
-
-
-def _whole(value: Any) -> int | None:
-    """The whole number that a JSON number is; JSON does not tell 1 from 1.0."""
-    return int(value) if _is_finite(value) and value == int(value) and abs(value) <= _LARGEST else None
-
-
-def _is_finite(value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return math.isfinite(value) if isinstance(value, float) else abs(value) < 1 << 1000
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, list | dict):
-        return f"of {len(value)} entries"
-    text = ascii(value) if not isinstance(value, int) or abs(value) <= _LARGEST else "an enormous number"
-    return text if len(text) <= 40 else text[:40] + "..."
+        return None if number is None else self.owner.array(number, kind, below)
 
 
 class Document:
@@ -158,21 +102,21 @@ class Document:
     def __init__(self, path: Path) -> None:
         self._path = path
         members, self._chunk = contents(path)
-        self.root = Element(str(path), members, self)
+        self.root = Element(members, str(path), owner=self)
         self._buffers: dict[int, memoryview] = {}
         self._files: dict[Path, bytes] = {}
         self._arrays: dict[tuple[int, bool], Any] = {}
         self.size_bytes = path.stat().st_size
         self._asked = 0
-        asset = self.root.child("asset")
-        version = asset.text("version") if asset else None
+        asset = self.root.get("asset")
+        version = asset.word("version") if asset else None
         if version is not None and not version.startswith("2."):
-            raise self.root.fault(f"glTF version {version[:20]!r}", "version 2", "Convert it to glTF 2.0.")
-        for name in map(str, self.root.list_of("extensionsRequired")):
+            raise self.root.wrong(f"glTF version {version[:20]!r}", "version 2", "Convert it to glTF 2.0.")
+        for name in map(str, self.root.at("extensionsRequired", []).items()):
             if not name.startswith(HARMLESS):
                 found = f"the required extension {name[:60]!r}"
-                raise self.root.fault(found, "a mesh without it", "Export it without extensions.")
-        self._elements = {key: self.root.children(key) for key in _LISTS}
+                raise self.root.wrong(found, "a mesh without it", "Export it without extensions.")
+        self._elements = {key: [*self.root.at(key, []).each()] for key in _LISTS}
 
     def all(self, key: str) -> list[Element]:
         """The objects of a top-level list: accessors, nodes, ..."""
@@ -182,30 +126,30 @@ class Document:
         """Count elements that are about to be made; refuse what the bytes of the document do not justify."""
         self._asked += elements
         if self._asked > _PER_BYTE * self.size_bytes + _SPARE:
-            raise asker.fault(f"{self._asked} elements asked of {self.size_bytes} bytes", "elements with their data")
+            raise asker.wrong(f"{self._asked} elements asked of {self.size_bytes} bytes", "elements with their data")
 
     def array(self, index: int, kind: str, below: int | None = None) -> Any:
         """Elements of an accessor, float64 or, below a bound, int64 [count, width], read-only, read once."""
         element = self.all("accessors")[index]
-        own_type = element.text("type")
+        own_type = element.word("type")
         if own_type != kind:
-            raise element.fault(f"type {(own_type or 'none')[:20]}", kind)
+            raise element.wrong(f"type {(own_type or 'none')[:20]}", kind)
         key = index, below is None
         if key not in self._arrays:
             stored = self._data(element, _WIDTHS[kind])
             if below is not None and stored.dtype.kind != "u":
-                raise element.fault("numbers with a sign or a fraction", "unsigned integers")
+                raise element.wrong("numbers with a sign or a fraction", "unsigned integers")
             values = stored.astype(np.float64 if below is None else np.int64)
-            if below is None and element.members.get("normalized") is True and stored.dtype.kind in "iu":
+            if below is None and element.members().get("normalized") is True and stored.dtype.kind in "iu":
                 values = np.maximum(values / np.iinfo(stored.dtype).max, -1.0)
             bad = values.size - int(np.count_nonzero(np.isfinite(values)))
             if bad:
-                raise element.fault(f"{bad} numbers that are NaN or infinite", "finite numbers")
+                raise element.wrong(f"{bad} numbers that are NaN or infinite", "finite numbers")
             values.flags.writeable = False
             self._arrays[key] = values
         values = self._arrays[key]
         if below is not None and int(values.max()) >= below:
-            raise element.fault(f"the number {int(values.max())}", f"0 to {below - 1}")
+            raise element.wrong(f"the number {int(values.max())}", f"0 to {below - 1}")
         return values
 
     def _data(self, element: Element, width: int) -> NDArray[Any]:
@@ -215,17 +159,17 @@ class Document:
         else:
             self.charge(count, element)
             values = np.zeros((count, width), component)
-        sparse = element.child("sparse")
+        sparse = element.get("sparse")
         if sparse is not None:
             changed = sparse.integer("count", least=1)
             if changed > count:
-                raise sparse.fault(f"{changed} changes", f"at most the {count} elements there are")
-            places, news = sparse.child("indices"), sparse.child("values")
+                raise sparse.wrong(f"{changed} changes", f"at most the {count} elements there are")
+            places, news = sparse.get("indices"), sparse.get("values")
             if places is None or news is None:
-                raise sparse.fault("no indices or no values", "both")
+                raise sparse.wrong("no indices or no values", "both")
             rows = self._dense(places, changed, 1, _component(places))[:, 0]
             if rows.dtype.kind != "u" or int(rows.max()) >= count or (rows[1:] <= rows[:-1]).any():
-                raise places.fault("indices that do not ascend, or are too large", f"ascending ones below {count}")
+                raise places.wrong("indices that do not ascend, or are too large", f"ascending ones below {count}")
             values[rows] = self._dense(news, changed, width, component)
         return values
 
@@ -233,22 +177,22 @@ class Document:
         """A copy of the elements in the buffer view that `element` names."""
         index = element.index("bufferView", "bufferViews")
         if index is None:
-            raise element.fault("no bufferView", "the number of one")
+            raise element.wrong("no bufferView", "the number of one")
         view, size = self.all("bufferViews")[index], width * component.itemsize
         buffer = view.index("buffer", "buffers")
         if buffer is None:
-            raise view.fault("no buffer", "the number of one")
+            raise view.wrong("no buffer", "the number of one")
         data = self._buffer(buffer)
         begin, length = view.integer("byteOffset", 0), view.integer("byteLength", least=1)
         if begin + length > len(data):
-            raise view.fault(f"bytes {begin} to {begin + length}", f"at most the {len(data)} of buffers[{buffer}]")
+            raise view.wrong(f"bytes {begin} to {begin + length}", f"at most the {len(data)} of buffers[{buffer}]")
         data, stride = data[begin : begin + length], view.integer("byteStride", size, least=1)
         begin = element.integer("byteOffset", 0)
         if stride < size:
-            raise element.fault(f"elements of {size} bytes every {stride}", "a byteStride that holds them")
+            raise element.wrong(f"elements of {size} bytes every {stride}", "a byteStride that holds them")
         if begin + stride * (count - 1) + size > len(data):
             found = f"{count} elements, {stride} bytes each from byte {begin} on"
-            raise element.fault(found, f"no more than the {len(data)} bytes of bufferViews[{index}]")
+            raise element.wrong(found, f"no more than the {len(data)} bytes of bufferViews[{index}]")
         self.charge(count, element)  # many accessors may name the same bytes
         strides = (stride, component.itemsize)
         return np.ndarray((count, width), component, data, begin, strides).copy()
@@ -256,30 +200,30 @@ class Document:
     def _buffer(self, index: int) -> memoryview:
         if index not in self._buffers:
             element = self.all("buffers")[index]
-            length, uri = element.integer("byteLength", least=1), element.text("uri")
+            length, uri = element.integer("byteLength", least=1), element.word("uri")
             if uri is None:
                 data = self._chunk if index == 0 else b""
             elif uri.startswith("data:"):
                 head, _, text = uri.partition(",")
                 if not head.endswith(";base64"):
-                    raise element.fault(f"uri {head[:40]!r}", "data in base64")
+                    raise element.wrong(f"uri {head[:40]!r}", "data in base64")
                 try:
                     data = base64.b64decode(text, validate=True)
                 except (binascii.Error, ValueError) as error:
-                    raise element.fault("data that is not base64", "data in base64", "Export it again.") from error
+                    raise element.wrong("data that is not base64", "data in base64", "Export it again.") from error
             else:
                 data = self._beside(element, uri)
             if len(data) < length:
-                raise element.fault(f"{len(data)} bytes", f"the {length} it declares", "The file may be cut short.")
+                raise element.wrong(f"{len(data)} bytes", f"the {length} it declares", "The file may be cut short.")
             self._buffers[index] = memoryview(data)[:length]
         return self._buffers[index]
 
     def _beside(self, element: Element, uri: str) -> bytes:
         """The bytes of a file in the folder of the document, or below it."""
         name = unquote(uri)
-        path = require_beside(self._path.parent, name, f"{element.where}, uri").resolve()
+        path = require_beside(self._path.parent, name, f"{element.file}: {element.place}.uri").resolve()
         if not os.path.isfile(path):
-            raise element.fault(f"no file {name[:80]!r}", "the buffer beside the document", "Copy it there.")
+            raise element.wrong(f"no file {name[:80]!r}", "the buffer beside the document", "Copy it there.")
         if path not in self._files:
             with readable(path):
                 self._files[path] = path.read_bytes()
@@ -290,43 +234,34 @@ class Document:
 def _component(element: Element) -> np.dtype[Any]:
     code = element.integer("componentType")
     if code not in _COMPONENTS:
-        raise element.fault(f"componentType {code}", "5120 to 5123, 5125 or 5126")
+        raise element.wrong(f"componentType {code}", "5120 to 5123, 5125 or 5126")
     return np.dtype(_COMPONENTS[code])
 
 
-def contents(path: Path, has_binary: bool = True) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none.
-
-    Without `has_binary` no more of a GLB is read than its JSON.
-    """
+def contents(path: Path) -> tuple[dict[str, Any], bytes]:
+    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none."""
     require_plain(path, "one glTF file")
-    wanted, chunks = {_JSON, _BIN} if has_binary else {_JSON}, dict[int, bytes]()
-    with readable(path), path.open("rb") as file:
-        size, text = os.fstat(file.fileno()).st_size, file.read(12)
-        if not text.startswith(b"glTF"):
-            text += file.read()
-        else:
-            version, length = struct.unpack_from("<II", text, 4) if size >= 12 else (2, size + 1)
-            if version != 2:
-                raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
-            if length > size:
-                raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
-            while file.tell() + 8 <= size and not wanted <= chunks.keys():
-                length, kind = struct.unpack("<II", file.read(8))
-                if length > size - file.tell():
-                    found = f"a chunk of {length} bytes that is cut short"
-                    raise SourceError(str(path), found, "whole chunks", "Copy it again.")
-                if kind in wanted - chunks.keys():
-                    chunks[kind] = file.read(length)
-                else:
-                    file.seek(length, os.SEEK_CUR)
-            if _JSON not in chunks:
-                raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
-            text = chunks[_JSON]
-    try:
-        members = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise SourceError(str(path), "text that is not JSON", "a glTF document", "Export it again.") from error
+    with readable(path):
+        data = path.read_bytes()
+    text, chunk, size, at = data, b"", len(data), 12
+    if data.startswith(b"glTF"):
+        version, length = struct.unpack_from("<II", data, 4) if size >= 12 else (2, size + 1)
+        if version != 2:
+            raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
+        if length > size:
+            raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
+        chunks = dict[int, bytes]()
+        while at + 8 <= size:
+            length, kind = struct.unpack_from("<II", data, at)
+            if length > size - at - 8:
+                found = f"a chunk of {length} bytes that is cut short"
+                raise SourceError(str(path), found, "whole chunks", "Copy it again.")
+            chunks.setdefault(kind, data[at + 8 : at + 8 + length])
+            at += 8 + length
+        if _JSON not in chunks:
+            raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
+        text, chunk = chunks[_JSON], chunks.get(_BIN, b"")
+    members = parsed(text, str(path), "a glTF document")
     if not isinstance(members, dict):
         raise SourceError(str(path), "JSON that is not an object", "a glTF document")
-    return members, chunks.get(_BIN, b"")
+    return members, chunk

@@ -75,24 +75,24 @@ class Animation(NamedTuple):
 
 
 def _sampler(element: Element, path: str, width: int) -> Sampler:
-    interpolation = element.text("interpolation") or "LINEAR"
+    interpolation = element.word("interpolation") or "LINEAR"
     if interpolation not in _INTERPOLATIONS:
-        raise element.fault(f"interpolation {interpolation[:20]!r}", ", ".join(_INTERPOLATIONS))
+        raise element.wrong(f"interpolation {interpolation[:20]!r}", ", ".join(_INTERPOLATIONS))
     times = element.floats("input", "SCALAR")
     values = element.floats("output", "SCALAR" if path == "weights" else f"VEC{width}")
     if times is None or values is None:
-        raise element.fault("no input or no output", "both")
+        raise element.wrong("no input or no output", "both")
     times = times[:, 0]
     if times[0] < 0 or (np.diff(times) <= 0).any():
-        raise element.fault("times that do not ascend from 0 or later", "ascending times")
+        raise element.wrong("times that do not ascend from 0 or later", "ascending times")
     keys, parts = len(times), 3 if interpolation == "CUBICSPLINE" else 1
     if values.size != keys * parts * width:
-        raise element.fault(f"{values.size} output numbers", f"{keys * parts * width} for {keys} times")
+        raise element.wrong(f"{values.size} output numbers", f"{keys * parts * width} for {keys} times")
     values = values.reshape(keys, parts, width)
     middle = values[:, parts // 2]
     if path == "rotation":
         if not np.linalg.norm(middle, axis=1).all():
-            raise element.fault("a rotation of length 0", "unit quaternions")
+            raise element.wrong("a rotation of length 0", "unit quaternions")
         middle = _unit(middle)
     tangents = (values[:, 0], values[:, 2]) if parts == 3 else None
     return Sampler(times, middle, interpolation, tangents, path == "rotation")
@@ -113,7 +113,7 @@ class Nodes:
         for node, below in enumerate(children):
             for child in below:
                 if self._parents[child] >= 0:
-                    raise elements[child].fault("a second parent", "one parent at most")
+                    raise elements[child].wrong("a second parent", "one parent at most")
                 self._parents[child] = node
         # by their distance from the root; those of a cycle are reached from none
         self._levels: list[Int64s] = []
@@ -123,7 +123,7 @@ class Nodes:
             level = [child for node in level for child in children[node]]
         lost = set(range(count)).difference(*(level.tolist() for level in self._levels))
         if lost:
-            raise elements[min(lost)].fault("a node that is its own ancestor", "a tree of nodes")
+            raise elements[min(lost)].wrong("a node that is its own ancestor", "a tree of nodes")
         top = (
             scenes[document.root.index("scene", "scenes") or 0].indices("nodes", "nodes") if scenes else range(count)
         )
@@ -141,14 +141,14 @@ class Nodes:
             if matrix is not None:
                 self._matrices[node] = np.array(matrix).reshape(4, 4).T  # stored column by column
                 if not np.array_equal(self._matrices[node][3], (0, 0, 0, 1)):
-                    raise element.fault("a matrix whose last row is not 0, 0, 0, 1", "an affine one")
+                    raise element.wrong("a matrix whose last row is not 0, 0, 0, 1", "an affine one")
                 continue
             for key, values in self._rest.items():
                 values[node] = element.numbers(key, values.shape[1]) or values[node]
             turn = self._rest["rotation"][node]
             length = float(np.linalg.norm(turn))
             if not (length > 0 and np.isfinite(length)):
-                raise element.fault("a rotation of length 0", "a unit quaternion (x, y, z, w)")
+                raise element.wrong("a rotation of length 0", "a unit quaternion (x, y, z, w)")
             turn /= length
 
     def world(self, animation: Animation | None, times_s: Float64s) -> Float64s:
@@ -187,21 +187,21 @@ def _read_geometry(primitive: Element) -> _Geometry | None:
     """A primitive; None where it has no triangle (points or lines)."""
     mode = primitive.integer("mode", _TRIANGLES)
     if mode > _FAN:
-        raise primitive.fault(f"mode {mode}", "0 to 6")
-    attributes = primitive.child("attributes")
+        raise primitive.wrong(f"mode {mode}", "0 to 6")
+    attributes = primitive.get("attributes")
     place = attributes.index("POSITION", "accessors") if attributes else None
     if mode < _TRIANGLES or attributes is None or place is None:
         return None
-    extensions, positions = primitive.child("extensions"), primitive.document.all("accessors")[place]
+    extensions, positions = primitive.get("extensions"), primitive.owner.all("accessors")[place]
     has_data = "bufferView" in positions or "sparse" in positions  # else they are zeros
     for name in _COMPRESSIONS:
         if extensions is not None and name in extensions and not has_data:
-            raise primitive.fault(f"a mesh compressed with {name}", "a mesh without it", "Export it uncompressed.")
-    vertices = primitive.document.array(place, "VEC3")
-    numbers = primitive.whole("indices", "SCALAR", len(vertices))
+            raise primitive.wrong(f"a mesh compressed with {name}", "a mesh without it", "Export it uncompressed.")
+    vertices = primitive.owner.array(place, "VEC3")
+    numbers = primitive.unsigned("indices", "SCALAR", len(vertices))
     corners = np.arange(len(vertices)) if numbers is None else numbers[:, 0]
     if mode == _TRIANGLES and len(corners) % 3:
-        raise primitive.fault(f"{len(corners)} corners", "three for each triangle")
+        raise primitive.wrong(f"{len(corners)} corners", "three for each triangle")
     used, corners = np.unique(corners, return_inverse=True)
     corners = corners.reshape(-1)
     i = np.arange(max(len(corners) - 2, 0))
@@ -213,14 +213,14 @@ def _read_geometry(primitive: Element) -> _Geometry | None:
         triangles = np.stack([corners[i + 1], corners[i + 2], np.broadcast_to(corners[:1], len(i))], axis=1)
     if not len(triangles):
         return None
-    targets = primitive.children("targets")
-    primitive.document.charge(len(targets) * len(used), primitive)
+    targets = [*primitive.at("targets", []).each()]
+    primitive.owner.charge(len(targets) * len(used), primitive)
     moves = np.zeros((len(targets), len(used), 3))
     for target, move in zip(targets, moves, strict=True):
         values = target.floats("POSITION", "VEC3")
         if values is not None:
             if len(values) != len(vertices):
-                raise target.fault(f"{len(values)} positions", f"one for each of {len(vertices)} vertices")
+                raise target.wrong(f"{len(values)} positions", f"one for each of {len(vertices)} vertices")
             move[:] = values[used]
     return _Geometry(primitive, vertices[used], triangles, moves, used, len(vertices))
 
@@ -231,13 +231,13 @@ class _Skin:
     def __init__(self, element: Element) -> None:
         self.joints = np.array(element.indices("joints", "nodes"), np.int64)
         if not len(self.joints):
-            raise element.fault("no joint", "at least one")
+            raise element.wrong("no joint", "at least one")
         self._inverse_bind = np.tile(np.eye(4), (len(self.joints), 1, 1))
         columns = element.floats("inverseBindMatrices", "MAT4")
         if columns is not None:
             if len(columns) < len(self.joints):
                 found = f"{len(columns)} inverse bind matrices"
-                raise element.fault(found, f"one for each of {len(self.joints)} joints")
+                raise element.wrong(found, f"one for each of {len(self.joints)} joints")
             self._inverse_bind = columns[: len(self.joints)].reshape(-1, 4, 4).swapaxes(1, 2)
 
     def matrices(self, world: Float64s) -> Float64s:
@@ -253,23 +253,23 @@ def _joint_shares(geometry: _Geometry, joint_count: int) -> Any:
     from scipy.sparse import csr_array
 
     count, used = geometry.vertex_count, geometry.used
-    attributes = geometry.element.child("attributes") or geometry.element
+    attributes = geometry.element.get("attributes") or geometry.element
     sets: list[tuple[Int64s, Float64s]] = []
     while not sets or f"JOINTS_{len(sets)}" in attributes:
         n = len(sets)
-        attributes.document.charge(count, attributes)
-        joints = attributes.whole(f"JOINTS_{n}", "VEC4", joint_count)
+        attributes.owner.charge(count, attributes)
+        joints = attributes.unsigned(f"JOINTS_{n}", "VEC4", joint_count)
         weights = attributes.floats(f"WEIGHTS_{n}", "VEC4")
         if joints is None or weights is None:
             name = f"JOINTS_{n}" if joints is None else f"WEIGHTS_{n}"
-            raise attributes.fault(f"no {name}", "both, as the mesh has a skin", "Export it again.")
+            raise attributes.wrong(f"no {name}", "both, as the mesh has a skin", "Export it again.")
         if len(joints) != count or len(weights) != count:
             found = f"{len(joints)} JOINTS_{n} and {len(weights)} WEIGHTS_{n}"
-            raise attributes.fault(found, f"one for each of {count} vertices")
+            raise attributes.wrong(found, f"one for each of {count} vertices")
         sets.append((joints[used], weights[used]))
     columns, shares = (np.concatenate(each, axis=1) for each in zip(*sets, strict=True))
     if (shares < 0).any():
-        raise attributes.fault("a weight below 0", "weights from 0 to 1")
+        raise attributes.wrong("a weight below 0", "weights from 0 to 1")
     shares[~shares.any(axis=1), 0] = 1.0
     shares /= shares.sum(axis=1, keepdims=True)
     starts = np.arange(len(used) + 1) * columns.shape[1]
@@ -314,8 +314,10 @@ class Model:
         self._rest_weights: dict[int, Float64s] = {}
         self._pieces: list[_Piece] = []
         # an animation without a name goes by its number
-        self.animation_names = [e.text("name") or str(i) for i, e in enumerate(document.all("animations"))]
-        geometries = cache(lambda mesh: [g for g in map(_read_geometry, meshes[mesh].children("primitives")) if g])
+        self.animation_names = [e.word("name") or str(i) for i, e in enumerate(document.all("animations"))]
+        geometries = cache(
+            lambda mesh: [g for g in map(_read_geometry, meshes[mesh].at("primitives", []).each()) if g]
+        )
         shares = cache(lambda mesh, n, skin: _joint_shares(geometries(mesh)[n], len(self._skin(skin).joints)))
         total = 0
         for node, element in enumerate(document.all("nodes")):
@@ -325,7 +327,7 @@ class Model:
             counts = {len(geometry.targets) for geometry in geometries(mesh)}
             if len(counts) > 1:
                 found = f"primitives with {min(counts)} and with {max(counts)} targets"
-                raise meshes[mesh].fault(found, "the same number")
+                raise meshes[mesh].wrong(found, "the same number")
             count = self._targets[node] = max(counts, default=0)
             if count:  # the weights at rest: those of the node, or of its mesh, or zeros
                 own = element.numbers("weights", count) or meshes[mesh].numbers("weights", count)
@@ -333,12 +335,12 @@ class Model:
             for number, geometry in enumerate(geometries(mesh) if node in self._nodes.shown else ()):
                 total += len(geometry.triangles)
                 if total > max(_MOST_TRIANGLES, document.size_bytes):
-                    raise element.fault("too many triangles", f"at most {_MOST_TRIANGLES}", "Simplify the mesh.")
+                    raise element.wrong("too many triangles", f"at most {_MOST_TRIANGLES}", "Simplify the mesh.")
                 share = None if skin is None else shares(mesh, number, skin)
                 document.charge(geometry.targets.size // 3 + (0 if share is None else share.nnz), element)
                 self._pieces.append(_Piece(node, geometry, skin, share))
         if not self._pieces:
-            raise document.root.fault("no triangle", "a mesh of triangles", "Export it with its faces.")
+            raise document.root.wrong("no triangle", "a mesh of triangles", "Export it with its faces.")
         world = self._nodes.world(None, np.zeros(1))[0]
         first, faces = 0, []
         for piece in self._pieces:
@@ -348,7 +350,7 @@ class Model:
             faces.append(own_faces[:, ::-1] if is_mirrored else own_faces)  # turned over
             first += len(piece.geometry.vertices)
         self.triangles = np.concatenate(faces)
-        used = [str(name)[:60] for name in document.root.list_of("extensionsUsed")]
+        used = [str(name)[:60] for name in document.root.at("extensionsUsed", []).items()]
         unread = [name for name in used if not name.startswith((*HARMLESS, *_COMPRESSIONS))]
         notes = [f"Not read, and left out: {', '.join(map(repr, unread[:_MOST_TOLD]))}"] if unread else []
         number, count = document.root.index("scene", "scenes") or 0, len(document.all("scenes"))
@@ -364,25 +366,25 @@ class Model:
     def animation(self, index: int) -> Animation:
         """One of the animations; `SourceError` if a channel, a sampler or its data are at fault."""
         element, nodes = self._document.all("animations")[index], self._document.all("nodes")
-        entries = element.children("samplers")
+        entries = [*element.at("samplers", []).each()]
         samplers: dict[tuple[int, str], Sampler] = {}
-        for entry in element.children("channels"):
-            target = entry.child("target")
+        for entry in element.at("channels", []).each():
+            target = entry.get("target")
             if target is None:
-                raise entry.fault("no target", "one")
-            node, path = target.index("node", "nodes"), target.text("path")
+                raise entry.wrong("no target", "one")
+            node, path = target.index("node", "nodes"), target.word("path")
             if node is None or path not in (*_WIDTHS, "weights"):
                 continue  # of an extension: the specification has it left out
             number = entry.index("sampler", len(entries))
             if number is None:
-                raise entry.fault("no sampler", "the number of one")
+                raise entry.wrong("no sampler", "the number of one")
             if (node, path) in samplers:
-                raise target.fault(f"a second {path} for node {node}", "one channel for each property of a node")
+                raise target.wrong(f"a second {path} for node {node}", "one channel for each property of a node")
             if path != "weights" and "matrix" in nodes[node]:
-                raise target.fault(f"a {path} for node {node}, which has a matrix", "a node without a matrix")
+                raise target.wrong(f"a {path} for node {node}, which has a matrix", "a node without a matrix")
             width = self._targets[node] if path == "weights" else _WIDTHS[path]
             if width == 0:
-                raise target.fault(f"weights for node {node}", "a node whose mesh has morph targets")
+                raise target.wrong(f"weights for node {node}", "a node whose mesh has morph targets")
             samplers[node, path] = _sampler(entries[number], path, width)
         duration = max((float(sampler.times_s[-1]) for sampler in samplers.values()), default=0.0)
         return Animation(duration, samplers)

@@ -29,26 +29,23 @@ from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra, require_positive
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.npz import NpzArchive, map_npy, read_npy_header
-from touchfield.sources.camera import DepthSequence, noise_step_per_m
+from touchfield.sources.camera import DepthSequence
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.pictures import opened, page_sizes
+from touchfield.sources.pictures import has_pages, opened
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, Body, MovingScene, Scene
-from touchfield.sources.segments import SegmentRule, segmented_bodies
+from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, UP_Z_AXES, MovingScene, Scene
 
 DEPTH_STEP: Final = 0.05  # of the median depth: a larger jump between neighbours is an edge
 HEIGHT_KEYS: Final = ("elevation", "height", "heights", "heights_m", "z")
 PLACE_KEYS: Final = ("dx", "dy", "xmin", "xmax", "ymin", "ymax")
-COORDINATE_KEYS: Final = (("latitude", "longitude"), ("lat", "lon"), ("y", "x"))
-UNEVEN: Final = 0.1  # steps between coordinates may differ by this share: rows of a Mercator map do, by little
 PICTURES: Final = (".png", ".tif", ".tiff")
 GAP_HEIGHTS: Final = (-9999.0, -32767.0, -32768.0, -99999.0)  # what elevation models hold where nothing is known
 LATITUDE_LIMIT_DEG: Final = 89.0  # nearer to a pole the degrees of longitude are no cells of one width
 PICTURE_RELIEF: Final = 0.2  # of a picture without a scale, of its shorter side: a landscape under the hand
 
 _GREY_MODES: Final = ("L", "LA", "I", "F", "I;16", "I;16L", "I;16B", "I;16N", "I;16S", "I;16BS")
-_PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113
+_PIXEL_SCALE, _TIEPOINT, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34735, 42113
 _SAMPLE_FORMAT, _SIGNED = 339, 2
 _MODEL_TYPE_KEY, _LINEAR_UNITS_KEY, _VERTICAL_UNITS_KEY = 1024, 3076, 4099
 _GEOGRAPHIC: Final = 2
@@ -123,18 +120,13 @@ class HeightScene(MovingScene):
         self.exaggeration = float(exaggeration)
         self._cell_m = cell_m
         self._surface = lru_cache(maxsize=2)(self._prepare)  # a filter asks for one frame many times
-        self._segmented: Callable[[], tuple[tuple[Body, ...], str]] | None = None
-        self._bodies: tuple[Body, ...] = ()
 
     @classmethod
-    def from_depth_sequence(
-        cls, sequence: DepthSequence, exaggeration: float = 1.0, segment: str | None = None
-    ) -> HeightScene:
+    def from_depth_sequence(cls, sequence: DepthSequence, exaggeration: float = 1.0) -> HeightScene:
         """The paper's reading of depth maps: pixels as x and y, depth as height, all behind the surface solid.
 
         Pixels are spaced by their size at the median depth of the first frame that has any, x = (u - cx) / fx
         z_median, so that lengths there are true; nearer things are too large and farther ones too small.
-        `segment` is the rule by which `bodies` are told apart (`touchfield.sources.segments.SegmentRule.parse`).
         """
         for frame in range(sequence.frame_count):
             depth = sequence.depth_m(frame)
@@ -147,32 +139,17 @@ class HeightScene(MovingScene):
         dx_m, dy_m = z / k.fx, z / k.fy
         lattice = HeightLattice(-k.cx / k.fx * z, dx_m, -k.cy / k.fy * z, dy_m, -1, DEPTH_STEP * z * exaggeration)
         note = f"Depth is read as a height map: pixels are spaced as at {z:.3g} m, perspective is not undone."
-        notes, rule = (*sequence.notes, note), SegmentRule.parse(segment)
 
-        def heights_of(part: DepthSequence) -> HeightScene:
-            def heights(frame: int) -> Float32s:
-                depth = part.depth_m(frame)
-                return np.where(depth > 0, depth, np.float32(np.nan))
+        def heights(frame: int) -> Float32s:
+            depth = sequence.depth_m(frame)
+            return np.where(depth > 0, depth, np.float32(np.nan))
 
-            scene = cls(
-                heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=part.frame_count,
-                rate_hz=part.rate_hz, notes=notes, name=part.name,
-            )  # fmt: skip
-            scene.unit = DEPTH_UNIT
-            return scene
-
-        scene = heights_of(sequence)
-        scene._segmented = lambda: segmented_bodies(heights_of, sequence, rule, noise_step_per_m(sequence.depth_m(0)))
+        scene = cls(
+            heights, lattice, axes=CAMERA_AXES, exaggeration=exaggeration, frame_count=sequence.frame_count,
+            rate_hz=sequence.rate_hz, notes=(*sequence.notes, note), name=sequence.name,
+        )  # fmt: skip
+        scene.unit = DEPTH_UNIT
         return scene
-
-    def bodies(self) -> tuple[Body, ...]:
-        """Of depth maps the objects of `touchfield.sources.segments` and the background; else the whole scene."""
-        if self._segmented is None:
-            return super().bodies()
-        if not self._bodies:
-            self._bodies, note = self._segmented()
-            self.notes = (*self.notes, note)
-        return self._bodies
 
     def _box_m(self, start: int, stop: int) -> Float64s:
         """Reads every frame."""
@@ -310,36 +287,7 @@ def _from_npz(path: Path) -> tuple[_Heights, _Place]:
         # north and south may stand the wrong way round, as in matplotlib's sample: only the middle is needed
         y, x = (scalars[a] / 2 + scalars[b] / 2 for a, b in (("ymin", "ymax"), ("xmin", "xmax")))
         middle = y, x
-    heights = _known(archive.read(name))
-    axes = None if dx > 0 else _coordinates(archive, heights.shape[-2:])
-    if axes is None:
-        return heights, _Place((dy, dx) if dx > 0 and dy > 0 else None, middle)
-    rows, columns, is_degrees = axes
-    if rows[0] < rows[-1]:  # the first row of a map is its northernmost
-        heights = heights[..., ::-1, :]
-    dy, dx = (float(abs(a[-1] - a[0])) / (len(a) - 1) for a in (rows, columns))
-    middle = (float(rows[0] + rows[-1]) / 2, float(columns[0] + columns[-1]) / 2)
-    return heights, _Place((dy, dx), middle, is_degrees)
-
-
-def _coordinates(archive: NpzArchive, shape: tuple[int, ...]) -> tuple[Float64s, Float64s, bool | None] | None:
-    """Coordinates of the rows and columns, and whether they are degrees, where the archive holds them as arrays."""
-    for y_name, x_name in COORDINATE_KEYS:
-        if not {y_name, x_name} <= set(archive.names):
-            continue
-        axes = []
-        for name, count in ((y_name, shape[0]), (x_name, shape[1])):
-            header = archive.header(name)
-            if header.shape != (count,) or header.dtype.kind not in "fiu" or count < 2:
-                return None
-            values = archive.read(name).astype(np.float64)
-            steps = np.diff(values)
-            if not (np.isfinite(values).all() and steps[0] and np.ptp(steps) <= UNEVEN * abs(steps[0])):
-                where = f"{archive.path}, array {name}"
-                raise SourceError(where, "coordinates at uneven distances", "even ones", "Resample the map first.")
-            axes.append(values)
-        return axes[0], axes[1], True if y_name.startswith("lat") else None
-    return None
+    return _known(archive.read(name)), _Place((dy, dx) if dx > 0 and dy > 0 else None, middle)
 
 
 def _from_picture(path: Path) -> tuple[_Heights, _Place]:
@@ -358,9 +306,8 @@ def _from_picture(path: Path) -> tuple[_Heights, _Place]:
             values = values.view(np.int8)
     if values.shape != size:
         raise SourceError(str(path), f"values of shape {values.shape}", f"{size}")
-    with suppress(SourceError):  # other pages may be of a form that is not read
-        if stored and page_sizes(path, most=1)[1:] == [size[::-1]]:
-            tags = tags._replace(notes=("The file has several pages of this size: the first is read.",))
+    if stored and has_pages(path):
+        tags = tags._replace(notes=("The file has several pages of this size: the first is read.",))
     is_elevation = values.dtype.kind == "f" or tags.cell is not None
     if tags.nodata is not None:
         values = values.astype(np.float64)
@@ -389,15 +336,12 @@ def _geo_tags(tags: Mapping[int, Any], rows: int, cols: int) -> _Place:
     """Read the tags of a picture of `rows` x `cols`; what is missing or malformed is left out."""
     cell: Pair | None = None
     middle: Pair | None = None
-    scale, tie, matrix = (_numbers(tags, tag) for tag in (_PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION))
+    scale, tie = _numbers(tags, _PIXEL_SCALE), _numbers(tags, _TIEPOINT)
     if len(scale) >= 2 and scale[0] > 0 and scale[1] > 0:
         dx, dy = scale[:2]
         cell = dy, dx
         if len(tie) >= 6:
             middle = tie[4] - dy * (rows / 2 - tie[1]), tie[3] + dx * (cols / 2 - tie[0])
-    elif len(matrix) == 16 and matrix[0] and matrix[5] and not (matrix[1] or matrix[4]):  # not turned
-        cell = abs(matrix[5]), abs(matrix[0])
-        middle = matrix[7] + matrix[5] * rows / 2, matrix[3] + matrix[0] * cols / 2
     directory = _numbers(tags, _GEO_KEYS)
     entries = (directory[i : i + 4] for i in range(4, len(directory) - 3, 4))
     keys = {int(key): int(value) for key, location, _, value in entries if location == 0}  # which stand here

@@ -1,8 +1,8 @@
 """Camera intrinsics as users and data sets write them.
 
 Four numbers fx fy cx cy; a 3x3, 3x4 or 4x4 matrix, rows first (SUN3D, 3DMatch, ScanNet); JSON (Open3D, whose
-``intrinsic_matrix`` is columns first, RealSense, ROS, OpenCV, nerfstudio, NICE-SLAM); COLMAP's ``cameras.txt``; the
-``info.txt`` of BundleFusion. What a file says of the depth's unit is taken, too.
+``intrinsic_matrix`` is columns first, RealSense, ROS, OpenCV, nerfstudio, NICE-SLAM); COLMAP's ``cameras.txt``. A
+unit of depth that a file tells is taken, too.
 """
 
 from __future__ import annotations
@@ -26,12 +26,11 @@ INTRINSICS_NAMES: Final = (
     "camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "camera_intrinsics.txt", "intrinsic.txt",
     "camera-intrinsics.json", "camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json", "camera.json",
     "intrinsic/intrinsic_depth.txt", "K.txt", "calibration.txt", "cam_params.json", "camera_info.json",
-    "camera_primesense.json", "info.txt", "_info.txt", "cameras.txt", "sparse/0/cameras.txt", "sparse/cameras.txt",
+    "camera_primesense.json", "cameras.txt", "sparse/0/cameras.txt", "sparse/cameras.txt",
     "colmap/cameras.txt", "transforms.json",
 )  # fmt: skip
 """Names under which an intrinsics file is looked for, the first one found being used."""
 
-_LOOSE: Final = ("info.txt", "_info.txt", "calibration.txt")  # of these those that may hold something else
 _FORMS: Final = '"fx,fy,cx,cy", a 3x3 matrix, JSON with fx, fy, cx, cy or a matrix, or COLMAP\'s cameras.txt'
 _NESTED: Final = ("intrinsic", "intrinsics", "camera", "depth_intrinsics", "camera_intrinsics", "depth")
 _MATRICES: Final = ("intrinsic_matrix", "camera_matrix", "K", "k", "intrinsics", "intrinsic")
@@ -78,12 +77,6 @@ def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None)
             raise SourceError(where, found, "PINHOLE or SIMPLE_PINHOLE", "Undistort it: colmap image_undistorter.")
         values = values if model == "PINHOLE" else [values[0], *values]
         return _scaled(values, (int(width), int(height)), where, size)
-    entries = dict(re.findall(r"(?m)^\s*(m_\w+)\s*=\s*(.+?)\s*$", text))
-    if "m_calibrationDepthIntrinsic" in entries:
-        shift = floats(entries.get("m_depthShift", "0").split(), where, _FORMS)[0]
-        numbers = floats(entries["m_calibrationDepthIntrinsic"].split(), where, _FORMS)
-        camera = _of_numbers(numbers, where)
-        return replace(camera, units_per_m=shift if shift > 0 else None)
     words = " ".join(lines).translate(str.maketrans(",;[]()", "      "))
     return _of_numbers(floats(words.split(), where, _FORMS), where)
 
@@ -195,18 +188,11 @@ def camera_of(
     pictures. Raises `InvalidArgument` if `asked` is neither; `SourceError` if a file is at fault, or nothing says.
     """
     if asked is None:
-        unread: tuple[str, ...] = ()
         for file in named_like_intrinsics(folders):
-            try:
-                camera = parse_intrinsics(read_text(file), str(file), size)
-            except SourceError as error:
-                if file.name not in _LOOSE:
-                    raise
-                unread += (f"{file.name} was found and not used: {error.found}, expected {error.expected}.",)
-                continue
-            return replace(camera, notes=(f"The camera is that of {file.name}.", *camera.notes, *unread))
+            camera = parse_intrinsics(read_text(file), str(file), size)
+            return replace(camera, notes=(f"The camera is that of {file.name}.", *camera.notes))
         if default is not None:
-            return replace(default, notes=(*default.notes, *unread))
+            return default
         mend = "Add --intrinsics fx,fy,cx,cy, or a file intrinsics.txt in the folder."
         raise SourceError(name, "no camera intrinsics", "fx, fy, cx, cy in pixels", mend)
     if os.path.isfile(asked):  # unlike Path.is_file, never raises for a strange name

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, SourceError, blamed_on, import_extra, require_positive
-from touchfield.medium.npz import NpzArchive
 from touchfield.sources import pictures
 from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics
 from touchfield.sources.depth_layouts import depth_kind, source_rate
@@ -36,7 +35,7 @@ from touchfield.sources.moving_pictures import VIDEO_SUFFIXES, GreyVideo
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.poses import read_text
 
-_SUFFIXES: Final = (".npy", ".npz", ".pfm", ".png")
+_SUFFIXES: Final = (".npy", ".pfm", ".png")
 _KITTI_UNITS_PER_PX: Final = 256.0
 
 NEAR_M: Final = 1.0
@@ -96,9 +95,9 @@ def motorcycle_sequence() -> CodedSequence:
 
 
 def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
-    """A disparity map: PFM, NPY or NPZ in pixels, or 16-bit PNG with 256 units a pixel (or ``depth_scale``)."""
+    """A disparity map: PFM or NPY in pixels, or 16-bit PNG with 256 units a pixel (or ``depth_scale``)."""
     suffix = path.suffix.lower()
-    values = {".pfm": _pfm, ".npz": _npz}.get(suffix, pictures.read_picture)(path)
+    values = (_pfm if suffix == ".pfm" else pictures.read_picture)(path)
     if values.dtype == np.uint8:
         raise SourceError(str(path), "an 8-bit picture", "16-bit PNG, PFM or NPY", "Give the disparity map itself.")
     with np.errstate(over="ignore"):  # inf means unknown
@@ -129,20 +128,6 @@ def _pfm(path: Path) -> Float32s:
         if image.mode != "F":
             raise SourceError(str(path), "another picture", expected)
         return np.array(image, np.float32)
-
-
-def _npz(path: Path) -> NDArray[Any]:
-    """The only array of an NPZ archive, or the one whose name begins with "disp"."""
-    archive = NpzArchive(path)
-    names = [name for name in archive.names if name.lower().startswith("disp")] or archive.names
-    if len(names) != 1:
-        found = ", ".join(name[:40] for name in names[:8]) or "no array"
-        raise SourceError(str(path), found, 'one array, or one whose name begins with "disp"')
-    header = archive.header(names[0])
-    if len(header.shape) != 2 or header.dtype.kind not in "iuf":
-        raise SourceError(str(path), f"an array of shape {header.shape}, {header.dtype}", "numbers [height, width]")
-    pictures.bound_pixels(path, header.shape[1], header.shape[0])
-    return archive.read(names[0])
 
 
 def _calibration(file: Path, size: tuple[int, int], camera: str) -> StereoRig | None:
@@ -259,7 +244,7 @@ def _is_relative(path: Path) -> bool:
 KINDS: Final = {
     "disparity": depth_kind(
         "disparity",
-        "disparity map named *disp*: PFM, NPY, NPZ or 16-bit PNG (needs --baseline-m and --intrinsics, or calib.txt)",
+        "disparity map named *disp*: PFM, NPY or 16-bit PNG (needs --baseline-m and --intrinsics, or calib.txt)",
         lambda path: "disp" in path.name.lower() and path.suffix.lower() in _SUFFIXES and path.is_file(),
         read_disparity,
     ),

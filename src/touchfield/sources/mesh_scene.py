@@ -59,7 +59,7 @@ class MeshScene(Scene):
     """
 
     axes = UP_Y_AXES
-    unit = ("--unit-m", (0.001, 1000.0), False)
+    unit = ("--unit-m", 0.001, 1000.0)
 
     def __init__(
         self,

@@ -4,15 +4,14 @@ Format: an XML file whose root element is ``mujoco``; it may include other files
 its folder or below it unless the user allows others. MuJoCo looks for a file beside the model and beside the file
 that names it, in the folders that a ``compiler`` names and without them, with its folders or, with ``strippath``,
 without. Every place at which there is something is looked at here; attributes are read by name, so that an element
-of a later version is met, too. The library `mujoco` reads and steps it (extra "physics"). The duration is what is
-asked for, else ``<custom><numeric name="touchfield_seconds" data="..."/></custom>``, else 2 s. The simulation begins
-from the keyframe of the name "touchfield", else from the model's own initial state. Lengths are metres.
+of a later version is met, too. The library `mujoco` reads and steps it (extra "physics"). It lasts as long as is
+asked for (``--seconds``), else 2 s, and begins from the keyframe of the name "touchfield", else from the model's own
+initial state. Lengths are metres.
 
 What is touched is what collides, as in MuJoCo itself: a geom with contype or conaffinity, or of an explicit contact
-pair. Geoms that only look (both zero) are left out; where a model has no others, those of the groups 0 to 2 are
-taken, which MuJoCo's viewers show. A mesh is touched as it is, although MuJoCo collides its convex hull. The geoms of
-a body that have a formula are one body, their union. Each mesh or height field of a body that has other geoms too is
-a body of its own, "body/geom", with the same track: where they overlap, forces are added.
+pair. Geoms that only look (both zero) are left out. A mesh is touched as it is, although MuJoCo collides its convex
+hull. The geoms of a body that have a formula are one body, their union. Each mesh or height field of a body that has
+other geoms too is a body of its own, "body/geom", with the same track: where they overlap, forces are added.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ import re
 from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain, count, product
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 from xml.parsers import expat
@@ -43,14 +42,12 @@ from touchfield.sources.scene import UP_Z_AXES, Body, Scene
 from touchfield.sources.shapes import SHAPES, Shape, moved
 from touchfield.sources.simulation import FRAME_RATE_HZ, SECONDS, compiled, frames_of, load_mujoco, simulated
 
-_SECONDS_NAME: Final = "touchfield_seconds"
 _HEAD_BYTES: Final = 1 << 16
 
 _MAX_BYTES: Final = 1 << 26
 _MAX_FILES: Final = 256
 _MAX_PLACES: Final = 1 << 16
 _NUMBER: Final = r"\d+(?:\.\d*)?(?:[eE]\+?\d+)?"
-_SHOWN_GROUPS: Final = 3
 _FOLDERS: Final = ("assetdir", "meshdir", "texturedir")
 _MODELS: Final = ("include", "model")
 _MOST: Final = {("count",): 1 << 16, ("nkey",): 1 << 16, ("nrow", "ncol"): 1 << 24, ("width", "height"): 1 << 24}
@@ -63,21 +60,12 @@ def _open(path: Path, options: SourceOptions) -> BodyScene:
     read = partial(mujoco.MjModel.from_xml_path, str(path))
     model, notes = compiled(read, str(path), "a model that MuJoCo cannot read", "a whole MJCF model")
     pieces, more = _pieces_of(mujoco, model, str(path), options.shell)
-    seconds, rate = options.seconds, options.rate_hz or FRAME_RATE_HZ
-    if seconds is None:
-        numeric = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, _SECONDS_NAME)
-        seconds = SECONDS if numeric < 0 else float(model.numeric_data[model.numeric_adr[numeric]])
-        if not (seconds > 0 and math.isfinite(seconds)):
-            raise SourceError(f"{path}: {_SECONDS_NAME}", f"{seconds:g}", "a positive number of seconds")
+    seconds, rate = options.seconds or SECONDS, options.rate_hz or FRAME_RATE_HZ
     ids = sorted({body_id for _, body_id, _ in pieces})
     frames = frames_of(str(path), seconds, rate, len(ids))
     tracks, warnings = simulated(model, ids, frames, rate, str(path))
     track_of = dict(zip(ids, tracks, strict=True))
-    names: dict[str, None] = {}
-    for name, _, _ in pieces:
-        tries = chain([name], (f"{name} ({number})" for number in count(2)))
-        names[next(each for each in tries if each not in names)] = None
-    bodies = [Body(name, scene, track_of[body_id]) for name, (_, body_id, scene) in zip(names, pieces, strict=True)]
+    bodies = [Body(name, scene, track_of[body_id]) for name, body_id, scene in pieces]
     return BodyScene(bodies, rate, notes=(*notes, *more, *warnings))
 
 
@@ -195,13 +183,10 @@ def _pieces_of(
     collides = (np.array(model.geom_contype) != 0) | (np.array(model.geom_conaffinity) != 0)
     collides[np.array(model.pair_geom1, int)] = True
     collides[np.array(model.pair_geom2, int)] = True
+    only_look = int((~collides).sum())
     notes: tuple[str, ...] = ()
-    if not collides.any():
-        collides = np.array(model.geom_group) < _SHOWN_GROUPS
-        if collides.any():
-            notes = ("No geom collides: those that the viewers show (groups 0 to 2) are touched.",)
-    elif not collides.all():
-        notes = (f"Left out, as they only look (contype and conaffinity 0): {int((~collides).sum())} geoms.",)
+    if only_look:
+        notes = (f"Left out, as they only look (contype and conaffinity 0): {only_look} geoms.",)
     # of each body: its shapes, and the names, vertices and triangles of its meshes
     parts: defaultdict[int, tuple[list[Shape], list[tuple[str, Float64s, Int32s]]]]
     parts = defaultdict(lambda: ([], []))
@@ -230,8 +215,8 @@ def _pieces_of(
             part = name if is_alone else f"{name}/{geom_name}"
             pieces.append((part, body, MeshScene(vertices, faces, shell=shell, name=part)))
     if not pieces:
-        expected = "a rigid geom: sphere, capsule, ellipsoid, cylinder, box, plane, mesh or hfield"
-        raise SourceError(where, "nothing that can be touched", expected)
+        expected = "a rigid geom that collides: sphere, capsule, ellipsoid, cylinder, box, plane, mesh or hfield"
+        raise SourceError(where, f"nothing that can be touched, and {only_look} geoms that only look", expected)
     return pieces, notes
 
 

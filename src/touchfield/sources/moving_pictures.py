@@ -1,4 +1,4 @@
-"""Pictures over time as arrays, by their number: of videos, grey or in colour, of animations and of files.
+"""Pictures over time as arrays, by their number: of videos, grey or in colour, and of files.
 
 Videos go through PyAV (the extra ``video``). FFmpeg is told the container by the suffix, so that nothing else that it
 knows (play lists, which name other files and addresses) is ever opened. Frames are counted by reading every packet; a
@@ -24,28 +24,17 @@ from numpy.typing import NDArray
 
 from touchfield.errors import SourceError, TouchfieldError, import_extra
 from touchfield.sources.camera import MAX_FRAMES
-from touchfield.sources.pictures import InOrder, PictureHeader, bound_pixels, opened, require_size
+from touchfield.sources.pictures import PHOTO_FORMATS, InOrder, PictureHeader, bound_pixels, opened, require_size
 
 Colours = NDArray[np.uint8]
 
-
-ANIMATED_SUFFIXES: Final = (".gif",)
-"""Of animations that are told by their name; animated WebP and PNG look like pictures."""
-
 LONGER_SIDE_PX: Final = 64  # of the reduced picture, as Hou & Zhang have it
-_STILL_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
-_SHALLOW_MODES: Final = (
-    "1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "LAB", "HSV",
-)  # fmt: skip
-_UNSAID_MS: Final = 100  # for a GIF frame without a duration, as browsers have it
-
-VIDEO_SUFFIXES: Final = (".mkv", ".avi", ".mov", ".mp4")
-
 DEEP_GREY: Final = re.compile(r"gray(9|10|12|14|16)(le|be)")
 """FFmpeg's names of the pixel formats with one number of 9 to 16 bits a pixel."""
 
-_FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mov"}
-_STRICT: Final = {"err_detect": "crccheck+explode"}  # a damaged frame is an error where the codec can tell
+_FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mov", ".gif": "gif"}
+VIDEO_SUFFIXES: Final = tuple(_FORMATS)
+_OPTIONS: Final = {"err_detect": "crccheck+explode", "trans_color": "0"}  # damage is an error; clear GIFs are black
 _NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may differ after lossy coding
 
 
@@ -90,7 +79,7 @@ class GreyVideo(InOrder):
     def _from(self, first: int) -> Iterator[NDArray[Any]]:
         """The numbers of the frames from a key frame on; the file stays open as long as they are asked for."""
         with _opened(self.path) as (container, stream, _):
-            stream.codec_context.options = dict(_STRICT)
+            stream.codec_context.options = dict(_OPTIONS)
             if first:
                 container.seek(self._stamps[first], stream=stream, backward=True)
             is_at_key = first == 0
@@ -210,40 +199,19 @@ class ColourVideo(GreyVideo):
         return reduced(picture.to_ndarray(format="rgb24"))
 
 
-class ColourPictures(InOrder):
-    """Pictures of one size in at least one file, as those of `ColourVideo`: of each file the first.
+class ColourPictures:
+    """Pictures of one size in at least one file, as those of `ColourVideo`."""
 
-    Of a single file that may move (GIF, WebP or PNG) all; `rate_hz` is then pictures a second on average, else None.
-    """
+    rate_hz = None
 
-    def __init__(self, paths: tuple[Path, ...], may_move: bool = False) -> None:
-        self.paths = paths
+    def __init__(self, paths: tuple[Path, ...]) -> None:
+        self.paths, self.frame_count = paths, len(paths)
         with _shallow(paths[0]) as image:
-            is_known = may_move and image.format in ("GIF", "WEBP", "PNG")
-            self._in_a_file = count = int(getattr(image, "n_frames", 1)) if is_known else 1
-            if count > MAX_FRAMES:
-                raise SourceError(str(paths[0]), f"{count} frames", f"at most {MAX_FRAMES}", "Cut it.")
-            total_ms = 0.0
-            for frame in range(count):
-                image.seek(frame)
-                if frame == 0 or image.format == "WEBP":  # which tells a duration only once it is decoded
-                    image.load()
-                total_ms += float(image.info.get("duration") or 0) or _UNSAID_MS
-            image.seek(0)
             self.size = _as_shown(image).shape[1::-1]
-        self.rate_hz = 1000 * count / total_ms if count > 1 else None
-        super().__init__(str(paths[0] if may_move else paths[0].parent), len(paths) * count)
 
-    def _begin(self, frame: int) -> int:
-        return frame - frame % self._in_a_file
-
-    def _from(self, first: int) -> Iterator[Colours]:
-        for path in self.paths[first // self._in_a_file :]:
-            with _shallow(path) as image:
-                for number in range(self._in_a_file):
-                    image.seek(number)
-                    where = f"{path}, frame {number}" if self.rate_hz else str(path)
-                    yield reduced(_as_shown(image, where, self.size))
+    def values(self, frame: int) -> Colours:
+        with _shallow(self.paths[frame]) as image:
+            return reduced(_as_shown(image, str(self.paths[frame]), self.size))
 
 
 def _as_shown(image: Any, where: str = "", size: tuple[int, int] | None = None) -> Colours:
@@ -265,9 +233,11 @@ def _as_shown(image: Any, where: str = "", size: tuple[int, int] | None = None) 
 @contextmanager
 def _shallow(path: Path) -> Iterator[Any]:
     """A picture of 8 bits a colour, opened by Pillow."""
-    with opened(path, _STILL_FORMATS) as image:
+    with opened(path, PHOTO_FORMATS) as image:
         bound_pixels(path, image.width, image.height)
-        if image.mode not in _SHALLOW_MODES:
+        if image.mode[0] in "IF":
             mend = "16 bits or floats are no colours: they may be depth or heights."
             raise SourceError(str(path), f"a picture of {image.mode} samples", "8 bits a colour", mend)
+        if image.format != "TIFF" and getattr(image, "is_animated", False):
+            raise SourceError(str(path), "a picture that moves", "a still one", "Make a video or a GIF of it.")
         yield image

@@ -29,7 +29,7 @@
     [[body]]
     kind = "mesh"
     file = "hand.ply"                # and unit_m; or vertices_m and triangles, as lists of three numbers
-    poses = "hand.csv"               # in place of position_m and what follows: see touchfield.sources.poses
+    poses = "hand.csv"               # in place of position_m and what follows: see touchfield.medium.trace
 
 The other keys of a body are those of its shape, as in `touchfield.sources.analytic_scene`; its middle is the origin
 of the body's frame. Axes are x east, y north, z up. A body that a file poses pushes others and is moved by none.
@@ -46,21 +46,20 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import SourceError
 from touchfield.files import require_beside
+from touchfield.json_values import JsonValue
 from touchfield.medium.pose_track import PoseTrack
-from touchfield.sources.analytic_scene import AnalyticScene, known, number, read_toml, shape_of_table, tables, text
+from touchfield.medium.trace import Trace, read_trace
+from touchfield.sources.analytic_scene import AnalyticScene, read_toml, shape_of_table, tables
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.poses import quaternion_of_turns, read_pose_csv, track_at_rate
+from touchfield.sources.poses import quaternion_of_turns, track_at_rate
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Body
 from touchfield.sources.shapes import SHAPES, Plane, Triple
 from touchfield.sources.simulation import FRAME_RATE_HZ, SECONDS, frames_of, load_mujoco, model_of, simulated
-
-Poses = tuple[Float64s, Float64s, Float64s]
 
 _FEWEST_STEPS: Final = 7
 _KINDS: Final = (*(kind for kind in SHAPES if kind != "plane"), "mesh")
@@ -87,41 +86,33 @@ _ALONE: Final = {
 }
 
 
-def _value(where: str, key: str, value: Any) -> Any:
+def _value(one: JsonValue, key: str) -> Any:
     """The value of a key, checked."""
     if key in _RANGES:
-        least, most = _RANGES[key]
-        checked = number(where, value)
-        if not least <= checked <= most:
-            raise SourceError(where, f"{checked:g}", f"a number from {least:g} to {most:g}")
-        return checked
+        return one.number(*_RANGES[key])
     if key in _TRIPLES:
-        if not isinstance(value, list) or len(value) != 3:
-            raise SourceError(where, repr(value)[:60], "a list of three numbers")
-        return tuple(_value(where, "height_m", item) for item in value)
+        if len(one.items()) != 3:
+            raise one.refused("a list of three numbers")
+        return tuple(_value(each, "height_m") for each in one.each())
     if key in ("vertices_m", "triangles"):
-        if not isinstance(value, list) or not value:
-            raise SourceError(where, repr(value)[:60], "a list of lists of three numbers")
-        return np.array([_value(where, "position_m", row) for row in value], np.float64)
+        return np.array([_value(row, "position_m") for row in one.each(least=1)], np.float64)
     if key in ("touchable", "fixed"):
-        if not isinstance(value, bool):
-            raise SourceError(where, repr(value)[:60], "true or false")
-        return value
-    return text(where, value)
+        if not isinstance(one.value, bool):
+            raise one.refused("true or false")
+        return one.value
+    return one.text()
 
 
-def _values(where: str, table: dict[str, Any], keys: Iterable[str]) -> dict[str, Any]:
+def _values(table: JsonValue, keys: Iterable[str]) -> dict[str, Any]:
     """The values of those keys that are there."""
-    return {key: _value(f"{where}: {key}", key, table[key]) for key in keys if key in table}
+    return {key: _value(table.at(key), key) for key in keys if key in table.members()}
 
 
-def _filled(kind: type[Any], where: str, table: Any) -> Any:
+def _filled(kind: type[Any], table: JsonValue) -> Any:
     """The dataclass of that kind with the values of a table, which has no other keys."""
-    if not isinstance(table, dict):
-        raise SourceError(where, repr(table)[:60], "a table")
     names = tuple(f.name for f in fields(kind))
-    known(where, table, names)
-    return kind(**_values(where, table, names))
+    table.only(names)
+    return kind(**_values(table, names))
 
 
 @dataclass(frozen=True)
@@ -187,69 +178,70 @@ def read_physics(path: Path, *, anywhere: bool = False) -> PhysicsTable:
     lies elsewhere, or a key is unknown, missing or holds the wrong thing; it names file and key.
     """
     table = read_toml(path, "a TOML file with [[body]] tables")
-    known(str(path), table, ("physics", "floor", "body"))
-    entries = tables(str(path), table.get("body"), "body")
-    bodies = tuple(_body(path, i, entry, anywhere) for i, entry in enumerate(entries, 1))
+    table.only(("physics", "floor", "body"))
+    bodies = tuple(_body(path, entry, anywhere) for entry in tables(table, "body"))
     taken = {"floor": "the floor"}
     for body in bodies:
         if body.name in taken:
             found = f"{body.name!r}, as {taken[body.name]} is called"
-            raise SourceError(f"{body.where}: name", found, "a name of its own")
+            raise SourceError(f"{body.where}.name", found, "a name of its own")
         taken[body.name] = "another body"
-    floor = _filled(Floor, f"{path}: floor", table["floor"]) if "floor" in table else None
-    world: World = _filled(World, f"{path}: physics", table.get("physics", {}))
+    floor = _filled(Floor, table.at("floor")) if table.get("floor") else None
+    world: World = _filled(World, table.at("physics", {}))
     if world.contact_s is None:
         world = replace(world, contact_s=8 * world.step_s)
     elif world.contact_s < _FEWEST_STEPS * world.step_s * (1 - 1e-9):
         expected = f"at least {_FEWEST_STEPS} steps of {world.step_s:g} s"
-        raise SourceError(f"{path}: physics: contact_s", f"{world.contact_s:g}", expected)
+        raise table.at("physics").at("contact_s").refused(expected)
     return PhysicsTable(world, floor, bodies)
 
 
-def _body(path: Path, count: int, entry: dict[str, Any], anywhere: bool) -> RigidBody:
-    where = f"{path}: body {count}"
-    kind = entry.get("kind")
-    if not isinstance(kind, str) or kind not in _KINDS:
-        raise SourceError(f"{where}: kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
+def _body(path: Path, entry: JsonValue, anywhere: bool) -> RigidBody:
+    kind = entry.at("kind").text(_KINDS)
     own: tuple[str, ...] = _MESH
     if kind != "mesh":  # the frame of a shape is the body's
         own = tuple(f.name for f in fields(SHAPES[kind]) if f.name not in ("center_m", "rotation_deg"))  # type: ignore[arg-type]
-    known(where, entry, ("kind", *own, *_OF_BODY))
-    of_kind = {key: entry[key] for key in own if key in entry}
+    entry.only(("kind", *own, *_OF_BODY))
     if kind == "mesh":
-        scene: AnalyticScene | MeshScene = _mesh(path, where, _values(where, of_kind, own), anywhere)
+        scene: AnalyticScene | MeshScene = _mesh(path, entry, anywhere)
     else:
-        shape = shape_of_table(where, {"kind": kind, "center_m": [0, 0, 0], **of_kind})
+        of_kind = {key: entry.value[key] for key in own if key in entry.value}
+        shape = shape_of_table(replace(entry, value={"kind": kind, "center_m": [0, 0, 0], **of_kind}))
         scene = AnalyticScene((shape,), "union", UP_Z_AXES)
-    values = {"name": f"body {count}", **_values(where, entry, _OF_BODY)}
+    values = {"name": entry.place, **_values(entry, _OF_BODY)}
     for name in _ALONE:
-        for other in _ALONE[name] if {**entry, **values}.get(name) else ():
-            if other in entry:
-                raise SourceError(f"{where}: {other}", f"it beside {name}", "one of the two")
+        for other in _ALONE[name] if {**entry.value, **values}.get(name) else ():
+            if other in entry.value:
+                raise entry.at(other).wrong(f"it beside {name}", "one of the two")
     if "poses" in values:
-        values["poses"] = require_beside(path.parent, values["poses"], f"{where}: poses", anywhere=anywhere)
+        values["poses"] = _beside(path, entry, "poses", anywhere)
     elif "position_m" not in values:
-        raise SourceError(f"{where}: position_m", "nothing", "where the body begins: position_m, or poses")
-    return RigidBody(where, scene=scene, **values)
+        raise entry.wrong("no 'position_m'", "where the body begins: position_m, or poses")
+    return RigidBody(f"{entry.file}: {entry.place}", scene=scene, **values)
 
 
-def _mesh(path: Path, where: str, values: dict[str, Any], anywhere: bool) -> MeshScene:
+def _beside(path: Path, entry: JsonValue, key: str, anywhere: bool) -> Path:
+    """The path of a file that a body names."""
+    return require_beside(path.parent, entry.at(key).text(), f"{entry.file}: {entry.place}.{key}", anywhere=anywhere)
+
+
+def _mesh(path: Path, entry: JsonValue, anywhere: bool) -> MeshScene:
+    values = _values(entry, _MESH)
     if "file" in values:
         from touchfield.sources.mesh import read_triangles
 
-        file = require_beside(path.parent, values["file"], f"{where}: file", anywhere=anywhere)
+        file = _beside(path, entry, "file", anywhere)
         if not file.exists():
-            raise SourceError(f"{where}: file", f"nothing at {file}", "a mesh file", "Check the path.")
+            raise entry.at("file").wrong(f"nothing at {file}", "a mesh file", "Check the path.")
         vertices, triangles, notes = read_triangles(file)
         return MeshScene(vertices * values.get("unit_m", 1.0), triangles, name=str(file), notes=notes)
     for name in ("vertices_m", "triangles"):
         if name not in values:
-            raise SourceError(f"{where}: {name}", "nothing", "a mesh: file, or vertices_m and triangles")
+            raise entry.wrong(f"no {name!r}", "a mesh: file, or vertices_m and triangles")
     corners, numbers = values["vertices_m"], values["triangles"]
     if not ((numbers % 1 == 0) & (numbers >= 0) & (numbers < len(corners))).all():
-        expected = f"whole numbers from 0 to {len(corners) - 1}"
-        raise SourceError(f"{where}: triangles", "a number of no vertex", expected)
-    return MeshScene(corners, numbers.astype(np.int32), name=where)
+        raise entry.at("triangles").wrong("a number of no vertex", f"whole numbers from 0 to {len(corners) - 1}")
+    return MeshScene(corners, numbers.astype(np.int32), name=f"{entry.file}: {entry.place}")
 
 
 # -- the scene -------------------------------------------------------------------------------------------------
@@ -261,9 +253,9 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     """
     table = read_physics(path, anywhere=options.allow_outside)
     rate = options.rate_hz or table.world.rate_hz
-    poses = {body.name: read_pose_csv(body.poses) for body in table.bodies if body.poses}
+    poses = {body.name: read_trace(body.poses) for body in table.bodies if body.poses}
     frames = _frame_count(path, table, poses, options.seconds or table.world.seconds, rate)
-    posed = {name: track_at_rate(*rows, rate, frames) for name, rows in poses.items()}
+    posed = {name: track_at_rate(trace, rate, frames) for name, trace in poses.items()}
     notes: tuple[str, ...] = ()
     if any(body.is_simulated for body in table.bodies):
         model, ids, warnings = model_of(load_mujoco(), table, posed, str(path))
@@ -283,43 +275,27 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     return BodyScene(bodies, rate, UP_Z_AXES, (*_outside(poses, frames / rate, rate), *notes))
 
 
-def _outside(poses: dict[str, Poses], seconds: float, rate_hz: float) -> tuple[str, ...]:
-    """A note for each body whose poses begin after the scene, or go on after its end."""
-    notes = []
-    for name, (times, _, _) in poses.items():
-        first, last = float(times[0]), float(times[-1])
-        if first * rate_hz > 1.0:
-            notes.append(f"{name} stands still until its first pose, at {min(first, seconds):.6g} s.")
-        if last < 0:
-            notes.append(f"{name} stands still: its last pose is at {last:.6g} s, and the scene begins at 0.")
-        if (last - seconds) * rate_hz > 1.0:
-            notes.append(f"{name}: the poses after {seconds:.6g} s are left out (--seconds).")
-    return tuple(notes)
+def _outside(poses: dict[str, Trace], seconds: float, rate_hz: float) -> tuple[str, ...]:
+    """A note for each body whose poses go on after the end of the scene."""
+    late = [name for name, trace in poses.items() if (float(trace.times_s[-1]) - seconds) * rate_hz > 1.0]
+    return tuple(f"{name}: the poses after {seconds:.6g} s are left out (--seconds)." for name in late)
 
 
 def _frame_count(
-    path: Path, table: PhysicsTable, poses: dict[str, Poses], seconds: float | None, rate_hz: float
+    path: Path, table: PhysicsTable, poses: dict[str, Trace], seconds: float | None, rate_hz: float
 ) -> int:
-    count = len(table.bodies)
     if seconds is None and len(poses) and not any(body.is_simulated for body in table.bodies):
-        last_s = max(float(times[-1]) for times, _, _ in poses.values())
-        # the frame at the last pose is one too, but for rounding
-        first_s = min(float(times[0]) for times, _, _ in poses.values())
-        try:
-            return frames_of(str(path), (math.floor(max(last_s, 0.0) * rate_hz + 1e-6) + 1) / rate_hz, rate_hz, count)
-        except InvalidArgument as error:
-            if first_s < last_s / 2:
-                raise
-            found = f"poses that begin at {first_s:.6g} s"
-            raise InvalidArgument(str(path), found, error.expected, "Let their times begin at 0.") from error
-    return frames_of(str(path), SECONDS if seconds is None else seconds, rate_hz, count)
+        last_s = max(float(trace.times_s[-1]) for trace in poses.values())
+        # the frame at the last pose is one too
+        seconds = (math.floor(max(last_s, 0.0) * rate_hz + 1e-6) + 1) / rate_hz
+    return frames_of(str(path), SECONDS if seconds is None else seconds, rate_hz, len(table.bodies))
 
 
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() != ".toml" or not path.is_file():
         return False
     table = read_toml(path, "")  # where it cannot be read, the next kind that takes .toml will say why
-    return "body" in table or "physics" in table
+    return "body" in table.members() or "physics" in table.members()
 
 
 KIND = SourceKind(

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import struct
 import warnings
-import weakref
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -31,7 +30,6 @@ from touchfield.sources.camera import require_frame
 MAX_PIXELS: Final = 1 << 26  # pixels of the largest picture that is decoded (8192 x 8192)
 PICTURE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy")
 PHOTO_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-MAX_PAGES: Final = 1 << 16  # of a TIFF, whose pages can name each other in a ring
 _MAX_EXPANSION: Final = 1400  # bytes out of one byte in: deflate reaches 1032, LZW of TIFF about 1366
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # the numbers of a palette are no grey levels
@@ -42,7 +40,7 @@ _PIL_SAMPLES: Final = {
 _PGM_HEADER: Final = re.compile(rb"P5\s" + 2 * rb"(?:#[^\n]*\n|\s)*(\d{1,6})\s" + rb"(?:#[^\n]*\n|\s)*(\d{1,5})\s")
 _PGM_HEADER_BYTES: Final = 512
 _NPY_MAGIC: Final = b"\x93NUMPY"
-_PHOTO_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
+PHOTO_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
 _ORIENTATION: Final = 0x0112
 _ON_ITS_SIDE: Final = (5, 6, 7, 8)
 _PARTS: Final = re.compile(r"(\d+)")
@@ -244,7 +242,7 @@ def read_map(path: Path) -> NDArray[Any]:
 
 def photo_size(path: Path) -> tuple[int, int]:
     """Width and height of a photograph as it is shown, from its head alone; `SourceError` if it is no picture."""
-    with opened(path, _PHOTO_FORMATS, "PNG, JPEG, WebP, BMP or TIFF") as image:
+    with opened(path, PHOTO_FORMATS, "PNG, JPEG, WebP, BMP or TIFF") as image:
         width, height = image.size
         is_on_its_side = image.getexif().get(_ORIENTATION) in _ON_ITS_SIDE
     return (height, width) if is_on_its_side else (width, height)
@@ -264,6 +262,9 @@ class PictureFrames:
         self.paths, self.frame_count, self.size = tuple(paths), len(paths), self.headers[0][:2]
         for path, header in zip(self.paths, self.headers):
             require_size(str(path), header[:2], self.size, f"as in {paths[0].name}")
+            if path.suffix.lower() in (".tif", ".tiff") and has_pages(path):
+                mend = "Save the pages as one array, NPY [frames, height, width]."
+                raise SourceError(str(path), "a TIFF of several pages", "one picture in a file", mend)
 
     def only(self, kept: Sequence[int]) -> PictureFrames:
         """Some of these frames."""
@@ -295,55 +296,13 @@ class ArrayFrames:
         return _native(self._values[frame])
 
 
-class TiffFrames:
-    """Pages of a TIFF, each decoded when it is asked for."""
-
-    def __init__(self, path: Path) -> None:
-        header, sizes = picture_header(path), page_sizes(path)
-        self.paths, self.headers, self.size = (path,), (header,), header[:2]
-        self.frame_count = len(sizes)
-        if self.frame_count > MAX_PAGES:
-            raise SourceError(str(path), f"more than {MAX_PAGES} pages", "a shorter sequence")
-        for page, size in enumerate(sizes):
-            require_size(f"{path}, page {page}", size, self.size, "as the first page")
-        self._lock = Lock()
-        self._image: Any = None
-
-    def values(self, frame: int) -> NDArray[Any]:
-        from PIL import Image
-
-        (path,), sample = self.paths, self.headers[0].sample
-        where = f"{path}, page {frame}"
-        try:
-            with self._lock:
-                if self._image is None:  # kept open: each page tells where the next lies
-                    self._image = Image.open(path, formats=("TIFF",))
-                    weakref.finalize(self, self._image.close)
-                image = self._image
-                image.seek(frame)
-                require_size(where, image.size, self.size, "as the first page")
-                bound_pixels(path, *self.size, np.dtype(sample).itemsize)
-                values = np.array(image)
-        except SourceError:
-            raise
-        except Exception as error:  # for damaged files Pillow raises almost any kind
-            raise SourceError(where, f"a damaged page ({error})", "a whole TIFF", "Copy the file again.") from error
-        if values.ndim != 2 or values.dtype.name != sample:
-            raise SourceError(where, "another kind of picture", f"{sample}, as the first page")
-        return _native(values)
-
-
-def page_sizes(path: Path, most: int = MAX_PAGES) -> list[tuple[int, int]]:
-    """Width and height of the pages of a TIFF, of at most one more than `most`."""
-    sizes: list[tuple[int, int]] = []
-    with opened(path, ("TIFF",)) as image:
-        try:
-            while len(sizes) <= most:
-                image.seek(len(sizes))
-                sizes.append(image.size)
-        except EOFError:  # behind the last page
-            pass
-    return sizes
+def has_pages(path: Path) -> bool:
+    """True if the second page of a TIFF is as large as the first: smaller ones are copies of an elevation model."""
+    with suppress(SourceError), opened(path, ("TIFF",)) as image:
+        size = image.size
+        image.seek(1)
+        return bool(image.size == size)
+    return False
 
 
 class InOrder(ABC):

@@ -2,10 +2,9 @@
 
 The form of a text is told by its content:
 
-* 12 or 16 numbers a line: a 3x4 (KITTI) or 4x4 matrix; 13 or 17: the same behind the number of a frame (KITTI-360);
-  4 a line: such matrices over several lines;
+* 12 or 16 numbers a line: a 3x4 (KITTI) or 4x4 matrix; 4 a line: such matrices over several lines;
 * 8 numbers a line: TUM's ``time tx ty tz qx qy qz qw``; times may be in milli-, micro- or nanoseconds;
-* 7 numbers: ``tx ty tz qx qy qz qw`` or ``qw qx qy qz tx ty tz`` (RGB-D Scenes), told by which four are of length 1;
+* 7 numbers a line: the same without the time;
 * Redwood's ``trajectory.log``: three numbers, then a 4x4 matrix over four lines;
 * COLMAP's ``images.txt``: quaternion and translation of the *world in the camera*, and the name of a picture;
 * nerfstudio's ``transforms.json``: 4x4 matrices in the axes of OpenGL, and the names of pictures;
@@ -18,7 +17,6 @@ that is off by up to 1 % is made exactly orthonormal (text rounds).
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -30,15 +28,14 @@ from touchfield.files import plain_size, readable
 from touchfield.medium.pose_track import PoseTrack, rotation_matrices, slerp
 
 if TYPE_CHECKING:
+    from touchfield.medium.trace import Trace
     from touchfield.sources.shapes import Triple
 
 MAX_TIME_S: Final = 1e12  # time stamps stay below this: 32 thousand years
-COLUMNS: Final = ("t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")  # of the track of a body
 IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."  # the way on from a pose at fault
 
 _MAX_TEXT_BYTES: Final = 1 << 26
 _ROTATION_TOLERANCE: Final = 0.01
-_UNIT: Final = 1e-3  # how far from one the length of a body's quaternion may be: what three digits give
 _FORMS: Final = (
     "12 or 16 numbers a line (3x4, 4x4), 8 or 7 ([time] tx ty tz qx qy qz qw), a Redwood log, or COLMAP's images.txt"
 )
@@ -173,9 +170,10 @@ def parse_poses(text: str, where: str) -> PoseList:
     columns = len(lines[0][1]) if lines else 0
     if [len(words) for _, words in lines[:5]] == [3, 4, 4, 4, 4]:
         rows = _entries(text, 19, where, "entry (3 and a 4x4 matrix)")
-        poses = checked_poses(rows[:, 3:].reshape(-1, 4, 4), where)
-        return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=_numbers(rows[:, 0], where, 0))
-    if columns not in (4, 7, 8, 12, 13, 16, 17):
+        poses, first = checked_poses(rows[:, 3:].reshape(-1, 4, 4), where), rows[:, 0]
+        _refuse(~((first >= 0) & (first < 2**53) & (first % 1 == 0)), where, "no frame number", "a whole number")
+        return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=first.astype(np.int64))
+    if columns not in (4, 7, 8, 12, 16):
         raise SourceError(where, f"{columns} numbers in its first line", _FORMS, IGNORE_POSES)
     for place, words in lines:
         if len(words) != columns:
@@ -189,36 +187,15 @@ def parse_poses(text: str, where: str) -> PoseList:
         poses = quaternion_poses(rows[:, 4:], rows[:, 1:4], where)
         return PoseList(poses, f"time tx ty tz qx qy qz qw, {_FROM_CAMERA}", rows[:, 0])
     if columns == 7:
-        return _of_seven(rows, where)
+        poses = quaternion_poses(rows[:, 3:], rows[:, :3], where)
+        return PoseList(poses, f"tx ty tz qx qy qz qw, {_FROM_CAMERA}")
     if columns == 4:
         height = 4 if len(rows) % 4 == 0 and bool((rows[3::4] == (0, 0, 0, 1)).all()) else 3
         if len(rows) % height:
             raise SourceError(where, f"{len(rows)} lines of 4 numbers", "3 or 4 for each pose", IGNORE_POSES)
         return PoseList(checked_poses(rows.reshape(-1, height, 4), where), f"{height}x4 matrices, {_FROM_CAMERA}")
-    is_numbered = columns in (13, 17)
-    poses = checked_poses(rows[:, is_numbered:].reshape(len(rows), -1, 4), where)
-    numbers = _numbers(rows[:, 0], where) if is_numbered else None
-    return PoseList(poses, f"a {columns // 4}x4 matrix a line, {_FROM_CAMERA}", numbers=numbers)
-
-
-def _numbers(first: Float64s, where: str, least: int = 1 - 2**53) -> Int64s:
-    """The numbers of frames, int64 [n]."""
-    _refuse(~((first >= least) & (first < 2**53) & (first % 1 == 0)), where, "no frame number", "a whole number")
-    return first.astype(np.int64)
-
-
-def _of_seven(rows: Float64s, where: str) -> PoseList:
-    """Positions and quaternions without a time, in one order or the other."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        lengths = [np.linalg.norm(part, axis=1) for part in (rows[:, 3:], rows[:, :4])]
-        is_last, is_first = (bool((np.abs(length - 1) < 0.01).all()) for length in lengths)
-    if is_last == is_first:
-        found = "7 numbers a line, " + ("two ways to read them" if is_last else "no quaternion of length 1")
-        raise SourceError(where, found, _FORMS, IGNORE_POSES)
-    if is_last:
-        return PoseList(quaternion_poses(rows[:, 3:], rows[:, :3], where), f"tx ty tz qx qy qz qw, {_FROM_CAMERA}")
-    poses = quaternion_poses(np.roll(rows[:, :4], -1, axis=1), rows[:, 4:], where)
-    return PoseList(poses, f"qw qx qy qz tx ty tz, {_FROM_CAMERA}")
+    poses = checked_poses(rows.reshape(len(rows), -1, 4), where)
+    return PoseList(poses, f"a {columns // 4}x4 matrix a line, {_FROM_CAMERA}")
 
 
 def _of_transforms(text: str, where: str) -> PoseList:
@@ -266,40 +243,6 @@ def _is_number(word: str) -> bool:
 
 
 # -- tracks of bodies (paper section 4.3, object motion) -----------------------------------------------------
-def read_pose_csv(path: Path) -> tuple[Float64s, Float64s, Float64s]:
-    """Times, s, float64 [n], ascending; positions, m, float64 [n, 3]; quaternions w, x, y, z, float64 [n, 4].
-
-    Comma-separated text, its columns named in the first line (`COLUMNS`), ``#`` before a comment. Raises
-    `SourceError`, which names file and line, if the file cannot be read, its columns are others, a number is missing
-    or not finite, time stands still or runs backwards, or a quaternion is not of length 1 to within 0.001.
-    """
-    lines = words_of(read_text(path), str(path), ",")
-    for where, names in lines[:1]:
-        if sorted(names) != sorted(COLUMNS):
-            found, expected = repr(",".join(names))[:80], f"the columns {','.join(COLUMNS)}"
-            mend = "Name these columns in the first line, in any order, with commas between them."
-            raise SourceError(where, found, expected, mend)
-    rows: list[list[float]] = []
-    for where, words in lines[1:]:
-        if len(words) != len(COLUMNS):
-            raise SourceError(where, f"{len(words)} values", f"{len(COLUMNS)}: {','.join(COLUMNS)}")
-        word_of = dict(zip(lines[0][1], words))
-        row = floats([word_of[name] for name in COLUMNS], where)
-        if not all(abs(value) < MAX_TIME_S for value in row):  # nan compares as false
-            raise SourceError(where, repr(",".join(str(value) for value in row))[:80], "finite numbers")
-        if rows and row[0] <= rows[-1][0]:
-            found = f"t_s {row[0]:.9g} after {rows[-1][0]:.9g}"
-            raise SourceError(where, found, "times that rise from line to line", "Sort the lines, and drop doubles.")
-        if abs(math.hypot(*row[4:]) - 1.0) > _UNIT:
-            found = f"a quaternion of length {math.hypot(*row[4:]):g}"
-            raise SourceError(where, found, "length 1, in qw, qx, qy, qz")
-        rows.append(row)
-    if not rows:
-        raise SourceError(str(path), "no pose", f"lines of {','.join(COLUMNS)}")
-    table = np.array(rows, np.float64)
-    return table[:, 0], table[:, 1:4], table[:, 4:]
-
-
 def poses_between(quaternions: Float64s, positions_m: Float64s, at: Float64s) -> tuple[Float64s, Float64s]:
     """Quaternions float64 [m, 4] and positions float64 [m, 3] at the indices `at`, which may be broken.
 
@@ -313,16 +256,14 @@ def poses_between(quaternions: Float64s, positions_m: Float64s, at: Float64s) ->
     return slerp(quaternions[before], quaternions[after], share), positions
 
 
-def track_at_rate(
-    times_s: Float64s, positions_m: Float64s, quaternions: Float64s, rate_hz: float, frame_count: int
-) -> PoseTrack:
-    """The poses at the times 0, 1 / rate, ..., one a frame, of what `read_pose_csv` gives.
+def track_at_rate(trace: Trace, rate_hz: float, frame_count: int) -> PoseTrack:
+    """The poses at the times 0, 1 / rate, ..., one a frame, of a recorded motion.
 
-    Before its first and after its last pose a body stands still.
+    Before its first and after its last pose a body stands still; one that is never turned keeps the scene's axes.
     """
-    at = np.interp(np.arange(frame_count) / rate_hz, times_s, np.arange(len(times_s)))
-    unit = quaternions / np.linalg.norm(quaternions, axis=1)[:, None]
-    return PoseTrack(*poses_between(unit, positions_m, at))
+    at = np.interp(np.arange(frame_count) / rate_hz, trace.times_s, np.arange(len(trace)))
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(trace), 1)) if trace.quaternions is None else trace.quaternions
+    return PoseTrack(*poses_between(turns, trace.positions_m, at))
 
 
 def quaternion_of_turns(rotation_deg: Triple) -> Float64s:

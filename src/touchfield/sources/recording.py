@@ -1,8 +1,8 @@
 """A recorded acceleration of a tool that slides: ``.wav``, or comma-separated text.
 
-Text names its columns in its first line: ``t_s`` (or ``t_ms``), evenly spaced, and one axis, ``a_m_s2``, or three,
-``ax_m_s2,ay_m_s2,az_m_s2``; ``_g`` in place of ``_m_s2`` is in units of 9.80665 m/s2. Other columns are ignored.
-Sound has no unit: one to three channels, whose full scale the caller tells.
+Text names its columns in its first line: ``t_s``, evenly spaced, and one axis, ``a_m_s2``, or three,
+``ax_m_s2,ay_m_s2,az_m_s2``. Other columns are ignored. Sound has no unit: one to three
+channels, whose full scale the caller tells.
 """
 
 from __future__ import annotations
@@ -22,10 +22,8 @@ from touchfield.medium.field import frozen
 from touchfield.sources.poses import read_text, words_of
 
 STANDARD_GRAVITY_M_S2: Final = 9.80665
-_UNITS: Final = {"m_s2": 1.0, "g": STANDARD_GRAVITY_M_S2}
-_TIMES: Final = {"t_s": 1.0, "t_ms": 1e-3}
-_AXES: Final = (("a",), ("ax", "ay", "az"))
-_EXAMPLE: Final = "a first line such as t_s,ax_m_s2,ay_m_s2,az_m_s2 or t_s,a_g"
+_COLUMNS: Final = (("t_s", "a_m_s2"), ("t_s", "ax_m_s2", "ay_m_s2", "az_m_s2"))
+_EXAMPLE: Final = "a first line such as t_s,ax_m_s2,ay_m_s2,az_m_s2 or t_s,a_m_s2"
 _UNEVEN: Final = 0.05
 _MOST_BYTES: Final = 1 << 28
 
@@ -103,12 +101,10 @@ def _read_csv(where: Path) -> tuple[float, Float64s]:
     if len(lines) < 3:
         raise SourceError(str(where), f"{len(lines)} lines", f"{_EXAMPLE}, and two samples or more")
     head, names = lines[0][0], [name.lower() for name in lines[0][1]]
-    times = [name for name in _TIMES if name in names]
-    axes = [[f"{axis}_{unit}" for axis in group] for group in _AXES for unit in _UNITS]
-    axes = [columns for columns in axes if set(columns) <= set(names)]
-    if len(times) != 1 or len(axes) != 1:
+    known = [columns for columns in _COLUMNS if set(columns) <= set(names)]
+    if len(known) != 1:
         raise SourceError(head, repr(",".join(names)[:80]), _EXAMPLE, "Name the columns so.")
-    places = [names.index(name) for name in (*times, *axes[0])]
+    places = [names.index(name) for name in known[0]]
     rows = np.zeros((len(lines) - 1, len(places)))
     for row, (line, words) in zip(rows, lines[1:]):
         try:
@@ -117,10 +113,10 @@ def _read_csv(where: Path) -> tuple[float, Float64s]:
             row[:] = np.nan
         if not np.isfinite(row).all():
             raise SourceError(line, repr(",".join(words)[:60]), "finite numbers, one in each column")
-    steps = np.diff(rows[:, 0]) * _TIMES[times[0]]
+    steps = np.diff(rows[:, 0])
     step_s = float(np.median(steps))
     uneven = np.flatnonzero(~(np.abs(steps - step_s) <= _UNEVEN * abs(step_s))) if step_s > 0 else np.array([0])
     if len(uneven):
         step, mend = f"a step of {steps[uneven[0]]:g} s", "Resample it to a steady rate first."
         raise SourceError(lines[uneven[0] + 2][0], step, f"steps of about {step_s:g} s, as most are", mend)
-    return 1 / float(steps.mean()), rows[:, 1:] * _UNITS[axes[0][0].partition("_")[2]]
+    return 1 / float(steps.mean()), rows[:, 1:]

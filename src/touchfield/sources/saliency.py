@@ -39,6 +39,7 @@ from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.files import readable
 from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.budget import zero_forces
+from touchfield.medium.field import field_that_holds
 from touchfield.sources import moving_pictures as moving
 from touchfield.sources.camera import MAX_FRAMES, Frames, require_frame
 from touchfield.sources.depth_layouts import source_rate
@@ -46,7 +47,7 @@ from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import PHOTO_SUFFIXES, InOrder, list_files, with_suffix
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Y_AXES, Scene
+from touchfield.sources.scene import UP_Y_AXES, Scene, bricks_near
 
 LONGER_SIDE_M: Final = 1.0
 THICKNESS: Final = 0.05  # of the plate, as a share of its longer side
@@ -59,7 +60,6 @@ NOISE_LEVEL: Final = 0.02  # standard deviation of white noise that is not worth
 _LEAST_TOTAL: Final = 1 / 3  # of the averaged parts: one part alone at its peak
 _CENTRE_PX, _SURROUND_PX, _RESIDUAL_PX = 1.5, 8.0, 2.0  # standard deviations
 _LEAST: Final = 1e-6  # saliency that is none
-_MOST_KEPT: Final = 64  # moments of the model to which a pass backwards can return
 
 
 @dataclass(frozen=True)
@@ -125,21 +125,11 @@ class SaliencyMaps(InOrder):
 
     def __init__(self, pictures: Frames, rate_hz: float) -> None:
         super().__init__("pictures", pictures.frame_count)
-        self.pictures = pictures
-        self._kept = {0: SaliencyModel(rate_hz)}  # the model before that picture
-        self._apart = 1  # pictures between two that are kept
-
-    def _begin(self, frame: int) -> int:
-        return max(number for number in self._kept if number <= frame)
+        self.pictures, self._rate_hz = pictures, rate_hz
 
     def _from(self, first: int) -> Iterator[Float32s]:
-        model = self._kept[first]
+        model = SaliencyModel(self._rate_hz)
         for number in range(first, self.frame_count):
-            if number % self._apart == 0:
-                self._kept[number] = model
-            if len(self._kept) > _MOST_KEPT:
-                self._apart *= 2
-                self._kept = {n: kept for n, kept in self._kept.items() if n % self._apart == 0}
             saliency, model = model.update(self.pictures.values(number))
             saliency.flags.writeable = False
             yield saliency
@@ -188,53 +178,34 @@ class SaliencyScene(Scene):
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """The forces along +z, saliency times the largest amplitude of `profile`, at the points of `grid`."""
-        saliency = self.saliency(frame)
-        xs, ys, zs = (grid.origin_m[a] + grid.spacing_m[a] * np.arange(grid.shape[a]) for a in range(3))
+        from scipy.ndimage import map_coordinates
+
+        saliency, half_m = self.saliency(frame), self.bounds_m()[1]
         rows, columns = saliency.shape
-        across = _weights(xs / self._cell_m[0] + columns / 2, columns)
-        down = _weights(rows / 2 - ys / self._cell_m[1], rows)
-        image = (across @ (down @ saliency).T).astype(np.float32)  # [x, y]
-        image[image < _LEAST] = 0
-        largest_n = max(abs(c + s * x) for a, b, c, s in profile.pieces for x in (a, b) if np.isfinite(x))
-        tiles = _in_bricks(image * np.float32(largest_n))
-        slab = _in_bricks((np.abs(zs) <= self._depth_m / 2).astype(np.float32)[:, None])[:, 0, :, 0]
-        flat = np.argwhere(tiles.any(axis=(2, 3)))
-        deep = np.flatnonzero(slab.any(axis=1))
-        bricks = np.column_stack([np.repeat(flat, len(deep), axis=0), np.tile(deep, len(flat))]).astype(np.int32)
+        xs, ys, zs = (grid.origin_m[a] + grid.spacing_m[a] * np.arange(grid.shape[a]) for a in range(3))
+        places = np.meshgrid((rows - 1) / 2 - ys / self._cell_m[1], (columns - 1) / 2 + xs / self._cell_m[0])
+        image = map_coordinates(saliency, places, order=1, mode="nearest")  # [x, y]
+        image[(image < _LEAST) | (np.abs(xs) > half_m[0])[:, None] | (np.abs(ys) > half_m[1])] = 0
+        image *= max(abs(c + s * x) for a, b, c, s in profile.pieces for x in (a, b) if np.isfinite(x))
+        slab = np.abs(zs) <= half_m[2]
+        image, slab = (np.pad(part, [(0, -n % BRICK) for n in part.shape]) for part in (image, slab))
+        bricks = bricks_near(lambda centres, radius_m: (np.abs(centres) <= half_m + radius_m).all(axis=1), grid)
+        i, j, k = (bricks[:, axis, None] * BRICK + np.arange(BRICK) for axis in range(3))
         forces = zero_forces(len(bricks))
-        of_tile = tiles[tuple(flat.T)][:, None, :, :, None] * slab[deep][None, :, None, None, :]
-        forces[..., 2] = of_tile.reshape(forces.shape[:4])
-        return ForceField(grid, bricks, forces)
-
-
-def _weights(places: Float64s, count: int) -> Float64s:
-    """Bilinear weights of `count` cells, cell i from i to i + 1, at places along them, float64 [places, count].
-
-    Beyond the last half cell the cell's own value holds, and beyond the picture there is none.
-    """
-    middles = np.arange(count) + 0.5
-    weights = np.stack([np.interp(places, middles, of_cell) for of_cell in np.eye(count)], axis=1)
-    weights[(places < 0) | (places > count)] = 0
-    return weights
-
-
-def _in_bricks(image: Float32s) -> Float32s:
-    """An image [n, m] in tiles of 8 x 8, float32 [n / 8, m / 8, 8, 8], filled up with zeros."""
-    padded = np.pad(image, [(0, -n % BRICK) for n in image.shape])
-    n, m = padded.shape
-    return padded.reshape(n // BRICK, BRICK, m // BRICK, BRICK).transpose(0, 2, 1, 3)
+        forces[..., 2] = image[i[:, :, None, None], j[:, None, :, None]] * slab[k][:, None, None]
+        return field_that_holds(grid, bricks, forces)
 
 
 def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
-    """A video, an animation, a folder of pictures in the order of their numbers, or a picture."""
+    """A video, a folder of pictures in the order of their numbers, or a picture."""
     if options.kind is None and options.depth_scale is not None:
         found, mend = "an ordinary picture or video of 8 bits", "Name its kind with --as saliency if that is meant."
         raise SourceError(str(path), found, "16-bit grey depth, as --depth-scale says", mend)
     with readable(path, "files that can be read"):
         if path.is_dir():
-            files = list_files(path, with_suffix(*PHOTO_SUFFIXES, *moving.ANIMATED_SUFFIXES))
+            files = list_files(path, with_suffix(*PHOTO_SUFFIXES))
             if not files:
-                raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP, TIFF or GIF pictures")
+                raise SourceError(str(path), "no picture", "PNG, JPEG, WebP, BMP or TIFF pictures")
             pictures: Any = moving.ColourPictures(files)
         elif path.suffix.lower() in moving.VIDEO_SUFFIXES:
             header = moving.video_header(path)
@@ -243,22 +214,20 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
                 raise SourceError(str(path), f"a video of {header.pixels} pixels", "8 bits a colour", mend)
             pictures = moving.ColourVideo(path)
         else:
-            pictures = moving.ColourPictures((path,), may_move=True)
+            pictures = moving.ColourPictures((path,))
     note = "Symbolic: forces tell where the picture catches the eye, and no surface; a point device feels a slab."
     return SaliencyScene(pictures, pictures.rate_hz or source_rate(options), options.rate_hz, (note,))
 
 
 def _recognise(path: Path) -> bool:
-    if not path.is_file():
+    if path.suffix.lower() not in moving.VIDEO_SUFFIXES or not path.is_file():
         return False
-    if path.suffix.lower() in moving.VIDEO_SUFFIXES:
-        return not moving.video_header(path).is_deep_grey  # without the extra, "depth-video" has said so before
-    return path.suffix.lower() in moving.ANIMATED_SUFFIXES
+    return not moving.video_header(path).is_deep_grey  # without the extra, "depth-video" has said so before
 
 
 KIND = SourceKind(
     "saliency",
-    "ordinary video (MKV, AVI, MOV, MP4; extra: video), GIF, or with --as saliency pictures or a folder of them: "
+    "ordinary video (MKV, AVI, MOV, MP4, GIF; extra: video), or with --as saliency pictures or a folder of them: "
     "what catches the eye, for arrays of actuators",
     _recognise,
     open_saliency,

@@ -25,7 +25,7 @@ CAMERA_AXES: Final = "x right, y down, z forward"
 UP_Y_AXES: Final = "x right, y up, z towards the viewer"
 UP_Z_AXES: Final = "x east, y north, z up"
 
-DEPTH_UNIT: Final = ("--depth-scale", (0.02, 200.0), True)
+DEPTH_UNIT: Final = ("--depth-scale", 0.02, 200.0)
 """The option that says the unit of depth, and usual sizes of its scenes, metres (`Scene.unit`)."""
 
 
@@ -71,8 +71,8 @@ class Scene(ABC):
     finest_m : (float, float, float) or None; Between samples closer than this the scene has nothing to tell; None
         for a continuous one.
     box_wording : str; What `bounds_m` is the box of, in a note about the workspace that it fills.
-    unit : (str, (float, float), bool) or None; The option that says the unit, the sizes in metres that are usual,
-        and whether lengths are divided by it; None where any size is.
+    unit : (str, float, float) or None; The option that says the unit, and the bounds of sizes in metres that are
+        usual; None where any size is.
     tags : tuple of str; Media tags of the paper's figure 1: "direct", or "symbolic" where the forces stand for
         something else.
     exaggeration : float; Factor on the heights of a height map, in which its z is told.
@@ -91,7 +91,7 @@ class Scene(ABC):
     exaggeration: float = 1.0
     finest_m: tuple[float, float, float] | None = None
     box_wording: str = "the surface"
-    unit: tuple[str, tuple[float, float], bool] | None = None
+    unit: tuple[str, float, float] | None = None
     tags: tuple[str, ...] = ("direct",)
     is_captured: bool = False
     has_gpu: bool = False

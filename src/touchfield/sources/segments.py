@@ -6,7 +6,7 @@ its table) is one object, and what another thing hides in part may be two.
 
 - *Surfaces.* Two neighbouring pixels belong together if their depths z differ by at most ``step`` of the nearer one,
   or their inverse depths by at most the noise step of the sensor (`camera.noise_step_per_m`).
-- *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``least`` pixels.
+- *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``least``, a share of the picture.
 - *Over time.* The pairs of a surface and an object are taken by the pixels that they share, the most first; each
   surface and each object once. An object that vanishes, and is seen again where it was, is the same (``at-most`` of
   those that are gone are remembered); one that moves by more than its own width between two frames is a new one.
@@ -37,7 +37,8 @@ LARGEST_AT_MOST: Final = 254
 BACKGROUND: Final = 0
 
 _KEPT_FRAMES = 8  # an encoder asks for each object in turn, over the frames of a segment
-_EXPECTED: Final = "such as step=0.03,least=500px,at-most=16 (least also as a share: 0.2%)"
+_KINDS: Final = {"step": float, "least": float, "at-most": int}
+_EXPECTED: Final = "such as step=0.03,least=0.002,at-most=16 (least is a share of the picture)"
 
 
 @dataclass(frozen=True)
@@ -45,39 +46,29 @@ class SegmentRule:
     """A rule of what belongs together, and what is an object; see the module.
 
     step : float; Largest difference in depth between neighbouring pixels of one surface, as a share of the nearer.
-    least_px : int or None; Pixels of the smallest object; None takes `least_share`, a share of the picture.
+    least : float; Pixels of the smallest object, as a share of the picture.
     at_most : int; Objects beside the background, in a frame and in all, 1 to 254.
     """
 
     step: float = 0.03
-    least_px: int | None = None
-    least_share: float = 0.002
+    least: float = 0.002
     at_most: int = 16
 
     def __post_init__(self) -> None:
-        for name, value, is_right, expected in (
-            ("step", self.step, 0 < self.step <= 1, "a share of the depth, above 0 and up to 1"),
-            ("least", self.least_px, self.least_px is None or self.least_px >= 1, "at least 1 pixel"),
-            ("least", self.least_share, 0 < self.least_share <= 1, "a share above 0 and up to 1"),
-            ("at-most", self.at_most, 1 <= self.at_most <= LARGEST_AT_MOST, f"1 to {LARGEST_AT_MOST} objects"),
-        ):
-            if not is_right:
-                raise InvalidArgument(f"segment {name}", repr(value), expected)
+        for name, value in (("step", self.step), ("least", self.least)):
+            if not 0 < value <= 1:
+                raise InvalidArgument(f"segment {name}", repr(value), "a share above 0 and up to 1")
+        if not 1 <= self.at_most <= LARGEST_AT_MOST:
+            raise InvalidArgument("segment at-most", repr(self.at_most), f"1 to {LARGEST_AT_MOST} objects")
 
     @classmethod
     def parse(cls, text: str | None) -> SegmentRule:
-        """The rule in words (``step=0.03,least=500px,at-most=16``); None, or what is not said, is the default."""
+        """The rule in words (``step=0.03,least=0.002,at-most=16``); None, or what is not said, is the default."""
         asked: dict[str, float | int] = {}
         for word in () if text is None else text.split(","):
             name, _, value = (part.strip() for part in word.partition("="))
             try:
-                if name == "least" and value.endswith("%"):
-                    asked["least_share"] = float(value[:-1]) / 100
-                else:
-                    field, kind = {"step": ("step", float), "least": ("least_px", int), "at-most": ("at_most", int)}[
-                        name
-                    ]
-                    asked[field] = kind(value.removesuffix("px") if name == "least" else value)
+                asked[name.replace("-", "_")] = _KINDS[name](value)
             except (KeyError, ValueError):
                 raise InvalidArgument("--segment", repr(word.strip()), _EXPECTED) from None
         return cls(**asked)  # type: ignore[arg-type]
@@ -85,8 +76,7 @@ class SegmentRule:
     @property
     def words(self) -> str:
         """The rule as `parse` reads it."""
-        least = f"{100 * self.least_share:g}%" if self.least_px is None else f"{self.least_px}px"
-        return f"step={self.step:g},least={least},at-most={self.at_most}"
+        return f"step={self.step:g},least={self.least:g},at-most={self.at_most}"
 
 
 def surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> tuple[Labels, int]:
@@ -128,7 +118,7 @@ class Segmentation:
     def __init__(self, sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float) -> None:
         self.sequence, self.rule = sequence, rule
         self._noise_step_per_m = noise_step_per_m
-        self._least_px = rule.least_px or max(1, round(rule.least_share * sequence.width * sequence.height))
+        self._least_px = max(1, round(rule.least * sequence.width * sequence.height))
         self._known_px = np.zeros(sequence.frame_count, np.int64)
         followed = self._followed()
         totals: dict[int, int] = {}

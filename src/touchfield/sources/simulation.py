@@ -88,7 +88,8 @@ def frames_of(where: str, seconds: float, rate_hz: float, body_count: int = 1) -
     frames = seconds * rate_hz
     if not frames * body_count <= _MAX_POSES:
         found = f"{seconds:g} s at {rate_hz:g} Hz for {body_count} bodies"
-        raise InvalidArgument(where, found, f"at most {_MAX_POSES} poses", "Ask for fewer seconds or a lower rate.")
+        mend = "Ask for fewer seconds or a lower rate; the times of poses begin at 0."
+        raise InvalidArgument(where, found, f"at most {_MAX_POSES} poses", mend)
     return max(round(frames), 1)
 
 
@@ -220,33 +221,22 @@ def model_of(
         notes += _add_geom(mujoco, spec, in_model, f"m{number}", body, own)
     spec.add_key(name=START, **start)
 
-    def make() -> tuple[Any, dict[tuple[int, int], float]]:
+    def make() -> tuple[Any, tuple[float, int, int]]:
         model = spec.compile()
-        return model, _overlaps(mujoco, model)
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        mujoco.mj_forward(model, data)
+        return model, min(((float(one.dist), one.geom1, one.geom2) for one in data.contact), default=(0.0, 0, 0))
 
-    (model, deepest), warned = compiled(make, where, "bodies that MuJoCo refuses", "bodies with a volume")
+    (model, (deepest_m, *geoms)), warned = compiled(make, where, "bodies that MuJoCo refuses", "bodies with a volume")
     notes += warned
     kind = mujoco.mjtObj.mjOBJ_BODY
     ids = [mujoco.mj_name2id(model, kind, f"b{number}") for number in range(len(table.bodies))]
-    name_of = {0: "the floor", **{body_id: body.name for body_id, body in zip(ids, table.bodies, strict=True)}}
-    notes += tuple(
-        f"{name_of[second]} begins {-1e3 * dist:.2g} mm within {name_of[first]}: it is thrown out."
-        for (first, second), dist in deepest.items()
-        if dist < -_OVERLAP_M
-    )
+    if deepest_m < -_OVERLAP_M:  # of all contacts that throw bodies apart one is told
+        name_of = {0: "the floor", **{body_id: body.name for body_id, body in zip(ids, table.bodies, strict=True)}}
+        first, second = (name_of[int(model.geom_bodyid[geom])] for geom in geoms)
+        notes += (f"{second} begins {-1e3 * deepest_m:.2g} mm within {first}: it is thrown out.",)
     return model, ids, notes
-
-
-def _overlaps(mujoco: Any, model: Any) -> dict[tuple[int, int], float]:
-    """The least distance, metres, of each two bodies that meet at the start; deep ones are thrown apart."""
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    mujoco.mj_forward(model, data)
-    deepest: dict[tuple[int, int], float] = {}
-    for contact in data.contact:
-        first, second = (int(model.geom_bodyid[geom]) for geom in (contact.geom1, contact.geom2))
-        deepest[first, second] = min(deepest.get((first, second), 0.0), float(contact.dist))
-    return deepest
 
 
 def _damping_ratio(restitution: float) -> float:
@@ -274,9 +264,10 @@ def _add_geom(
     mujoco: Any, spec: Any, in_model: Any, mesh_name: str, body: RigidBody, properties: dict[str, Any]
 ) -> tuple[str, ...]:
     """Add what collides for the scene of a body."""
+    from scipy.spatial import ConvexHull
+
     kinds, scene = mujoco.mjtGeom, body.scene
-    mesh: dict[str, Any] = {}
-    notes: tuple[str, ...] = ()
+    mesh, volume = dict[str, Any](), 0.0
     if isinstance(scene, MeshScene):
         points, triangles = np.array(scene.surface.vertices_m), np.array(scene.surface.triangles)
         volume = scene.surface.volume_m3() if scene.is_closed else 0.0
@@ -285,8 +276,6 @@ def _add_geom(
         inertia = mujoco.mjtMeshInertia
         how = inertia.mjMESH_INERTIA_EXACT if volume else inertia.mjMESH_INERTIA_CONVEX
         mesh = {"userface": triangles.reshape(-1), "inertia": how}
-        if not _is_convex(scene):
-            notes = (f"{body.name} is not convex: it collides as its convex hull.",)
     else:
         (shape,) = scene.shapes
         if not isinstance(shape, Superquadric):
@@ -302,19 +291,9 @@ def _add_geom(
         raise SourceError(f"{body.where}: size", found, f"{_THINNEST:g} or more")
     spec.add_mesh(name=mesh_name, uservert=points.reshape(-1), **mesh)
     in_model.add_geom(type=kinds.mjGEOM_MESH, meshname=mesh_name, **properties)
-    return notes
-
-
-def _is_convex(scene: MeshScene) -> bool:
-    from scipy.spatial import ConvexHull, QhullError
-
-    if not scene.is_closed:
-        return False
-    try:
-        hull = float(ConvexHull(scene.surface.vertices_m).volume)
-    except QhullError:
-        return False
-    return abs(hull - abs(scene.surface.volume_m3())) <= 1e-6 * hull
+    hull = float(ConvexHull(points).volume)
+    is_convex = not mesh or abs(hull - abs(volume)) <= 1e-6 * hull
+    return () if is_convex else (f"{body.name} is not convex: it collides as its convex hull.",)
 
 
 def _hull_points(shape: Superquadric) -> Float64s:

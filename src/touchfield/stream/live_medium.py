@@ -388,7 +388,5 @@ class LiveStream(OpenStream):
     def bits(self) -> BitAccount:
         raise SourceError(self.reader.name, "a live stream", "a file, whose bits and symbols can be counted")
 
-    def _counted(self) -> Any:
+    def _coder(self) -> Any:
         return self.bits
-
-    bits_by_kind = quantiser = _coder = _counted

@@ -116,11 +116,6 @@ class SceneStream(OpenStream):
             costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
         return sum(costs, BitAccount())
 
-    def bits_by_kind(self) -> dict[str, float]:
-        """See `OpenStream`: no frame of its own, but poses, and what the fields take spread over all frames."""
-        count, bits = self.reader.head.frame_count, self.bits
-        return {"poses": bits.poses / count, "fields": (bits.total - bits.poses) / count}
-
     def _coder(self) -> dict[str, Any]:
         keys = {
             **self.decoder.describe(),

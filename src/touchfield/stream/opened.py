@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Int64s
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import BitAccount, compression_ratio, promise_kept
 from touchfield.container import TouchReader
@@ -104,27 +103,6 @@ class OpenStream(ABC):
     @abstractmethod
     def bits(self) -> BitAccount:
         """Bits by what they tell; those of the file's frame are not counted."""
-
-    @abstractmethod
-    def bits_by_kind(self) -> dict[str, float]:
-        """Mean bits of a frame of each kind."""
-
-    def quantiser(self) -> Callable[[ForceField], Int64s]:
-        """Q: each supported force of a frame to a symbol, the same for all frames.
-
-        That of measures by default, for forces up to the device's; what is longer counts as that long.
-        """
-        from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
-
-        top_n = self.reader.head.force_max_n
-        fitted = FieldQuantiserSpec.parse(DEFAULT_QUANTISER).fit((), top_n)
-
-        def quantise(field: ForceField) -> Int64s:
-            vectors = field.vectors_n()
-            longest = np.linalg.norm(vectors, axis=1, keepdims=True)
-            return fitted.symbols_of(vectors * (top_n / np.maximum(longest, top_n))).astype(np.int64)
-
-        return quantise
 
     @abstractmethod
     def _coder(self) -> dict[str, Any]:
@@ -231,23 +209,14 @@ class VoxelStream(OpenStream):
     def bits(self) -> BitAccount:
         return sum((c.bits for c in self.costs), BitAccount())
 
-    def bits_by_kind(self) -> dict[str, float]:
-        kinds = dict.fromkeys(c.kind for c in self.costs)
-        return {k.name.lower(): float(np.mean([c.bits.total for c in self.costs if c.kind == k])) for k in kinds}
-
-    def quantiser(self) -> Callable[[ForceField], Int64s]:
-        """See `OpenStream`: of a coder with codewords the intra tables of the first segment."""
-        if not coder(self.reader.head.coder).has_codewords:
-            return super().quantiser()
-        symbols: Callable[[ForceField], Int64s] = self.decoder.quantiser(self.reader.read_segment(0))
-        return symbols
-
     def _coder(self) -> dict[str, Any]:
-        kinds = [c.kind.name.lower() for c in self.costs]
+        bits_by_kind: dict[str, list[int]] = {}
+        for cost in self.costs:
+            bits_by_kind.setdefault(cost.kind.name.lower(), []).append(cost.bits.total)
         keys: dict[str, Any] = {
             **self.decoder.describe(),
-            "frame_kinds": {k: kinds.count(k) for k in dict.fromkeys(kinds)},
-            "bits_per_frame_by_kind": self.bits_by_kind(),
+            "frame_kinds": {kind: len(bits) for kind, bits in bits_by_kind.items()},
+            "bits_per_frame_by_kind": {kind: float(np.mean(bits)) for kind, bits in bits_by_kind.items()},
         }
         if not coder(self.reader.head.coder).has_promise:
             return keys

@@ -9,9 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from touchfield.viewer.page import shortened, titled_figure, write_png
+from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,7 +19,7 @@ if TYPE_CHECKING:
 
 _LIMIT, _ACTUAL, _KEPT, _LOST = "#0072b2", "#d55e00", "#0072b2", "0.82"
 _WIDTH_INCH = 9.5
-_MOST_IN_LABEL = 40
+_MOST_IN_LABEL = 40  # the end of a path tells most
 
 
 @dataclass(frozen=True)
@@ -54,8 +52,6 @@ def draw_information(
 
 def _draw_bars(panel: Any, bars: Sequence[Bar], unit: str) -> None:
     """Points on a scale of powers: raw numbers and the best limit may lie a factor of a thousand apart."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     values = [v for b in bars for v in (b.value, *(b.interval or ())) if v > 0]
     low, high = min(values, default=0.1), max(values, default=1.0)
     left, right = low / 1.6, high * 1.6 * (high / low) ** 0.15  # room for the last number
@@ -74,12 +70,6 @@ def _draw_bars(panel: Any, bars: Sequence[Bar], unit: str) -> None:
                        fontsize=8, parse_math=False)  # fmt: skip
     panel.set_xscale("log")
     panel.set_xlim(left, right)
-    # ticks at 1, 2 and 5, or at powers of ten alone over a long scale, each written out as a number
-    panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if right / left < 1e4 else (1.0,)))
-    panel.xaxis.set_major_formatter(
-        FuncFormatter(lambda x, _: np.format_float_positional(x, 6, fractional=False, trim="-"))
-    )
-    panel.xaxis.set_minor_formatter(NullFormatter())
     panel.grid(axis="y", color="0.9")
     _finish(panel, [b.label for b in bars], unit)
 
@@ -108,7 +98,7 @@ def _draw_devices(panel: Any, capacities: Mapping[str, Capacity]) -> None:
 def _finish(panel: Any, names: Sequence[str], label: str) -> None:
     """A row for each name, from the top down."""
     panel.set_ylim(len(names) - 0.5, -0.5)
-    panel.set_yticks(range(len(names)), [shortened(n, _MOST_IN_LABEL) for n in names], fontsize=8, parse_math=False)
+    panel.set_yticks(range(len(names)), [n[-_MOST_IN_LABEL:] for n in names], fontsize=8, parse_math=False)
     panel.set_xlabel(label, fontsize=8, parse_math=False)
     panel.tick_params(labelsize=8)
     for side in ("top", "right"):

@@ -24,10 +24,6 @@ if TYPE_CHECKING:
 
 _HUES: Final = ("#0072b2", "#d55e00", "#009e73")
 _PUT, _FIELD, _FRICTION, _CONTACT = "0.1", "#0072b2", "#d55e00", "#f0e442"
-_NAME_SHARE: Final = 0.06
-"""Of the time axis: what a word above it takes."""
-
-_SHORTEST_S: Final = 0.02
 
 
 @dataclass(frozen=True)
@@ -48,59 +44,26 @@ class InteractionView:
     background: ForceField | None = None
 
 
-def contacts(times_s: Float64s, field_n: Float64s) -> list[tuple[float, float]]:
-    """When the hand was in contact: from, to, seconds; gaps and touches shorter than 20 ms are passed over."""
-    if not len(times_s):
-        return []
-    touched = np.linalg.norm(field_n, axis=1) > 0
-    edges = np.flatnonzero(np.diff(touched.astype(np.int8), prepend=0, append=0))
-    spans: list[tuple[float, float]] = []
-    for begin, end in zip(edges[::2], edges[1::2]):
-        since, until = float(times_s[begin]), float(times_s[min(end, len(times_s) - 1)])
-        if spans and since - spans[-1][1] < _SHORTEST_S:
-            spans[-1] = (spans[-1][0], until)
-        else:
-            spans.append((since, until))
-    return [span for span in spans if span[1] - span[0] >= _SHORTEST_S]
-
-
 def draw_interaction(path: Path, view: InteractionView) -> None:
     """Write the picture as PNG; `MissingExtra` if matplotlib is not installed."""
     figure = titled_figure("the picture of an interaction", f"{view.title}\n{view.caption}", 14.0, 9.0)
     places = figure.add_gridspec(3, 2, width_ratios=(3, 2))
     hand, force, parts = (figure.add_subplot(places[row, 0]) for row in range(3))
     rows, times_s = view.rows, view.rows["time_s"]
-    spans = contacts(times_s, rows["field_force_n"])
+    touched = rows["field_force_n"].any(axis=1)
     _draw_axes(hand, times_s, 1e3 * rows["position_m"], "xyz", "hand, mm", title=view.axes, title_fontsize=7)
     _draw_force(force, view)
     _draw_axes(parts, times_s, rows["force_n"], ("Fx", "Fy", "Fz"), "put out, N\n(device's axes)")
     for axis in (hand, force, parts):
-        for begin, end in spans:
-            axis.axvspan(begin, end, color=_CONTACT, alpha=0.22, lw=0)
+        whole = axis.get_xaxis_transform()  # as high as the panel
+        axis.fill_between(times_s, 0, 1, where=touched, transform=whole, color=_CONTACT, alpha=0.22, lw=0)
         if len(times_s):
             axis.set_xlim(times_s[0], max(times_s[-1], times_s[0] + 1e-3))
-    _name_contacts(hand, spans)
     parts.set_xlabel("time, s")
     right = places[:, 1].subgridspec(2, 1)
     _draw_path(figure, figure.add_subplot(right[0]), view, 0, 1)
     _draw_path(figure, figure.add_subplot(right[1]), view, 0, 2)
     write_png(figure, path)
-
-
-def _name_contacts(axis: Any, spans: list[tuple[float, float]]) -> None:
-    """The words above each contact that has room for them."""
-    first, last = axis.get_xlim()
-    width = _NAME_SHARE * (last - first)
-    free = first
-    for begin, end in spans:
-        words = ((begin, "contact", "left"), (end, "release", "right"))
-        if begin < free or end - begin < 2 * width:
-            continue
-        for at, word, side in words:
-            if first < at < last:
-                axis.annotate(word, (at, 1.0), (0, 2), xycoords=("data", "axes fraction"),
-                              textcoords="offset points", ha=side, fontsize=8)  # fmt: skip
-        free = end + width
 
 
 def _draw_axes(axis: Any, times_s: Float64s, rows: Float64s, names: Sequence[str], label: str, **legend: Any) -> None:

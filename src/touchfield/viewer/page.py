@@ -54,11 +54,3 @@ def lines_that_fit(text: str, width_inch: float) -> list[str]:
     """A title in lines for a page of a width, broken at blanks, inside a word only where it is longer than a line."""
     count = int(_LETTERS_PER_INCH * width_inch)
     return [line for part in text.split("\n") for line in wrap(part, count) or [""]]
-
-
-def shortened(text: str, most: int) -> str:
-    """The begin and the end of a name that has more than `most` characters."""
-    if len(text) <= most:
-        return text
-    head = (most - 1) // 2
-    return f"{text[:head]}\u2026{text[len(text) - (most - 1 - head) :]}"

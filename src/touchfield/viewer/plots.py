@@ -1,4 +1,4 @@
-"""Pictures of curves and places: a masked signal (paper figure 2), textures, a reduction, the fewest points.
+"""Pictures of curves: a masked signal (paper figure 2), and textures.
 
 Each is written as PNG; `MissingExtra` where matplotlib is not installed.
 """
@@ -6,18 +6,15 @@ Each is written as PNG; `MissingExtra` where matplotlib is not installed.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.arrays import Bools, Float64s
-from touchfield.perception.mask import mask_n
+from touchfield.arrays import Float64s
 from touchfield.viewer.page import titled_figure, write_png
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from touchfield.medium import ForceField
 
 _QUANTISED, _FELT = "#0072b2", "#d55e00"
 
@@ -58,61 +55,4 @@ def draw_textures(path: Path, bands_hz: tuple[float, ...], rows: dict[str, Float
     axis.fill_between(bands_hz, 1e3 * threshold_n, 1e3 * threshold_n.min() / 10, color="0.9", lw=0, label="not felt")
     axis.set(xlabel="frequency / Hz", ylabel="force / mN rms")
     axis.legend(fontsize=8)
-    write_png(figure, path)
-
-
-def draw_reduction(path: Path, values: Float64s, field: ForceField, felt: Bools, title: str) -> None:
-    """Draw the error after so many modes, by singular values; |F| on the section across z that most is left out of.
-
-    In red is what is not `felt`, bool [nx, ny, nz].
-    """
-    figure = titled_figure("the picture of a reduction", title, 11.0, 4.5)
-    left, right = figure.subplots(1, 2)
-    squares = values**2
-    tail = np.append(np.cumsum(squares[::-1])[::-1], 0.0) / max(float(squares.sum()), 1e-300)
-    left.plot(10 * np.log10(np.maximum(tail, 1e-10)), color="#0072b2")
-    left.set(xlabel="modes kept", ylabel="error / dB of the energy", ylim=(-60, 3))
-    left.xaxis.get_major_locator().set_params(integer=True)
-    size = np.linalg.norm(field.to_dense(), axis=-1)
-    at = int(np.argmax((size > 0).sum(axis=(0, 1)) + 1000 * ((size > 0) & ~felt).sum(axis=(0, 1))))
-    extent = 1e3 * np.stack(field.grid.box_m)[:, :2].T.ravel()
-    image = right.imshow(size[:, :, at].T, origin="lower", extent=extent, cmap="cividis")
-    gone = np.where((size[:, :, at] > 0) & ~felt[:, :, at], 1.0, np.nan)
-    right.imshow(gone.T, origin="lower", extent=extent, cmap="Reds", vmin=0, vmax=1.4)
-    right.set(xlabel="x / mm", ylabel="y / mm")
-    figure.colorbar(image, ax=right, label="|F| / N; red: never felt", shrink=0.85)
-    write_png(figure, path)
-
-
-def draw_points(
-    path: Path,
-    points_m: Float64s,
-    places_m: Float64s,
-    forces_n: Float64s,
-    rebuilt_n: Float64s | None,
-    mask: tuple[float, float],
-) -> None:
-    """Draw forces, newtons [m, 3], at places, metres [m, 3], seen along the axis of least extent.
-
-    Points [n, 3] are rings. Without `rebuilt_n` they are yet to be measured; with it a panel of it follows, and one
-    of the error over the `mask` max(F_0, k |F|), (k, F_0), the worst on top.
-    """
-    across, up = np.sort(np.argsort(np.ptp(places_m, axis=0), kind="stable")[1:])
-    size = np.linalg.norm(forces_n, axis=1)
-    top = {"vmin": 0.0, "vmax": float(size.max()), "cmap": "cividis"}
-    panels: list[tuple[str, str, Float64s, dict[str, Any]]] = [("the field", "|F| / N", size, top)]
-    if rebuilt_n is not None:
-        off = np.linalg.norm(rebuilt_n - forces_n, axis=1) / mask_n(size, *mask)
-        label = f"|error| / max({mask[1]:g} N, {mask[0]:g} |F|)"
-        panels.append(("rebuilt from the points", "|F| / N", np.linalg.norm(rebuilt_n, axis=1), top))
-        panels.append(("what is missed", label, off, {"vmin": 0.0, "vmax": 2.0, "cmap": "PuOr_r"}))
-    title = f"{len(points_m)} points of {len(places_m)}" if rebuilt_n is not None else f"{len(points_m)} points next"
-    figure = titled_figure("the picture of the fewest points", title, 5.0 * len(panels), 4.4)
-    for axis, (name, label, values, style) in zip(np.ravel(figure.subplots(1, len(panels))), panels, strict=True):
-        order = np.argsort(values, kind="stable")
-        dots = axis.scatter(*1e3 * places_m[order][:, [across, up]].T, c=values[order], s=6, lw=0, **style)
-        axis.scatter(*1e3 * points_m[:, [across, up]].T, s=40, facecolors="none", edgecolors="C3", lw=1.3)
-        axis.set_title(name, fontsize=10)
-        axis.set(xlabel=f"{'xyz'[across]} / mm", ylabel=f"{'xyz'[up]} / mm", aspect="equal")
-        figure.colorbar(dots, ax=axis, shrink=0.8).set_label(label, fontsize=9)
     write_png(figure, path)

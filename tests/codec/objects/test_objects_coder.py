@@ -291,6 +291,12 @@ def test_parts_fill_the_body(
         SegmentParts.from_bytes(body[: data.draw(st.integers(0, len(body) - 1))], kinds)
 
 
+@pytest.mark.parametrize("ratio", [0.0, 1e-9, 0.5, 0.99999, 1.0])
+def test_the_worst_error_is_not_rounded_down(ratio: float) -> None:
+    read = SegmentParts.from_bytes(SegmentParts(Worst(ratio, 0, (0, 0, 0)), []).to_bytes(), []).worst
+    assert read is not None and ratio <= read.ratio <= ratio + 1 / 65535
+
+
 def test_a_length_beyond_the_body_allocates_nothing() -> None:
     huge = b"\0" + b"\xff" * 7 + b"\x7f"
     with pytest.raises(FormatError, match=r"poses of object 0: found 0 bytes; expected \d{17} bytes"):

@@ -30,7 +30,7 @@ from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.codec.paper import kernels
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.kernels import LONGEST
-from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
+from touchfield.codec.paper.quantisers import AmplitudeLevels
 from touchfield.codec.segment import BitAccount, FrameCost, FrameKind
 from touchfield.codec.support import decode_numbers, decode_support
 from touchfield.codec.varint import Parts
@@ -206,10 +206,6 @@ class SegmentReader(ABC):
         """A frame, decoded after those before it."""
 
     @abstractmethod
-    def quantise(self, field: ForceField) -> Int64s:
-        """Each supported force as one number: its codeword."""
-
-    @abstractmethod
     def _next(self, *, first: bool) -> FrameParts: ...
 
 
@@ -246,12 +242,6 @@ class BodyReader(SegmentReader):
         levels_n = self.levels(symbols.kind).levels_n
         self._decoded = rebuilt(self._grid, symbols, levels_n, self._codebook, self._decoded)
         return self._decoded
-
-    def quantise(self, field: ForceField) -> Int64s:
-        """Each supported force as one number: its intra level and direction."""
-        vectors = field.vectors_n()
-        levels = self.levels(FrameKind.INTRA).encode(amplitudes_n(vectors)).astype(np.int64)
-        return levels * len(self._codebook) + self._codebook.nearest(vectors)
 
     def _next(self, *, first: bool) -> FrameParts:
         (number,) = self._parts.take(1, "frame kind")

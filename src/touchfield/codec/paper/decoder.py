@@ -18,7 +18,7 @@ What lies in a brick beside the support is known to be none, so a transform may 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -37,7 +37,6 @@ from touchfield.medium.kernels import raster_slots
 
 LEVELS: Final = 3  # of the wavelet: 8 samples, 4, 2
 GRAIN: Final = 16  # parts of the finest step that ADPCM counts in
-_FARTHEST = float(1 << 20)  # steps of a component that are told apart
 _BYTES_PER_BRICK = 128 * BRICK**3  # that decoding takes at its height
 _FRACTION = 8  # bits below a step in the DCT
 _COSINE_BITS = 18
@@ -74,13 +73,6 @@ class StageReader(SegmentReader):
             raise CorruptFile("SEGM.body", "a force that is too large", f"at most {MOST_NEWTONS:g} N")
         forces.reshape(-1, 3)[slots] = vectors.astype(np.float32)
         return field_that_holds(self._grid, bricks, forces)
-
-    def quantise(self, field: ForceField) -> Int64s:
-        """Each supported force as one number: the triple of its components in whole steps."""
-        steps = np.clip(field.vectors_n() / self.step_n, -_FARTHEST, _FARTHEST)
-        x, y, z = np.rint(steps).astype(np.int64).T
-        triple: Int64s = (x << 42) + (y << 21) + z
-        return triple
 
     def _next(self, *, first: bool) -> FrameParts:
         support = self._parts.chunk("support")
@@ -176,10 +168,6 @@ class PaperDecoder:
         if self._called in PARTS:
             return {"stage": self._called}
         return {"stage": "none", "directions": self._called, "direction_count": len(Codebook.get(self._called))}
-
-    def quantiser(self, body: bytes) -> Callable[[ForceField], Int64s]:
-        """Q of a segment: each supported force to a symbol, by its intra levels and directions, or its step."""
-        return self._reader(body).quantise
 
     def _reader(self, body: bytes) -> SegmentReader:
         if self._called in PARTS:

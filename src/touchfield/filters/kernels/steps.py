@@ -1,10 +1,9 @@
-"""Compiled steps in place of a field by what lies around each sample: diffusion, and lifting.
+"""Compiled steps of the diffusion of a field.
 
-Diffusion takes each brick with the samples around it into a tile of 10 x 10 x 10, one row for each component, so that
-every loop over it is a long run that the compiler turns into vector instructions. The flux of an edge between two
-bricks is computed in both from the same numbers by the same operations: what leaves one enters the other to the last
-bit. A step of lifting changes sites of one kind by what their neighbours of the other kind hold, so that it reads
-nothing that it writes. Neither result depends on the number of threads. Imported only when first needed.
+Each brick is taken with the samples around it into a tile of 10 x 10 x 10, one row for each component, so that every
+loop over it is a long run that the compiler turns into vector instructions. The flux of an edge between two bricks is
+computed in both from the same numbers by the same operations: what leaves one enters the other to the last bit. The
+result does not depend on the number of threads. Imported only when first needed.
 """
 
 from __future__ import annotations
@@ -52,19 +51,12 @@ def _exponential(s):
 
 
 @njit(cache=True, nogil=True)
-def _rational(s):
-    """Take each s >= 0 to 1 / (1 + s)."""
-    for e in range(s.shape[0]):
-        s[e] = np.float32(1) / (np.float32(1) + s[e])
-
-
-@njit(cache=True, nogil=True)
 def _edges(values, mask, stride, law, s, flux):
     """The flux along each edge of one axis that touches the brick, into `flux` from its first place on.
 
-    `law` is (weight, 1 / kappa, rational); an edge with a side outside the mask has none.
+    `law` is (weight, 1 / kappa); an edge with a side outside the mask has none.
     """
-    weight, per_kappa, rational = law
+    weight, per_kappa = law
     begin = _FIRST - stride
     count = _END - begin
     near, far = mask[begin:_END], mask[begin + stride : _END + stride]
@@ -76,10 +68,7 @@ def _edges(values, mask, stride, law, s, flux):
             x = d[e] * per_kappa
             s[e] = x * x + (s[e] if c else np.float32(0))
     g = s[:count]
-    if rational:
-        _rational(g)
-    else:
-        _exponential(g)
+    _exponential(g)
     for e in range(count):
         g[e] *= near[e] * far[e] * weight
     for c in range(values.shape[0]):
@@ -89,13 +78,13 @@ def _edges(values, mask, stride, law, s, flux):
 
 
 @njit(cache=True, nogil=True)
-def _step(values, mask, weights, per_kappa, rational, s, flux):
+def _step(values, mask, weights, per_kappa, s, flux):
     """One step of the brick in the middle of a tile, in place; `weights` holds lambda of each axis."""
     total = flux[values.shape[0] :]
     total[:] = 0
     for axis in range(3):
         stride = _STRIDES[axis]
-        _edges(values, mask, stride, (weights[axis], per_kappa, rational), s, flux)
+        _edges(values, mask, stride, (weights[axis], per_kappa), s, flux)
         for c in range(values.shape[0]):
             enters, leaves, sums = flux[c, stride:], flux[c], total[c]
             for e in range(_END - _FIRST):
@@ -107,11 +96,11 @@ def _step(values, mask, weights, per_kappa, rational, s, flux):
 
 
 @njit(cache=True, nogil=True)
-def diffused_bricks(begin, end, slots, support, forces, weights, per_kappa, rational, out):
+def diffused_bricks(begin, end, slots, support, forces, weights, per_kappa, out):
     """One explicit step of the samples that take part, from `forces` into `out`, both float32 [n, 512, 3].
 
     `slots` are `touchfield.medium.field.slots_around`; `weights` float32 (x, y, z) are lambda, `per_kappa` is
-    1/kappa, 0 for a conductance of 1, and `rational` takes 1/(1 + s) in place of exp(-s), s = (|difference|/kappa)^2.
+    1/kappa, 0 for a conductance of 1.
     """
     values, mask = np.zeros((3, _TILE), np.float32), np.zeros(_TILE, np.float32)
     s, flux = np.zeros(_TILE, np.float32), np.zeros((6, _TILE), np.float32)
@@ -135,79 +124,10 @@ def diffused_bricks(begin, end, slots, support, forces, weights, per_kappa, rati
                     mask[place + k] = support[n, local + k]
                     for c in range(3):
                         values[c, place + k] = forces[n, local + k, c]
-        _step(values, mask, weights, per_kappa, rational, s, flux)
+        _step(values, mask, weights, per_kappa, s, flux)
         for i in range(8):
             for j in range(8):
                 local, place = i * 64 + j * 8, _FIRST + i * 100 + j * 10
                 for k in range(8):
                     for c in range(3):
                         out[n, local + k, c] = values[c, place + k]
-
-
-@njit(cache=True, nogil=True)
-def _add(total, begin, end, forces, slot, row):
-    """Add a piece of one row of a brick, from its number ``row`` on, to ``total``; nothing where there is no brick.
-
-    Indices without a sign and one flat array spare tests and counts of users: ten times as fast together.
-    """
-    if slot >= 0:
-        source, target = np.uint64(slot * 1536 + row), np.uint64(begin)
-        for r in range(np.uint64(end - begin)):
-            total[target + r] += forces[source + r]
-
-
-@njit(cache=True, nogil=True)
-def _brick_sum(n, bricks, slots, forces, shape, i, j, offsets, scale, total):
-    """The sum over the neighbours of each site of one row of a brick; what it holds between the sites means nothing.
-
-    Whole rows are added, sites or not, because the processor adds eight consecutive numbers as fast as one. A
-    neighbour beyond the border is its mirror image about the site.
-    """
-    x, y, z = bricks[n, 0] * 8, bricks[n, 1] * 8, bricks[n, 2] * 8
-    step = 3 * scale
-    last = (shape[2] - 1) // scale * scale - z  # the last site of the grid, as a sample of this brick
-    total[:] = 0
-    for o in range(offsets.shape[0]):
-        a, b = i + offsets[o, 0] * scale, j + offsets[o, 1] * scale
-        if x + a < 0 or x + a >= shape[0]:
-            a = i - offsets[o, 0] * scale
-        if y + b < 0 or y + b >= shape[1]:
-            b = j - offsets[o, 1] * scale
-        own = (1 + (a >> 3)) * 9 + (1 + (b >> 3)) * 3 + 1  # before and after it the bricks at its sides
-        row = ((a & 7) * 8 + (b & 7)) * 24
-        if offsets[o, 2] == 0:
-            _add(total, 0, 24, forces, slots[n, own], row)
-        elif offsets[o, 2] > 0:
-            _add(total, 0, 24 - step, forces, slots[n, own], row + step)
-            _add(total, 24 - step, 24, forces, slots[n, own + 1], row)
-            if 0 <= last < 8:
-                image = last - scale
-                _add(total, 3 * last, 3 * last + 3, forces, slots[n, own + (image >> 3)], row + 3 * (image & 7))
-        else:
-            _add(total, step, 24, forces, slots[n, own], row)
-            _add(total, 0, step, forces, slots[n, own - 1], row + 24 - step)
-            if z == 0:
-                _add(total, 0, 3, forces, slots[n, own + (scale >> 3)], row + 3 * (scale & 7))
-
-
-@njit(cache=True, nogil=True)
-def lifted_bricks(begin, end, bricks, slots, forces, shape, scale, starts, offsets, hold, weight):
-    """Put to each site `hold` times what it holds, and `weight` times the sum of its neighbours, in place.
-
-    `forces` are flat, and zero beyond the grid; `scale` is 1, 2, 4 or 8, so that no neighbour lies beyond the next
-    brick. `starts` int64 [2, 2] tells for the parities along the first two axes the parity along the third of the
-    sites to change, -1 for none; `offsets` int64 [k, 3] are those of their neighbours, in units of `scale`.
-    """
-    total = np.zeros(24, np.float32)
-    for n in range(begin, end):
-        x, y, z = bricks[n, 0] * 8, bricks[n, 1] * 8, bricks[n, 2] * 8
-        for i in range(0, min(8, shape[0] - x), scale):
-            for j in range(0, min(8, shape[1] - y), scale):
-                start = starts[((x + i) // scale) & 1, ((y + j) // scale) & 1]
-                first = ((start - z // scale) & 1) * scale
-                if start >= 0 and first < 8:
-                    _brick_sum(n, bricks, slots, forces, shape, i, j, offsets, scale, total)
-                    row = n * 1536 + (i * 8 + j) * 24
-                    for k in range(first, min(8, shape[2] - z), 2 * scale):
-                        for r in range(3 * k, 3 * k + 3):
-                            forces[row + r] = hold * forces[row + r] + weight * total[r]

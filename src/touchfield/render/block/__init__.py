@@ -45,8 +45,6 @@ class Memory:
     @classmethod
     def of(cls, buffer: Any) -> Memory:
         """The views of a writeable buffer whose length is a multiple of eight bytes."""
-        if len(buffer) % W.WORD:
-            raise InvalidArgument("buffer", f"{len(buffer)} bytes", "a multiple of 8")
         octets = np.frombuffer(buffer, np.uint8)
         return cls(octets.view(np.int64), octets.view(np.uint64), octets.view(np.float64), octets.view(np.float32))
 

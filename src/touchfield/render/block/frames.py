@@ -59,9 +59,6 @@ def field_words(pool: CellPool) -> int:
 
 def write_field(memory: Memory, at: int, pool: CellPool) -> None:
     """Write a pool of one field (``CellPool.of(field)``) at word `at`."""
-    if len(pool.boxes) != 1:
-        raise InvalidArgument("pool", f"{len(pool.boxes)} fields", "one field")
-    _check_place(memory, at, field_words(pool))
     i8, u8, f8, f4 = memory.views
     table = W.FIELD_WORDS
     held = table + pool.tables.size
@@ -101,7 +98,6 @@ def write_frame(
 
     The sum of forces is cut to `force_max_n`; `vibration_at` is the word of the field of a vibration, 0 for none.
     """
-    _check_place(memory, at, frame_words(len(parts)))
     i8, _, f8, _ = memory.views
     i8[at + W.FRAME_PARTS], i8[at + W.FRAME_VIBRATION], i8[at + W.FRAME_WARP] = len(parts), vibration_at, 0
     f8[at + W.FRAME_LIMIT] = force_max_n
@@ -126,7 +122,6 @@ def write_warp(
     """Write the lattice of a deformation `offset` words behind a frame's first, and tell the frame of it."""
     i8, _, f8, _ = memory.views
     at = frame_at + offset
-    _check_place(memory, at, warp_words(deformation))
     u = deformation.displacement_m[min(frame, len(deformation) - 1)]
     i8[frame_at + W.FRAME_WARP] = offset
     i8[at : at + 3] = u.shape[:3]
@@ -145,11 +140,6 @@ def _matrix(w: float, x: float, y: float, z: float) -> tuple[float, ...]:
         *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-
-
-def _check_place(memory: Memory, at: int, words: int) -> None:
-    if at < 0 or at + words > memory.words:
-        raise InvalidArgument("place in the block", f"words {at} to {at + words}", f"0 to {memory.words}")
 
 
 def require_medium(medium: object) -> None:

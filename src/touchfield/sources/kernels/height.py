@@ -59,26 +59,13 @@ def _fit(heights, r, c, step):
 
 @entry
 def _gradients(begin, end, heights, step, per_col, per_row, out):
-    rows, cols = heights.shape
     for r in range(begin, end):
-        for c in range(cols):
-            here = heights[r, c]
-            if not np.isfinite(here):
+        for c in range(heights.shape[1]):
+            if not np.isfinite(heights[r, c]):
                 out[r, c, 0] = 0.0
                 out[r, c, 1] = 0.0
                 continue
-            whole = _NEAR <= r < rows - _NEAR and _NEAR <= c < cols - _NEAR
-            gx = gy = 0.0
-            if whole:
-                for dr in range(-_NEAR, _NEAR + 1):
-                    for dc in range(-_NEAR, _NEAR + 1):
-                        h = heights[r + dr, c + dc] - here
-                        whole &= abs(h) <= step
-                        w = _WEIGHTS[dr + _NEAR] * _WEIGHTS[dc + _NEAR] / 256.0
-                        gx += w * dc * h
-                        gy += w * dr * h
-            if not whole:
-                gx, gy = _fit(heights, r, c, step)
+            gx, gy = _fit(heights, r, c, step)
             out[r, c, 0] = gx * per_col
             out[r, c, 1] = gy * per_row
 

@@ -25,7 +25,7 @@ from touchfield.medium import Grid
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels import mesh_triangle as tri
 from touchfield.sources.kernels.height import amplitude as amplitude_at
-from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_at, winding_of_brick
+from touchfield.sources.kernels.mesh_sign import COLUMN_SHIFT, winding_of_brick
 
 CLOSED, ONE_SIDED, TWO_SIDED, LIDDED = 0, 1, 2, 3
 """Signs of a distance: by winding number; by the pseudo-normal; by the wall's half thickness; by the
@@ -67,7 +67,7 @@ def _place(bricks, b, i, j, k, lattice):
 
 # -- from the grid down to its bricks ------------------------------------------------------------------------------
 @njit(cache=True, nogil=True)
-def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits, events, keep, counts):
+def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limit, keep, counts):
     """Triangles of each cell that its eight children keep: a bit for each child, and their numbers."""
     scale = 1.0 / lattice[3:].max()
     steps = lattice[3:] * scale
@@ -76,7 +76,6 @@ def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits,
     radius = tri.place_centres(block, half, steps)
     reach = 2.0 * radius * size / max(half - 1, 1)
     tiles = tri.tiles_for(begin, end, start[:-1], start[1:])
-    limit = max(limits[0], limits[1])
     for cell in range(begin, end):
         first, count = start[cell], start[cell + 1] - start[cell]
         i, j, k = cells[cell, 0] * size, cells[cell, 1] * size, cells[cell, 2] * size
@@ -88,13 +87,7 @@ def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limits,
             if ci >= shape[0] or cj >= shape[1] or ck >= shape[2]:
                 continue
             least = np.sqrt(tri.least_of(tiles, count, s)[1])
-            span = limit
-            if limits[2] > _0 and least > radius + _SLACK + least * np.float32(1e-5):  # all of one sign
-                is_outside = winding_at(events, ci, cj, ck, (shape[2] + 7) // 8) == 0
-                span = limits[1] if is_outside else limits[0]
-            if span < _0:
-                continue
-            far = min(least + 2 * radius, span + radius) * np.float32(1 + 1e-5) + _SLACK
+            far = min(least + 2 * radius, limit + radius) * np.float32(1 + 1e-5) + _SLACK
             far = far * far
             kept = 0
             for c in range(count):
@@ -292,7 +285,7 @@ def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, h
 
 # -- all of it -----------------------------------------------------------------------------------------------------
 def _bricks_near(
-    table: Float64s, lattice: Float64s, shape: Int64s, limits: Float32s, events: Int64s
+    table: Float64s, lattice: Float64s, shape: Int64s, limit: np.float32
 ) -> tuple[Int32s, Int64s, Int32s]:
     """The bricks near a mesh in any order, where the triangles of each begin, and the triangles."""
     size = 8 << int(-(-int(shape.max()) // 8) - 1).bit_length()
@@ -302,7 +295,7 @@ def _bricks_near(
     while size > 8 and len(cells):
         keep = np.empty(len(ids), np.uint8)
         counts = np.zeros((len(cells), 8), np.int64)
-        work = (cells, start, ids, table, lattice, shape, size, limits, events, keep, counts)
+        work = (cells, start, ids, table, lattice, shape, size, limit, keep, counts)
         for_chunks(_descend, len(cells), *work)
         ends = np.cumsum(counts)
         children = np.empty(ends[-1], np.int32)
@@ -321,8 +314,7 @@ def _rim_near(
     rim: Float64s, lattice: Float64s, shape: Int64s, reach_m: float, keys: Int64s
 ) -> tuple[Int64s, Int64s, Int32s]:
     """Edges of a rim that may be within `reach_m` of the bricks with these keys, ascending."""
-    limits = np.array([reach_m / lattice[3:].max()] * 2 + [0], np.float32)
-    bricks, start, ids = _bricks_near(rim, lattice, shape, limits, np.zeros(0, np.int64))
+    bricks, start, ids = _bricks_near(rim, lattice, shape, np.float32(reach_m / lattice[3:].max()))
     _, by, bz = -(-shape // 8)
     own = (bricks[:, 0].astype(np.int64) * by + bricks[:, 1]) * bz + bricks[:, 2]
     place = np.searchsorted(keys, own)
@@ -351,9 +343,8 @@ def forces_near(
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)
     scale = 1 / lattice[3:].max()
-    is_closed = band.sidedness == CLOSED
-    limits = np.array([band.inner_m * scale, band.outer_m * scale, is_closed], np.float32)
-    bricks, start, ids = _bricks_near(surface[0], lattice, shape, limits, events)
+    limits = np.array([band.inner_m * scale, band.outer_m * scale], np.float32)
+    bricks, start, ids = _bricks_near(surface[0], lattice, shape, limits.max())
     _, by, bz = grid.brick_shape
     columns = bricks[:, 1].astype(np.int64) * bz + bricks[:, 2]
     keys = bricks[:, 0].astype(np.int64) * (by * bz) + columns

@@ -25,7 +25,6 @@ import numpy as np
 from touchfield.arrays import Bools, Float64s, Int32s, Int64s
 from touchfield.lean import njit
 from touchfield.medium import Grid
-from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks
 
 COLUMN_SHIFT = 27
@@ -117,19 +116,6 @@ def crossings(vertices_m: Float64s, triangles: Int32s, grid: Grid) -> Int64s:
     for_chunks(_draw, len(triangles), *work, offsets, events, chunk=512)
     events.sort()
     return events[: np.searchsorted(events, _DROPPED)]
-
-
-@njit(nogil=True)
-def winding_at(events, i, j, k, bricks_z):
-    """The winding number at sample (i, j, k)."""
-    column = np.int64(j >> 3) * bricks_z + (k >> 3)
-    base = (column << COLUMN_SHIFT) | ((((j & 7) << 3) | (k & 7)) << _ROW_SHIFT)
-    end = base + ((i + 1) << 1)
-    total, e = 0, first_at_least(events, base)
-    while e < len(events) and events[e] < end:
-        total += 1 if events[e] & 1 else -1
-        e += 1
-    return total
 
 
 @njit(nogil=True)

@@ -1,4 +1,4 @@
-"""JSON from strangers: each value is taken with its type and range, and an error names its place in the file.
+"""JSON and TOML from strangers: each value is taken with its type and range, an error names its place in the file.
 
 A place is written as in ``$.perceptions[0].channels[3].gain``.
 """
@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from touchfield.errors import SourceError
 from touchfield.files import read_bytes
@@ -21,7 +21,7 @@ _MISSING: Final = object()
 
 @dataclass(frozen=True)
 class JsonValue:
-    """A value of a JSON document, as `json` reads it, and where it stands.
+    """A value of a document, as `json` or `tomllib` reads it, and where it stands.
 
     Every method raises SourceError, naming file and place, if the value is of another type or out of range.
     """
@@ -29,6 +29,7 @@ class JsonValue:
     value: Any
     file: str
     place: str = "$"
+    owner: Any = field(default=None, repr=False, compare=False)  # of a whole document, for who reads on in it
 
     def wrong(self, found: str, expected: str, mend: str = "") -> SourceError:
         """The error that this value is not what it should be."""
@@ -46,17 +47,27 @@ class JsonValue:
             raise self.refused("an object")
         return self.value
 
-    def get(self, key: str) -> JsonValue | None:
+    def only(self, names: Iterable[str]) -> None:
+        """SourceError for a member that is none of these."""
+        names = tuple(names)
+        for key in self.members():
+            if key not in names:
+                raise self.at(key).wrong("a key that is not known", f"one of {', '.join(names)}")
+
+    def _inner(self, value: Any, place: str) -> Self:
+        return type(self)(value, self.file, self.place + place, self.owner)
+
+    def get(self, key: str) -> Self | None:
         """A member of an object; None if it is not there."""
         members = self.members()
-        return JsonValue(members[key], self.file, f"{self.place}.{key}") if key in members else None
+        return self._inner(members[key], f".{key}") if key in members else None
 
-    def at(self, key: str, default: Any = _MISSING) -> JsonValue:
+    def at(self, key: str, default: Any = _MISSING) -> Self:
         """A member, or its default; one without default must be there."""
         value = self.members().get(key, default)
         if value is _MISSING:
             raise self.wrong(f"no {key!r}", "an object that has it")
-        return JsonValue(value, self.file, f"{self.place}.{key}")
+        return self._inner(value, f".{key}")
 
     def items(self, least: int = 0) -> list[Any]:
         """The bare items of an array."""
@@ -66,9 +77,9 @@ class JsonValue:
             raise self.wrong(f"an array of {len(self.value)}", f"at least {least}")
         return self.value
 
-    def each(self, least: int = 0) -> Iterator[JsonValue]:
+    def each(self, least: int = 0) -> Iterator[Self]:
         """The items of an array."""
-        return (JsonValue(item, self.file, f"{self.place}[{i}]") for i, item in enumerate(self.items(least)))
+        return (self._inner(item, f"[{i}]") for i, item in enumerate(self.items(least)))
 
     def text(self, choices: tuple[str, ...] | None = None) -> str:
         """A string, one of `choices` where they are given."""
@@ -77,10 +88,11 @@ class JsonValue:
         return self.value
 
     def whole(self, low: int, high: int) -> int:
-        """An integer from `low` to `high`."""
-        if isinstance(self.value, bool) or not isinstance(self.value, int) or not low <= self.value <= high:
+        """An integer from `low` to `high`; JSON does not tell 1 from 1.0."""
+        value, is_number = self.value, isinstance(self.value, int | float) and not isinstance(self.value, bool)
+        if not (is_number and low <= value <= high and value == int(value)):
             raise self.refused(f"an integer from {low} to {high}")
-        return self.value
+        return int(value)
 
     def number(self, low: float = -math.inf, high: float = math.inf) -> float:
         """A finite number from `low` to `high`."""
@@ -94,14 +106,17 @@ class JsonValue:
 
 def read_json(path: str | Path, most_bytes: int, what: str) -> JsonValue:
     """The JSON document in a file; SourceError as `read_bytes`, or if it holds no JSON."""
-    data = read_bytes(path, most_bytes, what)
+    return JsonValue(parsed(read_bytes(path, most_bytes, what), str(path), what), str(path))
+
+
+def parsed(data: bytes, where: str, what: str) -> Any:
+    """The value of JSON; SourceError if it is none."""
     try:
-        value = json.loads(data.decode("utf-8-sig"), parse_constant=_no_constant)
+        return json.loads(data.decode("utf-8-sig"), parse_constant=_no_constant)
     except RecursionError:
-        raise SourceError(str(path), "JSON nested too deeply", what) from None
+        raise SourceError(where, "JSON nested too deeply", what) from None
     except ValueError as error:  # also UnicodeDecodeError, and integers of thousands of digits
-        raise SourceError(str(path), f"no JSON ({error})", what) from None
-    return JsonValue(value, str(path))
+        raise SourceError(where, f"no JSON ({error})", what) from None
 
 
 def _no_constant(name: str) -> float:
