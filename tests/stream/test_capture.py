@@ -224,12 +224,12 @@ def test_one_process_feels_what_another_sends_through_a_pipe() -> None:
         [*program, "live", "-", "-", *camera], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
     hand = subprocess.Popen(
-        [*program, "play", "-", "--device", "sim", "--seconds", "6"], stdin=sender.stdout, stdout=subprocess.PIPE,
+        [*program, "play", "-", "--device", "sim", "--seconds", "9"], stdin=sender.stdout, stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert sender.stdin is not None and sender.stdout is not None
     sender.stdout.close()
-    sender.stdin.write(b"".join(png(i % 12) for i in range(100)))
+    sender.stdin.write(b"".join(png(i % 12) for i in range(200)))
     sender.stdin.close()
     out, told = hand.communicate(timeout=120)
     assert sender.wait(60) == 0 and "frames_used" in out and "the sender has ended the stream" in out, told
