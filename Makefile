@@ -7,10 +7,11 @@ BIN := .venv/bin
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
 
-# Two processes side by side, over one cache of compiled kernels; threads of linear algebra would only take turns.
+# Two processes side by side, over one cache of compiled kernels; threads of linear algebra would only take turns, and
+# a hundred interpreters that are started would compile the modules each for itself where none may keep them.
 HERE := $(wildcard tests/test_*.py) tests/adapters/ tests/integrations/ tests/viewer/
 test: .venv/ready
-	@export OPENBLAS_NUM_THREADS=1; told=$$(mktemp); \
+	@export OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=; told=$$(mktemp); \
 	$(BIN)/python -m pytest -p no:cacheprovider $(filter-out $(HERE),$(wildcard tests/*/)) > $$told 2>&1 & \
 	beside=$$!; $(BIN)/python -m pytest $(HERE); here=$$?; wait $$beside; there=$$?; cat $$told; rm $$told; \
 	test $$here -eq 0 && test $$there -eq 0

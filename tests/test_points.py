@@ -156,7 +156,7 @@ def test_a_moving_medium_is_rebuilt_from_its_points(moving: Path, tmp_path: Path
 
 def test_a_medium_that_stands_still_and_a_recording(moving: Path, felt: Path, tmp_path: Path) -> None:
     still = tmp_path / "still.npz"
-    tf.job.write_field(still, tf.prepare(moving).medium[:1])
+    tf.job.write_field(still, open_source(moving).medium[:1])
     few, many = (fewest_points(still, count).summary() for count in (6, 24))
     assert few["criterion"] == "error" and many["nmse_db"] < few["nmse_db"] < 0
     done = fewest_points(felt, 20, tmp_path / "kept.csv")
@@ -177,7 +177,7 @@ def test_next_is_where_least_was_measured(felt: Path, moving: Path, tmp_path: Pa
     spread = [row["deviation_n"] for row in told["next"]]
     assert spread == sorted(spread, reverse=True) and spread[0] <= told["deviation_nowhere_measured_n"] * (1 + 1e-9)
     again = next_points(moving, 3, felt).summary()
-    low, high = tf.prepare(moving).medium.grid.box_m
+    low, high = open_source(moving).medium.grid.box_m
     places = np.array([[row["x_m"], row["y_m"], row["z_m"]] for row in again["next"]])
     assert (places > low).all() and (places < high).all()
 

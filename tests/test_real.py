@@ -40,14 +40,15 @@ def round_trip(source: Path, stream: Path, spec: EncodeSpec) -> dict:
 @pytest.mark.parametrize("name", SEQUENCES)
 @pytest.mark.parametrize("reading", ["camera", "height"])
 def test_every_sequence(shared_data: Path, tmp_path: Path, name: str, reading: str) -> None:
-    spec = EncodeSpec(nw=5, source=SourceOptions(reading=reading))
+    frames = None if reading == "camera" else (0, 6)  # the pictures are the same
+    spec = EncodeSpec(nw=5, frames=frames, source=SourceOptions(reading=reading))
     compared = round_trip(shared_data / name, tmp_path / "s.touch", spec)
-    assert compared["frames"] == 24
+    assert compared["frames"] == (24 if reading == "camera" else 6)
 
 
 @pytest.mark.parametrize("name", MESHES)
 def test_every_mesh(shared_data: Path, tmp_path: Path, name: str) -> None:
-    frames = {"MorphStressTest.gltf": (100, 160), "Fox.glb": (0, 40)}.get(Path(name).name)  # of 560, of 275
+    frames = {"MorphStressTest.gltf": (100, 108), "Fox.glb": (0, 8)}.get(Path(name).name)  # of 560, of 275
     round_trip(shared_data / "meshes" / name, tmp_path / "m.touch", EncodeSpec(nw=6, frames=frames))
 
 
@@ -64,8 +65,8 @@ def test_trends_of_the_paper_on_a_real_sequence(shared_data: Path, tmp_path: Pat
     coarse = figures(1, k=0.01, directions="ico3")
     assert coarse["nmse_db"] > by_k[0]["nmse_db"] + 2
     # CR is per frame: several frames of a standing world cost no more each than the first alone
-    one, five = figures(1), figures(5)
-    assert five["cr_full"] < one["cr_full"]
+    one, three = figures(1), figures(3)
+    assert three["cr_full"] < one["cr_full"]
 
 
 class Standing(DepthSequence):

@@ -130,8 +130,13 @@ def test_degrees_of_freedom_are_those_that_were_put_in() -> None:
 # -- what no hand reaches ------------------------------------------------------------------------------------------
 
 
-def forces_along(medium: tf.HapticMedium, other: tf.HapticMedium, hand: Hand, seed: int) -> tuple[int, float]:
-    """Forces that differ along 500 paths of hands that do their worst, and the greatest one that they met."""
+def forces_along(
+    medium: tf.HapticMedium, other: tf.HapticMedium, hand: Hand, seed: int, most_different: int | None = None
+) -> tuple[int, float]:
+    """Forces that differ along 500 paths of hands that do their worst, and the greatest one that they met.
+
+    The hands stop once more than `most_different` forces differ.
+    """
     rng, dt, count = np.random.default_rng(seed), 1e-3, 500
     high = GRID.to_m(np.array(GRID.shape) - 1)
     x = rng.uniform(0, 1, (count, 3)) * [high[0], high[1], 0.012] + [0, 0, high[2] - 0.012]
@@ -148,6 +153,8 @@ def forces_along(medium: tf.HapticMedium, other: tf.HapticMedium, hand: Hand, se
         speed = np.linalg.norm(v, axis=1, keepdims=True)
         v = v * np.minimum(1.0, hand.speed_m_s / np.maximum(speed, 1e-9))
         x = np.clip(x + dt * v, 0, high)
+        if most_different is not None and differ > most_different:
+            break
     return differ, most
 
 
@@ -160,7 +167,7 @@ def test_no_hand_feels_what_is_left_out_of_a_solid(frames: int, swing_m: float) 
     differ, most = forces_along(medium, shell, HAND, 3)
     assert differ == 0 and most > 1.0
     skin = np.linalg.norm(medium[0].to_dense(), axis=-1) < 2.0
-    assert forces_along(medium, culled(medium, skin), HAND, 3)[0] > 0  # these hands do come in
+    assert forces_along(medium, culled(medium, skin), HAND, 3, most_different=0)[0] > 0  # these hands do come in
 
 
 def test_a_hand_that_is_stronger_than_the_field_reaches_all() -> None:
@@ -192,7 +199,8 @@ def test_a_layer_turns_a_hand_by_the_rule_at_the_head_of_the_module(hand: Hand) 
 
 def test_the_command_tells_and_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     field, log = tmp_path / "floor.npz", tmp_path / "log.csv"
-    tf.write_field(field, floor(6))
+    medium = floor(4)
+    tf.write_field(field, medium)
     log.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{i / 1000},{0.03 + i * 5e-5},0.06,0.088\n" for i in range(100)))
     names = [str(tmp_path / name) for name in ("few.touch", "shell.touch")]
     few, shell = names
@@ -206,7 +214,7 @@ def test_the_command_tells_and_writes(tmp_path: Path, capsys: pytest.CaptureFixt
     with tf.open_stream(shell) as stream:
         felt = reach_of(stream.medium, HAND).samples
         assert stream.medium[3].support_count == np.count_nonzero(
-            (floor(6)[3].to_dense() != 0).any(-1) & reach_of(floor(6), HAND).samples
+            (medium[3].to_dense() != 0).any(-1) & reach_of(medium, HAND).samples
         )
         assert felt.any()
     assert _exit_code(["reduce", str(field), "--trace", str(log), "--device", "touch", *hand, "--json"]) == 0

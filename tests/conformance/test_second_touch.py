@@ -116,14 +116,14 @@ def test_both_refuse_the_same_bytes(name: str, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(globals(), "GRID", Grid((9, 8, 10), GRID.spacing_m, GRID.origin_m))  # the second is slow
     parameters, body = encoded(name)
     rng, refused = np.random.default_rng(len(body)), 0
-    for _ in range(40):
+    for _ in range(25):
         changed = bytearray(body)
         changed[int(rng.integers(len(body)) * rng.choice([0.1, 1]))] ^= 1 << rng.integers(8)
         cut = bytes(changed[: len(changed) - (rng.random() < 0.1)])
         expected = outcome(ours, parameters, cut)
         assert outcome(second, parameters, cut) == expected
         refused += isinstance(expected, str)
-    assert refused > 10
+    assert refused > 6
 
 
 def test_both_refuse_the_same_parameters() -> None:

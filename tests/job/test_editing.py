@@ -31,7 +31,7 @@ GRID = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (32, 32, 32))
 EXACT = tf.EncodeSpec(touch=tf.TouchSpec(mode="lossless"))
 
 
-def ball(grid: tf.Grid, centre_m: tuple[float, float, float], radius_m: float = 0.02) -> NDArray[np.float32]:
+def ball(grid: tf.Grid, centre_m: tuple[float, float, float], radius_m: float = 0.015) -> NDArray[np.float32]:
     """A soft ball that pushes outwards, up to 2 N."""
     places = np.stack(np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij"), axis=-1) - centre_m
     away = np.linalg.norm(places, axis=-1, keepdims=True)

@@ -91,7 +91,8 @@ def test_a_hand_on_a_standing_world_feels_no_start(
     added, decoded_added = (np.sqrt(max(0.0, h.start_error_mn**2 - h.error_step_mn**2)) for h in holds if h)
     assert decoded_added > 5 and added < most * decoded_added
     with open_stream(path) as opened:
-        assert [opened.medium[i] for i in reversed(range(frames))] == before[::-1]
+        step = 1 + frames // 32  # each frame is decoded from the first of its segment on
+        assert [opened.medium[i] for i in range(frames)[::-step]] == before[::-step]
 
 
 def test_the_player_can_leave_it_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -139,7 +139,7 @@ def test_a_page_with_the_source_tells_its_bytes(tmp_path: Path, capsys: pytest.C
     force[4:12, 4:12, 2:6, 2] = 1.0
     source, stream, out = (str(tmp_path / name) for name in ("field.npz", "block.touch", "page.html"))
     tf.write_field(source, tf.HapticMedium.from_array(force, grid))
-    tf.encode(source, stream)
+    tf.encode(source, stream, tf.EncodeSpec(nw=4))
     assert _exit_code(["export", stream, out, "--source", source, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     within = re.search(r'id="given-source">([^<]+)<', Path(out).read_text(encoding="utf-8"))
