@@ -33,21 +33,27 @@ def _candidates(edge, cell, step_m, reach_m, found, count):
                         return -1
                     found[count, 0], found[count, 1], found[count, 2] = x, y, z
                     count += 1
-    square = (found[first:count] ** 2).sum(axis=1)
-    order = np.argsort(square)
-    near, kept = found[first:count][order], first
-    for a in range(len(near)):
+    kept = first
+    for a in range(first, count):  # the nearest of those that are left, so that it can beat the others
+        least, at = math.inf, a
+        for b in range(a, count):
+            square = found[b, 0] ** 2 + found[b, 1] ** 2 + found[b, 2] ** 2
+            if square < least:
+                least, at = square, b
+        for axis in range(3):
+            found[a, axis], found[at, axis] = found[at, axis], found[a, axis]
         is_beaten = False
         for b in range(first, kept):
             most, other = 0.0, 0.0
             for axis in range(3):
-                most += abs(near[a, axis] - found[b, axis]) * step_m[axis]
+                most += abs(found[a, axis] - found[b, axis]) * step_m[axis]
                 other += found[b, axis] ** 2
-            if most <= square[order[a]] - other:
+            if most <= least - other:
                 is_beaten = True
                 break
         if not is_beaten:
-            found[kept] = near[a]
+            for axis in range(3):
+                found[kept, axis] = found[a, axis]
             kept += 1
     return kept
 

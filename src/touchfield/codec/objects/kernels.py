@@ -278,8 +278,10 @@ def compare_frames(begin, end, bodies, moves, stays, world, rule):
         found.voxel[0] = f
         place(moves.poses[f], bodies.lattices, moves.source[f], rows[0])
         place(moves.poses[f], bodies.lattices, moves.decoded[f], rows[1])
-        found.before[:] = found.spans
         for n in range(count):
+            for end in range(2):  # by numbers: a copy of arrays compiles an error message, a second of a first run
+                for axis in range(3):
+                    found.before[n, end, axis] = found.spans[n, end, axis]
             size = 8.0 * bodies.boxes[n, 0], 8.0 * bodies.boxes[n, 1], 8.0 * bodies.boxes[n, 2]
             _span(rows[0, n], (0.0, 0.0, 0.0), size, world, found.spans[n])
         for n in range(count):

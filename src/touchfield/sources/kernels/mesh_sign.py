@@ -292,6 +292,14 @@ def crossing_pairs(
 
 
 # -- cutting -------------------------------------------------------------------------------------------------------
+@njit(nogil=True, inline="always")
+def _copy(rows, first, count, out, at):
+    """Rows of three numbers, copied one by one: numba's copy of arrays compiles an error message for a second."""
+    for i in range(count):
+        for c in range(3):
+            out[at + i, c] = rows[first + i, c]
+
+
 @njit(nogil=True)
 def _split(piece, count, h, tiny, above, below):
     """Cut a convex polygon at height 0; corners above and below."""
@@ -299,10 +307,10 @@ def _split(piece, count, h, tiny, above, below):
     for i in range(count):
         j = (i + 1) % count
         if h[i] >= -tiny:
-            above[n] = piece[i]
+            _copy(piece, i, 1, above, n)
             n += 1
         if h[i] <= tiny:
-            below[k] = piece[i]
+            _copy(piece, i, 1, below, k)
             k += 1
         if (h[i] > tiny and h[j] < -tiny) or (h[i] < -tiny and h[j] > tiny):
             share = h[i] / (h[i] - h[j])
@@ -325,7 +333,7 @@ def cut(starts, pairs, corners, normals, tiny):
     h, g = np.empty(_MOST_CORNERS), np.empty(3)
     for i in range(len(starts) - 1):
         t = pairs[starts[i], 0]
-        pieces[0, :3] = corners[t]
+        _copy(corners[t], 0, 3, pieces[0], 0)
         counts[0] = 3
         piece_count = 1
         for p in range(starts[i], starts[i + 1]):
@@ -335,16 +343,20 @@ def cut(starts, pairs, corners, normals, tiny):
                     continue
                 if _meet(pieces[q], counts[q], normals[t], corners[u], normals[u], tiny, h, g):
                     n, k = _split(pieces[q], counts[q], h, tiny, above, below)
-                    pieces[q, :n], counts[q] = above[:n], n
-                    pieces[piece_count, :k], counts[piece_count] = below[:k], k
+                    _copy(above, 0, n, pieces[q], 0)
+                    _copy(below, 0, k, pieces[piece_count], 0)
+                    counts[q], counts[piece_count] = n, k
                     piece_count += 1
         for q in range(piece_count):
             for c in range(1, counts[q] - 1):
                 if total == len(out):
                     more, names = np.empty((2 * total, 3, 3)), np.empty(2 * total, np.int32)
-                    more[:total], names[:total] = out, parents
+                    for m in range(total):
+                        _copy(out[m], 0, 3, more[m], 0)
+                        names[m] = parents[m]
                     out, parents = more, names
-                out[total, 0], out[total, 1], out[total, 2] = pieces[q, 0], pieces[q, c], pieces[q, c + 1]
+                _copy(pieces[q], 0, 1, out[total], 0)
+                _copy(pieces[q], c, 2, out[total], 1)
                 parents[total] = t
                 total += 1
     return out[:total], parents[:total]
@@ -373,7 +385,8 @@ def _winding(x, y, z, bins, vertices, triangles):
 def _classify(begin, end, corners, normals, parents, bins, vertices, triangles, tiny, is_outer):
     for t in range(begin, end):
         n = normals[parents[t]]
-        x, y, z = corners[t, :, 0].mean(), corners[t, :, 1].mean(), corners[t, :, 2].mean()
+        a, b, c = corners[t]
+        x, y, z = (a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3
         x0, y0, z0 = tiny * n[0], tiny * n[1], tiny * n[2]
         front = _winding(x + x0, y + y0, z + z0, bins, vertices, triangles)
         back = _winding(x - x0, y - y0, z - z0, bins, vertices, triangles)
