@@ -173,7 +173,7 @@ def test_report_of_filters_on_a_narrow_page(tmp_path: Path, capsys: Capture, mon
     words += ["--multiresolution", "1", "--texture", "salt-pepper:seed=4"]
     assert _exit_code(words) == 0
     printed = capsys.readouterr().out
-    assert "\u2026" not in printed and "limit" in printed
+    assert "\u2026" not in printed and "rms=0.1" in printed
     shown = printed.split("before and after")[1]
     assert max(map(len, shown.splitlines())) <= 60 and "multiresolution" in shown
 

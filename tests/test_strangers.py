@@ -18,7 +18,6 @@ from touchfield.container import TouchReader
 from touchfield.devices.profile import device
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
 from touchfield.files import require_beside
-from touchfield.filters.registry import filter_of
 from touchfield.job import EncodeSpec
 from touchfield.json_values import read_json
 from touchfield.medium.trace import read_trace
@@ -98,7 +97,6 @@ def test_nothing_but_a_file_is_opened_anywhere(tmp_path: Path, monkeypatch: pyte
         lambda: read_json(pipe, 1000, "an effect"),
         lambda: read_trace(pipe, 100.0),
         lambda: device(str(pipe)),
-        lambda: filter_of("fir", f"taps={pipe}"),
         lambda: open_source(folder, SourceOptions(kind="depth-folder", depth_scale=1000, intrinsics="9,9,4,4")),
     )
     for read in readers:

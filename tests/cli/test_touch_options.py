@@ -118,7 +118,7 @@ def test_a_size_is_reached_and_told(sphere: str, out: str, capsys: pytest.Captur
 
 def test_a_plan_for_a_budget(sphere: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "plan.png"
-    words = f"--nw 4 --thickness-m 0.01 --budget 1Mbit/s --out {picture} --device phantom-omni --k 0.1"
+    words = f"--nw 4 --thickness-m 0.01 --budget 1Mbit/s --plot {picture} --device phantom-omni --k 0.1"
     assert _exit_code(["plan", sphere, *words.split()]) == 0
     told = capsys.readouterr().out
     assert "->" in told and "touchfield encode" in told and "mask kept" in told

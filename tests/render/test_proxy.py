@@ -11,7 +11,7 @@ from proxy_makers import STRONG, Held, field_of, ramp_n
 from touchfield.adapters.sim import SimHand
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, prepare
-from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import HapticObject, HapticScene
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace
@@ -79,6 +79,19 @@ def test_forces_of_thick_things_are_the_field_s() -> None:
             force = into(block, np.array([x, y, 0.02]), np.array([x, y, 0.015 - depth]))
             assert np.linalg.norm(force / (500 * depth) - [0, 0, 1]) < 0.01
     assert np.mean(errors) < 0.01 and max(errors) < 0.02
+
+
+@pytest.mark.parametrize(("stiffness", "spacing_m"), [(500, 0.0044), (2000, 0.00125), (1000, 0.0022), (500, 0.001)])
+def test_a_wall_that_is_full_within_two_samples_is_felt_from_its_surface(stiffness: float, spacing_m: float) -> None:
+    grid = Grid((24, 24, 24), (spacing_m,) * 3, (-11.5 * spacing_m,) * 3)
+    forces = np.zeros((*grid.shape, 3), np.float32)
+    forces[..., 2] = np.minimum(stiffness * np.maximum(-grid.axis_m(2), 0.0), 3.3)
+    held = Held(ForceField.from_dense(grid, forces), stiffness=stiffness)
+    for share in (0.3, 0.5, 0.8):
+        held.memory.f8[W.IS_COUPLED] = 0.0
+        depth = share * 3.3 / stiffness
+        force = into(held, np.array([0.0, 0.0, 2 * spacing_m]), np.array([0.0, 0.0, -depth]))
+        assert force[2] == pytest.approx(stiffness * depth, rel=0.3, abs=0.1)
 
 
 def test_a_still_hand_on_a_rough_surface_feels_no_click() -> None:

@@ -30,6 +30,7 @@ _OFF = 1.5  # levels
 _LEVEL_SHARE = 0.01  # of the level: how well the proxy lies on the surface
 _ROUNDS = 4
 _BEHIND = 2.0  # samples: from there on the low-pass leaves a ramp as it is
+_DOUBT = 0.05  # samples: so much more than is true a ramp tells within the low-pass
 
 
 class _At(NamedTuple):
@@ -263,10 +264,16 @@ def _dragged(at, before, goal, most):
 
 @njit(**UNCOUNTED)
 def _below(at, q, inwards, depth):
-    """Depth of a proxy below the surface of which the ramp behind it tells, metres; negative above."""
+    """Depth of a proxy below the surface of which the ramp behind it tells, metres; negative above.
+
+    Two samples in the low-pass is over. Where the force is at its greatest before that, or the wall ends, a place
+    half as far tells it, which is believed a little less.
+    """
     sample = _sample(at, inwards)
-    strength, _ = _look(at, along(q, _BEHIND * sample, inwards))
-    return min(max(strength / at.stiffness - _BEHIND * sample, -sample), min(sample, 0.5 * depth))
+    far, _ = _look(at, along(q, _BEHIND * sample, inwards))
+    near, _ = _look(at, along(q, sample, inwards))
+    told = max(far / at.stiffness - _BEHIND * sample, near / at.stiffness - (1.0 + _DOUBT) * sample, -sample)
+    return min(told, sample, 0.5 * depth)
 
 
 @njit(**UNCOUNTED, cache=True)
