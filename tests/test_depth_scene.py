@@ -236,10 +236,13 @@ def test_the_noise_step_follows_the_noise_and_not_the_edges() -> None:
 
 @pytest.mark.parametrize("normal", [(0, 0, -1), (0.5, 0.1, -1), (-0.3, 0.9, -1), (0.3, -2.4, -1)])
 @pytest.mark.parametrize("profile", [WALL, GUIDE])
-def test_a_plane_gives_the_closed_form(normal: tuple[float, ...], profile: ForceProfile) -> None:
+@pytest.mark.parametrize("is_fine", [False, True])
+def test_a_plane_gives_the_closed_form(normal: tuple[float, ...], profile: ForceProfile, is_fine: bool) -> None:
     n = np.array(normal) / np.linalg.norm(normal)
     scene = DepthScene(Frames([plane_depth(n, n[2], rays())]))  # through (0, 0, 1)
     grid = Grid((21, 19, 50), (0.01, 0.012, 0.0071), (-0.1, -0.11, 0.8))  # within the picture
+    if is_fine:  # bricks that lie deep behind all of the surface that they are seen beside
+        grid = Grid((17, 17, 140), (0.002, 0.002, 0.0025), (-0.016, -0.016, 0.95))
     points = grid.to_m(np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), -1))
     phi = points @ n - n[2]
     expected = profile(phi)[..., None] * n

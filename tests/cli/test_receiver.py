@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,6 +71,23 @@ def test_contact_friction_and_release(stream: Path, tmp_path: Path, capsys: Capt
     assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= 3.3 / 0.005 * 0.001 + 1e-6
     with Image.open(plot) as image:
         assert len(np.unique(np.asarray(image.convert("L")))) > 50
+
+
+def test_the_picture_has_millimetres_and_newtons(
+    stream: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib", reason="the picture needs the extra report")
+    drawn: list[Any] = []
+    monkeypatch.setattr("touchfield.viewer.interaction.write_png", lambda figure, path: drawn.append(figure))
+    log = tmp_path / "forces.csv"
+    assert _exit_code(["play", str(stream), "--offline", "--log", str(log), "--plot", str(tmp_path / "a.png")]) == 0
+    at, (hand, force, parts) = _columns(log), drawn[0].axes[:3]
+    assert (hand.get_ylabel(), force.get_ylabel(), parts.get_ylabel()[:10]) == ("hand, mm", "|F|, N", "put out, N")
+    for axis, c in enumerate("xyz"):
+        np.testing.assert_allclose(hand.lines[axis].get_ydata(), 1e3 * at[f"{c}_m"], rtol=1e-6)
+        np.testing.assert_allclose(parts.lines[axis].get_ydata(), at[f"force_{c}_n"], atol=1e-6)
+    size = np.linalg.norm([at[f"field_{c}_n"] for c in "xyz"], axis=0)
+    np.testing.assert_allclose(force.lines[0].get_ydata(), size, atol=1e-6)
 
 
 def test_a_log_is_a_trajectory(stream: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -136,6 +136,13 @@ def test_a_forged_number_of_a_block_or_size_of_a_symbol_is_refused() -> None:
         assert gathering.receive(head.pack(*told, crc) + forged) == [] and gathering.refused == 1
 
 
+def test_no_more_datagrams_of_a_message_are_looked_at_than_it_can_need() -> None:
+    gathering, first = Gathering(), Datagrams(7).add(bytes(100_000))[0]
+    for _ in range(1000):
+        assert gathering.receive(first) == []
+    assert 600 < gathering.refused < 1000
+
+
 @pytest.mark.parametrize("repair", [-0.1, 4.1, float("nan")])
 def test_repair_that_cannot_be(repair: float) -> None:
     with pytest.raises(InvalidArgument, match="repair"):

@@ -1,8 +1,8 @@
 """A probe for a field that nobody has touched yet: what a simulated hand does when it is told nothing.
 
 It comes from outside, through free space, to a strong part of the field, presses in until the force is `SHARE` of
-the greatest on its way, slides along the surface at that force, and leaves the way it came: contact, friction and
-release, each to be seen in a plot. Where that is, is found by looking:
+the greatest on its way, slides along the surface at that force, and leaves, straight out or, where another wall
+lies there, the way it came: contact, friction and release, each to be seen in a plot. It finds that by looking:
 
 1. some strong samples of the support, and two ways out of each, along the force and against it;
 2. the best way: one that is free from the surface on, on which the field pushes back (a wall, a solid, a guide; a
@@ -164,7 +164,13 @@ def _touch(grid: Grid, query: Query, points: Float64s, force_max_n: float, viewe
     lead = max(min(_LEAD * diagonal, 0.9 * free), fine)
     before = surface + out * min(2 * fine, lead / 2)
     come, press = np.stack([surface + out * lead, before]), np.stack([before, touched])
-    return {"come": come, "press": press, "slide": slide, "leave": np.concatenate([come, press, slide])[::-1]}
+    leave = slide[-1] + out * np.linspace(0.0, pressed + lead, _ACROSS)[:, None]
+    sizes = _sizes(query(leave))
+    if (
+        sizes[-1] > 1e-6 * sizes[0] or sizes.max() > 1.05 * sizes[0]
+    ):  # another wall: back the way it came, which is free
+        leave = np.concatenate([come, press, slide])[::-1]
+    return {"come": come, "press": press, "slide": slide, "leave": leave}
 
 
 def _way_out(
