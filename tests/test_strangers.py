@@ -104,6 +104,18 @@ def test_nothing_but_a_file_is_opened_anywhere(tmp_path: Path, monkeypatch: pyte
             read()
 
 
+@pytest.mark.parametrize(("radius", "place"), [("0x{}", "0"), ("0.1", "0x{}")])
+@pytest.mark.parametrize(("table", "key"), [("shape", "center_m"), ("body", "position_m")])
+def test_a_number_that_cannot_be_written_out_is_told(
+    tmp_path: Path, table: str, key: str, radius: str, place: str
+) -> None:
+    path, long = tmp_path / "scene.toml", "f" * 6000
+    values = f"radius_m = {radius.format(long)}\n{key} = [{place.format(long)}, 0, 0]"
+    path.write_text(f'[[{table}]]\nkind = "sphere"\n{values}\n')
+    with pytest.raises(SourceError, match=f"scene.toml: {table} 1.*over 300 digits"):
+        open_source(path)
+
+
 @pytest.mark.parametrize("write", [write_tum, write_redwood, write_sun3d, write_threedmatch, write_plain])
 def test_a_pipe_in_place_of_any_file_of_a_sequence(tmp_path: Path, write: Callable[[Path], Path]) -> None:
     """It is passed over as if it were not there, or refused."""

@@ -38,7 +38,9 @@ class JsonValue:
     def refused(self, expected: str) -> SourceError:
         """The error that shows the value itself."""
         kinds = {dict: "an object", list: "an array", type(None): "null"}
-        shown = kinds.get(type(self.value)) or json.dumps(self.value, default=str)
+        is_endless = isinstance(self.value, int) and abs(self.value) >= 10**300  # Python may not write it out
+        shown = "a number of over 300 digits" if is_endless else kinds.get(type(self.value))
+        shown = shown or json.dumps(self.value, default=str)
         return self.wrong(shown if len(shown) <= _SHOWN else shown[:_SHOWN] + "...", expected)
 
     def members(self) -> dict[str, Any]:

@@ -3,8 +3,8 @@
 y[n] = sum over k of h[k] x[n - k], componentwise, along any number of axes of space and time. Printed like this,
 with k = 0 .. N - 1, it is causal and moves the signal by (N - 1)/2 samples; that is ``anchor="causal"``. The default,
 ``anchor="centred"``, and the only one for a field, puts the middle tap over the sample, and needs an odd number of
-taps along each axis. What lies
-beyond the border is said by name (`touchfield.filters.separable`), which the paper leaves open.
+taps along each axis. What lies beyond the border, which the paper leaves open, is said by name
+(`touchfield.filters.separable`).
 
 H(w1, ..) = sum over n of h[n] exp(-i (w1 n1 + ..)), frequencies in radians per sample (paper section 3.2).
 """
