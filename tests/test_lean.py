@@ -1,13 +1,21 @@
-"""Compiled kernels kept on disk: two processes that compile at once do not get each other's code."""
+"""Compiled kernels: two processes that compile at once keep their own code; Python calls those with a wrapper."""
 
 from __future__ import annotations
 
+import ast
 import re
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
+import pytest
 from numba.core.caching import IndexDataCacheFile
 
 import touchfield.lean
+
+HOUSE = Path(__file__).parents[1]
+DECORATORS = {"njit", "kernel", "inner", "uncounted", "entry", "lean", "inlined"}
 
 
 def test_two_variants_of_a_function_that_are_saved_at_once_do_not_share_a_file(tmp_path: Path) -> None:
@@ -31,5 +39,54 @@ def test_two_variants_of_a_function_that_are_saved_at_once_do_not_share_a_file(t
 
 def test_every_kernel_is_saved_so() -> None:
     lean = Path(touchfield.lean.__file__)
-    files = [*lean.parent.rglob("*.py"), *(Path(__file__).parents[1] / "reproduction").rglob("*.py")]
+    files = [*lean.parent.rglob("*.py"), *(HOUSE / "reproduction").rglob("*.py")]
     assert [path for path in files if re.search(r"^from numba import .*\bnjit\b", path.read_text(), re.M)] == [lean]
+
+
+def names_for_python(tree: ast.AST) -> Iterator[ast.AST]:
+    """All nodes that are not in a compiled function."""
+    for node in ast.iter_child_nodes(tree):
+        decorators = [getattr(one, "func", one) for one in getattr(node, "decorator_list", [])]
+        if not any(isinstance(one, ast.Name) and one.id in DECORATORS for one in decorators):
+            yield node
+            yield from names_for_python(node)
+
+
+def inner_functions_that_python_names(tree: ast.Module, module: str = "") -> list[str]:
+    """Those without a wrapper among what a file imports of kernels, or of its own, that Python code refers to."""
+    known = vars(import_module(module)).copy() if module else {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("touchfield."):
+            place = import_module(str(node.module))
+            known |= {one.asname or one.name: getattr(place, one.name, None) for one in node.names}
+    out = []
+    for node in names_for_python(tree):
+        value = None
+        if isinstance(node, ast.Name):
+            value = known.get(node.id)
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            place = known.get(node.value.id)
+            value = getattr(place, node.attr, None) if isinstance(place, ModuleType) else None
+        if getattr(value, "targetoptions", {}).get("no_cpython_wrapper"):
+            out.append(f"{value.__module__}.{value.__name__}")
+    return out
+
+
+@pytest.mark.parametrize("folder", ["src", "tests", "bench", "reproduction"])
+def test_python_calls_no_function_that_has_no_wrapper(folder: str) -> None:
+    for path in (HOUSE / folder).rglob("*.py"):
+        text = path.read_text()
+        if "kernels" in text or "kernels" in path.parts:
+            parts = path.relative_to(HOUSE / folder).with_suffix("").parts
+            module = ".".join(parts).removesuffix(".__init__") if folder == "src" and "kernels" in str(path) else ""
+            assert inner_functions_that_python_names(ast.parse(text), module) == [], path
+
+
+def test_a_call_of_a_function_that_has_no_wrapper_is_found() -> None:
+    used = "from touchfield.render.kernels.vectors import dot\n"
+    there = "from touchfield.render.kernels import vectors\n"
+    calls = [f"{used}dot(a, b)", f"{used}def f():\n    return dot", f"{there}vectors.dot(a, b)"]
+    assert [inner_functions_that_python_names(ast.parse(text)) for text in calls] == [
+        ["touchfield.render.kernels.vectors.dot"]
+    ] * 3
+    assert inner_functions_that_python_names(ast.parse(f"{used}@njit\ndef f(a):\n    return dot(a, a)")) == []

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_quads"]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _draw_triangle(a, b, c, inverse):
     """One triangle of rows (u, v, 1 / z) into the buffer of inverse depths; the nearest surface stays."""
     height, width = inverse.shape
@@ -38,7 +38,7 @@ def _draw_triangle(a, b, c, inverse):
             inverse[row, column] = max(inverse[row, column], w)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def draw_quads(corners: Float64s, whole: NDArray[np.bool_], inverse: Float64s) -> None:
     """Two triangles for each square of four neighbouring pixels.
 

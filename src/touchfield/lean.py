@@ -4,11 +4,12 @@ no array by who calls them, and without what they do not need.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Final
 from zlib import crc32
 
 import numba
-from numba import njit as njit
+from numba import njit
 from numba.core import caching, compiler
 
 _CONFIG: Any = numba.config
@@ -49,22 +50,26 @@ class _Quick(_COMPILER):  # type: ignore[misc]
             _CONFIG.OPT = level
 
 
-LEAN: Final[dict[str, Any]] = {
-    "cache": True, "nogil": True, "error_model": "numpy", "_nrt": False, "pipeline_class": _Quick
-}  # fmt: skip
-"""For functions that make no array: numba counts the references to every array at each call otherwise, which took a
-quarter of the time of a pass. Division by zero is not looked for; no divisor of these kernels can be zero."""
+kernel: Any = partial(njit, cache=True, nogil=True, no_cfunc_wrapper=True)
+"""Of a function that Python calls."""
 
-UNCOUNTED: Final[dict[str, Any]] = {"nogil": True, "_nrt": False}
-"""For kernels of a tick: the same, compiled as others are. A query of the field takes a fifth of the time."""
+inner: Any = partial(njit, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""Of one that only kernels call: to unpack its arguments for Python takes as long to compile as most do themselves.
+It is kept within those who call it, not by itself."""
 
-_INNER: Final[dict[str, Any]] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+uncounted: Any = partial(inner, _nrt=False)
+"""The same of a tick, where no array is made: numba counts the references to every array at each call otherwise. A
+query of the field takes a fifth of the time."""
 
-entry = njit(**LEAN)
-"""Of a kernel that Python calls."""
+_LEAN: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False, "pipeline_class": _Quick}
+"""For the coder's functions, that make no array: a quarter of the time of a pass was to count references. Division by
+zero is not looked for; no divisor of these kernels can be zero."""
 
-lean = njit(**LEAN, **_INNER)
-"""Of one that only kernels call: to unpack named tuples of arrays for Python takes longer to compile than most."""
+entry: Any = partial(kernel, **_LEAN)
+"""Of one that Python calls."""
 
-inlined = njit(**LEAN, inline="always")
+lean: Any = partial(inner, **_LEAN, cache=True)
+"""Of one that only kernels call."""
+
+inlined: Any = partial(inner, **_LEAN, inline="always")
 """Of one that a single kernel calls: it is never compiled by itself."""

@@ -23,7 +23,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.numpy_support import carray
 
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 
 BOX = 24
 """Words of the box, as below."""
@@ -69,11 +69,11 @@ def address_of(function: Any) -> int | None:
 def clock() -> Any:
     """A compiled function that reads the clock of `time.perf_counter_ns`: ``now(box) -> nanoseconds``."""
     if sys.platform == "win32":
-        kernel, frequency = ctypes.WinDLL("kernel32"), ctypes.c_int64()
-        kernel.QueryPerformanceFrequency(ctypes.byref(frequency))
-        read, ticks = _typed(address_of(kernel.QueryPerformanceCounter), ctypes.c_size_t), frequency.value
+        windows, frequency = ctypes.WinDLL("kernel32"), ctypes.c_int64()
+        windows.QueryPerformanceFrequency(ctypes.byref(frequency))
+        read, ticks = _typed(address_of(windows.QueryPerformanceCounter), ctypes.c_size_t), frequency.value
 
-        @njit(nogil=True)
+        @inner
         def now_of_ticks(box):
             read(box.ctypes.data + 8 * CLOCK)
             seconds, rest = divmod(box[CLOCK], ticks)
@@ -83,7 +83,7 @@ def clock() -> Any:
     read = _typed(address_of(ctypes.CDLL(None).clock_gettime), ctypes.c_int32, ctypes.c_size_t)
     kind = np.int32(8 if sys.platform == "darwin" else 1)  # CLOCK_UPTIME_RAW, CLOCK_MONOTONIC
 
-    @njit(nogil=True)
+    @inner
     def now(box):
         read(kind, box.ctypes.data + 8 * CLOCK)
         return box[CLOCK] * 1000000000 + box[CLOCK + 1]
@@ -100,7 +100,7 @@ def _latest_error(get_error: int | None) -> Any:
     if sys.platform == "win32":
         tell = _typed(get_error, ctypes.c_size_t)
 
-        @njit(nogil=True)
+        @inner
         def told_in_place(box):
             tell(box.ctypes.data + 8 * SCRATCH)
             return box[SCRATCH] & 0xFFFFFFFF
@@ -108,7 +108,7 @@ def _latest_error(get_error: int | None) -> Any:
         return told_in_place
     ask = _typed(get_error, result=ctypes.c_uint64)
 
-    @njit(nogil=True)
+    @inner
     def told(_box):
         return np.int64(ask() & np.uint64(0xFFFFFFFF))
 
@@ -166,7 +166,7 @@ _TURN = 0.1
 """Of a sub-step: the phase by which spring and mass swing on; what is stable reaches to 2."""
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _around(times, t):
     """The samples before and after t, and how far t is between; at rest at both ends, of equal times the later."""
     low = np.searchsorted(times, t, side="right")
@@ -174,7 +174,7 @@ def _around(times, t):
     return a, b, (t - times[a]) / (times[b] - times[a]) if b > a and low > 0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def turned(times, quaternions, t, out):
     """The orientation at t into `out` [4]: along the shorter way, made unit."""
     a, b, share = _around(times, t)
@@ -190,7 +190,7 @@ def turned(times, quaternions, t, out):
         out[n] /= math.sqrt(square)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _target(times, positions, t):
     """The trajectory at t: linear between samples."""
     a, b, share = _around(times, t)
@@ -202,14 +202,14 @@ def _target(times, positions, t):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def follow(times, positions, state, dt):
     """The hand is where the trajectory is, whatever pushes it."""
     state[0] += dt
     state[1], state[2], state[3] = _target(times, positions, state[0])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spring(times, positions, state, mass, stiffness, damping, dt):
     """m a = k (target - x) - b v + F, by semi-implicit Euler with b taken implicitly.
 

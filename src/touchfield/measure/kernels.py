@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Int64s
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 from touchfield.parallel import for_chunks
 
 # -- symbols in tables. One add to a table costs one or two cycles, and waits for an add to the same place just before
@@ -32,7 +32,7 @@ _SAME, _SPARE, _TURNS = np.uint64(0x0001000100010001), np.uint64(_SPAN), np.uint
 _NONE, _ONE, _ALL = np.uint32(0), np.uint32(1), np.uint32(4 * _STRETCH)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count_words(words, tables):
     """Four 16-bit symbols a word into four tables in turn, uint32 [4, 65552]; `words` are whole stretches."""
     t0, t1, t2, t3 = tables[0], tables[1], tables[2], tables[3]
@@ -96,7 +96,7 @@ def counts_of_8_bits(x: NDArray[np.uint8]) -> Int64s:
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_counts(keys, table):
     """Count `keys` int64 [n] of 0 .. K - 1 into `table` int64 [K]; out of range is the caller's fault."""
     for i in range(len(keys)):
@@ -110,7 +110,7 @@ CORNER = np.array(
 )  # the corner {-1, 0}^3 in the order in which neighbourhoods are nested: 1, 3, 7
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _fill_corner(local, symbols, slots):
     """A brick and one sample before it along each axis, int32 [9, 9, 9]; `slots` int [27], -1 for no brick."""
     for x in range(9):
@@ -120,7 +120,7 @@ def _fill_corner(local, symbols, slots):
                 local[x, y, z] = symbols[slot, (x + 7) & 7, (y + 7) & 7, (z + 7) & 7] if slot >= 0 else 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def field_rows(slots, symbols, slots_before, before, extents, columns, bits, out):
     """The rows of some bricks that are not all 0 into `out`, uint64 [512 n, words]; how many.
 
@@ -157,7 +157,7 @@ def field_rows(slots, symbols, slots_before, before, extents, columns, bits, out
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def insert(rows, weights, begin, slots, keys, counts, used):
     """Count rows uint64 [n, words] from `begin` on, until all are counted or `keys` is full: next row, keys in use.
 
@@ -195,7 +195,7 @@ def insert(rows, weights, begin, slots, keys, counts, used):
 # -- curl at the lattice points, and work around the squares of the lattice
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _fill(slots, forces, halo, held):
     """The 10^3 samples of a brick and around it: forces, and whether there is one."""
     for a in range(10):
@@ -215,7 +215,7 @@ def _fill(slots, forces, halo, held):
                         held[p] = True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def curl_and_squares(begin, end, slots, spacing, forces, sums):
     """Of each brick the samples with a curl, sums of |curl|^2 and |gradient|^2 there; the squares, and the sum of
     W^2 around them; the largest |curl|^2 and |W|: float64 [n, 7], SI units.
@@ -261,7 +261,7 @@ def curl_and_squares(begin, end, slots, spacing, forces, sums):
 # -- directions: what a descriptor sums up of each force
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sums_by_direction(forces, around, sharpness, norms):
     """Sums of the lengths of forces [n, 3] around directions [k, 3], float64 [k], and times each harmonic.
 

@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 
-from touchfield.lean import njit
+from touchfield.lean import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gate_closed(vectors, decoded, fraction, sent):
     """The closed loop along a scan, float32 [L, 3] twice into bool [L]; `fraction` is k'."""
     squared = fraction * fraction
@@ -33,7 +33,7 @@ def gate_closed(vectors, decoded, fraction, sent):
 _PREVIOUS, _ZERO = 0, 1  # of the amplitude readings; "last-sent" is 2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gate_amplitudes(vectors, k, reading, sent):
     """The amplitude readings of eq. 8 along a scan, float32 [L, 3] into bool [L]."""
     low, high = 1.0, 0.0  # an empty interval: the first sample is always sent
@@ -48,7 +48,7 @@ def gate_amplitudes(vectors, k, reading, sent):
             low, high = 0.0, 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gate_in_time(begin, end, vectors, reference, fraction, sent):
     """Where |x - reference| > `fraction` |reference|, float32 [L, 3] twice into bool [L]."""
     squared = fraction * fraction

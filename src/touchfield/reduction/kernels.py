@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 
 _MOST = 1024  # nearest places of one cell; a cell with more is taken as weak
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _candidates(edge, cell, step_m, reach_m, found, count):
     """Nodes within a distance of the cell's centre, metres from it, into `found` behind `count`; how many then.
 
@@ -58,7 +58,7 @@ def _candidates(edge, cell, step_m, reach_m, found, count):
     return kept
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _bent(block, step_m, friction):
     """By how much, N m, the force between samples may hold less than theirs tell; float [2, 2, 2, 3]."""
     total = 0.0
@@ -73,7 +73,7 @@ def _bent(block, step_m, friction):
     return total
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _holds(block, places, count, step_m, need_n, turn_nm, friction):
     """True if the forces at a cell's corners, float [2, 2, 2, 3], hold a hand back from every nearest place."""
     bent = _bent(block, step_m, friction)
@@ -92,7 +92,7 @@ def _holds(block, places, count, step_m, need_n, turn_nm, friction):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def weak_cells(begin, end, cells, far_m, edges, later_m, beyond, frames, step_m, need_n, turn_nm, friction, weak):
     """Into `weak`, bool [m], the cells begin to end - 1 of int [m, 3], where some frame does not hold a hand back.
 

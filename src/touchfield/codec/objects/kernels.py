@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
-from touchfield.lean import LEAN, njit
+from touchfield.lean import kernel, lean
 from touchfield.medium.kernels.placed import (
     CELLS,
     C,
@@ -73,7 +73,7 @@ class _Found(NamedTuple):
     before: Int64s
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def bound_cells(begin, end, source, decoded, rule, bounds):
     """Into `bounds` [n, 512], for bricks of cells: the most that |error| / mask can be within each cell.
 
@@ -103,7 +103,7 @@ def bound_cells(begin, end, source, decoded, rule, bounds):
             bounds[s, cell] = _SLACK * np.sqrt(error2) / max(rule.f0_n, rule.k * least)
 
 
-@njit(**LEAN, forceinline=True)
+@lean(forceinline=True)
 def _add(cells, slot, row, at, least, total):
     """Add to `total` the force of a body at a point x - t, as it is in the scene."""
     x, y, z = own(row, at[0], at[1], at[2])
@@ -115,7 +115,7 @@ def _add(cells, slot, row, at, least, total):
         total[2] += z
 
 
-@njit(**LEAN, forceinline=True)
+@lean(forceinline=True)
 def _span(row, first, size, world, box):
     """Into `box` the workspace's samples about a box of a body's own, first and last; whether there are any."""
     for a in range(3):
@@ -133,7 +133,7 @@ def _span(row, first, size, world, box):
     return True
 
 
-@njit(**LEAN, forceinline=True)
+@lean(forceinline=True)
 def _overlap(one, other):
     """True where two boxes of samples have one in common."""
     meets = True
@@ -142,7 +142,7 @@ def _overlap(one, other):
     return meets
 
 
-@njit(**LEAN, forceinline=True)
+@lean(forceinline=True)
 def _row_within(row, brick, px, py, world, low, high):
     """The first and the last sample of a row along z within a brick of a body's own, to rounding."""
     h = world[1, 2]
@@ -160,7 +160,7 @@ def _row_within(row, brick, px, py, world, low, high):
     return (np.int64(np.ceil(first)), np.int64(np.floor(last))) if first <= last else (0, -1)
 
 
-@njit(**LEAN, forceinline=True)
+@lean(forceinline=True)
 def _meets(bodies, row_of, px, py, pz, found):
     """How many bodies that are near have a part in a voxel: their numbers and slots go to `found`."""
     count = 0
@@ -175,7 +175,7 @@ def _meets(bodies, row_of, px, py, pz, found):
     return count
 
 
-@njit(**LEAN, forceinline=True)
+@lean(forceinline=True)
 def _compare_voxel(bodies, rows, rule, count, px, py, pz, found):
     """Compare at one voxel, of the bodies and slots `found.here[:count]`; whether it is beyond the rule."""
     sums, least = found.sums, rule.floor_n * rule.floor_n
@@ -202,7 +202,7 @@ def _compare_voxel(bodies, rows, rule, count, px, py, pz, found):
     return ratio > 1.0
 
 
-@njit(**LEAN, forceinline=True)
+@lean(forceinline=True)
 def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, found):
     """Compare at the voxels of a row that lie in one brick of body n; how many are beyond the rule."""
     beyond, brick, row = 0, bodies.bricks[slot], rows[0, n]
@@ -221,7 +221,7 @@ def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, found):
     return beyond
 
 
-@njit(**LEAN, forceinline=True)
+@lean(forceinline=True)
 def _compare_brick(bodies, rows, rule, n, slot, world, found):
     """Compare at the voxels within one brick of body n; how many are beyond the rule."""
     brick, box = bodies.bricks[slot], found.box
@@ -247,7 +247,7 @@ def _compare_brick(bodies, rows, rule, n, slot, world, found):
     return beyond
 
 
-@njit(**LEAN, forceinline=True)
+@lean(forceinline=True)
 def _alone(n, stays, found):
     """True where no body that moves reaches where body n does, nor did so in the frame before."""
     here = found.spans[n]
@@ -257,7 +257,7 @@ def _alone(n, stays, found):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def compare_frames(begin, end, bodies, moves, stays, world, rule):
     """The largest |error| / mask of frames begin to end - 1 at the voxels that each body has a part in.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.lean import entry, njit
+from touchfield.lean import entry, kernel
 
 
 @entry
@@ -23,7 +23,7 @@ def nearest(begin, end, vectors, vertices, out):
 LONGEST = 24  # bits of a Huffman code, at most
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pack_bits(values, lengths, out):
     """Write the low ``lengths[i]`` bits (44 at most) of each int64 value to uint8 `out`, which holds zeros."""
     held = filled = place = np.int64(0)
@@ -39,7 +39,7 @@ def pack_bits(values, lengths, out):
         out[place] = held << (8 - filled)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def decode(data, limits, ranks, order, level_count, sent, levels):
     """Read symbols until `sent` bool [L] is full; levels go to uint16 `levels`, runs leave `sent` as it is.
 
@@ -87,7 +87,7 @@ _NUDGE = 48
 _FAR = 1 << 40
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def adpcm(values, residuals, decoding):
     """ADPCM of one component, int64 [n], in sixteenths: reads `values` and writes `residuals`, or the reverse.
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.lean import entry, inlined, lean, njit
+from touchfield.lean import entry, inlined, kernel, lean
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.kernels import first_at_least
 from touchfield.parallel import for_chunks
@@ -50,7 +50,7 @@ def limited(begin, end, forces, force_max, floor, out, held):
 _COLUMNS_AT_ONCE = 256
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _pool(begin, end, places, counts, slots, forces, out):
     nx, ny, nz = counts[0], counts[1], counts[2]
     x_at, y_at, z_at = places
@@ -265,7 +265,7 @@ _LEAST_N = 1e-290
 _LEAST_SLIP = 2.0**-47  # of the greatest component of v: 32 units of rounding
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def friction(fx, fy, fz, vx, vy, vz, mu, slip_speed):
     """F_t = -mu |F| v_t / max(|v_t|, v_s), three numbers, newtons.
 

@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 from touchfield.medium.kernels import first_at_least
 
 ROW = 24  # numbers of a brick's row: eight samples of three components
@@ -78,7 +78,7 @@ _HALF = np.uint64(0xFFFFFFFF)  # those of four i
 _COLUMN = np.uint64(0x0101010101010101)  # the bits of a mask whose rows have j = 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def row_masks(begin, end, words, masks):
     """The rows, of the 64 of each brick, that hold a force, one bit a row; minus zero is none."""
     for n in range(begin, end):
@@ -95,7 +95,7 @@ def row_masks(begin, end, words, masks):
 # Arrays are handed on one by one: to put them into a tuple counts references, which is an atomic instruction.
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _reached(i, places, every, count, begins, bits, offsets, weights):
     """The taps of row or plane i that meet something, into `offsets` and `weights`; how many, and the bits they meet.
 
@@ -110,7 +110,7 @@ def _reached(i, places, every, count, begins, bits, offsets, weights):
     return found, met
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _planes(keys, masks, cursors, key, step, start, before, bricks_x, begins, bits):
     """Where the planes along x that a brick's sums need begin, and which of their rows hold something.
 
@@ -128,7 +128,7 @@ def _planes(keys, masks, cursors, key, step, start, before, bricks_x, begins, bi
             begins[p + i], bits[p + i] = n * _BRICK + i * _PLANE, (mask >> np.uint64(8 * i)) & np.uint64(0xFF)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _column_x(
     flat, masks, keys, keys_x, place, lattice, before, places, every, taps, begins, bits, offsets, weights, cursors,
     ring, made,
@@ -156,7 +156,7 @@ def _column_x(
         made[keys_x[slot] - base] = mask
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _brick_y(
     at, y, owner, made, before, places, every, taps, begins, bits, offsets, weights, ring, line, count
 ):  # fmt: skip
@@ -180,7 +180,7 @@ def _brick_y(
     return mask
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _brick_z(at, mask, slot, offsets, weights, taps, line, width, out):
     """The sums along z of one brick, `mask` saying which of its rows hold something."""
     for row in range(0, 64, 4):
@@ -188,7 +188,7 @@ def _brick_z(at, mask, slot, offsets, weights, taps, line, width, out):
         four_rows(out, slot * _BRICK + row * ROW, ROW, line, row * width + at * ROW, width, offsets, weights, some)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _top(bits, slot):
     """The greatest size of a number of a brick, as its bits without the sign."""
     top, p = np.uint32(0), np.uint64(slot * _BRICK)
@@ -198,7 +198,7 @@ def _top(bits, slot):
     return top
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _line_cleared(line, width, at):
     for row in range(64):
         p = np.uint64(row * width + at * ROW)
@@ -206,7 +206,7 @@ def _line_cleared(line, width, at):
             line[p + r] = 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def filtered_bricks(begin, end, items, source, keys_of_passes, lattice, before, deep, sizes, taps, out, bits, tops):
     """Slabs of output bricks of one x and a range of z: a ring of columns filtered along x, then column by column.
 
@@ -277,7 +277,7 @@ COLUMNS = 256
 _AT_ONCE = 1024  # sums, of columns narrower than that
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def sums_along(begin, end, source, runs, places, weights, sizes, out):
     """Weighted sums along an axis of a dense array, whose samples are numbers `beside` each other: [a, n x beside].
 

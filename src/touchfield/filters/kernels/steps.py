@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 
 _STRIDES = (100, 10, 1)
 _TILE = 1000
@@ -33,7 +33,7 @@ _FAR = np.float32(16)
 _SERIES = tuple(np.float32((-1) ** n / math.factorial(n)) for n in range(10))  # Taylor's for exp(-r), 0 <= r <= 1
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _exponential(s):
     """Take each s >= 0 to exp(-s), within 1e-6, as the 16th power of exp(-s/16); from 16 on to 0.
 
@@ -50,7 +50,7 @@ def _exponential(s):
         s[e] = p if s[e] < _FAR else np.float32(0)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _edges(values, mask, stride, law, s, flux):
     """The flux along each edge of one axis that touches the brick, into `flux` from its first place on.
 
@@ -77,7 +77,7 @@ def _edges(values, mask, stride, law, s, flux):
             d[e] *= g[e]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _step(values, mask, weights, per_kappa, s, flux):
     """One step of the brick in the middle of a tile, in place; `weights` holds lambda of each axis."""
     total = flux[values.shape[0] :]
@@ -95,7 +95,7 @@ def _step(values, mask, weights, per_kappa, s, flux):
             own[e] += sums[e]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def diffused_bricks(begin, end, slots, support, forces, weights, per_kappa, out):
     """One explicit step of the samples that take part, from `forces` into `out`, both float32 [n, 512, 3].
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from touchfield.lean import entry, njit
+from touchfield.lean import entry, inner, kernel
 from touchfield.medium.grid import Grid
 
 
-@njit(cache=True, nogil=True)
+@inner
 def first_at_least(keys, key):
     """As `numpy.searchsorted`, which numba takes longer to compile."""
     low, high = 0, keys.shape[0]
@@ -37,7 +37,7 @@ def reached(spans, brick_shape, out):
                     count += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _raster_slots(bricks, mask, out):
     n = bricks.shape[0]
     count = 0
@@ -73,7 +73,7 @@ def raster_slots(bricks: Int32s, mask: Bools) -> Int64s:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sample(index, shape, brick_shape, keys, forces, out):
     total = np.zeros(3)
     for p in range(index.shape[0]):

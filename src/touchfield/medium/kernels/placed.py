@@ -7,14 +7,10 @@ so that the eight corners of any point are found in one place. Bricks of cells a
 from __future__ import annotations
 
 import math
-from typing import Any, Final
 
 import numpy as np
 
-from touchfield.lean import njit
-
-_NO_ARRAYS: Final[dict[str, Any]] = {"cache": True, "nogil": True, "_nrt": False}
-"""Of a function that makes none: to count the references to those it is given would take most of its time."""
+from touchfield.lean import inner, kernel
 
 _1, _2 = np.uint64(1), np.uint64(2)
 INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
@@ -33,7 +29,7 @@ A, C, T, R, V, W, H = 0, 9, 12, 15, 24, 27, 30
 START, SHIFT = 3, 4
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def between(cells, o, fx, fy, fz):
     """Trilinear interpolation in float64 of one component, whose first corner lies at `o`."""
     a, b = np.float64(cells[o]), np.float64(cells[o + Y])
@@ -47,7 +43,7 @@ def between(cells, o, fx, fy, fz):
     return a + fx * (c - a)
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def find(tables, start, shift, key):
     """The slot of a brick of cells, -1 where there is none."""
     mask = (1 << (64 - shift)) - 1
@@ -59,12 +55,12 @@ def find(tables, start, shift, key):
     return tables[start + h, 1]
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def is_held(held, slot, i, j, k):
     return (held[slot, i & 7] >> np.uint64(8 * (j & 7) + (k & 7))) & _1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hash_table(keys, shift, table):
     """Open addressing: into `table`, int64 [2^(64 - shift), 2] of -1, each key and its place in `keys`."""
     mask = table.shape[0] - 1
@@ -75,7 +71,7 @@ def hash_table(keys, shift, table):
         table[h, 0], table[h, 1] = keys[s], s
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cells_of(begin, end, sources, forces, cells, held):
     """Fill `cells` [n, 9, 9, 9, 3] from the eight bricks behind each, `sources` [n, 8]; -1 for none.
 
@@ -106,7 +102,7 @@ def cells_of(begin, end, sources, forces, cells, held):
                                     held[s, a] |= one << np.uint64(8 * b + c)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def place(poses, lattices, motions, placed):
     """The table of one frame from poses [n, 7] (w, x, y, z, t), lattices [n, 6] (spacing, corner), motions [n, 6]."""
     for n in range(poses.shape[0]):
@@ -126,7 +122,7 @@ def place(poses, lattices, motions, placed):
 # -- the force at a point ------------------------------------------------------------------------------------------
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def own(row, dx, dy, dz):
     """A point of the scene, x - t, in samples of an object from the corner of its box."""
     x = row[0] * dx + row[1] * dy + row[2] * dz - row[C]
@@ -134,7 +130,7 @@ def own(row, dx, dy, dz):
     return x, y, row[6] * dx + row[7] * dy + row[8] * dz - row[C + 2]
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def slot_at(boxes, n, tables, held, x, y, z):
     """The brick of cells of object n that holds a force about a point of its own, -1 for none."""
     if not (0.0 <= x < 8.0 * boxes[n, 0] and 0.0 <= y < 8.0 * boxes[n, 1] and 0.0 <= z < 8.0 * boxes[n, 2]):
@@ -145,7 +141,7 @@ def slot_at(boxes, n, tables, held, x, y, z):
     return slot if slot >= 0 and is_held(held, slot, i, j, k) else -1
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def force_of(cells, slot, x, y, z):
     """The force of an object at a point of its own, in a brick of cells."""
     i, j, k = np.int64(x), np.int64(y), np.int64(z)
@@ -154,7 +150,7 @@ def force_of(cells, slot, x, y, z):
     return gx, gy, between(cells, o + _2, x - i, y - j, z - k)
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def in_scene(row, gx, gy, gz, dx, dy, dz):
     """The force (gx, gy, gz) of a body turned, with what the motion of its surface adds at d = x - t."""
     x = row[R] * gx + row[R + 1] * gy + row[R + 2] * gz + row[V] + row[W + 1] * dz - row[W + 2] * dy
@@ -163,7 +159,7 @@ def in_scene(row, gx, gy, gz, dx, dy, dz):
     return x, y, z
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def shortened(x, y, z, limit):
     """A sum of forces cut to `limit`, its direction kept."""
     square = x * x + y * y + z * z
@@ -175,7 +171,7 @@ def shortened(x, y, z, limit):
     return x, y, z
 
 
-@njit(**_NO_ARRAYS)
+@kernel(_nrt=False)
 def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, limit, out):
     """Forces at points [m, 3], metres: what is within `floor` of zero counts as none, the sum is cut to `limit`."""
     least = floor * floor
@@ -199,7 +195,7 @@ def at_points(begin, end, points, boxes, placed, tables, cells, held, floor, lim
 # -- on a lattice --------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, most):
     """Bricks of a lattice that each object may reach: pairs (brick, object), int64 [m, 2], objects ascending.
 
@@ -262,7 +258,7 @@ def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, most):
     return (count if count <= most else -1), pairs
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, least):
     """Add one object's forces at the samples of the brick that begins at `first`; whether there is any."""
     lx, ly, lz = 8.0 * box[0], 8.0 * box[1], 8.0 * box[2]
@@ -296,7 +292,7 @@ def _add_brick(total, first, lattice, shape, row, box, tables, cells, held, leas
     return added
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fill(begin, end, bricks, starts, which, lattice, shape, boxes, placed, tables, cells, held, limits, forces, full):
     """The sums of the objects `which[starts[s]:starts[s + 1]]` in brick s of zeros, and whether any is not zero."""
     total = np.zeros((8, 8, 8, 3))

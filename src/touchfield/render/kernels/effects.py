@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 from touchfield.render.block import words as W
 from touchfield.render.kernels.frames import force_at, gradient_at, strongest, vibration_between
 from touchfield.render.kernels.vectors import along, dot, is_finite, length, less, plus, put, three, times
@@ -53,19 +53,19 @@ _LEAST_SPEED = 1e-9  # m/s; slower than this nothing can be damped
 _LEAST_WAY = 1e-18  # m; of the proxy, m^2
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def has_passed(f8, dt):
     """True if dt is a time in which something may change; in a block without parameters nothing does."""
     return dt > 0.0 and dt < math.inf and f8[W.RATE_HZ] > 0.0
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def clamped_dt(f8, dt):
     """The time for which forces and gains may move, seconds."""
     return min(dt, _LATEST_TICKS / f8[W.RATE_HZ])
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _heated(f8, at, dt):
     """Heat after a time in which the force before was held; the limit that goes with it."""
     place, heat_at, _, peak_at, continuous_at, _ = at
@@ -80,7 +80,7 @@ def _heated(f8, at, dt):
     return continuous + (peak - continuous) * min(max(cool, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _within(f8, at, wanted, dt):
     """The most that may be handed out where `wanted` is; `at` is `_FORCE` or `_TORQUE`."""
     place, _, limit_at, peak_at, _, slew_at = at
@@ -112,19 +112,19 @@ def _within(f8, at, wanted, dt):
     return wanted
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def limited(f8, wanted, dt):
     """The force that may be handed out where one is wanted, newtons; keeps it, heat and limit in the state."""
     return _within(f8, _FORCE, wanted, dt)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def limited_torque(f8, wanted, dt):
     """The same of a torque, newton metres; zero for ever where the device states none."""
     return _within(f8, _TORQUE, wanted, dt)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def moved(f8, way, since):
     """Keep the velocity in the field, m/s, after a way in `since` seconds."""
     share = -math.expm1(-f8[W.CUTOFF] * since)
@@ -132,7 +132,7 @@ def moved(f8, way, since):
     put(f8, W.VELOCITY, velocity if is_finite(velocity) else (0.0, 0.0, 0.0))
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _greatest_eigenvalue(a, b, c, d, e, f):
     """Of the symmetric matrix with diagonal a, b, c and, beside it, d = xy, e = xz, f = yz."""
     mean = (a + b + c) / 3
@@ -145,7 +145,7 @@ def _greatest_eigenvalue(a, b, c, d, e, f):
     return mean + 2 * spread * math.cos(math.acos(min(max(half, -1.0), 1.0)) / 3)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, hand):
     """The force of the coupling on a hand, newtons, and the place of the proxy then, metres."""
     k, nothing = 1.0 / f8[W.SOFTNESS], (0.0, 0.0, 0.0)
@@ -176,7 +176,7 @@ def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, hand):
     return times(k, less(q, hand)), q
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _turned_back(f8, pull):
     """Stiffness added to c because the proxy went too far in this tick or in those before, N/m."""
     step = three(f8, W.PROXY_STEP)
@@ -188,7 +188,7 @@ def _turned_back(f8, pull):
     return added
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _solved(first, second, third, right):
     """x with M x = right, of a matrix by its rows; it pushes every vector forward, so it is regular."""
     (a, b, c), (d, e, f), (g, h, i) = first, second, third
@@ -201,7 +201,7 @@ def _solved(first, second, third, right):
     return x, y, dot((r, b * g - a * h, a * e - b * d), right) / whole
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def adapt(f8):
     """Go on towards the damper in contact and the coupling that are wanted; without a step but the first."""
     softness = 1.0 / f8[W.COUPLING] if f8[W.COUPLING] > 0.0 else 0.0
@@ -212,7 +212,7 @@ def adapt(f8):
     f8[W.SOFTNESS] += share * (softness - f8[W.SOFTNESS])
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def braked(f8, force, velocity):
     """A force of the field, newtons, with the damper in contact: along it alone, and never more than it."""
     size = length(force)
@@ -223,7 +223,7 @@ def braked(f8, force, velocity):
     return times(1.0 - min(max(share, -1.0), 1.0), force)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt):
     """The sine beside the force at a point of the field, newtons."""
     amplitude, frequency = vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, *p)
@@ -234,7 +234,7 @@ def vibration(i8, u8, f8, f4, frame_a, frame_b, blend, p, dt):
     return amplitude * math.sin(f8[W.PHASE])
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def remember(f8):
     """Keep the force before among those that are still to act, without the steady one for the handle's weight."""
     for n in range(14, -1, -1):
@@ -242,7 +242,7 @@ def remember(f8):
     put(f8, W.PAST_FORCES, along(three(f8, W.FORCE), -f8[W.GAIN], three(f8, W.GRAVITY)))
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def observe(f8, way):
     """Add up the energy of a way of the hand, metres of the device, against the force of `DELAY` ticks before."""
     whole = int(f8[W.DELAY])
@@ -253,7 +253,7 @@ def observe(f8, way):
         f8[W.ENERGY] -= work
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def passive(f8, force, velocity, dt):
     """The force (device's axes) with the damper of the passivity controller; what is on its way is foreseen."""
     speed = length(velocity)
@@ -279,7 +279,7 @@ _TO_EDGE = 10 ** (0.05 / _BAND_SINES)  # of a band, from its highest sine
 _UNKNOWN = -2
 
 
-@njit(cache=True, nogil=True)
+@inner
 def material_at(i8, u8, f8, f4, frame_a, frame_b, blend, p):
     """The word of the first material that a point is within; 0 for none. `FRICTION_NOW` becomes that of it."""
     if f8[W.WALL] > 0.0 and f8[W.IS_COUPLED] != 0.0 and f8[W.IS_HELD] != 0.0:
@@ -301,7 +301,7 @@ def material_at(i8, u8, f8, f4, frame_a, frame_b, blend, p):
     return 0
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _friction(f8, row):
     """mu of a material, where the hand is on its way between two slips."""
     mu, static, slip = f8[row + W.MATERIAL_FRICTION], f8[row + W.MATERIAL_STATIC], f8[row + W.MATERIAL_SLIP]
@@ -314,7 +314,7 @@ def _friction(f8, row):
     return mu + (static - mu) * (0.5 + shown * (min(f8[W.SLID] / slip, 1.0) - 0.5))
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _between(f8, at, count, x):
     """The two places of a rising row that x lies between, and its share of the way; -1 is zero, before the first."""
     low, before = -1, 0.0
@@ -326,7 +326,7 @@ def _between(f8, at, count, x):
     return count - 1, count - 1, 0.0
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _level(f8, at, i, forces, press):
     """Newtons rms of a band at speed i of the table, and at a force as of `_between`."""
     if i < 0:
@@ -336,7 +336,7 @@ def _level(f8, at, i, forces, press):
     return first + share * (f8[at + (i * forces + high) * _BANDS] - first)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def texture(i8, f8, row, force, velocity, dt):
     """The vibration of a material at word `row`, newtons, for a force of the field and a velocity of the hand."""
     size = length(force)

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from touchfield.lean import UNCOUNTED, njit
+from touchfield.lean import kernel, uncounted
 from touchfield.medium.kernels.placed import CELLS, GOLDEN, between, shortened
 from touchfield.render.block import words as W
 from touchfield.render.kernels.vectors import (
@@ -31,14 +31,14 @@ from touchfield.render.kernels.vectors import (
 )
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def warp_of(i8, frame):
     """The word of a frame's lattice; 0 where it has none."""
     offset = i8[np.uint64(frame + W.FRAME_WARP)]
     return frame + offset if offset > 0 else 0
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def _weights(t, inverse):
     """A cubic B-spline in a cell: weights of four control points, and their slopes."""
     r, slope = 1.0 - t, 0.5 * inverse
@@ -46,7 +46,7 @@ def _weights(t, inverse):
     return w, (-slope * r * r, slope * (3 * t * t - 4 * t), -slope * (3 * r * r - 4 * r), slope * t * t)
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def _cell(f8, i8, warp, axis, x):
     """First control point about x along an axis, place in the cell, and 1 / spacing; 0 beyond, where u is flat."""
     inverse = f8[np.uint64(warp + W.WARP_INVERSE + axis)]
@@ -58,7 +58,7 @@ def _cell(f8, i8, warp, axis, x):
     return i, s - i, inverse
 
 
-@njit(**UNCOUNTED, cache=True)
+@uncounted
 def bent(i8, f8, frame_a, frame_b, blend, p):
     """Displacement u at a point, metres, and its slopes along x, y and z: four triples."""
     a, b = warp_of(i8, frame_a), warp_of(i8, frame_b)
@@ -79,7 +79,7 @@ def bent(i8, f8, frame_a, frame_b, blend, p):
     return u, gx, gy, gz
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def _control(i8, f8, a, b, blend, i, j, k):
     """A control point of two frames, blended, and what it yields."""
     at = 3 * ((i * i8[np.uint64(a + 1)] + j) * i8[np.uint64(a + 2)] + k)
@@ -90,7 +90,7 @@ def _control(i8, f8, a, b, blend, i, j, k):
     return plus(v, three(f8, soft + at)) if soft > 0 else v
 
 
-@njit(**UNCOUNTED, cache=True)
+@uncounted
 def give_way(i8, f8, frame, p, force, dt):
     """Let the control points of what yields follow a force at a point for `dt` seconds, and all others go to rest."""
     warp = warp_of(i8, frame)
@@ -119,7 +119,7 @@ def give_way(i8, f8, frame, p, force, dt):
                     f8[at + c] = min(max(f8[at + c] + w * force[c], -most), most)
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def _square(w):
     return w[0] * w[0] + w[1] * w[1] + w[2] * w[2] + w[3] * w[3]
 
@@ -133,7 +133,7 @@ _1, _2 = np.uint64(1), np.uint64(2)
 UNTURNED = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def on_axis(x):
     """Cell along one axis, and place within it; x is not negative."""
     i = np.int64(x + ON_PLANE)
@@ -141,7 +141,7 @@ def on_axis(x):
     return i, (f if f > ON_PLANE else 0.0)
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def slot_of(i8, table, shift, key):
     """The slot of a brick of cells, -1 where there is none; the table begins at word `table`."""
     mask = (_1 << np.uint64(64 - shift)) - _1
@@ -156,7 +156,7 @@ def slot_of(i8, table, shift, key):
         h = (h + _1) & mask
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def locate(i8, u8, f8, field, p):
     """Corner in `f4` (`NONE`: zero there) of a point of the field's own frame, metres, and its place in the cell."""
     corner, inverse = three(f8, field + W.FIELD_CORNER), three(f8, field + W.FIELD_INVERSE)
@@ -178,7 +178,7 @@ def locate(i8, u8, f8, field, p):
     return np.uint64(first + slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3), place
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def ends(frame_a, frame_b, blend):
     """The same instant with blend 0 wherever one frame alone tells it; beyond 0 and 1 the nearer frame."""
     if frame_a == frame_b or not blend > W.AT_A_FRAME:
@@ -188,27 +188,27 @@ def ends(frame_a, frame_b, blend):
     return frame_a, frame_b, blend
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def mixed(f8, a, b, blend):
     """Three numbers between those at words a and b."""
     first = three(f8, a)
     return along(first, blend, less(three(f8, b), first))
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def arm(f8, a, b, blend, p):
     """From where a part lies to a point, metres."""
     return less(p, mixed(f8, a + W.PART_POSITION, b + W.PART_POSITION, blend))
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def is_far(i8, f8, a, b, d):
     """True if an `arm` is longer than any force of the part's fields is far; also of one that is no number."""
     field_a, field_b = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
     return not dot(d, d) <= max(f8[np.uint64(field_a + W.FIELD_REACH)], f8[np.uint64(field_b + W.FIELD_REACH)])
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def rotation(f8, a, b, blend):
     """R of a part in three rows: between two frames that of both quaternions, mixed and made unit."""
     if blend == 0.0:
@@ -220,25 +220,25 @@ def rotation(f8, a, b, blend):
     return matrix_of(first * w0 + second * w1, along(times(first, v0), second, v1))
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def spin(f8, a, b, blend):
     """Angular velocity times the surface damping, N/m."""
     return mixed(f8, a + W.PART_MOTION + 3, b + W.PART_MOTION + 3, blend)
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def motion(f8, a, b, blend, d):
     """Force that the motion of a part's surface adds, newtons, the `arm` d away from where it lies."""
     return plus(mixed(f8, a + W.PART_MOTION, b + W.PART_MOTION, blend), cross(spin(f8, a, b, blend), d))
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def part_count(i8, frame_a, frame_b):
     """Bodies that both frames have."""
     return min(i8[np.uint64(frame_a + W.FRAME_PARTS)], i8[np.uint64(frame_b + W.FRAME_PARTS)])
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def part_force(i8, u8, f8, f4, a, b, blend, d):
     """Force of a part in the scene, its `arm` d away, without what its motion adds; of one field or of two."""
     field, last = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
@@ -260,7 +260,7 @@ def part_force(i8, u8, f8, f4, a, b, blend, d):
     return turned(r, g) if is_turned else g
 
 
-@njit(**UNCOUNTED, cache=True)
+@uncounted
 def strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p):
     """The number of the part that pushes most at a point; -1 for none."""
     a, b, blend = ends(frame_a, frame_b, blend)
@@ -277,7 +277,7 @@ def strongest(i8, u8, f8, f4, frame_a, frame_b, blend, p):
     return best
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """`force_at`, to be part of a loop over points."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
@@ -286,7 +286,7 @@ def force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     return _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
 
-@njit(**UNCOUNTED, cache=True)
+@uncounted
 def _bent_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """(I + grad u)^T F(x + u), where a deformation bends the field."""
     u, gx, gy, gz = bent(i8, f8, frame_a, frame_b, blend, (x, y, z))
@@ -294,7 +294,7 @@ def _bent_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     return f[0] + dot(gx, f), f[1] + dot(gy, f), f[2] + dot(gz, f)
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """The force of the frames as they are stored."""
     least, limit = f8[np.uint64(frame_a + W.FRAME_FLOOR)], f8[np.uint64(frame_a + W.FRAME_LIMIT)]
@@ -310,7 +310,7 @@ def _plain_force(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     return shortened(*total, limit)
 
 
-@njit(**UNCOUNTED, cache=True)
+@kernel(_nrt=False)
 def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """F(x, t), newtons, between the frames at words `frame_a` (blend 0) and `frame_b` (blend 1); x in metres.
 
@@ -319,13 +319,13 @@ def force_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     return force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def _ahead(x):
     """A coordinate a little farther on, metres: far less than any spacing, far more than the rounding of a place."""
     return x + (1e-8 + 1e-12 * abs(x))
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, force):
     """dF_i/dx_j of `force_at`, N/m, row by row, by differences from the `force` at (x, y, z) to those just ahead.
 
@@ -339,7 +339,7 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, force):
     return p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2]
 
 
-@njit(**UNCOUNTED, cache=True)
+@kernel(_nrt=False)
 def vibration_at(i8, u8, f8, f4, frame, x, y, z):
     """Amplitude, newtons, interpolated, and frequency, Hz, of the nearest corner that vibrates; zeros for none."""
     field = i8[np.uint64(frame + W.FRAME_VIBRATION)]
@@ -363,7 +363,7 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
     return amplitude, frequency
 
 
-@njit(**UNCOUNTED, cache=True)
+@kernel(_nrt=False)
 def vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """Between two frames: the amplitude linear in time, the frequency that of the frame that says more."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)

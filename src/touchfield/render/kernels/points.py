@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from touchfield.lean import UNCOUNTED, njit
+from touchfield.lean import inner, kernel, uncounted
 from touchfield.medium.grid import BRICK
 from touchfield.medium.kernels.placed import CELLS, INSIDE, XY, XYZ, XZ, YZ, X, Y, Z
 from touchfield.render.block import words as W
@@ -23,7 +23,7 @@ _LEAST = np.float32(1e-30)
 _FAST = {"contract", "nsz", "reassoc"}
 
 
-@njit(inline="always")
+@inner(inline="always")
 def _between(f4, o, fx, fy, fz):
     """Trilinear interpolation in float32 of one component, whose first corner lies at `o`."""
     a, b, c, d = f4[o], f4[o + Y], f4[o + X], f4[o + XY]
@@ -36,7 +36,7 @@ def _between(f4, o, fx, fy, fz):
     return a + fx * (c - a)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def field_at_points(begin, end, points, i8, u8, f8, f4, field, share, is_first, out):
     """`share` of one unturned field at points [m, 3], metres, written to float32 [m, 3] or, unless first, added.
 
@@ -73,7 +73,7 @@ def field_at_points(begin, end, points, i8, u8, f8, f4, field, share, is_first, 
             out[p, 0], out[p, 1], out[p, 2] = out[p, 0] + gx, out[p, 1] + gy, out[p, 2] + gz
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def forces_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, frame_b, out):
     """`force_at` at points [m, 3], each at its own of `blends` [m] or all at the only one."""
     last = blends.shape[0] - 1
@@ -83,7 +83,7 @@ def forces_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, frame_
         out[p, 0], out[p, 1], out[p, 2] = frames.force_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gradients_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, frame_b, out):
     """`gradient_at` likewise, into [m, 9]."""
     last = blends.shape[0] - 1
@@ -96,7 +96,7 @@ def gradients_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, fra
             out[p, c] = rows[c] if math.isfinite(x + y + z) else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def vibrations_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, frame_b, out):
     """`vibration_between` likewise, into [m, 2]: amplitude and frequency."""
     last = blends.shape[0] - 1
@@ -106,7 +106,7 @@ def vibrations_at_points(begin, end, points, blends, i8, u8, f8, f4, frame_a, fr
         out[p, 0], out[p, 1] = frames.vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def force_at_once(u8, frame_a, frame_b, blend, x, y, z):
     """`force_at` of a block given by one of its views: each array handed over costs a call from Python 0.1 us."""
     i8, f8, f4 = u8.view(np.int64), u8.view(np.float64), u8.view(np.float32)
@@ -121,18 +121,18 @@ def force_at_once(u8, frame_a, frame_b, blend, x, y, z):
 # float32, in which a place of a lattice of 1000 samples is known to a ten thousandth of one.
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def _rows(f4, at, count, stride):
     """Three rows of `count` numbers, `stride` apart."""
     return f4[at : at + count], f4[at + stride : at + stride + count], f4[at + 2 * stride : at + 2 * stride + count]
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def _single(v):
     return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
 
 
-@njit(**UNCOUNTED, cache=True, fastmath=_FAST)
+@uncounted(fastmath=_FAST)
 def _lay(p, rows, origin, s):
     """rows p + origin: places of the tool in samples of a field."""
     (px, py, pz), (sx, sy, sz) = p, s
@@ -144,7 +144,7 @@ def _lay(p, rows, origin, s):
         sz[n] = origin[2] + g * x + h * y + i * z
 
 
-@njit(**UNCOUNTED, cache=True, fastmath=_FAST)
+@uncounted(fastmath=_FAST)
 def _sample(i8, u8, f4, field, share, is_first, s, g):
     """`share` of the force of a field at places s in its samples, written to g, or, unless first, added."""
     (sx, sy, sz), (gx, gy, gz) = s, g
@@ -172,7 +172,7 @@ def _sample(i8, u8, f4, field, share, is_first, s, g):
             gx[n], gy[n], gz[n] = gx[n] + fx, gy[n] + fy, gz[n] + fz
 
 
-@njit(**UNCOUNTED, cache=True, fastmath=_FAST)
+@uncounted(fastmath=_FAST)
 def _gather(p, g, f, columns, still, swing, least):
     """Add forces g of a part, above the square `least`, to those f of the tool's axes, with what its motion adds."""
     (px, py, pz), (gx, gy, gz), (fx, fy, fz) = p, g, f
@@ -188,7 +188,7 @@ def _gather(p, g, f, columns, still, swing, least):
         fz[n] += is_there * vz
 
 
-@njit(**UNCOUNTED, cache=True, fastmath=_FAST, error_model="numpy")
+@uncounted(fastmath=_FAST, error_model="numpy")
 def _sum(p, normals, f, limit):
     """Sum of s F and of p x s F, s = max(0, -n . F / |F|), each F cut to the length `limit`; the tool's axes."""
     (px, py, pz), (nx, ny, nz), (fx, fy, fz) = p, normals, f
@@ -203,7 +203,7 @@ def _sum(p, normals, f, limit):
     return (np.float64(sx), np.float64(sy), np.float64(sz)), (np.float64(tx), np.float64(ty), np.float64(tz))
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def _lay_and_sample(i8, u8, f8, f4, field, share, is_first, columns, origin, p, s, g):
     """The force of a field at points of the tool; `columns`, `origin`: the tool in the part's frame, metres."""
     kx, ky, kz = three(f8, field + W.FIELD_INVERSE)
@@ -219,7 +219,7 @@ def _lay_and_sample(i8, u8, f8, f4, field, share, is_first, columns, origin, p, 
     _sample(i8, u8, f4, field, np.float32(share), is_first, s, g)
 
 
-@njit(**UNCOUNTED, cache=True)
+@uncounted
 def _add_part(i8, u8, f8, f4, a, b, blend, place, p, s, g, f, least):
     """Add the force of one part at some points p of a tool whose device's point is at `place`."""
     field, later = i8[np.uint64(a + W.PART_FIELD)], i8[np.uint64(b + W.PART_FIELD)]
@@ -246,7 +246,7 @@ def _add_part(i8, u8, f8, f4, a, b, blend, place, p, s, g, f, least):
     _gather(p, g, f, turn, _single(still), _single(swing), np.float32(least))
 
 
-@njit(**UNCOUNTED, cache=True)
+@kernel(_nrt=False)
 def tool_force(i8, u8, f8, f4, frame_a, frame_b, blend, px, py, pz):
     """The force on the tool at (px, py, pz), metres, turned by `TURN`, newtons; its torque goes to `FIELD_TORQUE`."""
     frame_a, frame_b, blend = frames.ends(frame_a, frame_b, blend)
@@ -278,7 +278,7 @@ def slope_of_bin(n: int) -> float:
     return float(2.0 ** ((n + 1) / _PER_DOUBLING))
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def count_slopes(cells, held, inverse, counts):
     """Add to `counts`, int64 [BINS], the cells of a pool by what their force grows with a way against it, N/m."""
     for slot in range(len(held)):
@@ -296,7 +296,7 @@ def count_slopes(cells, held, inverse, counts):
                 counts[min(int(_PER_DOUBLING * math.log2(-along / square)), BINS - 1)] += 1
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _middle(cells, o):
     """The mean of the eight corners, and how it grows along x, y and z, a sample each."""
     total, x, y, z = 0.0, 0.0, 0.0, 0.0
@@ -309,7 +309,7 @@ def _middle(cells, o):
     return total / 8.0, (x / 4.0, y / 4.0, z / 4.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def blend_bricks(begin, end, slots, before, after, share, k, f0_n, out, held):
     """Bricks of `out` float32 [n, 1536], `share` of the way from `before` to `after`; `slots` [2, n], -1: no brick.
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from touchfield.lean import UNCOUNTED, njit
+from touchfield.lean import uncounted
 from touchfield.render.block import words as W
 from touchfield.render.kernels.frames import ends, force_at, mixed, part_count, rotation, strongest
 from touchfield.render.kernels.vectors import along, cross, dot, less, plus, put, three, times, turned, turned_back
@@ -49,12 +49,12 @@ class _At(NamedTuple):
     spacing: tuple[float, float, float]
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def _size(a):
     return math.sqrt(dot(a, a))
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _look(at, q):
     """Size of the force at a point, newtons, and its direction."""
     force = force_at(at.i8, at.u8, at.f8, at.f4, at.frame_a, at.frame_b, at.blend, *q)
@@ -64,7 +64,7 @@ def _look(at, q):
     return size, times(1.0 / size, force)
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _settled(at, q, size, normal):
     """A point at a surface, moved onto it along the normal, by secants; size and direction of the force there."""
     slope = at.stiffness
@@ -82,7 +82,7 @@ def _settled(at, q, size, normal):
     return q, size, normal
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _entered(at, q, size, p, strength):
     """Where the way from q, outside, to p, within, goes in, by false position; an end that stays counts half."""
     low, high, left, right, side = 0.0, 1.0, size - at.level, strength - at.level, 0
@@ -106,20 +106,20 @@ def _entered(at, q, size, p, strength):
     return along(q, share, way), strength, normal
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _sample(at, normal):
     """Spacing of the samples along a direction, metres."""
     return _size((at.spacing[0] * normal[0], at.spacing[1] * normal[1], at.spacing[2] * normal[2]))
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _steadied(at, q, normal):
     """The normal at the surface as the force behind it tells, which is steadier; its own where the wall is thin."""
     _, other = _look(at, along(q, -_BEHIND * _sample(at, normal), normal))
     return other if dot(other, normal) > _ALIKE else normal
 
 
-@njit(**UNCOUNTED, forceinline=True)
+@uncounted(forceinline=True)
 def _is_free(d, planes, count):
     into = 0
     for n in range(count):
@@ -127,7 +127,7 @@ def _is_free(d, planes, count):
     return into == 0
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _allowed(d, planes, count):
     """The rest of the way d in front of up to three planes: the nearest way that goes into none."""
     if _is_free(d, planes, count):
@@ -151,7 +151,7 @@ def _allowed(d, planes, count):
     return best
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _with(planes, count, normal):
     """Planes that stop the proxy, and how many of the first ones do, once it has met another one."""
     a, b, c = planes
@@ -164,7 +164,7 @@ def _with(planes, count, normal):
     return (a, b, normal), 3
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _goal(at, q, hand):
     """Where a proxy at q comes to without friction, and whether it is held there by a surface."""
     none = (0.0, 0.0, 0.0)
@@ -215,7 +215,7 @@ def _goal(at, q, hand):
     return q, count > 0 and dot(less(hand, q), planes[count - 1]) < 0.0
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _pose(at, part):
     """Rotation of a part of the frame, and where it lies."""
     a, b, blend = ends(at.frame_a, at.frame_b, at.blend)
@@ -223,7 +223,7 @@ def _pose(at, part):
     return rotation(at.f8, a, b, blend), mixed(at.f8, a + W.PART_POSITION, b + W.PART_POSITION, blend)
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _carried(at):
     """Where the proxy of the tick before has been carried to."""
     part = int(at.f8[W.PROXY_PART])
@@ -233,7 +233,7 @@ def _carried(at):
     return plus(turned(r, three(at.f8, W.PROXY_LOCAL)), place)
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _keep(at, q, is_held):
     """Remember the place of the proxy, in the axes of the part that pushes most there."""
     f8 = at.f8
@@ -248,7 +248,7 @@ def _keep(at, q, is_held):
         put(f8, W.PROXY_LOCAL, turned_back(r, less(q, place)))
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _dragged(at, before, goal, most):
     """Where friction leaves a proxy on its way to the goal: at most so many metres from there."""
     way = less(before, goal)
@@ -262,7 +262,7 @@ def _dragged(at, before, goal, most):
     return q
 
 
-@njit(**UNCOUNTED)
+@uncounted
 def _below(at, q, inwards, depth):
     """Depth of a proxy below the surface of which the ramp behind it tells, metres; negative above.
 
@@ -276,7 +276,7 @@ def _below(at, q, inwards, depth):
     return min(told, sample, 0.5 * depth)
 
 
-@njit(**UNCOUNTED, cache=True)
+@uncounted
 def held(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
     """The force of the proxy on a hand at (x, y, z), newtons: without friction three numbers, and what this adds."""
     spacing = three(f8, W.WALL_SPACING)

@@ -21,7 +21,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from touchfield.filters.kernels.forces import friction
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 from touchfield.render.block import words as W
 from touchfield.render.kernels import effects
 from touchfield.render.kernels.effects import material_at, texture
@@ -51,7 +51,7 @@ _LONGEST_S = 60.0  # a tick that comes later is as good as a first one
 _LEAST, _MOST = 0.81, 1.21  # of the square of a quaternion that was meant to be of length 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     """The force of one tick, three numbers, newtons, the device's axes, for a device at (x, y, z), metres.
 
@@ -82,7 +82,7 @@ def tick(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, dt):
     return effects.limited(f8, times(gain, three(f8, W.WANTED)), dt)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def release(f8, dt):
     """The next force on the way to zero within the ramp or the slew limit, newtons; zero for ever in the end."""
     if not effects.has_passed(f8, dt):
@@ -98,7 +98,7 @@ def release(f8, dt):
     return effects.limited(f8, times(share, three(f8, W.FORCE)), dt)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _leave(f8):
     """No field and no friction are felt."""
     f8[W.IS_COUPLED] = 0.0
@@ -106,7 +106,7 @@ def _leave(f8):
         put(f8, place, _NOTHING)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _arrive(f8, device):
     """Keep a place of the device: where that is in the field, how fast it came there, what energy that took."""
     p = along(three(f8, W.CLUTCH), f8[W.SCALE], turned(rows_of(f8, W.AXES), device))
@@ -121,7 +121,7 @@ def _arrive(f8, device):
     put(f8, W.POSITION, p)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
     """The force before gain and limits, newtons, the device's axes."""
     p, v = three(f8, W.POSITION), three(f8, W.VELOCITY)
@@ -155,7 +155,7 @@ def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
     return plus(effects.passive(f8, force, times(1.0 / f8[W.SCALE], turned_back(axes, v)), dt), three(f8, W.GRAVITY))
 
 
-@njit(cache=True, nogil=True)
+@inner
 def is_turned(i8, f8):
     """True if the device says how the grip is turned; keeps how that turns the tool in the field."""
     if i8[W.TOOL_POINTS] == 0:
@@ -170,7 +170,7 @@ def is_turned(i8, f8):
     return True
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def want_torque(f8):
     """The torque before gain and limits: a lever of the field is `SCALE` times the device's."""
     torque = three(f8, W.FIELD_TORQUE)
@@ -195,13 +195,13 @@ def _fence(context):
     return types.void(), code
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def fence():
     """A full memory fence."""
     _fence()  # type: ignore[call-arg]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def give_order(i8, f8, generation, start_s, speed, mode, stop):
     """Write one order of the player; the servo takes it whole or not yet."""
     i8[W.SEQUENCE] += 1
@@ -215,7 +215,7 @@ def give_order(i8, f8, generation, start_s, speed, mode, stop):
     i8[W.SEQUENCE] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def publish(i8, generation, frame, at):
     """Show a frame that is written: entry of an unrolled frame in the directory."""
     entry = i8[W.DIRECTORY] + W.DIRECTORY_WORDS * (frame % i8[W.SLOTS])
@@ -226,20 +226,20 @@ def publish(i8, generation, frame, at):
     i8[entry] = (generation << W.FRAME_BITS) | frame
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def unrolled_frame(media_s, rate_hz):
     """The frame that is shown at a media time."""
     return math.floor(media_s * rate_hz + ROUNDING)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _media_now(i8, f8, clock_s):
     if i8[W.MODE_NOW] == W.PLAYING and (i8[W.FEED] == W.RUNNING or i8[W.FEED] == W.STALLED):
         return f8[W.ANCHOR_MEDIA_S] + (clock_s - f8[W.ANCHOR_CLOCK_S]) * f8[W.SPEED_NOW]
     return f8[W.MEDIA_S]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def adopt_order(i8, f8, clock_s):
     """Take the latest order of the player, if it is complete and new."""
     sequence = i8[W.SEQUENCE]
@@ -267,7 +267,7 @@ def adopt_order(i8, f8, clock_s):
     i8[W.SEQUENCE_SEEN] = sequence  # last: who sees it sees no state of the order before
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _place(i8, frame):
     """Where an unrolled frame lies; 0 if it is not there."""
     entry = i8[W.DIRECTORY] + W.DIRECTORY_WORDS * (frame % i8[W.SLOTS])
@@ -277,7 +277,7 @@ def _place(i8, frame):
     return i8[entry + 1]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _count_use(i8, frame):
     """Count the first use of a frame."""
     tag = (i8[W.GENERATION_NOW] << W.FRAME_BITS) | frame
@@ -286,7 +286,7 @@ def _count_use(i8, frame):
         i8[W.FRAMES_USED] += 1
 
 
-@njit(cache=True, nogil=True)
+@inner
 def frames_now(i8, f8, clock_s, is_silent):
     """Places of the two frames of this instant, 0: no force; share of the second; first frame still to be read."""
     count, rate_hz = i8[W.FRAME_COUNT], f8[W.FRAME_RATE_HZ]
@@ -328,7 +328,7 @@ def frames_now(i8, f8, clock_s, is_silent):
     return 0, 0, 0.0, wanted
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _count_time(i8, now_ns):
     """Jitter and lateness of this tick, and the deadline of the next."""
     tick_ns = i8[W.TICK_NS]
@@ -354,7 +354,7 @@ def _count_time(i8, now_ns):
     i8[W.TICKS] += 1
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _write_row(i8, f8, clock_s, force, is_silent, is_stopping):
     at = i8[W.LOG] + W.ROW_WORDS * (i8[W.LOG_WRITTEN] % i8[W.LOG_ROWS])
     f8[at] = clock_s
@@ -375,7 +375,7 @@ def _write_row(i8, f8, clock_s, force, is_silent, is_stopping):
     i8[W.LOG_WRITTEN] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cycle(i8, u8, f8, f4, x, y, z, now_ns):
     """The force, newtons, for the device at (x, y, z), metres, at `now_ns` of the clock; torque is in the block."""
     is_simulated, ticks = i8[W.IS_SIMULATED] != 0, i8[W.TICKS]

@@ -12,7 +12,7 @@ import numpy as np
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s
 from touchfield.cuda import filled, for_each, on_device, on_host, uses_gpu
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 from touchfield.medium.budget import BYTES_PER_BRICK, memory_budget_bytes, zero_forces
 from touchfield.medium.field import bricks_of
 from touchfield.medium.grid import CORNERS
@@ -43,7 +43,7 @@ class Query(NamedTuple):
     first_m: float  # nothing pushes at less depth
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+@inner(fastmath={"contract"}, error_model="numpy")
 def _box_in_view(x0, y0, z0, corners, query):
     """Nearest and farthest z of a box, and the pixels u0, u1, v0, v1 that it may fall on.
 
@@ -73,7 +73,7 @@ def _box_in_view(x0, y0, z0, corners, query):
     return z_low, z_high, pixels
 
 
-@njit(nogil=True, error_model="numpy")
+@inner(error_model="numpy")
 def _near_surface(z_low, z_high, pixels, tiles, reach):
     """True if a box of these pixels and depths may hold a sample within reach of a surface."""
     near, far = _0, _BIG
@@ -86,7 +86,7 @@ def _near_surface(z_low, z_high, pixels, tiles, reach):
     return near > _0 and z_high >= 1.0 / near - reach[0] - slack and z_low <= 1.0 / far + reach[1] + slack
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _may_hold(begin, end, nodes, span, corners, query, hits):
     lattice = query.lattice_m
     for n in range(begin, end):
@@ -98,7 +98,7 @@ def _may_hold(begin, end, nodes, span, corners, query, hits):
         hits[n] = z_low <= z_high and _near_surface(z_low, z_high, pixels, query.surface.tiles, query.reach)
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+@inner(fastmath={"contract"}, error_model="numpy", forceinline=True)
 def pixel_of(x, y, z, fx, fy, cx, cy, height, width):
     """The pixel on which a point in camera axes falls; the one behind the last where it falls beside the picture."""
     per_z = _1 / z
@@ -109,7 +109,7 @@ def pixel_of(x, y, z, fx, fy, cx, cy, height, width):
     return inside if ok else np.int32(height * width)
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+@inner(fastmath={"contract"}, error_model="numpy")
 def pixels_of(x0, y0, z0, offsets, count, camera, height, width, index):
     fx, fy, cx, cy = camera[0], camera[1], camera[2] + HALF, camera[3] + HALF
     for s in range(count):
@@ -117,7 +117,7 @@ def pixels_of(x0, y0, z0, offsets, count, camera, height, width, index):
         index[s] = pixel_of(x, y, z, fx, fy, cx, cy, height, width)
 
 
-@njit(nogil=True)
+@inner
 def gather(planes, index, count, r):
     for s in range(count):
         p = np.uintp(4) * np.uintp(np.uint32(index[s]))  # unsigned: no question of counting from the end
@@ -127,7 +127,7 @@ def gather(planes, index, count, r):
         r[s + _C] = planes[p + np.uintp(3)]
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+@inner(fastmath={"contract"}, error_model="numpy", forceinline=True)
 def distance_at(x, y, z, plane, front, behind):
     """The distance of a point to its pixel's plane (nx, ny, nz, c), metres; far where no force can be."""
     facing = plane[0] * x + plane[1] * y + plane[2] * z
@@ -137,7 +137,7 @@ def distance_at(x, y, z, plane, front, behind):
     return phi if is_near else _BIG
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+@inner(fastmath={"contract"}, error_model="numpy")
 def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
     """Amplitudes, newtons, into ``r[_FORCE:]``."""
     front, behind = reach[0], reach[1]
@@ -153,7 +153,7 @@ def _amplitudes(x0, y0, z0, offsets, count, pieces, reach, r):
             r[s + _FORCE] = f if (phi > low) & (phi <= high) else r[s + _FORCE]
 
 
-@njit(nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@inner(fastmath={"contract", "reassoc", "nsz"})
 def _any_force(r, count):
     total = _0
     for s in range(count):
@@ -161,7 +161,7 @@ def _any_force(r, count):
     return total > _0
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def first_sample(brick, lattice):
     """The first sample of a brick in camera axes, metres, float32."""
     a, b, d = 8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]
@@ -171,7 +171,7 @@ def first_sample(brick, lattice):
     return x, y, z
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _evaluate(brick, first, count, query, index, r):
     """Planes and amplitudes, into `r`, of `count` samples of a brick from the `first` on."""
     surface, offsets, shape = query.surface, query.offsets_m[first:], query.shape
@@ -186,7 +186,7 @@ def _evaluate(brick, first, count, query, index, r):
             r[q + _FORCE] = _0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _holds(begin, end, nodes, query, hits):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
@@ -198,7 +198,7 @@ def _holds(begin, end, nodes, query, hits):
                 break
 
 
-@njit(nogil=True, fastmath={"contract"})
+@inner(fastmath={"contract"})
 def _write(r, turn, out):
     a, b, c = turn[0, 0], turn[0, 1], turn[0, 2]
     d, e, f = turn[1, 0], turn[1, 1], turn[1, 2]
@@ -211,7 +211,7 @@ def _write(r, turn, out):
         out[3 * s + 2] = g * x + h * y + i * z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill(begin, end, nodes, query, out):
     index, r = np.empty(B3, np.int32), np.empty(_SCRATCH, np.float32)
     for n in range(begin, end):
@@ -220,14 +220,14 @@ def _fill(begin, end, nodes, query, out):
 
 
 # -- the same on a GPU: a sample, or some of a brick, a thread -------------------------------------------------------
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _is_beyond(brick, s, shape):
     """True if a sample of a brick lies beyond the grid."""
     is_beyond = 8 * brick[0] + (s >> 6) >= shape[0] or 8 * brick[1] + (s >> 3 & 7) >= shape[1]
     return is_beyond or 8 * brick[2] + (s & 7) >= shape[2]
 
 
-@njit(nogil=True, fastmath={"contract"})
+@inner(fastmath={"contract"})
 def _force_of_sample(first, s, query):
     """Amplitude, newtons, and normal at a sample of the brick whose `first` one is there."""
     offsets, pieces = query.offsets_m, query.pieces
@@ -244,7 +244,7 @@ def _force_of_sample(first, s, query):
     return f, (plane[0], plane[1], plane[2])
 
 
-@njit(nogil=True)
+@kernel
 def _each_holds(begin, end, start, shape, corners, query, hits):
     """Of a grid of `shape` bricks, from number `start` on: eight threads a brick, each at every eighth sample.
 
@@ -264,7 +264,7 @@ def _each_holds(begin, end, start, shape, corners, query, hits):
                 break
 
 
-@njit(nogil=True)
+@kernel
 def _each_fill(begin, end, nodes, query, out):
     turn = query.turn
     for q in range(begin, end):

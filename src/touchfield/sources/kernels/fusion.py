@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Int32s
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 from touchfield.medium.budget import zero_forces
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels.depth import B3, Query, first_sample, gather, pixels_of
@@ -78,13 +78,13 @@ def no_samples(count: int) -> Samples:
     return Samples(*floats, *(np.zeros((count, 512), np.uint8) for _ in range(4)))
 
 
-@njit(nogil=True)
+@inner
 def _forget(of, n, s):
     of.weight[n, s] = _0
     of.near[n, s] = of.free[n, s] = of.strikes[n, s] = 0
 
 
-@njit(nogil=True)
+@inner
 def _passed(of, n, s, is_clear):
     """A ray passed through the sample: what was only guessed there goes at the second one, so does a surface."""
     if of.weight[n, s] > _0:
@@ -102,7 +102,7 @@ def _passed(of, n, s, is_clear):
             of.strikes[n, s] = 0
 
 
-@njit(nogil=True, fastmath={"contract"})
+@inner(fastmath={"contract"})
 def _met(of, n, s, phi, weight, normal):
     """The mean of the sample moves towards what one view says."""
     total = of.weight[n, s] + weight
@@ -114,7 +114,7 @@ def _met(of, n, s, phi, weight, normal):
     of.normal[n, 2, s] += (normal[2] - of.normal[n, 2, s]) * share
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+@inner(fastmath={"contract"}, error_model="numpy")
 def _tell(of, n, s, look, first, normal):
     """Tell a sample what a view says that sees a surface at the distance phi, at it or before it.
 
@@ -148,7 +148,7 @@ def _tell(of, n, s, look, first, normal):
     _met(of, n, s, phi, weight, normal)
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+@inner(fastmath={"contract"}, error_model="numpy", forceinline=True)
 def _measured(x, y, z, plane, rules):
     """Of a sample phi, how near counts as near (-1: nothing is known) and the weight of the look.
 
@@ -165,7 +165,7 @@ def _measured(x, y, z, plane, rules):
     return phi, near, facing * facing / ((x * x + y * y + z * z) * sigma * sigma)
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+@inner(fastmath={"contract"}, error_model="numpy")
 def _look(brick, query, rules, index, r, seen):
     """Pixels, planes and what is `_measured` of all samples of a brick; the depth of the first."""
     surface, offsets = query.surface, query.offsets_m
@@ -179,7 +179,7 @@ def _look(brick, query, rules, index, r, seen):
     return z0
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+@inner(fastmath={"contract"}, error_model="numpy", forceinline=True)
 def _learn(of, n, s, seen, pixel, plane, z, view, rules):
     """Tell sample s of brick n, at the depth z, what the view sees there."""
     phi, least, weight = seen
@@ -200,7 +200,7 @@ def _learn(of, n, s, seen, pixel, plane, z, view, rules):
     _tell(of, n, s, (phi, least, weight, view.marked[pixel] > 0), rules.first, normal)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+@kernel(fastmath={"contract"}, error_model="numpy")
 def _integrate(begin, end, bricks, view, rules, of):
     index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
     for n in range(begin, end):
@@ -211,7 +211,7 @@ def _integrate(begin, end, bricks, view, rules, of):
             _learn(of, n, s, of_sample, index[s], plane, z0 + view.query.offsets_m[s + 2 * B3], view, rules)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+@kernel(fastmath={"contract"}, error_model="numpy")
 def _mark(begin, end, bricks, view, rules, out):
     index, r, seen = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
     for n in range(begin, end):
@@ -221,7 +221,7 @@ def _mark(begin, end, bricks, view, rules, out):
                 out[n, s] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _surfaces_in(begin, end, query, slots, inverse, of, wanted, out):
     """Pixels of rows begin..end whose surface lies at a sample that is wanted.
 
@@ -259,7 +259,7 @@ def _surfaces_in(begin, end, query, slots, inverse, of, wanted, out):
     return total, count
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+@kernel(fastmath={"contract"}, error_model="numpy")
 def _forces(begin, end, of, pieces, shape, bricks, out):
     for q in range(begin, end):
         n, s = q >> 9, q & 511

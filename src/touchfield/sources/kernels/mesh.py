@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 from touchfield.medium import Grid
 from touchfield.parallel import for_chunks
 from touchfield.sources.kernels import mesh_triangle as tri
@@ -56,7 +56,7 @@ class Motion(NamedTuple):
     damping_n_s_per_m: float  # b
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _place(bricks, b, i, j, k, lattice):
     """Where a sample of a brick is, metres."""
     x = lattice[0] + (bricks[b, 0] * 8 + i) * lattice[3]
@@ -66,7 +66,7 @@ def _place(bricks, b, i, j, k, lattice):
 
 
 # -- from the grid down to its bricks ------------------------------------------------------------------------------
-@njit(cache=True, nogil=True)
+@kernel
 def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limit, keep, counts):
     """Triangles of each cell that its eight children keep: a bit for each child, and their numbers."""
     scale = 1.0 / lattice[3:].max()
@@ -97,7 +97,7 @@ def _descend(begin, end, cells, start, ids, table, lattice, shape, size, limit, 
             counts[cell, s] = kept
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hand_down(begin, end, start, ids, keep, offsets, out):
     for cell in range(begin, end):
         for s in range(8):
@@ -109,7 +109,7 @@ def _hand_down(begin, end, start, ids, keep, offsets, out):
 
 
 # -- a brick --------------------------------------------------------------------------------------------------------
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     """The force at (x, y, z), given its nearest triangle t."""
     sidedness, half_wall, tiny = rule
@@ -130,7 +130,7 @@ def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     return share * dx, share * dy, share * dz
 
 
-@njit(nogil=True)
+@inner
 def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
     """Place a block's 64 samples and say how far each one looks (squared; negative: not at all); the farthest."""
     far = np.float32(-1.0)
@@ -149,7 +149,7 @@ def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
     return far
 
 
-@njit(nogil=True)
+@inner
 def _search_block(block, s, far, count, tiles, radius):
     """Find the nearest triangle of each sample of a block; False if none is near enough."""
     best, least = tri.least_of(tiles, count, s)
@@ -169,7 +169,7 @@ def _search_block(block, s, far, count, tiles, radius):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces, has_force, owners):
     """Forces of bricks; `rule` is sidedness, half wall and the distance (metres) at which directions are unsure.
 
@@ -220,7 +220,7 @@ def _fill_bricks(begin, end, near, surface, frame, events, rule, pieces, forces,
 
 # -- what a motion adds, and where a shell ends -------------------------------------------------------------------
 # `owners` int32 [n, 8, 8, 8]: the nearest triangle of each sample with a force, -1 for the others
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _shares(vertices, a, b, c, point):
     """Shares of the corners b and c of a triangle in a point of it; from a to b is its longest edge."""
     bb = bc = cc = bp = cp = 0.0
@@ -234,7 +234,7 @@ def _shares(vertices, a, b, c, point):
     return min(max((bp - third * bc) / bb, 0.0), 1.0 - third) if bb > 0.0 else 0.0, third
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_motion(begin, end, bricks, owners, table, lattice, triangles, vertices, velocities, damping, forces):
     """Add the damping of a surface that moves, where there are forces."""
     for b in range(begin, end):
@@ -252,7 +252,7 @@ def add_motion(begin, end, bricks, owners, table, lattice, triangles, vertices, 
                 forces[b, i, j, k, c] += damping * at
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fade(begin, end, bricks, owners, table, lattice, rim, near, width, forces, has_force):
     """Fade forces towards a rim; `has_force` tells which bricks still have any.
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from touchfield.arrays import Bools, Float64s, Int32s, Int64s
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 from touchfield.medium import Grid
 from touchfield.parallel import for_chunks
 
@@ -34,7 +34,7 @@ _MOST_CORNERS, _MOST_PIECES = 24, 96
 _PER_TRIANGLE = 32  # bins a triangle may lie in on average
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy")  # no divisor is zero
+@inner(forceinline=True, error_model="numpy")  # no divisor is zero
 def line_at(vertices, triangle, z):
     """True if a triangle crosses the height z; y and x there on its edge that goes up, and on the one going down."""
     y0 = x0 = y1 = x1 = 0.0
@@ -56,14 +56,14 @@ def line_at(vertices, triangle, z):
     return is_met, y0, x0, y1, x1
 
 
-@njit(nogil=True)
+@inner
 def _index_from(position, origin, step, count):
     """The first sample at or after a position, 0 to count."""
     index = np.ceil((position - origin) / step)
     return int(min(max(index, 0.0), float(count)))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw(begin, end, vertices, triangles, lattice, shape, offsets, events):
     """The events of triangles, from `offsets[t]` on; where there is no room for any, their numbers, in offsets[t]."""
     bricks_z = (shape[2] + 7) // 8
@@ -118,7 +118,7 @@ def crossings(vertices_m: Float64s, triangles: Int32s, grid: Grid) -> Int64s:
     return events[: np.searchsorted(events, _DROPPED)]
 
 
-@njit(nogil=True)
+@inner
 def winding_of_brick(events, first, last, i0, winding):
     """Winding numbers of a brick's samples, int32 [512], from the events of its column; i0 is its first x index."""
     winding[:] = 0
@@ -141,12 +141,12 @@ class Bins(NamedTuple):
     ids: Int32s
 
 
-@njit(nogil=True)
+@inner
 def _bin(frame, value, axis):
     return int(min(max(np.floor((value - frame[axis]) / frame[2 + axis]), 0.0), frame[4] - 1.0))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _put_in_bins(boxes, frame, place, ids):
     """Put each triangle at the next place of every bin that its box meets; without `ids` the places are counted."""
     for t in range(len(boxes)):
@@ -185,7 +185,7 @@ def sorted_into_bins(boxes: Float64s) -> Bins:
 
 
 # -- which triangles cross -----------------------------------------------------------------------------------------
-@njit(nogil=True)
+@inner
 def _heights(points, count, normal, base, out):
     """Heights of points over a plane; least and greatest."""
     low, high = np.inf, -np.inf
@@ -198,7 +198,7 @@ def _heights(points, count, normal, base, out):
     return low, high
 
 
-@njit(nogil=True)
+@inner
 def _span_on_line(points, count, heights, along, tiny):
     """Where a convex polygon meets a plane, as positions along a direction: from, to; from > to if nowhere."""
     low, high = np.inf, -np.inf
@@ -214,7 +214,7 @@ def _span_on_line(points, count, heights, along, tiny):
     return low, high
 
 
-@njit(nogil=True)
+@inner
 def _meet(piece, count, normal, other, its_normal, tiny, h, g):
     """True if a triangle `other` reaches a convex piece along a line on both sides of which the piece lies.
 
@@ -235,7 +235,7 @@ def _meet(piece, count, normal, other, its_normal, tiny, h, g):
     return min(a1, b1) - max(a0, b0) > tiny * np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _share_a_vertex(triangles, t, u):
     for c in range(3):
         for d in range(3):
@@ -244,7 +244,7 @@ def _share_a_vertex(triangles, t, u):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pairs(begin, end, bins, boxes, corners, normals, triangles, tiny, most):
     """Pairs (t, u) of which u cuts t, of a range of bins."""
     frame, start, ids = bins
@@ -292,7 +292,7 @@ def crossing_pairs(
 
 
 # -- cutting -------------------------------------------------------------------------------------------------------
-@njit(nogil=True, inline="always")
+@inner(inline="always")
 def _copy(rows, first, count, out, at):
     """Rows of three numbers, copied one by one: numba's copy of arrays compiles an error message for a second."""
     for i in range(count):
@@ -300,7 +300,7 @@ def _copy(rows, first, count, out, at):
             out[at + i, c] = rows[first + i, c]
 
 
-@njit(nogil=True)
+@inner
 def _split(piece, count, h, tiny, above, below):
     """Cut a convex polygon at height 0; corners above and below."""
     n = k = 0
@@ -321,7 +321,7 @@ def _split(piece, count, h, tiny, above, below):
     return n, k
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cut(starts, pairs, corners, normals, tiny):
     """Cut the triangles pairs[starts[i]:starts[i + 1], 0] by their partners; pieces float64 [k, 3, 3], parents."""
     out = np.empty((64, 3, 3))
@@ -363,7 +363,7 @@ def cut(starts, pairs, corners, normals, tiny):
 
 
 # -- inside and outside --------------------------------------------------------------------------------------------
-@njit(nogil=True)
+@inner
 def _winding(x, y, z, bins, vertices, triangles):
     """The winding number of a closed mesh at a point, up to its sign."""
     frame, start, ids = bins
@@ -381,7 +381,7 @@ def _winding(x, y, z, bins, vertices, triangles):
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _classify(begin, end, corners, normals, parents, bins, vertices, triangles, tiny, is_outer):
     for t in range(begin, end):
         n = normals[parents[t]]

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from touchfield.arrays import Float64s, Int32s
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 from touchfield.parallel import for_chunks
 
 X, Y, Z, D, ID = 0, 64, 128, 192, 256
@@ -34,7 +34,7 @@ _MUCH = np.float32(1e20)  # makes any distance the greater one
 _FACE, _VERTEX, _EDGE = 0, 1, 4  # columns of the table of pseudo-normals
 
 
-@njit(nogil=True)
+@inner
 def _unit(x, y, z, fallback):
     length = math.sqrt(x * x + y * y + z * z)
     if length > 0.0:
@@ -42,7 +42,7 @@ def _unit(x, y, z, fallback):
     return fallback[0], fallback[1], fallback[2], 0.0
 
 
-@njit(nogil=True)
+@inner
 def _perpendicular(e):
     """Any unit vector at right angles to the unit vector e."""
     if abs(e[0]) < 0.6:
@@ -52,7 +52,7 @@ def _perpendicular(e):
     return x, y, z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill_table(begin, end, vertices, triangles, table):
     e = np.empty((3, 3))
     for t in range(begin, end):
@@ -88,7 +88,7 @@ def triangle_table(vertices_m: Float64s, triangles: Int32s) -> Float64s:
     return table
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def _see(table, t, x, y, z, scale, reach, tiles, at):
     """A triangle as the search needs it, seen from (x, y, z), for samples within `reach` of there (scaled)."""
     for i in range(21):
@@ -112,7 +112,7 @@ def _see(table, t, x, y, z, scale, reach, tiles, at):
         tiles[at + (7 + i) * _LANES] = np.float32(0.5 * (high - low))
 
 
-@njit(nogil=True, fastmath=_FAST, forceinline=True)
+@inner(fastmath=_FAST, forceinline=True)
 def _square_distance(p, x, y, z):
     """Squared distance of (x, y, z) to the triangle that `_see` put into p."""
     h = p[0] + p[10] * x + p[11] * y + p[12] * z
@@ -128,7 +128,7 @@ def _square_distance(p, x, y, z):
     return h * h + min(beside, s0 * s0 + outside)
 
 
-@njit(nogil=True, fastmath=_FAST, forceinline=True)
+@inner(fastmath=_FAST, forceinline=True)
 def _load(tile, c):
     return (
         tile[c + 0 * _LANES], tile[c + 1 * _LANES], tile[c + 2 * _LANES], tile[c + 3 * _LANES],
@@ -142,7 +142,7 @@ def _load(tile, c):
     )  # fmt: skip
 
 
-@njit(nogil=True, fastmath=_FAST)
+@inner(fastmath=_FAST)
 def _sweep_centres(tile, lanes, centres, squares):
     """Squared distances of the triangles of a tile to eight centres."""
     for s in range(8):
@@ -151,7 +151,7 @@ def _sweep_centres(tile, lanes, centres, squares):
             squares[c + s * _LANES] = _square_distance(_load(tile, c), x, y, z)
 
 
-@njit(nogil=True)
+@inner
 def see_all(ids, table, x, y, z, scale, reach, centres, tiles):
     """See all triangles of a cell from its first sample, and from the centres of its eight children."""
     for c in range(len(ids)):
@@ -162,13 +162,13 @@ def see_all(ids, table, x, y, z, scale, reach, centres, tiles):
         _sweep_centres(tiles[at : at + _FIELDS], lanes, centres, tiles[at + _FIELDS : at + _TILE])
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def square_of(tiles, c, s):
     """The squared distance of triangle c to centre s."""
     return tiles[(c // _LANES) * _TILE + _FIELDS + s * _LANES + c % _LANES]
 
 
-@njit(nogil=True, fastmath=_FAST)
+@inner(fastmath=_FAST)
 def sweep_block(tiles, c, block):
     """Lower the 64 squared distances of a block to those of triangle c, where that is nearer."""
     at = (c // _LANES) * _TILE
@@ -184,7 +184,7 @@ def sweep_block(tiles, c, block):
         block[D + s] = (square if is_nearer else old) * one
 
 
-@njit(nogil=True)
+@inner
 def place_centres(block, half, steps):
     """The centres of the eight children of a cell, relative to its first sample; their radius."""
     for s in range(8):
@@ -195,7 +195,7 @@ def place_centres(block, half, steps):
     return np.float32(0.5 * (half - 1) * diagonal)
 
 
-@njit(nogil=True)
+@inner
 def least_of(tiles, count, s):
     """The number of the triangle that is nearest to centre s, and its squared distance."""
     best, least = 0, square_of(tiles, 0, s)
@@ -206,7 +206,7 @@ def least_of(tiles, count, s):
     return best, least
 
 
-@njit(nogil=True)
+@inner
 def tiles_for(begin, end, first, last):
     """Memory for the triangles of any one cell."""
     most = 1
@@ -215,7 +215,7 @@ def tiles_for(begin, end, first, last):
     return np.zeros((most + _LANES - 1) // _LANES * _TILE, np.float32)
 
 
-@njit(nogil=True, fastmath={"contract"}, forceinline=True)
+@inner(fastmath={"contract"}, forceinline=True)
 def _beside(table, t, i, x, y, z):
     """Squared distance in the plane to edge i, where along it the nearest point lies, and the side (> 0 is out)."""
     e, m, a = 12 + 3 * i, 3 + 3 * i, 21 + 3 * i
@@ -226,7 +226,7 @@ def _beside(table, t, i, x, y, z):
     return q * q + (s - along) * (s - along), along, q
 
 
-@njit(nogil=True, fastmath={"contract"}, forceinline=True)
+@inner(fastmath={"contract"}, forceinline=True)
 def nearest(table, t, x, y, z):
     """From the nearest point of a triangle to (x, y, z), float64; that point's edge (-1: the face), how far along."""
     best, along, q0 = _beside(table, t, 0, x, y, z)
@@ -251,7 +251,7 @@ def nearest(table, t, x, y, z):
     )
 
 
-@njit(nogil=True, forceinline=True)
+@inner(forceinline=True)
 def feature(table, t, edge, along):
     """The column of the pseudo-normals for a point of a triangle."""
     if edge < 0:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float32s
-from touchfield.lean import njit
+from touchfield.lean import inner, kernel
 from touchfield.parallel import for_chunks
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ _MIN_ALONG = np.float32(2)  # ... and along the column: three pixels in line
 _MIN_COSINE = np.float32(0.1)  # between the normal and the ray: 84 degrees
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+@inner(fastmath={"contract"}, error_model="numpy")
 def _link(before, here, there, after, step, slope):
     d = there - here
     bend = min(abs(d - (here - before)), abs(after - there - d))
@@ -71,7 +71,7 @@ def _link(before, here, there, after, step, slope):
     return max(flat, ramp) if min(here, there) > _0 else _0
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+@inner(fastmath={"contract"}, error_model="numpy")
 def _line(r, i, step, a, b):
     """Line fit over the 4 values behind and before ``r[i]``, by their weights, relative to it.
 
@@ -97,7 +97,7 @@ def _line(r, i, step, a, b):
     return c + (t0 * share - slope * mean), slope, moment, spread
 
 
-@njit(nogil=True)
+@inner
 def _chain(r, j, step):
     """Products of 1, 2, 3 and 4 links from ``r[j]`` on: which neighbours are reached without a break."""
     m1 = r[j]
@@ -106,7 +106,7 @@ def _chain(r, j, step):
     return m1, m2, m3, m3 * r[j + 3 * step]
 
 
-@njit(nogil=True, fastmath={"contract"})
+@inner(fastmath={"contract"})
 def _total(r, k, a, b):
     """The sum over the column through ``r[k]`` of what the chains `a` (down) and `b` (up) reach."""
     one = r[k] + (a[0] * r[k + _ROW] + b[0] * r[k - _ROW])
@@ -115,7 +115,7 @@ def _total(r, k, a, b):
     return one + two + three + (a[3] * r[k + 4 * _ROW] + b[3] * r[k - 4 * _ROW])
 
 
-@njit(nogil=True, error_model="numpy")
+@inner(error_model="numpy")
 def _load(r, depth, lead):
     r[_INVERSE : _INVERSE + _STRIDE] = _0
     for u in range(depth.shape[0]):
@@ -123,7 +123,7 @@ def _load(r, depth, lead):
         r[u + _INVERSE + lead] = inverse if depth[u] > _0 else _0
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+@inner(fastmath={"contract"}, error_model="numpy")
 def _fit_row(r, n, step, slope):
     for u in range(n + 8):
         i = u + _INVERSE
@@ -137,14 +137,14 @@ def _fit_row(r, n, step, slope):
         r[u + _WEIGHT + _PAD] = spread
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+@inner(fastmath={"contract"}, error_model="numpy")
 def _link_down(r, n, step, slope):
     for u in range(n + 2 * _PAD):
         i = u + _LEVEL
         r[u + _DOWN + _ROW] = _link(r[i], r[i + _ROW], r[i + 2 * _ROW], r[i + 3 * _ROW], step, slope)
 
 
-@njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+@inner(fastmath={"contract"}, error_model="numpy")
 def _fit_column(r, n, fx, fy, left, dv):
     """The planes of one image row; `r` begins four rows above it, `left` and `dv` count from the axis."""
     per_fx2, dv2 = _1 / (fx * fx), (dv / fy) * (dv / fy)
@@ -176,7 +176,7 @@ def _fit_column(r, n, fx, fy, left, dv):
         r[u + _PAD + _FAR] = w - half if ok > _0 else _BIG
 
 
-@njit(nogil=True)
+@inner
 def _store(r, n, planes):
     for u in range(n):
         i = u + _OUT + _PAD
@@ -186,7 +186,7 @@ def _store(r, n, planes):
         planes[4 * u + 3] = r[i + 3 * _STRIDE]
 
 
-@njit(nogil=True)
+@inner
 def _fit_tiles(r, n, rows, bounds):
     """Bounds of a row of tiles, from the planes of its `rows` image rows: see `surface_planes`."""
     for i in range(1, rows):
@@ -205,7 +205,7 @@ def _fit_tiles(r, n, rows, bounds):
         bounds[t, 0], bounds[t, 1] = near, far
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+@kernel(fastmath={"contract"}, error_model="numpy")
 def _fit_planes(begin, end, depth, camera, gates, planes, bounds):
     """Rows of tiles begin..end; `gates` is the noise step and the slope limit, pixels."""
     height, width = depth.shape

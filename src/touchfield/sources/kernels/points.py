@@ -7,13 +7,13 @@ from typing import Final
 
 import numpy as np
 
-from touchfield.lean import entry, njit
+from touchfield.lean import entry, kernel
 
 _MOST_STEPS: Final = 60  # of Newton's iteration; where it is slowest, beside the focal ellipse, about ten are needed
 _FAR = 50.0  # of r^2 / l^2, where exp(-r^2 / 2 l^2) is 1e-11
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def greatest_roots(scaled, ratio):
     """u >= 0 with sum (r_i z_i / (u + r_i - 1))^2 = 1, float64 [n]; 0 where the sum is below 1 everywhere.
 
@@ -64,7 +64,7 @@ def add_forces(begin, end, at, points, weights, reach, out):
             out[i, 0], out[i, 1], out[i, 2] = fx, fy, fz
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_body(begin, end, bricks, forces, slots, lattice, motion, total):
     """Add a body's forces, on a lattice of origin and spacing, to the bricks `slots` of a sum.
 
