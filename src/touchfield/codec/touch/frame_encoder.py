@@ -99,8 +99,7 @@ def _course_of(vectors: Float32s, grid: Grid) -> Course:
     spacing = np.asarray(grid.spacing_m)
     fine = spacing < min(1.01 * spacing.min(), 0.99 * spacing.max())
     axis = int(np.argmax((np.abs(sums) + 0.01 * sizes) * np.where(fine, 0.85, 1.0)))
-    down = [bool(sums[c] < 0) for c in (axis, *(c for c in range(3) if c != axis))]
-    return Course(grid, axis, (down[0], down[1], down[2]))
+    return Course(grid, axis | int((sums[Course(grid, axis).axes] < 0) @ [4, 8, 16]))
 
 
 def encode_frame(
