@@ -14,19 +14,24 @@ from touchfield.codec.touch.frame import Course
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.medium import ForceField, Grid
 
-COURSES = [(axis, down) for axis in range(3) for down in itertools.product([False, True], repeat=3)]
+COURSES = [code for code in range(32) if code & 3 < 3]
+
+
+def down_of(code: int) -> tuple[bool, bool, bool]:
+    """Axes of the scan that run down: told by bits 2, 3 and 4."""
+    return bool(code & 4), bool(code & 8), bool(code & 16)
 
 
 def bricks_of(shape: tuple[int, int, int], share: float, seed: int) -> np.ndarray:
     return np.argwhere(np.random.default_rng(seed).random(shape) < share).astype(np.int32)
 
 
-@pytest.mark.parametrize(("axis", "down"), COURSES)
-def test_there_and_back(axis: int, down: tuple[bool, bool, bool]) -> None:
-    course = Course(GRID, axis, down)
-    assert Course.of_code(GRID, course.code) == course
-    rng = np.random.default_rng(axis)
-    bricks = bricks_of(GRID.brick_shape, 0.6, axis)
+@pytest.mark.parametrize("code", COURSES)
+def test_there_and_back(code: int) -> None:
+    course = Course(GRID, code)
+    assert course.axes[0] == code & 3 and tuple(course.down) == down_of(code)
+    rng = np.random.default_rng(code)
+    bricks = bricks_of(GRID.brick_shape, 0.6, code)
     vectors = rng.integers(-(1 << 17) + 1, 1 << 17, (len(bricks), 8, 8, 8, 3)).astype(np.int32)
     vectors[rng.random(vectors.shape[:4]) < 0.5] = 0
     places, order = course.order(bricks)
@@ -39,9 +44,8 @@ def test_there_and_back(axis: int, down: tuple[bool, bool, bool]) -> None:
 
 
 @given(st.sampled_from(COURSES), st.integers(0, 99))
-def test_a_sample_of_the_scan_is_one_of_the_grid(way: tuple[int, tuple[bool, bool, bool]], seed: int) -> None:
-    axis, down = way
-    course, field = Course(GRID, axis, down), field_of("dense", seed)
+def test_a_sample_of_the_scan_is_one_of_the_grid(code: int, seed: int) -> None:
+    down, course, field = down_of(code), Course(GRID, code), field_of("dense", seed)
     places, order = course.order(field.bricks)
     turned = course.turned(field.forces_n, order, 2.0)
     scan = course.scan(places, None)
@@ -61,10 +65,10 @@ def test_a_sample_of_the_scan_is_one_of_the_grid(way: tuple[int, tuple[bool, boo
         assert np.array_equal(turned[n, at], np.where(down, -force, force))
 
 
-@pytest.mark.parametrize(("axis", "down"), COURSES[::3])
-def test_neighbours_are_where_they_are(axis: int, down: tuple[bool, bool, bool]) -> None:
+@pytest.mark.parametrize("code", COURSES[::3])
+def test_neighbours_are_where_they_are(code: int) -> None:
     grid = Grid((60, 45, 70), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
-    course = Course(grid, axis, down)
+    course = Course(grid, code)
     bricks, theirs = bricks_of(grid.brick_shape, 0.3, 1), bricks_of(grid.brick_shape, 0.3, 2)
     places, _ = course.order(bricks)
     known, _ = course.order(theirs)
@@ -81,7 +85,7 @@ def test_neighbours_are_where_they_are(axis: int, down: tuple[bool, bool, bool])
 
 def test_a_scan_without_bricks() -> None:
     empty = ForceField.empty(GRID)
-    course = Course(GRID, 1, (True, False, True))
+    course = Course(GRID, 1 | 4 | 16)
     places, order = course.order(empty.bricks)
     scan = course.scan(places, FixedField(empty.bricks, np.zeros((0, 8, 8, 8, 3), np.int32)))
     assert len(places) == len(order) == len(scan.near) == 0 and scan.around.shape == (0, 27)

@@ -10,11 +10,11 @@ import math
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from touchfield.arrays import Float32s, Int64s
+from touchfield.arrays import Int64s
 from touchfield.codec.segment import BitAccount, FrameCost, FrameKind, Worst
 from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.spec import EFFORTS, MODES, SUPPORTS, TouchSpec
@@ -54,11 +54,6 @@ class FrameRecord:
     shares: tuple[int, int]  # support and amplitude of the payload, 1/255
     exceptions: bytes = b""
 
-    @property
-    def kind(self) -> FrameKind:
-        """Kind of the frame: alone, or after the one before."""
-        return FrameKind.INTER if self.inter else FrameKind.INTRA
-
     def to_bytes(self) -> bytes:
         """The frame in a body (docs/format/touch.md, "Body")."""
         how = _INTER * self.inter | _GUESS * bool(self.guess) | _EXCEPTIONS * bool(self.exceptions)
@@ -73,7 +68,7 @@ class FrameRecord:
         amplitude = payload * self.shares[1] // 255
         models = 8 * len(self.guess)
         bits = BitAccount(support, amplitude, payload - support - amplitude, total - payload - models, models=models)
-        return FrameCost(self.kind, bits)
+        return FrameCost(FrameKind(self.inter), bits)
 
 
 def shares_of(bits: tuple[float, float, float]) -> tuple[int, int]:
@@ -105,34 +100,31 @@ class BodyReader:
         if flags & ~_WORST_FLAG:
             raise CorruptFile(f"{_WHERE} flags", f"{flags:#x}", "bit 0 only")
         self.lattice = None if exact else Lattice.read(self._parts)
-        self.worst = self._worst(grid) if flags & _WORST_FLAG else None
+        self.worst: Worst | None = None
+        if flags & _WORST_FLAG:
+            (ratio,) = struct.unpack("<H", self._parts.take(2, "worst ratio"))
+            frame = self._parts.varint("worst frame", 1 << 16)
+            x, y, z = (self._parts.varint("worst voxel", n) for n in grid.shape)
+            self.worst = Worst(ratio / _RATIOS, frame, (x, y, z))
 
     def records(self, frame_count: int) -> Iterator[FrameRecord]:
         """The frames in turn, not decoded; the last one must end the body."""
         if self.worst is not None and self.worst.frame >= frame_count:
             raise CorruptFile(f"{_WHERE} worst frame", str(self.worst.frame), f"below {frame_count}")
+        where = f"{_WHERE} frame"
         for i in range(frame_count):
-            yield self._record(first=i == 0)
+            how, support, amplitude = self._parts.take(3, "frame")
+            if how > (_INTER if self._exact else _INTER | _GUESS | _EXCEPTIONS):
+                raise CorruptFile(where, f"{how:#x}", "bit 0 alone" if self._exact else "bits 0 to 2")
+            if i == 0 and how & _INTER:
+                raise CorruptFile(where, "a first frame that needs the one before", "one that stands alone")
+            if support + amplitude > 255:
+                raise CorruptFile(f"{where} shares", f"{support} and {amplitude}", "255 together at most")
+            guess = self._parts.chunk("guess", 1) if how & _GUESS else b""
+            payload = self._parts.chunk("payload")
+            exceptions = self._parts.chunk("exceptions", 1) if how & _EXCEPTIONS else b""
+            yield FrameRecord(bool(how & _INTER), guess, payload, (support, amplitude), exceptions)
         self._parts.check_end()
-
-    def _record(self, *, first: bool) -> FrameRecord:
-        how, support, amplitude = self._parts.take(3, "frame")
-        if how > (_INTER if self._exact else _INTER | _GUESS | _EXCEPTIONS):
-            raise CorruptFile(f"{_WHERE} frame", f"{how:#x}", "bit 0 alone" if self._exact else "bits 0 to 2")
-        if first and how & _INTER:
-            raise CorruptFile(f"{_WHERE} frame", "a first frame that needs the one before", "one that stands alone")
-        if support + amplitude > 255:
-            raise CorruptFile(f"{_WHERE} frame shares", f"{support} and {amplitude}", "255 together at most")
-        guess = self._parts.chunk("guess", 1) if how & _GUESS else b""
-        payload = self._parts.chunk("payload")
-        exceptions = self._parts.chunk("exceptions", 1) if how & _EXCEPTIONS else b""
-        return FrameRecord(bool(how & _INTER), guess, payload, (support, amplitude), exceptions)
-
-    def _worst(self, grid: Grid) -> Worst:
-        (ratio,) = struct.unpack("<H", self._parts.take(2, "worst ratio"))
-        frame = self._parts.varint("worst frame", 1 << 16)
-        x, y, z = (self._parts.varint("worst voxel", n) for n in grid.shape)
-        return Worst(ratio / _RATIOS, frame, (x, y, z))
 
 
 def write_parameters(spec: TouchSpec) -> bytes:
@@ -169,57 +161,41 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
         raise CorruptFile(where, f"{error.where} = {error.found}", error.expected) from None
 
 
-class Exceptions(NamedTuple):
-    """Forces that replace decoded ones."""
+def exceptions_of(original: ForceField, keys: Int64s, places: Int64s) -> bytes:
+    """The forces of a field at samples of bricks, [m] each, ascending, to the bit (docs/format/touch.md)."""
+    parts, before = [], 0
+    bricks, slot = np.unique(keys, return_inverse=True)
+    vectors = original.forces_at(bricks).reshape(-1, _SAMPLES, 3)[slot, places].astype("<f4")
+    for key, place, vector in zip(keys.tolist(), places.tolist(), vectors, strict=True):
+        data = vector.tobytes() if any(vector.tobytes()) else b""
+        parts += [write_varint(key - before), write_varint(2 * place + (not data)), data]
+        before = key
+    return b"".join(parts)
 
-    keys: Int64s  # [m]; of the bricks
-    places: Int64s  # [m]; samples in them, 0 to 511; (key, place) ascends
-    forces_n: Float32s  # [m, 3]; newtons, to the bit
 
-    @classmethod
-    def of(cls, original: ForceField, keys: Int64s, places: Int64s) -> Exceptions:
-        """The forces of a field at some voxels."""
-        bricks, slot = np.unique(keys, return_inverse=True)
-        return cls(keys, places, original.forces_at(bricks).reshape(-1, _SAMPLES, 3)[slot, places])
+def with_exceptions(field: ForceField, data: bytes) -> ForceField:
+    """A field with the forces of `exceptions_of` in place of its own; bricks without any force are left out.
 
-    def to_bytes(self) -> bytes:
-        """The chunk (docs/format/touch.md, "Exceptions")."""
-        parts, before = [], 0
-        vectors = np.ascontiguousarray(self.forces_n, "<f4")
-        for key, place, vector in zip(self.keys.tolist(), self.places.tolist(), vectors, strict=True):
-            data = vector.tobytes() if any(vector.tobytes()) else b""
-            parts += [write_varint(key - before), write_varint(2 * place + (not data)), data]
-            before = key
-        return b"".join(parts)
-
-    @classmethod
-    def from_bytes(cls, data: bytes, grid: Grid) -> Exceptions:
-        """The inverse of `to_bytes`; CorruptFile or TruncatedFile where the bytes are not what it writes."""
-        keys: list[int] = []
-        places: list[int] = []
-        forces: list[bytes] = []
-        parts, key, place = Parts(data, _APART), 0, -1
-        while not parts.is_ended:
-            gap = parts.varint("brick", math.prod(grid.brick_shape) - key)
-            coded = parts.varint("sample", 2 * _SAMPLES)
-            if keys and gap == 0 and coded >> 1 <= place:
-                raise CorruptFile(_APART, f"sample {coded >> 1} after sample {place}", "ascending samples")
-            key, place = key + gap, coded >> 1
-            keys.append(key)
-            places.append(place)
-            forces.append(bytes(_VECTOR) if coded & 1 else parts.take(_VECTOR, "force"))
-        vectors = np.frombuffer(b"".join(forces), "<f4").astype(np.float32).reshape(-1, 3)
-        if not np.isfinite(vectors).all():
-            raise CorruptFile(_APART, "a force that is not finite", "finite newtons")
-        bricks = np.stack(np.unravel_index(np.array(keys, np.int64), grid.brick_shape), axis=-1)
-        local = np.stack(np.unravel_index(np.array(places, np.int64), (8, 8, 8)), axis=-1)
-        if (8 * bricks + local >= np.asarray(grid.shape)).any():
-            raise CorruptFile(_APART, "a sample beyond the grid", f"samples below {grid.shape}")
-        return cls(np.array(keys, np.int64), np.array(places, np.int64), vectors)
-
-    def applied(self, field: ForceField) -> ForceField:
-        """A field with these forces in place of its own; bricks without any force are left out."""
-        keys = np.union1d(brick_keys(field.grid, field.bricks), self.keys)
-        forces = field.forces_at(keys)
-        forces.reshape(-1, _SAMPLES, 3)[np.searchsorted(keys, self.keys), self.places] = self.forces_n
-        return field_that_holds(field.grid, bricks_of(field.grid, keys), forces)
+    CorruptFile or TruncatedFile where the bytes are not what that writes.
+    """
+    grid, keys, places = field.grid, list[int](), list[int]()
+    parts, forces, key, place = Parts(data, _APART), bytearray(), 0, -1
+    while not parts.is_ended:
+        gap = parts.varint("brick", math.prod(grid.brick_shape) - key)
+        coded = parts.varint("sample", 2 * _SAMPLES)
+        if keys and gap == 0 and coded >> 1 <= place:
+            raise CorruptFile(_APART, f"sample {coded >> 1} after sample {place}", "ascending samples")
+        key, place = key + gap, coded >> 1
+        keys.append(key)
+        places.append(place)
+        forces += bytes(_VECTOR) if coded & 1 else parts.take(_VECTOR, "force")
+    vectors = np.frombuffer(forces, "<f4").reshape(-1, 3)
+    if not np.isfinite(vectors).all():
+        raise CorruptFile(_APART, "a force that is not finite", "finite newtons")
+    local = np.stack(np.unravel_index(places, (8, 8, 8)), axis=-1)
+    if (8 * bricks_of(grid, np.array(keys)) + local >= np.asarray(grid.shape)).any():
+        raise CorruptFile(_APART, "a sample beyond the grid", f"samples below {grid.shape}")
+    every = np.union1d(brick_keys(grid, field.bricks), keys)
+    own = field.forces_at(every)
+    own.reshape(-1, _SAMPLES, 3)[np.searchsorted(every, keys), places] = vectors
+    return field_that_holds(grid, bricks_of(grid, every), own)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.codec.segment import FrameCost, Worst
-from touchfield.codec.touch.body import BodyReader, numbers_of, read_parameters
+from touchfield.codec.touch.body import BodyReader, numbers_of, read_parameters, with_exceptions
 from touchfield.codec.touch.lattice import FixedField
 from touchfield.medium import ForceField, Grid
 
@@ -30,7 +30,6 @@ class TouchDecoder:
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
         """The frames of a segment in turn; CorruptFile or TruncatedFile for other bytes than the encoder's."""
-        from touchfield.codec.touch.body import Exceptions
         from touchfield.codec.touch.frame import decode_exact, decode_frame, fresh_memory
         from touchfield.codec.touch.guess import synthesise
 
@@ -51,7 +50,7 @@ class TouchDecoder:
             previous = decode_frame(record.payload, self._grid, lattice, reference, memory)
             field = previous.field(self._grid, lattice.unit_n)
             if record.exceptions:
-                field = Exceptions.from_bytes(record.exceptions, self._grid).applied(field)
+                field = with_exceptions(field, record.exceptions)
             yield field
 
     def costs(self, body: bytes, frame_count: int) -> list[FrameCost]:

@@ -1,6 +1,6 @@
 """Encoder of the coder `touch`: frames to the body of a segment, which is written only when it keeps its promise.
 
-Each frame is coded in closed loop by the ways that its effort tries (`frame_encoder`); every voxel of what a decoder
+Each frame is coded in closed loop by the ways that `frame_encoder` tries; every voxel of what a decoder
 makes of it is compared with the original, and what is beyond the promise is sent apart. Then the finished body is
 decoded as any receiver would, and compared once more. In the exact mode levels and a codebook are searched for of
 which all forces are products.
@@ -20,7 +20,7 @@ from touchfield.codec.kernels import end_of, writer
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.segment import CodedSegment, FrameStats, Worst
 from touchfield.codec.support import code_bricks, padded
-from touchfield.codec.touch.body import Exceptions, FrameRecord, shares_of, write_body, write_parameters
+from touchfield.codec.touch.body import FrameRecord, exceptions_of, shares_of, write_body, write_parameters
 from touchfield.codec.touch.decoder import NAME, TouchDecoder
 from touchfield.codec.touch.frame import AS_THEY_ARE, BRICK_COUNTS, Palette, Told, components, frame_of, models_after
 from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
@@ -65,7 +65,7 @@ class TouchEncoder:
             runs = [[frame] for frame in came] if self._spec.interframe == "off" else [came]
             coded_runs = [(i > 0, *coded) for run in runs for i, coded in enumerate(encode_exact(run))]
             exact = [FrameRecord(inter, b"", payload, shares_of(bits)) for inter, payload, bits in coded_runs]
-            return self._verified(came, None, exact)
+            return self._sealed(came, None, exact, None)
         if anchor is not None:  # its unit, if that will do: segments that share an anchor shall share the lattice
             mine = self._longest_n(0, anchor)
             longest_n = longest_n if longest_n > 1.01 * mine else mine
@@ -79,12 +79,12 @@ class TouchEncoder:
             coded, inter, guess = chooser.add(taken, hidden_n if taken is frame else hidden_of(taken, self._spec))
             field = coded.decoded.field(self._grid, lattice.unit_n)
             result = compared(frame, field, self._spec, hidden_n=hidden_n)
-            apart = Exceptions.of(frame, result.keys, result.places).to_bytes()
+            apart = exceptions_of(frame, result.keys, result.places)
             records.append(FrameRecord(inter, guess, coded.payload, shares_of(coded.bits), apart))
             seen.append(result)
-        if self._spec.effort == "fast" and not any(len(result.keys) for result in seen):
-            return self._sealed(lattice, records, seen)  # a decoder makes what was compared, bit for bit
-        return self._verified(came, lattice, records)
+        is_known = self._spec.effort == "fast" and not any(len(result.keys) for result in seen)
+        # a decoder makes what was compared, bit for bit
+        return self._sealed(came, lattice, records, seen if is_known else None)
 
     def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
         """The anchor before, where no force differs by more than a small share of the mask, or else this frame."""
@@ -100,29 +100,27 @@ class TouchEncoder:
             raise InvalidArgument(f"frame {index}", found, f"that of the stream, {self._grid.shape}")
         vectors = frame.forces_n.reshape(-1, 3)
         longest_n = math.sqrt(np.einsum("ni,ni->n", vectors, vectors, dtype=np.float64).max(initial=0.0))
-        if not math.isfinite(longest_n):
-            raise InvalidArgument(f"frame {index}", "a force that is NaN or infinite", "finite newtons")
-        if longest_n > MOST_NEWTONS:
-            raise InvalidArgument(f"frame {index}", f"a force of {longest_n:.3g} N", "2^120 N at most")
+        if not longest_n <= MOST_NEWTONS:  # NaN is not, either
+            raise InvalidArgument(f"frame {index}", f"a force of {longest_n:.3g} N", "finite newtons, 2^120 at most")
         return longest_n
 
-    def _verified(
-        self, frames: Sequence[ForceField], lattice: Lattice | None, records: Sequence[FrameRecord]
-    ) -> CodedSegment:
-        """The body whose decoded frames keep the promise, and the worst voxel."""
-        decoder = TouchDecoder(self._grid, self.parameters)
-        pairs = zip(frames, decoder.frames(write_body(lattice, records, None), len(frames)), strict=True)
-        results = [compared(*pair, self._spec, hidden_n=hidden_of(pair[0], self._spec)) for pair in pairs]
-        if any(len(one.keys) for one in results):
-            raise AssertionError("a body that does not keep the promise when it is decoded")
-        return self._sealed(lattice, records, results)
-
     def _sealed(
-        self, lattice: Lattice | None, records: Sequence[FrameRecord], results: Sequence[Compared]
+        self,
+        frames: Sequence[ForceField],
+        lattice: Lattice | None,
+        records: Sequence[FrameRecord],
+        results: Sequence[Compared] | None,
     ) -> CodedSegment:
+        """The body whose decoded frames keep the promise, and the worst voxel; `results` if they are known."""
+        if results is None:
+            decoder = TouchDecoder(self._grid, self.parameters)
+            pairs = zip(frames, decoder.frames(write_body(lattice, records, None), len(frames)), strict=True)
+            results = [compared(*pair, self._spec, hidden_n=hidden_of(pair[0], self._spec)) for pair in pairs]
+            if any(len(one.keys) for one in results):
+                raise AssertionError("a body that does not keep the promise when it is decoded")
         frame = max(range(len(results)), key=lambda i: results[i].worst)
         worst = Worst(min(results[frame].worst, 1.0), frame, results[frame].voxel)
-        stats = (FrameStats(r.kind, r.cost.bits, f.decoded, f.decoded) for r, f in zip(records, results, strict=True))
+        stats = (FrameStats(r.cost.kind, r.cost.bits, f.decoded, f.decoded) for r, f in zip(records, results))
         return CodedSegment(write_body(lattice, records, None if self._spec.mode == "nmse" else worst), tuple(stats))
 
 

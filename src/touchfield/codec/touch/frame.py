@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Float32s, Int32s, Int64s
+from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, Models, fresh, reader
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.support import check_end, code_bricks, padded
@@ -43,23 +43,18 @@ class Course:
     """The course of a scan over the bricks of a grid."""
 
     grid: Grid
-    axis: int  # of the grid, the slowest of the scan; the others follow in ascending order
-    down: tuple[bool, bool, bool]  # whether the axes of the scan run against those of the grid
+    code: int  # the axis of the grid that is the slowest of the scan, and 4, 8, 16 where axes 0, 1, 2 of it run down
 
     @property
     def axes(self) -> Int64s:
-        """Axes of the grid, slowest first."""
-        return np.array([self.axis, *(c for c in range(3) if c != self.axis)], np.int64)
+        """Axes of the grid, slowest first; the others ascend."""
+        slowest = self.code & 3
+        return np.array([slowest, *(c for c in range(3) if c != slowest)], np.int64)
 
     @property
-    def code(self) -> int:
-        """The number that a file has for it: the axis, and 4, 8, 16 where axes 0, 1, 2 of the scan run down."""
-        return self.axis | sum(4 << n for n in range(3) if self.down[n])
-
-    @classmethod
-    def of_code(cls, grid: Grid, code: int) -> Course:
-        """The course of such a number, below 32 and not 3 modulo 4."""
-        return cls(grid, code & 3, (bool(code & 4), bool(code & 8), bool(code & 16)))
+    def down(self) -> Bools:
+        """True where an axis of the scan runs against that of the grid, bool [3]."""
+        return self.code & np.array([4, 8, 16]) > 0
 
     def order(self, bricks: Int32s) -> tuple[Int64s, Int64s]:
         """Bricks of the grid in the scan's coordinates, int64 [n, 3] in scan order, and which each of them is."""
@@ -74,18 +69,18 @@ class Course:
         """Vectors [n, 8, 8, 8, 3] of the grid as [n, 512, 3] of the scan: int32 stay whole, floats become float64."""
         kind, axes = np.int32 if vectors.dtype == np.int32 else np.float64, np.argsort(self.axes)
         out, flat = np.empty((len(slots), _SAMPLES, 3), kind), vectors.reshape(-1, _SAMPLES, 3)
-        kernels.turned(flat, np.argsort(slots), axes, np.array(self.down)[axes], kind(scale), out)
+        kernels.turned(flat, np.argsort(slots), axes, self.down[axes], kind(scale), out)
         return out
 
     def turned_back(self, cells: Int32s, slots: Int64s) -> Int32s:
         """Vectors int32 [n, 8, 8, 8, 3] of the grid, of the cells [n, 512, 8] of a scan."""
         out = np.empty((len(slots), _SAMPLES, 3), np.int32)
-        kernels.turned(cells, slots, self.axes, np.array(self.down), np.int32(1), out)
+        kernels.turned(cells, slots, self.axes, self.down, np.int32(1), out)
         return out.reshape(-1, BRICK, BRICK, BRICK, 3)
 
     def scan(self, bricks: Int64s, reference: FixedField | None) -> Scan:
         """Walk of a pass: bricks in scan order, as `order` gives them, beside a reference."""
-        axes, down = self.axes, np.array(self.down)
+        axes, down = self.axes, self.down
         size = np.array(self.grid.shape, np.int64)[axes]
         count = np.array(self.grid.brick_shape, np.int64)[axes]
         # samples beyond the grid lie in its last bricks, which are the first ones of an axis that runs down
@@ -142,7 +137,7 @@ def decode_frame(
     bits = reader(parts.rest(), memory.models)
     known = None if reference is None else reference.bricks
     bricks = code_bricks(bits, CONTEXTS, SETS, grid.brick_shape, None, known)
-    course = Course.of_code(grid, code)
+    course = Course(grid, code)
     places, order = course.order(bricks)
     scan = course.scan(places, reference)
     decode_bricks(bits, scan, law_of(lattice, slope), fresh_work(memory.weights))

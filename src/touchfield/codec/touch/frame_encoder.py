@@ -1,4 +1,4 @@
-"""Encoding of a frame: the rule that it keeps, its course and law, the pass, and the ways that an effort tries.
+"""Encoding of a frame: the rule that it keeps, its course and law, the pass, and the ways that are tried.
 
 A frame is coded after the one before or alone, with a guess or without; the fewest bytes win, or in mode "nmse" the
 best bargain of bytes and errors. A cell of the lattice with three equal edges s has the half diagonal s sqrt(3) / 2:
@@ -55,13 +55,14 @@ def lattice_for(spec: TouchSpec, longest_n: float) -> Lattice:
     """The lattice of a segment whose longest force is `longest_n`; a uniform step is 1/3120 of it at least."""
     unit_n = float(np.float32(max(longest_n / TOP, SMALLEST_UNIT_N)))
     if spec.mode == "nmse":
-        step = max(_floor(spec.step_n / unit_n), LEAST_UNIFORM)
+        step = max(_below(FLOOR_LIMIT, spec.step_n / unit_n), LEAST_UNIFORM)
         return Lattice(unit_n, step, 0, step, 0)
-    floor, rate = _floor(_CELL * spec.f0_n / unit_n), _rate(_CELL * spec.k)
+    floor, rate = _below(FLOOR_LIMIT, _CELL * spec.f0_n / unit_n), _below(RATE_LIMIT, 65536 * _CELL * spec.k)
     if spec.mode == "mask":
         return Lattice(unit_n, floor, rate, floor, rate)
-    cross_rate = _rate(_DISC * math.sin(math.radians(spec.direction_jnd_deg)))
-    return Lattice(unit_n, _floor(_SPAN_FLOOR * spec.f0_n / unit_n), _rate(_SPAN * spec.k), floor, cross_rate)
+    cross_rate = _below(RATE_LIMIT, 65536 * _DISC * math.sin(math.radians(spec.direction_jnd_deg)))
+    span = _below(FLOOR_LIMIT, _SPAN_FLOOR * spec.f0_n / unit_n), _below(RATE_LIMIT, 65536 * _SPAN * spec.k)
+    return Lattice(unit_n, *span, floor, cross_rate)
 
 
 def limits_for(spec: TouchSpec, lattice: Lattice) -> Limits:
@@ -74,12 +75,8 @@ def limits_for(spec: TouchSpec, lattice: Lattice) -> Limits:
     return Limits(spec.k * share, spec.f0_n / lattice.unit_n * share, max(sine - _ROUNDING, sine / 2), exact)
 
 
-def _floor(units: float) -> int:
-    return int(min(max(units, 1), FLOOR_LIMIT - 1))
-
-
-def _rate(share: float) -> int:
-    return min(int(share * 65536), RATE_LIMIT - 1)
+def _below(limit: int, number: float) -> int:
+    return int(min(max(number, 1), limit - 1))
 
 
 class CodedFrame(NamedTuple):
@@ -99,8 +96,7 @@ def _course_of(vectors: Float32s, grid: Grid) -> Course:
     spacing = np.asarray(grid.spacing_m)
     fine = spacing < min(1.01 * spacing.min(), 0.99 * spacing.max())
     axis = int(np.argmax((np.abs(sums) + 0.01 * sizes) * np.where(fine, 0.85, 1.0)))
-    down = [bool(sums[c] < 0) for c in (axis, *(c for c in range(3) if c != axis))]
-    return Course(grid, axis, (down[0], down[1], down[2]))
+    return Course(grid, axis | int((sums[Course(grid, axis).axes] < 0) @ [4, 8, 16]))
 
 
 def encode_frame(
@@ -134,8 +130,7 @@ def encode_frame(
 # shares of voxels that keep the rule in the frame before, from which on a frame is coded after that, and no guess is
 # looked for; and in a guess, from which on nothing else is tried
 _ALIKE, _STILL, _TRUSTED = 0.1, 0.8, 0.85
-_EARNS: Final = {"fast": 0.1, "default": 0.03}
-"""By effort, of a frame's bytes: a guess that earns less is not looked for again in its segment."""
+_EARNS: Final = 0.03  # of a frame's bytes: a guess that earns less is not looked for again in its segment
 
 _Guess = tuple[bytes, FixedField]
 
@@ -172,7 +167,7 @@ class Chooser:
             price = coded.missed / self._lattice.floor**2 / (8 * _THRIFT)
             worths.append(price + len(coded.payload) + (len(guess[0]) if guess else 0))
         if len(tried) > 1:
-            self._looks = worths[0] < (1 - _EARNS[self._spec.effort]) * worths[1]
+            self._looks = worths[0] < (1 - _EARNS) * worths[1]
         which = worths.index(min(worths))
         best, guess = tried[which], guesses[which]
         self._previous, self._memory = best.decoded, best.memory

@@ -176,7 +176,6 @@ def synthesise(data: bytes, grid: Grid) -> FixedField:
 DEEPEST: Final = 1 << 14  # samples of a column, at most
 TILES_FREE: Final = 64  # tiles of the box that need no byte
 _COLUMNS: Final = "columns"
-_CHANGED: Final = "The file was changed or cut."
 
 
 class View(NamedTuple):
@@ -232,7 +231,7 @@ def column_forces(view: View, columns: kernels.Columns, size: int | None = None)
     bricks_at = np.argwhere(reached)
     if size is not None and size < least_size(view, len(bricks_at)):
         least = f"{least_size(view, len(bricks_at))} or more"
-        raise TruncatedFile(_COLUMNS, f"{size} bytes for {len(bricks_at)} bricks", least, _CHANGED)
+        raise TruncatedFile(_COLUMNS, f"{size} bytes for {len(bricks_at)} bricks", least)
     bricks = np.empty((len(bricks_at), 3), np.int32)
     bricks[:, view.order] = bricks_at + np.array([a, b, 0])
     order = np.argsort(brick_keys(view.grid, bricks))
@@ -260,9 +259,9 @@ def columns_of_bytes(data: bytes, grid: Grid) -> FixedField:
     size = len(code)
     if a + tiles_a > across[0] or b + tiles_b > across[1] or view.depth > DEEPEST:
         found = f"tiles {a} to {a + tiles_a}, {b} to {b + tiles_b}"
-        raise CorruptFile(_COLUMNS, found, "a box within the grid", _CHANGED)
+        raise CorruptFile(_COLUMNS, found, "a box within the grid")
     if size < least_size(view, 0):
-        raise TruncatedFile(_COLUMNS, f"{size} bytes for {tiles_a * tiles_b} tiles", "a byte each", _CHANGED)
+        raise TruncatedFile(_COLUMNS, f"{size} bytes for {tiles_a * tiles_b} tiles", "a byte each")
     bits = reader(code, fresh(kernels.COLUMN_CONTEXTS, kernels.COLUMN_SETS))
     columns = columns_of(view, heads)
     rows, count = view.told

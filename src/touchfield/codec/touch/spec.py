@@ -39,7 +39,7 @@ class TouchSpec:
     effort: str = option("default", "default, or fast: 1.2 to 1.6 times as quick, decodes nothing to check.")
     """Either "fast" or "default": time against certainty, never against the promise. "fast" checks it on the
     encoder's own reconstruction, which a decoder makes again bit for bit, and codes 1.2 to 1.6 times as quickly;
-    "default" decodes its bytes. Both take the same bytes but where a guess earns 3 to 10 % of a frame."""
+    "default" decodes its bytes. Both take the same bytes."""
     support: str = option("movable", "movable (where |F| is at most F_0), or exact. [default: movable]")
     """Either "movable", a force of at most F_0 may become none, and none one of at most F_0; or "exact"."""
     masking: float = option(0.0, "share of the mean force around that is hidden, 0 to 1. [default: 0]")

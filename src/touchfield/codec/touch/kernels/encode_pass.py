@@ -132,10 +132,7 @@ def _state_of(old, forces, rule):
     """The brick as the reference has it, if that keeps the rule everywhere; else the reference is followed."""
     for at in range(512):
         c = ((((at >> 6) + ws.LOW) * ws.SIDE + (at >> 3 & 7) + ws.LOW) * ws.SIDE + (at & 7) + ws.LOW) * 4
-        d0, d1, d2 = np.int64(0), np.int64(0), np.int64(0)
-        if old[c + 3] > 0:
-            d0, d1, d2 = np.int64(old[c]), np.int64(old[c + 1]), np.int64(old[c + 2])
-        if not kept(d0, d1, d2, forces[at], rule):
+        if not kept(np.int64(old[c]), np.int64(old[c + 1]), np.int64(old[c + 2]), forces[at], rule):
             return np.int64(1)
     return np.int64(2)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from touchfield.arrays import Int64s
 from touchfield.codec.kernels import READING, TASK, code, even, gamma, mix
-from touchfield.codec.touch.kernels.workspace import LIMIT
+from touchfield.codec.touch.kernels.workspace import LIMIT, bounded
 from touchfield.lean import entry, inlined, lean
 
 REACH: Final = 1 << 23  # no coefficient is beyond it, units
@@ -109,11 +109,6 @@ class Columns(NamedTuple):
 
 
 @lean
-def _bounded(value, most):
-    return min(max(value, -most), most)
-
-
-@lean
 def is_torn(surfaces, at, row):
     """True where the columns to the west and north may belong to different surfaces."""
     west, north = surfaces[at - 2], surfaces[at - row]
@@ -124,7 +119,7 @@ def is_torn(surfaces, at, row):
 @lean
 def _rise(surface, axis, heads):
     """How much farther inside a surface is one column on."""
-    return _bounded(surface[U + axis] * heads[RATIO_A + axis] // surface[U + 2], np.int64(_STEEPEST))
+    return bounded(surface[U + axis] * heads[RATIO_A + axis] // surface[U + 2], np.int64(_STEEPEST))
 
 
 @lean
@@ -182,7 +177,7 @@ def turn(columns, at, slot):
     surfaces, heads, told, out = columns.surfaces, columns.heads, columns.told, columns.surfaces[at + slot]
     for c in range(2):
         value = columns.expected[c] + columns.residuals[slot, c] * heads[XY_STEP]
-        out[c] = _bounded(value, np.int64(16384))
+        out[c] = bounded(value, np.int64(16384))
     double = (np.int64(1) << 43) // ((1 << 28) + out[X] * out[X] + out[Y] * out[Y])
     out[U] = out[X] * double >> 14
     out[U + 1] = out[Y] * double >> 14
@@ -210,8 +205,8 @@ def step_of(columns, c):
 def set_surface(columns, at, slot):
     """Keep start and amplitude of a surface, and the sizes of its residuals."""
     out, r, expected = columns.surfaces[at + slot], columns.residuals[slot], columns.expected
-    out[Z] = _bounded(expected[Z] + r[Z] * columns.heads[Z_STEP], np.int64(_FAR))
-    out[A] = max(_bounded(expected[A] + r[A] * step_of(columns, np.int64(A)), np.int64(LIMIT)), np.int64(1))
+    out[Z] = bounded(expected[Z] + r[Z] * columns.heads[Z_STEP], np.int64(_FAR))
+    out[A] = max(bounded(expected[A] + r[A] * step_of(columns, np.int64(A)), np.int64(LIMIT)), np.int64(1))
     for c in range(4):
         out[_SIZES + c] = min(abs(r[c]), np.int64(4))
 
@@ -303,5 +298,5 @@ def fill_bricks(begin, end, places, view, columns, out):
                 for q in range(3):
                     force = share * ((one[A] * one[U + q] + 8192) >> 14)
                     force += more * ((two[A] * two[U + q] + 8192) >> 14)
-                    force = _bounded((force + 32768) >> 16, np.int64(LIMIT))
+                    force = bounded((force + 32768) >> 16, np.int64(LIMIT))
                     out[n, c >> 3, c & 7, k, order[q]] = -force if q == 2 and not inverted else force

@@ -23,9 +23,8 @@ _FROM = np.array([_D, _U, _L, _D - _U, _D - _L, _U - _L, _D, _U, _L, _L, _U], np
 # distances of the cells whose difference is a feature; 0: the base
 _TO = np.array(6 * [0] + [2 * _D, _D + _U, _D + _L, _U + _L, _U + _L], np.int64)
 _PACE = 8  # how fast the weights learn, 1/64; measured: 4 to 12 are within 1 %
-_FEATURE_LIMIT = 4095
-_ERROR_LIMIT = 1023
-_WEIGHT_LIMIT = 1 << 20
+# of a NumPy type: numba compiles a function anew for each int that is written out
+_FEATURE_LIMIT, _ERROR_LIMIT, _WEIGHT_LIMIT, _LIMIT = np.array([4095, 1023, 1 << 20, ws.LIMIT], np.int64)
 _STILLNESS = 1 << 15  # what the energy of the features is at least: half a squared step
 
 
@@ -48,11 +47,6 @@ def ahead(window, at, axis):
 
 
 @lean
-def _bounded(v):
-    return min(max(v, np.int64(-ws.LIMIT)), np.int64(ws.LIMIT))
-
-
-@lean
 def chain(work, here, axis, floor, row):
     """Follow the law from the neighbour before `here` along an axis, which must hold a force; into a row."""
     window = work.window
@@ -64,7 +58,7 @@ def chain(work, here, axis, floor, row):
     if length != a:
         ratio = min((length << 14) // a, np.int64(1) << 17)
     for k in range(3):
-        work.rows[row, k] = _bounded((np.int64(window[c + k]) * ratio + 8192) >> 14)
+        work.rows[row, k] = ws.bounded((np.int64(window[c + k]) * ratio + 8192) >> 14, _LIMIT)
 
 
 @inlined
@@ -143,11 +137,10 @@ def _corrected(work, kind, step):
     for k in range(3):
         total = np.int64(0)
         for n in range(ws.FEATURES):
-            f = (rows[ws.FEATURE + n, k] * inverse) >> 24
-            f = min(max(f, np.int64(-_FEATURE_LIMIT)), np.int64(_FEATURE_LIMIT))
+            f = ws.bounded((rows[ws.FEATURE + n, k] * inverse) >> 24, _FEATURE_LIMIT)
             rows[ws.FEATURE + n, k] = f
             total += work.weights[kind, n] * f
-        rows[ws.BLEND, k] = _bounded(rows[ws.BASE, k] + ((total >> 16) * step >> 8))
+        rows[ws.BLEND, k] = ws.bounded(rows[ws.BASE, k] + ((total >> 16) * step >> 8), _LIMIT)
 
 
 @lean
@@ -196,11 +189,10 @@ def learn(work):
             energy += work.rows[ws.FEATURE + n, k] * work.rows[ws.FEATURE + n, k]
     for k in range(3):
         error = ((work.rows[ws.VECTOR, k] - work.rows[ws.BLEND, k]) * work.of[INVERSE]) >> 24
-        error = min(max(error, np.int64(-_ERROR_LIMIT)), np.int64(_ERROR_LIMIT))
-        gain = (error * (np.int64(_PACE) << 24)) // energy
+        gain = (ws.bounded(error, _ERROR_LIMIT) * (np.int64(_PACE) << 24)) // energy
         for n in range(ws.FEATURES):
             weight = work.weights[kind, n] + ((work.rows[ws.FEATURE + n, k] * gain) >> 14)
-            work.weights[kind, n] = min(max(weight, np.int64(-_WEIGHT_LIMIT)), np.int64(_WEIGHT_LIMIT))
+            work.weights[kind, n] = ws.bounded(weight, _WEIGHT_LIMIT)
 
 
 # Contexts of a bit of each kind. Of zero, sign and size there are three, one for each component: two pairs of other

@@ -138,17 +138,21 @@ def keep(window, cells, n):
 @lean
 def copy_reference(window, old, slope):
     """The brick as the reference has it."""
-    for x in range(LOW, LOW + 8):
-        for y in range(LOW, LOW + 8):
-            for z in range(LOW, LOW + 8):
-                at = (x * SIDE + y) * SIDE + z
-                a = np.int64(old[at * 4 + 3])
-                if a > 0:
-                    vector = np.int64(old[at * 4]), np.int64(old[at * 4 + 1]), np.int64(old[at * 4 + 2])
-                    store(window, at, vector, a, np.int64(0), slope)
+    for n in range(512):
+        at = (((n >> 6) + LOW) * SIDE + (n >> 3 & 7) + LOW) * SIDE + (n & 7) + LOW
+        a = np.int64(old[at * 4 + 3])
+        if a > 0:
+            vector = np.int64(old[at * 4]), np.int64(old[at * 4 + 1]), np.int64(old[at * 4 + 2])
+            store(window, at, vector, a, np.int64(0), slope)
 
 
 LIMIT = (1 << 17) - 1  # no component of a decoded vector is beyond it, units
+
+
+@lean
+def bounded(value, most):
+    """The number nearest to a value from -`most` to `most`."""
+    return min(max(value, -most), most)
 
 
 @lean
@@ -203,8 +207,8 @@ def axes_along(rows, length):
 def rebuild(along, s1, s2, rows):
     """The row `VECTOR` = along e + s1 h + s2 k in units, rounded, each component kept within `LIMIT`."""
     for c in range(3):
-        x = (along * rows[AXES, c] + s1 * rows[AXES + 1, c] + s2 * rows[AXES + 2, c] + 8192) >> 14
-        rows[VECTOR, c] = min(max(x, -LIMIT), LIMIT)
+        x = along * rows[AXES, c] + s1 * rows[AXES + 1, c] + s2 * rows[AXES + 2, c]
+        rows[VECTOR, c] = bounded((x + 8192) >> 14, np.int64(LIMIT))
 
 
 @entry
