@@ -168,13 +168,18 @@ def _direction(xy: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
-@cache
 def octahedral_side(angle: float) -> int:
     """The smallest side whose map leaves at most `angle`, radians, of 20,000 random directions."""
-    unit = np.random.default_rng(0).normal(size=(20_000, 3))
-    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     for side in range(3, 400):
-        off = np.linalg.norm(octahedral(unit, side)[2] - unit, axis=1).max()
-        if 2 * np.arcsin(np.clip(off / 2, 0, 1)) <= angle:
+        if _widest(side) <= angle:
             return side
     raise ValueError(f"no map for {angle} rad")
+
+
+@cache
+def _widest(side: int) -> float:
+    """Radians that a map leaves at most."""
+    unit = np.random.default_rng(0).normal(size=(20_000, 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    off = np.linalg.norm(octahedral(unit, side)[2] - unit, axis=1).max()
+    return float(2 * np.arcsin(np.clip(off / 2, 0, 1)))

@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from copy import copy
 from functools import wraps
 from importlib import import_module
 from typing import Annotated, Any, Final
@@ -116,13 +117,14 @@ _FILELESS: Final = ("index", "live", "play", "serve")
 
 
 def open_rooms(arguments: Sequence[str] = ()) -> typer.Typer:
-    """The app with the command that these arguments name, or with all where they name none."""
+    """An app of the command that these arguments name, or of all where they name none."""
     named = COMMANDS.get(arguments[0]) if arguments else None
     for room in [named] if named else dict.fromkeys(COMMANDS.values()):
         import_module(f"touchfield.cli.{room}")
-    order = list(COMMANDS)
-    app.registered_commands.sort(key=lambda one: order.index(str(one.name or getattr(one.callback, "__name__", ""))))
-    return app
+    known = {str(one.name or getattr(one.callback, "__name__", "")): one for one in app.registered_commands}
+    opened = copy(app)
+    opened.registered_commands = [known[name] for name in (arguments[:1] if named else COMMANDS)]
+    return opened
 
 
 @app.callback(invoke_without_command=True)
@@ -158,9 +160,8 @@ def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
         return code
 
     try:
-        if commands is app:
-            open_rooms(given)
-        result = commands(args=arguments, standalone_mode=False)
+        opened = open_rooms(given) if commands is app else commands
+        result = opened(args=arguments, standalone_mode=False)
         if result == TYPER_INTERRUPTED:
             raise KeyboardInterrupt
         return result if isinstance(result, int) else 0

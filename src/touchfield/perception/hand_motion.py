@@ -20,8 +20,9 @@ blended linearly up to 1000 samples a second, as the receiver does. Nothing here
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -54,6 +55,7 @@ _PARTS: Final = 4
 _PART_S: Final = 0.5
 _MOST_FRAMES: Final = 4096
 _SERVO_HZ: Final = 1000.0
+_AT_ONCE: Final = 1 << 17  # samples of signals that are filtered together
 
 
 # -- paths ---------------------------------------------------------------------------------------------------
@@ -147,23 +149,29 @@ def in_band(signal: Float64s, rate_hz: float) -> Float64s:
 
     Raises `InvalidArgument` if the rate is below 1000 samples a second or the signal too short.
     """
-    from scipy.signal import butter, sosfiltfilt
+    from scipy.signal import sosfiltfilt
 
     margin = round(MARGIN_S * rate_hz)
     _check(len(signal) - 2 * margin, rate_hz)
-    sections = butter(4, BAND_HZ, "bandpass", fs=rate_hz, output="sos")
-    filtered: Float64s = sosfiltfilt(sections, signal, axis=0)
+    filtered: Float64s = sosfiltfilt(_band_sections(rate_hz), signal, axis=0)
     return filtered[margin : len(signal) - margin]
 
 
+@lru_cache(maxsize=8)
+def _band_sections(rate_hz: float) -> Float64s:
+    from scipy.signal import butter
+
+    return np.asarray(butter(4, BAND_HZ, "bandpass", fs=rate_hz, output="sos"))
+
+
 def third_octave_power(signal: Float64s, rate_hz: float) -> Float64s:
-    """Mean square of a signal [samples, components] in each third of `THIRDS_HZ`, components added, float64 [11]."""
+    """Mean square of a signal [samples, ...] in each third of `THIRDS_HZ`, components added, float64 [11]."""
     from scipy.signal import periodogram
 
     n = len(signal)
     _check(n, rate_hz)
     frequency_hz, density = periodogram(signal, rate_hz, np.hanning(n), axis=0)
-    power = density.sum(axis=1) * rate_hz / n
+    power = density.reshape(len(density), -1).sum(axis=1) * rate_hz / n
     edges = np.searchsorted(frequency_hz, np.outer(THIRDS_HZ, [10**-0.05, 10**0.05]))
     return np.array([power[a:b].sum() for a, b in edges])
 
@@ -182,15 +190,15 @@ class BandSums:
         self.samples, self._power, self._peak = np.zeros((3, kinds))
         self._weight, self._thirds = 0, np.zeros(len(THIRDS_HZ))
 
-    def add(self, kind: int, signal: Float64s, rate_hz: float, weight: int = 0) -> None:
-        """Count a signal in newtons [samples, 3]; a `weight` of 0 leaves its thirds out."""
-        squares = (in_band(signal, rate_hz) ** 2).sum(axis=1)
-        self.samples[kind] += len(squares)
+    def add(self, kind: int, signals: Float64s, rate_hz: float, weight: int = 0) -> None:
+        """Count signals of one length in newtons [samples, signals, 3]; a `weight` of 0 leaves their thirds out."""
+        squares = (in_band(signals, rate_hz) ** 2).sum(axis=2)
+        self.samples[kind] += squares.size
         self._power[kind] += squares.sum()
         self._peak[kind] = max(self._peak[kind], squares.max())
         if weight:
-            self._weight += weight
-            self._thirds += weight * third_octave_power(signal, rate_hz)
+            self._weight += weight * signals.shape[1]
+            self._thirds += weight * third_octave_power(signals, rate_hz)
 
     def mn(self, kind: int) -> tuple[float, float]:
         """Rms and largest, millinewtons."""
@@ -271,16 +279,17 @@ class SlideMeter:
         whole_s = spec.duration_s + 2 * MARGIN_S + 0.05
         walks = surface_walks(surface, whole_s * max(self._sums) * 1e-3, spec.paths, self._rng)
         for speed, total in self._sums.items():
-            for walk in range(len(walks.steps)):
-                points = slide_m(walks, walk, speed * 1e-3, whole_s, spec.rate_hz)
-                if len(points) < (LEAST_S + 2 * MARGIN_S) * spec.rate_hz:
-                    continue
-                ours, theirs = (np.asarray(forces(points), np.float64) for forces in (source, decoded))
+            ways = [slide_m(walks, walk, speed * 1e-3, whole_s, spec.rate_hz) for walk in range(len(walks.steps))]
+            for points in _of_one_length(ways, math.ceil((LEAST_S + 2 * MARGIN_S) * spec.rate_hz)):
+                flat = points.reshape(-1, 3)
+                ours, theirs = (
+                    np.asarray(forces(flat), np.float64).reshape(points.shape) for forces in (source, decoded)
+                )
                 total.add(0, theirs - ours, spec.rate_hz, len(points))
                 total.add(1, ours, spec.rate_hz)
                 if exact is not None:
-                    total.add(2, ours - exact(points), spec.rate_hz)
-                self._paths[speed] += 1
+                    total.add(2, ours - np.reshape(exact(flat), points.shape), spec.rate_hz)
+                self._paths[speed] += points.shape[1]
 
     def slides(self) -> tuple[Slide, ...]:
         """The results, one for each speed."""
@@ -291,6 +300,14 @@ class SlideMeter:
             lattice_mn = lattice[0] if total.samples[2] else None
             results.append(Slide(speed, self._paths[speed], seconds, *error, *source, lattice_mn, total.thirds_mn()))
         return tuple(results)
+
+
+def _of_one_length(ways: list[Float64s], least: int) -> Iterator[Float64s]:
+    """Ways [samples, 3] of at least so many samples, those of one length together: float64 [samples, ways, 3]."""
+    for length in sorted({len(way) for way in ways if len(way) >= least}):
+        same, at_once = [way for way in ways if len(way) == length], max(1, _AT_ONCE // length)
+        for first in range(0, len(same), at_once):
+            yield np.stack(same[first : first + at_once], axis=1)
 
 
 def slides(
@@ -455,9 +472,9 @@ class HoldMeter:
         at = np.arange(0.0, frames - 1 + 1e-9, self._rate_hz / servo_hz)
         if len(at) < LEAST_S * servo_hz:
             return
-        margin = ((round(MARGIN_S * servo_hz),) * 2, (0, 0))
-        for point in range(forces_n.shape[2]):
-            source, decoded = make_interp_spline(np.arange(frames), forces_n[:, :, point], k=1, axis=1)(at)
-            error = np.pad(decoded - source, margin, "edge")
-            self._band.add(0, error, servo_hz, len(at))
+        margin, at_once = ((round(MARGIN_S * servo_hz),) * 2, (0, 0), (0, 0)), max(1, _AT_ONCE // len(at))
+        for first in range(0, forces_n.shape[2], at_once):
+            some = forces_n[:, :, first : first + at_once]
+            source, decoded = make_interp_spline(np.arange(frames), some, k=1, axis=1)(at)
+            self._band.add(0, np.pad(decoded - source, margin, "edge"), servo_hz, len(at))
             self._band.add(1, np.pad(source, margin, "edge"), servo_hz)

@@ -70,12 +70,16 @@ class CurlFree:
         cls, points_m: Float64s, forces_n: Float64s, length_m: float, noise: float, kernel: Float64s | None = None
     ) -> CurlFree:
         """The field of forces, `points_m` and `forces_n` float64 [n, 3]; `kernel` where `covariances` are known."""
+        from scipy.linalg.lapack import dtrtri
+
         kernel = covariances(points_m / length_m) if kernel is None else kernel
         count, size = len(points_m), float(np.sqrt(np.mean(forces_n**2))) or 1.0
         target = forces_n.reshape(-1) / size
-        inverse = np.linalg.inv(kernel + noise * np.eye(len(target)))
-        solved = inverse @ target
-        own = inverse.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
+        factor = np.linalg.cholesky(kernel + noise * np.eye(len(target)))
+        half = dtrtri(factor, lower=1)[0]  # the inverse is half.T @ half
+        solved = half.T @ (half @ target)
+        columns = half.reshape(len(target), count, 3)
+        own = np.einsum("kni,knj->nij", columns, columns)
         left = np.linalg.solve(own, solved.reshape(-1, 3, 1))
         missed = float(np.sqrt(np.mean(left**2)))
         return cls(points_m, size * solved.reshape(-1, 3), length_m, missed, noise, size / math.sqrt(1 + noise))

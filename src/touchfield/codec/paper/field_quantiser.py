@@ -118,9 +118,11 @@ class Pairs(FieldQuantiser):
     def _symbols(self, vectors_n: Float32s) -> Int32s:
         amplitudes = amplitudes_n(vectors_n)
         levels = self.levels.encode(amplitudes).astype(np.int64) - self._zeros
-        direction: Any = 0 if self.codebook is None else self.codebook.nearest(vectors_n)
-        symbols = 1 + levels * self._directions + direction
-        return np.where((levels < 0) | (amplitudes == 0), 0, symbols).astype(np.int32)
+        is_told = (levels >= 0) & (amplitudes != 0)
+        symbols = np.zeros(len(levels), np.int32)
+        direction: Any = 0 if self.codebook is None else self.codebook.nearest(vectors_n[is_told])
+        symbols[is_told] = 1 + levels[is_told] * self._directions + direction
+        return symbols
 
     def _vectors(self, symbols: Int32s) -> Float32s:
         if self.codebook is None:
