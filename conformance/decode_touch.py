@@ -46,7 +46,7 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
         worst = [c.varint(n) for n in (1 << 16, *shape)]
         need(worst[0] < frame_count, "a worst frame behind the last")
     known: Any = None
-    memory, previous = Memory(Models({}, {}), {}), Units([], {})
+    memory, previous = Memory(Models(), {}), Units([], {})
     for i in range(frame_count):
         how, support, amplitude = c.numbers("3B")
         need(how <= (1 if exact else 7) and support + amplitude <= 255, "the first bytes of a frame")
@@ -61,7 +61,7 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
             yield in_bricks(known.forces)
             continue
         if not inter:
-            memory, previous = Memory(Models({}, {}), {}), Units([], {})
+            memory, previous = Memory(Models(), {}), Units([], {})
         if guess:
             need(guess[0] <= 1, f"a guess of kind {guess[0]}")
             previous = (guesses.spline, guesses.columns)[guess[0]](guess[1:], shape)

@@ -1,5 +1,6 @@
 """The part of the second decoder for the exact mode of coder `touch`: docs/format/touch-exact.md, step by step."""
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -27,11 +28,17 @@ class Known(NamedTuple):
     models: Models
 
 
+def hashed(h: int, value: int) -> int:
+    """One step of the hash of 22 bits."""
+    t = ((h ^ value) & 4194303) * 0x2F0B4C47 + value
+    return (t ^ (t >> 19)) & 4194303
+
+
+@cache
 def context(h: int, *values: int) -> int:
-    """A context of the table, by a hash of 22 bits."""
+    """A context of the table, of few values, by the hash."""
     for value in values:
-        t = ((h ^ value) & 4194303) * 0x2F0B4C47 + value
-        h = (t ^ (t >> 19)) & 4194303
+        h = hashed(h, value)
     return h & 262143
 
 
@@ -48,9 +55,10 @@ def symbol(bits: Bits, p: int, size: int, rows: list[int], last: int) -> int:
     if min(z, y, zy) >= 0:
         guess = min(max(z + y - zy, 0), size - 1)
     late, width, node = t if t >= 0 else guess, (size - 1).bit_length(), 0
+    above, beside = hashed(40 + p, z), hashed(hashed(44 + p, last), x)
     for left in reversed(range(width)):
         contexts = [about(32 + p, guess, node, left), about(36 + p, late, node, left)]
-        contexts += [context(40 + p, z, node << 5 | left), context(44 + p, last, x, node << 5 | left)]
+        contexts += [hashed(h, node << 5 | left) & 262143 for h in (above, beside)]
         node = 2 * node + bits.mix(contexts, 32 * p + width - 1 - left)
     need(node < size, "a symbol that there is not")
     return node

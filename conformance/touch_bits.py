@@ -4,10 +4,10 @@ All numbers are Python's; none needs more than 63 bits. Contexts and sets of wei
 """
 
 from bisect import bisect_left
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Hashable, Iterable, Sequence
 from itertools import product
-from typing import NamedTuple
+from operator import mul
 
 from reading import Place, TruncatedFile, moved, need
 
@@ -31,13 +31,15 @@ def tables() -> tuple[list[int], list[int]]:
 
 
 SQUASH, STRETCH = tables()
+RATES = [(1 << 20) // (2 * n + 3) for n in range(256)]  # of a chance that learnt n times
 
 
-class Models(NamedTuple):
+class Models:
     """Chances, of 2^22, with how often they learnt, and sets of weights; there when they are first asked for."""
 
-    chances: dict[Hashable, list[int]]
-    weights: dict[Hashable, list[int]]
+    def __init__(self) -> None:
+        self.chances = defaultdict[Hashable, list[int]](lambda: [1 << 21, 0])
+        self.weights = dict[Hashable, list[int]]()
 
 
 class Bits:
@@ -46,7 +48,7 @@ class Bits:
     def __init__(self, data: bytes, models: Models | None = None) -> None:
         self.data, self.place, self.range = data, 6, 1 << 48
         self.x = int.from_bytes(data[:6].ljust(6, b"\0"), "big")
-        self.models = models or Models({}, {})
+        self.models = models or Models()
         self.most = 64 + 16 * len(data)  # bricks that may be listed
 
     def narrow(self, p: int) -> int:
@@ -60,33 +62,33 @@ class Bits:
             self.place += 2
         return bit
 
-    def seen(self, context: Hashable) -> list[int]:
-        """The chance of a context, and how often it learnt."""
-        return self.models.chances.setdefault(context, [1 << 21, 0])
-
-    def learn(self, own: list[int], bit: int) -> None:
-        """Move a chance towards a bit."""
-        own[0] += (bit * 4194303 - own[0]) * ((1 << 20) // (2 * own[1] + 3)) >> 19
-        own[1] = min(own[1] + 1, 255)
+    def learn(self, seen: list[list[int]], bit: int) -> None:
+        """Move chances towards a bit."""
+        for own in seen:
+            chance, times = own
+            own[0] = chance + ((bit * 4194303 - chance) * RATES[times] >> 19)
+            if times < 255:
+                own[1] = times + 1
 
     def code(self, context: Hashable) -> int:
         """A bit by one context."""
-        own = self.seen(context)
+        own = self.models.chances[context]
         bit = self.narrow(limited(own[0] >> 6))
-        self.learn(own, bit)
+        self.learn([own], bit)
         return bit
 
     def mix(self, contexts: Sequence[Hashable], chosen: Hashable) -> int:
         """A bit by several contexts, mixed by a set of weights."""
-        weights = self.models.weights.setdefault(chosen, [14000] * len(contexts))
-        seen = [self.seen(context) for context in contexts]
+        chances, weights = self.models.chances, self.models.weights.setdefault(chosen, [14000] * len(contexts))
+        seen = [chances[context] for context in contexts]
         logits = [STRETCH[own[0] >> 10] for own in seen]
-        total = sum(x * w for x, w in zip(logits, weights)) >> 16
+        total = sum(map(mul, logits, weights)) >> 16
         p = SQUASH[max(-REACH, min(total, REACH)) + REACH]
         bit = self.narrow(p)
-        for n, (own, logit) in enumerate(zip(seen, logits)):
-            weights[n] += logit * ((bit << 16) - p) + 8192 >> 14
-            self.learn(own, bit)
+        error = (bit << 16) - p
+        for n, logit in enumerate(logits):
+            weights[n] += logit * error + 8192 >> 14
+        self.learn(seen, bit)
         return bit
 
     def even(self, count: int) -> int:
@@ -122,7 +124,11 @@ EDGES = [(-1, -1, 0), (-1, 1, 0), (-1, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 
 
 def marks(held: Collection[Place], at: Place, steps: Iterable[Place]) -> int:
     """Which places beside one are held, the first the lowest bit."""
-    return sum((moved(at, step) in held) << n for n, step in enumerate(steps))
+    (x, y, z), out = at, 0
+    for n, (i, j, k) in enumerate(steps):
+        if (x + i, y + j, z + k) in held:
+            out |= 1 << n
+    return out
 
 
 def bricks(bits: Bits, shape: Place, before: Collection[Place] = ()) -> list[Place]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from reading import Array, Place, moved
 from touch_bits import FACES, Bits, Models, marks
-from touch_residual import Cell, Lattice, length_of, limited, residual, vector_of
+from touch_residual import Cell, Lattice, clipped, length_of, limited, residual, vector_of
 
 X, Y, Z = BEFORE = FACES[:3]
 MASK = [*BEFORE, (-1, 1, 0), (-1, 0, 1), (0, -1, 1)]
@@ -157,7 +157,7 @@ class Frame:
         """The force of a voxel that holds one."""
         base, step = self.base(v)
         inverse = (1 << 32) // step
-        features = np.clip(self.features(v, base) * inverse >> 24, -4095, 4095)
+        features = clipped(self.features(v, base) * inverse >> 24, -4095, 4095)
         kind = (*map(bool, v.faces), v.old is None)
         weights = self.weights.get(kind, np.zeros(FEATURES, object))
         expected = blend = limited(base + ((weights @ features >> 16) * step >> 8))
@@ -170,8 +170,8 @@ class Frame:
         vector, along, across = residual(self, v, expected, blend, followed)
         self.store(v.at, vector, along, across)
         self.last = vector
-        error = np.clip((vector - blend) * inverse >> 24, -1023, 1023)
+        error = clipped((vector - blend) * inverse >> 24, -1023, 1023)
         gain = error * (1 << 27) // ((1 << 15) + (features * features).sum())
         for f, g in zip(features.T, gain):
-            weights = np.clip(weights + (f * g >> 14), -(1 << 20), 1 << 20)
+            weights = clipped(weights + (f * g >> 14), -(1 << 20), 1 << 20)
         self.weights[kind] = weights

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from touch_frame import Frame, Voxel
 
 CLASS, SIDE, UNARY = (1, 2, 4, 7, 11, 16, 24), (1, 2, 3, 5, 8, 12, 20), 14
+NEXT, LAST = [1, 2, 0], [2, 0, 1]
 
 
 class Lattice(NamedTuple):
@@ -72,7 +73,12 @@ def length_of(v: Array) -> int:
 
 def limited(v: Array) -> Array:
     """A vector within the limit of components."""
-    return np.clip(v, 1 - (1 << 17), (1 << 17) - 1)
+    return clipped(v, 1 - (1 << 17), (1 << 17) - 1)
+
+
+def clipped(v: Array, low: int, high: int) -> Array:
+    """As np.clip, which is slow for numbers of Python."""
+    return np.asarray(np.minimum(np.maximum(v, low), high))
 
 
 def digits(length: int, step: int) -> int:
@@ -137,4 +143,4 @@ def axes_along(p: Array, length: int) -> Array:
     e = p * ((1 << 44) // length) + (1 << 29) >> 30
     h = vector_of(-e[1], e[0], 0) if abs(e[2]) < 14746 else vector_of(0, -e[2], e[1])
     h = h * ((1 << 44) // length_of(h)) + (1 << 29) >> 30
-    return np.array([e, h, np.roll(e, -1) * np.roll(h, 1) - np.roll(e, 1) * np.roll(h, -1) >> 14], object)
+    return np.array([e, h, e[NEXT] * h[LAST] - e[LAST] * h[NEXT] >> 14], object)

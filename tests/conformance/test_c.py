@@ -121,7 +121,7 @@ def is_container(name: str) -> bool:
 
 
 def test_mutated_files_touch_no_memory_that_is_not_theirs(tmp_path: Path) -> None:
-    options = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    options = ("-Og", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     fuzzing = "-DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION"
     probe = tmp_path / "probe.c"
     probe.write_text("int main(void) { return 0; }\n")

@@ -120,7 +120,7 @@ def test_no_force_exceeds_the_device(tmp_path: Path) -> None:
 
 def test_an_array_keeps_its_one_direction(tmp_path: Path) -> None:
     stream = tmp_path / "s.touch"
-    spec = EncodeSpec(device="tshirt-32x32", thickness_m=math.inf)
+    spec = EncodeSpec(device="tshirt-32x32", thickness_m=math.inf, stiffness_n_per_m=500.0)
     encode(ball(), stream, spec)
     compared = compare(ball(), stream).summary()
     assert compared["grid_shape"] == [32, 32, 1]
