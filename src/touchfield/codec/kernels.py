@@ -270,7 +270,7 @@ def code_level(bits, level, contexts_at, sets_at, wanted):
             bits.inputs[1] = contexts_at + _EDGES + edges
             bits.inputs[2] = contexts_at + _CHANGED + 8 * old + changed
             bits.inputs[3] = contexts_at + _FOUND + 2 * old + found
-            bit = mix(bits, 4, sets_at + old, np.int64(wanted[n]))
+            bit = mix(bits, np.int64(4), sets_at + old, np.int64(wanted[n]))
         level.state[n] = bit
         level.found[parent] += bit
 
@@ -323,7 +323,7 @@ def code_samples(bits, contexts_at, sets_at, samples, wanted):
                         late |= np.int64(old[here + _LATE[k]]) << k
                     bits.inputs[0] = contexts_at + mask
                     bits.inputs[1] = contexts_at + _OLD + (late << 3 | mask & 7)
-                    window[here] = mix(bits, 2, sets_at + (mask & 7), np.int64(wanted[brick, place]))
+                    window[here] = mix(bits, np.int64(2), sets_at + (mask & 7), np.int64(wanted[brick, place]))
                     held[brick, place] = window[here]
 
 
@@ -357,7 +357,7 @@ def _code(bits, at, which, bit):
     bits.inputs[0] = at[0] + which
     bits.inputs[1] = at[1] + which
     bits.inputs[2] = at[2] + which
-    return mix(bits, 3, at[3] + which, bit)
+    return mix(bits, np.int64(3), at[3] + which, bit)
 
 
 @entry

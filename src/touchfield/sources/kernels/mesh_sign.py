@@ -26,6 +26,7 @@ from touchfield.arrays import Bools, Float64s, Int32s, Int64s
 from touchfield.lean import inner, kernel
 from touchfield.medium import Grid
 from touchfield.parallel import for_chunks
+from touchfield.sources.kernels.mesh_triangle import one_type
 
 COLUMN_SHIFT = 27
 _ROW_SHIFT = 21
@@ -109,7 +110,7 @@ def crossings(vertices_m: Float64s, triangles: Int32s, grid: Grid) -> Int64s:
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)
     offsets = np.zeros(len(triangles) + 1, np.int64)
-    work = (vertices_m, triangles, lattice, shape)
+    work = (*one_type(vertices_m, triangles), lattice, shape)
     for_chunks(_draw, len(triangles), *work, offsets[1:], np.empty(0, np.int64), chunk=512)
     np.cumsum(offsets, out=offsets)
     events = np.empty(int(offsets[-1]), np.int64)

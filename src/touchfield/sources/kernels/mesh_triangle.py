@@ -18,6 +18,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s, Int32s
 from touchfield.lean import inner, kernel
+from touchfield.medium.field import frozen
 from touchfield.parallel import for_chunks
 
 X, Y, Z, D, ID = 0, 64, 128, 192, 256
@@ -81,10 +82,15 @@ def _fill_table(begin, end, vertices, triangles, table):
             row[5 + 3 * i] = e[i, 0] * y - e[i, 1] * x
 
 
+def one_type(vertices_m: Float64s, triangles: Int32s) -> tuple[Float64s, Int32s]:
+    """Both in the one layout for which kernels are compiled: read-only, rows first."""
+    return frozen(np.ascontiguousarray(vertices_m)), frozen(np.ascontiguousarray(triangles))
+
+
 def triangle_table(vertices_m: Float64s, triangles: Int32s) -> Float64s:
     """Planes and edges of triangles whose longest edge is the first, float64 [m, 33]."""
     table = np.empty((len(triangles), _WIDTH))
-    for_chunks(_fill_table, len(triangles), vertices_m, triangles, table, chunk=1024)
+    for_chunks(_fill_table, len(triangles), *one_type(vertices_m, triangles), table, chunk=1024)
     return table
 
 

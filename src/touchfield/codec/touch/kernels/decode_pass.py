@@ -172,7 +172,7 @@ def decode_bricks(bits, scan, law, work):
 def _decode_voxel(bits, law, work, here, known, state):
     near = near_of(work.window, here)
     then = then_of(work.old, here, known)
-    if not mix(bits, 3, look_at_support(bits, work, here, near, then), np.int64(0)):
+    if not mix(bits, np.int64(3), look_at_support(bits, work, here, near, then), np.int64(0)):
         return
     voxel.expect(law, work, here, near, state == 1)
     voxel.look(law, work, here, near)

@@ -124,7 +124,7 @@ def encode_bricks(bits, scan, law, work, forces, rule, prices):
                         f = forces[n, (x * 8 + y) * 8 + z]
                         _encode_voxel(bits, law, work, here, known, state, f, rule, prices)
         ws.keep(work.window, scan.cells, n)
-    _account(bits, prices, 0)
+    _account(bits, prices, np.int64(0))
 
 
 @inlined
@@ -152,10 +152,10 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
     near = shared.near_of(work.window, here)
     then = shared.then_of(work.old, here, known)
     chosen = shared.look_at_support(bits, work, here, near, then)
-    bit = mix(bits, 3, chosen, np.int64(_size_of(f) > (0.0 if rule.exact else rule.f0)))
+    bit = mix(bits, np.int64(3), chosen, np.int64(_size_of(f) > (0.0 if rule.exact else rule.f0)))
     if not bit:
         return
-    _account(bits, prices, 0)
+    _account(bits, prices, np.int64(0))
     voxel.expect(law, work, here, near, state == 1)
     voxel.look(law, work, here, near)
     expected = work.rows[ws.EXPECTED]
@@ -167,8 +167,8 @@ def _encode_voxel(bits, law, work, here, known, state, f, rule, prices):
         for c in range(3):
             voxel.code_step(bits, work, c)
             if c == 0:
-                _account(bits, prices, 1)
-    _account(bits, prices, 1 if still else 2)
+                _account(bits, prices, np.int64(1))
+    _account(bits, prices, np.int64(1 if still else 2))
     shared.settle(law, work, here, still)
 
 

@@ -215,7 +215,7 @@ def set_surface(columns, at, slot):
 def _bit(bits, node, first, second, bit):
     bits.inputs[0] = node * (_FIRST + _SECOND) + first
     bits.inputs[1] = node * (_FIRST + _SECOND) + _FIRST + second
-    return mix(bits, 2, node, bit)
+    return mix(bits, np.int64(2), node, bit)
 
 
 @lean

@@ -291,7 +291,7 @@ def code_still(bits, work, here, then, still):
     b[0] = _STILL[0] + (quiet << 3 | apart)
     b[1] = _STILL[1] + ((apart << 4 | of[_LOUD]) << 2 | of[_NEAR])
     b[2] = _STILL[2] + (((far << 3 | then) << 3 | apart) << 3 | of[_QUIET])
-    return mix(bits, 3, of[_QUIET] << 1 | np.int64(far < 7), still)
+    return mix(bits, np.int64(3), of[_QUIET] << 1 | np.int64(far < 7), still)
 
 
 @lean
@@ -349,7 +349,7 @@ def _code_size(bits, work, c, toward, size):
     for n in range(_UNARY):
         bits.inputs[0] = _SIZE + c * 1152 + (group << 4 | n)
         bits.inputs[1] = _SIZE + c * 1152 + 128 + ((toward << 3 | of[_APART]) << 4 | n)
-        if mix(bits, 2, _SET_SIZE + c * 16 + n, np.int64(size > n + 1)) == 0:
+        if mix(bits, np.int64(2), _SET_SIZE + c * 16 + n, np.int64(size > n + 1)) == 0:
             return np.int64(n + 1)
     return _UNARY + gamma(bits, size - _UNARY, np.int64(17))
 
@@ -367,13 +367,13 @@ def code_step(bits, work, c):
         group, table = of[_CLASS_0] if c == 0 else of[_CLASS_1], _ZERO + c * _TABLE
         _pairs(bits, work, c, table + (group >> 2 << 9))
         bits.inputs[2] = table + 1024 + (toward << 3 | of[_APART])
-        if not mix(bits, 3, _SET_ZERO + c * 8 + group, np.int64(rows[ws.STEPS, c] != 0)):
+        if not mix(bits, np.int64(3), _SET_ZERO + c * 8 + group, np.int64(rows[ws.STEPS, c] != 0)):
             rows[ws.STEPS, c] = 0
             return
     table = _SIGN + c * _TABLE
     _pairs(bits, work, c, table)
     bits.inputs[2] = table + 1024 + ((toward << 1 | side) << 2 | of[_NEAR])
-    negative = mix(bits, 3, _SET_SIGN + c, np.int64(rows[ws.STEPS, c] < 0))
+    negative = mix(bits, np.int64(3), _SET_SIGN + c, np.int64(rows[ws.STEPS, c] < 0))
     size = _code_size(bits, work, c, toward, abs(rows[ws.STEPS, c]))
     rows[ws.STEPS, c] = -size if negative else size
 
