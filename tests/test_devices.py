@@ -172,6 +172,25 @@ def test_an_array_without_what_it_needs_is_refused(tmp_path: Path, key: str) -> 
         device(mine)
 
 
+@pytest.mark.parametrize(("columns", "rows"), [(100_000, 1), (1, 1025), (1024, 17)])
+def test_an_array_of_more_actuators_than_are_filtered_in_time_is_refused(
+    tmp_path: Path, columns: int, rows: int
+) -> None:
+    text = (resources.files("touchfield.devices") / "profiles" / "tshirt-32x32.toml").read_text()
+
+    def array(columns: int, rows: int) -> Path:
+        return written(
+            tmp_path, f"value = {rows}".join(text.replace("value = 32", f"value = {columns}", 1).split("value = 32"))
+        )
+
+    assert device(array(1024, 16)).lattice == (1024, 16, 1)
+    told = (
+        f"mine.toml: columns and rows: found {columns} x {rows} actuators; expected 1024 on a side and 16384 in all"
+    )
+    with pytest.raises(DeviceError, match=told):
+        device(array(columns, rows))
+
+
 def test_files_that_are_no_profile(tmp_path: Path) -> None:
     for data in (b"\xff\xfe", b"[", b"a = " + b"[" * 50_000, b"x" * 70_000):
         (tmp_path / "mine.toml").write_bytes(data)

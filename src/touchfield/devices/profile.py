@@ -36,6 +36,8 @@ from touchfield.files import read_bytes
 MAX_SAMPLES_PER_AXIS: Final = 1 << 20
 LARGEST: Final = 1e6
 MAX_PROFILE_BYTES: Final = 1 << 16
+MOST_ON_A_SIDE: Final = 1 << 10
+MOST_ACTUATORS: Final = 1 << 14  # an array's frame is filtered on 64 samples to each, and as deep as its law is thin
 
 
 class _Rule(NamedTuple):
@@ -144,6 +146,10 @@ def device_of_table(table: Mapping[str, Any], where: str) -> Device:
             raise DeviceError(f"{where}: nominal_lattice", f"{stated}", expected)
     else:
         columns, rows, depth = (values.pop(key) for key in ("columns", "rows", "depth_mm"))
+        if max(columns, rows) > MOST_ON_A_SIDE or columns * rows > MOST_ACTUATORS:
+            expected = f"{MOST_ON_A_SIDE} on a side and {MOST_ACTUATORS} in all at most"
+            mend = "Tell a part of the array, or one actuator for several."
+            raise DeviceError(f"{where}: columns and rows", f"{columns} x {rows} actuators", expected, mend)
         values["workspace_mm"] = (columns * values["pitch_mm"], rows * values["pitch_mm"], depth)
         values["lattice"] = (columns, rows, 1)
         if values.get("shows", "force") not in ("force", "height"):
