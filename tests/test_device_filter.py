@@ -45,7 +45,9 @@ class Formula(Scene):
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         self.asked += 1
-        points = grid.to_m(np.stack(np.indices(grid.shape), axis=-1))
+        points = np.empty((*grid.shape, 3))
+        for axis, along in enumerate(np.ix_(*(grid.axis_m(a) for a in range(3)))):
+            points[..., axis] = along
         return ForceField.from_dense(grid, self.forces(points, profile))
 
 
@@ -173,7 +175,7 @@ def stripes(frequency_per_m: float) -> Formula:
     """A sheet at z = 0, 20 mm thick, whose force is 2 + cos along x: |F| is never zero."""
 
     def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
-        amplitude = (2 + np.cos(2 * np.pi * frequency_per_m * points[..., 0])) * (np.abs(points[..., 2]) < 0.01)
+        amplitude = (2 + np.cos(2 * np.pi * frequency_per_m * points[:, :1, :1, 0])) * (np.abs(points[..., 2]) < 0.01)
         return amplitude[..., None] * np.array([0.6, 0.0, -0.8])
 
     return Formula(forces)
@@ -227,7 +229,7 @@ def terraces(axes: str = UP_Z_AXES) -> Formula:
     sign = -1.0 if axes == CAMERA_AXES else 1.0
 
     def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
-        place = np.floor((points[..., 0] / PINS.pitch_mm * 1e3 + 15.0) / 6).astype(int)
+        place = np.floor((points[:, :1, :1, 0] / PINS.pitch_mm * 1e3 + 15.0) / 6).astype(int)
         height = np.array([0.001, *STEPS_M, 0.031])[np.clip(place + 1, 0, 6)]
         depth = height - 0.016 - sign * points[..., 2]
         return np.clip(500.0 * depth, 0, 3.3)[..., None] * np.array([0.0, 0.0, sign])

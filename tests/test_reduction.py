@@ -137,6 +137,7 @@ def forces_along(
 
     The hands stop once more than `most_different` forces differ.
     """
+    medium, other = (tf.HapticMedium.from_frames(list(one), one.rate_hz) for one in (medium, other))
     rng, dt, count = np.random.default_rng(seed), 1e-3, 500
     high = GRID.to_m(np.array(GRID.shape) - 1)
     x = rng.uniform(0, 1, (count, 3)) * [high[0], high[1], 0.012] + [0, 0, high[2] - 0.012]
