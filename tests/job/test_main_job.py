@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ def ball(radius_m: float = 0.04) -> AnalyticScene:
     return AnalyticScene((Sphere((0.0, 0.0, 0.0), radius_m),))
 
 
+@cache
 def moving(frames: int = 7) -> StoredScene:
     """A stored medium on the lattice of the device: a ball that grows and shrinks."""
     grid = prepare(ball(), EncodeSpec(nw=4)).medium.grid
@@ -82,9 +84,10 @@ def test_a_range_of_frames(tmp_path: Path) -> None:
     encode(moving(), part, EncodeSpec(nw=4, frames=(2, 5), touch=alone))
     with open_stream(whole) as a, open_stream(part) as b:
         assert list(b.medium) == [a.medium[i] for i in (2, 3, 4)]
-    assert compare(moving(), part).summary()["frames"] == 3
+    told = compare(moving(), part).summary()
+    assert told["frames"] == 3
     field = write_field(tmp_path / "field.npz", moving().medium)
-    assert compare(field, part).summary()["nmse_db"] == compare(moving(), part).summary()["nmse_db"]
+    assert compare(field, part).summary()["nmse_db"] == told["nmse_db"]
 
 
 def test_the_same_job_makes_the_same_bytes(tmp_path: Path) -> None:
@@ -110,8 +113,8 @@ def test_mappings_keep_millimetres_honest() -> None:
 
 
 def test_no_force_exceeds_the_device(tmp_path: Path) -> None:
-    # before an array the field is sampled the finer the steeper its law is; 500 N/m are enough for its 3.3 N
-    for name, stiffness in (("phantom-omni", 2e3), ("novint-falcon", 2e3), ("tshirt-32x32", 500.0)):
+    # before an array the field is sampled the finer the steeper its law is; 200 N/m are enough for its 3.3 N
+    for name, stiffness in (("phantom-omni", 2e3), ("novint-falcon", 2e3), ("tshirt-32x32", 200.0)):
         prepared = prepare(ball(), EncodeSpec(device=name, nw=4, stiffness_n_per_m=stiffness))
         assert np.linalg.norm(prepared.medium[0].vectors_n(), axis=1).max() <= prepared.device.force_max_n * (
             1 + 1e-6
@@ -120,7 +123,7 @@ def test_no_force_exceeds_the_device(tmp_path: Path) -> None:
 
 def test_an_array_keeps_its_one_direction(tmp_path: Path) -> None:
     stream = tmp_path / "s.touch"
-    spec = EncodeSpec(device="tshirt-32x32", thickness_m=math.inf, stiffness_n_per_m=500.0)
+    spec = EncodeSpec(device="tshirt-32x32", thickness_m=math.inf, stiffness_n_per_m=100.0)
     encode(ball(), stream, spec)
     compared = compare(ball(), stream).summary()
     assert compared["grid_shape"] == [32, 32, 1]

@@ -229,7 +229,7 @@ def test_one_process_feels_what_another_sends_through_a_pipe() -> None:
     )  # fmt: skip
     assert sender.stdin is not None and sender.stdout is not None
     sender.stdout.close()
-    sender.stdin.write(b"".join(png(i % 12) for i in range(200)))
+    sender.stdin.write(b"".join(png(i % 12) for i in range(100)))
     sender.stdin.close()
     out, told = hand.communicate(timeout=120)
     assert sender.wait(60) == 0 and "frames_used" in out and "the sender has ended the stream" in out, told

@@ -31,7 +31,7 @@ position_m = [0.0, 0.0, 0.2]
 def test_a_hand_feels_what_falls_elsewhere(tmp_path: Path) -> None:
     (tmp_path / "ball.toml").write_text(BALL)
     hand = tmp_path / "hand.csv"  # from above into the floor, in the metres of the scene
-    hand.write_text("t_s,x_m,y_m,z_m\n0,0.02,0.02,0.05\n2,0.02,0.02,-0.006\n60,0.02,0.02,-0.006\n")
+    hand.write_text("t_s,x_m,y_m,z_m\n0,0.02,0.02,0.05\n1,0.02,0.02,-0.006\n60,0.02,0.02,-0.006\n")
     done, port, notes = threading.Event(), free_port(), list[str]()
     relay = lossy(port, 0.05, done)
     words = [sys.executable, "-m", "touchfield", "live", str(tmp_path / "ball.toml"), "--nw", "4", "--loop"]
@@ -41,7 +41,7 @@ def test_a_hand_feels_what_falls_elsewhere(tmp_path: Path) -> None:
             assert sender.stderr is not None
             address = next(line for line in sender.stderr if line.startswith("ws://")).split()[0]
             threading.Thread(target=sender.stderr.read, daemon=True).start()
-            felt = play(f"udp://127.0.0.1:{port}", PlaySpec("sim", seconds=6.0, trace=hand), tell=notes.append)
+            felt = play(f"udp://127.0.0.1:{port}", PlaySpec("sim", seconds=4.0, trace=hand), tell=notes.append)
             beside = play(address, PlaySpec("sim", seconds=2.0), tell=notes.append)
         finally:
             sender.terminate()

@@ -31,8 +31,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a stream of 24 frames in 8 segments, as large as a few requests, and one of bodies."""
     folder = tmp_path_factory.mktemp("streams")
     rng = np.random.default_rng(2)
-    grid = Grid((32, 32, 32), (0.004,) * 3, (-0.062,) * 3)
-    frames = [ForceField.from_dense(grid, rng.normal(0, 1, (32, 32, 32, 3)).astype(np.float32)) for _ in range(24)]
+    grid = Grid((20, 20, 20), (0.006,) * 3, (-0.057,) * 3)
+    frames = [ForceField.from_dense(grid, rng.normal(0, 1, (20, 20, 20, 3)).astype(np.float32)) for _ in range(24)]
     medium = HapticMedium.from_frames(frames, 30.0, "x right, y up, z towards the user")
     encode(medium, folder / "noise.touch", EncodeSpec(touch=TouchSpec(segment_frames=3, effort="fast")))
     encode("sample:falling-4", folder / "bodies.touch", EncodeSpec(nw=5, frames=(0, 8)))

@@ -195,7 +195,7 @@ def test_a_body_at_rest_makes_no_step(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["falling-4", "falling-7"])
 def test_falling_bodies_compare_without_a_voxel_beyond(tmp_path: Path, name: str) -> None:
     pytest.importorskip("mujoco")
-    spec = EncodeSpec(nw=6, frames=(240, 270))
+    spec = EncodeSpec(nw=5, frames=(240, 270))
     job.encode(f"sample:{name}", tmp_path / "a.touch", spec)
     with job.open_stream(tmp_path / "a.touch") as stream:
         told = stream.summary()
