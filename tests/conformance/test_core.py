@@ -22,7 +22,7 @@ from touchfield.stream.opened import open_stream
 
 ROOT = CONFORMANCE.parent
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Werror", "-O1")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Werror", "-O2")
 PYTHON_H = Path(sysconfig.get_path("include")) / "Python.h"
 
 pytestmark = pytest.mark.skipif(
