@@ -104,7 +104,7 @@ class Surface:
     def _hold(self, vertices: Float64s) -> None:
         used = vertices[self._used]
         self.bounds_m: Float64s = np.stack([used.min(axis=0), used.max(axis=0)])
-        self.vertices_m = vertices
+        self.vertices_m = np.ascontiguousarray(vertices)
         for array in (self.vertices_m, self.triangles, self.bounds_m):
             array.flags.writeable = False
 

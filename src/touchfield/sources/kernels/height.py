@@ -190,7 +190,7 @@ def bricks_and_forces(
     flags = np.zeros(grid.brick_shape, np.uint8)
     columns = flags.shape[0] * flags.shape[1]
     for_chunks(_flag, columns, *common, flags, chunk=16)
-    bricks = np.argwhere(flags).astype(np.int32)
+    bricks = np.argwhere(flags).astype(np.int32, order="C")
     starts = np.zeros(columns + 1, np.int64)
     np.cumsum(flags.reshape(columns, -1).sum(axis=1), out=starts[1:])
     out = zero_forces(len(bricks))
