@@ -212,6 +212,18 @@ def test_a_glb_may_have_no_bytes_behind_its_json(tmp_path: Path) -> None:
     assert contents(path) == (members, b"")
 
 
+def test_a_glb_is_recognised_by_its_json_alone(tmp_path: Path) -> None:
+    """Whose bytes are read when it is opened, not before: what is wrong with them is no matter."""
+    path = moving_cube().save(tmp_path / "a.glb", "glb")
+    members, data = contents(path)
+    assert data and contents(path, with_binary=False) == (members, b"")
+    whole = glb(b"{}  ", b"1234")
+    path.write_bytes(whole[:24] + b"\xff\xff\xff\x7f" + whole[28:])  # the length of the second chunk
+    assert not KIND.recognise(path)
+    with pytest.raises(SourceError, match="cut short"):
+        contents(path)
+
+
 def test_small_documents_cannot_ask_for_much_memory(tmp_path: Path) -> None:
     gltf = moving_cube()
     places = gltf.array(np.zeros((3000, 3)))

@@ -313,6 +313,7 @@ pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
 from tests.stream.test_datagrams import free_port  # noqa: E402
 
 from touchfield.job.play import PlaySpec, play  # noqa: E402
+from touchfield.stream import live_client  # noqa: E402
 from touchfield.stream.access import Access  # noqa: E402
 from touchfield.stream.datagrams import Datagrams, Gathering  # noqa: E402
 from touchfield.stream.live_server import LiveServer  # noqa: E402
@@ -514,4 +515,28 @@ def test_a_coarse_layer_that_is_not_there_is_told_and_one_of_a_file_refused(tmp_
             assert stream.medium[0].support_count
     assert "without its coarse layer" in notes[0]
     with pytest.raises(InvalidArgument, match="coarse"), open_stream(tmp_path / "a.touch", coarse="ws://x/coarse"):
+        pass
+
+
+def test_a_coarse_layer_of_which_no_datagram_comes_delays_the_start_by_seconds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Not by the minute that a first segment is waited for; and the stream's own segments are felt."""
+    assert live_client._BESIDE_S <= 5
+    monkeypatch.setattr(live_client, "_BESIDE_S", 0.5)
+    notes, port, began = list[str](), free_port(), time.monotonic()
+    with (
+        OnAir(port),
+        open_stream(f"udp://127.0.0.1:{port}", notes.append, f"udp://127.0.0.1:{free_port()}") as stream,
+    ):
+        assert stream.medium[0].support_count and time.monotonic() - began < 20
+    assert any("without its coarse layer" in note and "nothing in time" in note for note in notes), notes
+
+
+def test_a_coarse_address_that_is_none_is_an_error() -> None:
+    with (
+        OnAir() as air,
+        pytest.raises(InvalidArgument, match="address of datagrams: found 'here'"),
+        open_stream(f"ws://{air.server.address}/live", coarse="udp://here"),
+    ):
         pass

@@ -356,7 +356,7 @@ def _recognise(path: Path) -> bool:
     if path.suffix.lower() not in (".glb", ".gltf") or not path.is_file():
         return False
     try:
-        members, _ = contents(path)
+        members, _ = contents(path, with_binary=False)
     except SourceError:
         return True  # this reader knows what is wrong with it
     return bool(members.get("animations") and isinstance(members["animations"], list))

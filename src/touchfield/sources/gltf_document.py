@@ -238,30 +238,29 @@ def _component(element: Element) -> np.dtype[Any]:
     return np.dtype(_COMPONENTS[code])
 
 
-def contents(path: Path) -> tuple[dict[str, Any], bytes]:
-    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none."""
+def contents(path: Path, *, with_binary: bool = True) -> tuple[dict[str, Any], bytes]:
+    """The JSON object of a file, unchecked, and the binary chunk of a GLB, empty where there is none, or unread."""
     require_plain(path, "one glTF file")
-    with readable(path):
-        data = path.read_bytes()
-    text, chunk, size, at = data, b"", len(data), 12
-    if data.startswith(b"glTF"):
-        version, length = struct.unpack_from("<II", data, 4) if size >= 12 else (2, size + 1)
-        if version != 2:
-            raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
-        if length > size:
-            raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
-        chunks = dict[int, bytes]()
-        while at + 8 <= size:
-            length, kind = struct.unpack_from("<II", data, at)
-            if length > size - at - 8:
-                found = f"a chunk of {length} bytes that is cut short"
-                raise SourceError(str(path), found, "whole chunks", "Copy it again.")
-            chunks.setdefault(kind, data[at + 8 : at + 8 + length])
-            at += 8 + length
-        if _JSON not in chunks:
-            raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
-        text, chunk = chunks[_JSON], chunks.get(_BIN, b"")
-    members = parsed(text, str(path), "a glTF document")
+    chunks = dict[int, bytes]()
+    with readable(path), path.open("rb") as file:
+        head, size = file.read(12), path.stat().st_size
+        if head.startswith(b"glTF"):
+            version, length = struct.unpack_from("<II", head, 4) if size >= 12 else (2, size + 1)
+            if version != 2:
+                raise SourceError(str(path), f"GLB version {version}", "version 2", "Convert it to glTF 2.0.")
+            if length > size:
+                raise SourceError(str(path), f"{size} bytes", f"the {length} its header declares", "Copy it again.")
+            while (with_binary or _JSON not in chunks) and len(begin := file.read(8)) == 8:
+                length, kind = struct.unpack("<II", begin)
+                if length > size - file.tell():
+                    found = f"a chunk of {length} bytes that is cut short"
+                    raise SourceError(str(path), found, "whole chunks", "Copy it again.")
+                chunks.setdefault(kind, file.read(length))
+            if _JSON not in chunks:
+                raise SourceError(str(path), "no JSON chunk", "a GLB file", "Export it again.")
+        else:
+            chunks[_JSON] = head + file.read()
+    members = parsed(chunks[_JSON], str(path), "a glTF document")
     if not isinstance(members, dict):
         raise SourceError(str(path), "JSON that is not an object", "a glTF document")
-    return members, chunk
+    return members, chunks.get(_BIN, b"")

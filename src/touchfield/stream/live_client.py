@@ -28,6 +28,7 @@ _POLL_S: Final = 0.05
 _ANSWER_S: Final = 10.0
 _MEND: Final = "Check the address, and that it is on."
 _MOST_MANIFEST: Final = 1 << 16
+_BESIDE_S: Final = 5.0  # so long a coarse layer is waited for, once its stream has opened
 
 
 @contextmanager
@@ -37,30 +38,27 @@ def open_live(
     """Open a live stream; it is received in a thread until the block ends.
 
     `coarse` is the address of its coarse layer, felt where the stream itself has lost something, or is late; where
-    that layer does not come, it is told, and the stream is felt alone.
+    that layer has not come some seconds after the stream, it is told, and the stream is felt alone.
 
     Raises SourceError if there is none, or no first segment has come for a minute.
     """
     with ExitStack() as stack:
-        under: LiveFrames | None = None
+        beside: _Client | None = None
         if coarse is not None:
             beside = _Client(coarse, lambda note: tell(f"coarse layer: {note}"), is_layered=True)
-            try:
-                under = stack.enter_context(beside).stream().frames
-            except SourceError as error:
-                tell(f"without its coarse layer: {error}")
-        yield stack.enter_context(_Client(url, tell, under, is_layered=under is not None)).stream()
+            stack.enter_context(beside)
+        yield stack.enter_context(_Client(url, tell, beside, is_layered=beside is not None)).stream()
 
 
 class _Client:
     """Receives a stream in a thread while a block lasts."""
 
     def __init__(
-        self, url: str, tell: Callable[[str], None], under: LiveFrames | None = None, is_layered: bool = False
+        self, url: str, tell: Callable[[str], None], beside: _Client | None = None, is_layered: bool = False
     ) -> None:
         if find_spec("aiohttp") is None and url != "-":
             raise MissingExtra("a live stream", "aiohttp", "broadcast")
-        self._url, self._tell, self._under, self._is_layered = url, tell, under, is_layered
+        self._url, self._tell, self._beside, self._is_layered = url, tell, beside, is_layered
         self._name = "standard input" if url == "-" else without_secret(url)
         self._receiver = LiveReceiver(is_open=url.lower().startswith("udp:"))
         self._frames: LiveFrames | None = None
@@ -88,6 +86,16 @@ class _Client:
             raise self._error
         return LiveStream(self._name, self._frames)
 
+    def layer(self, tell: Callable[[str], None]) -> LiveFrames | None:
+        """The frames of a coarse layer, whose stream has opened; None where it does not come, which is told."""
+        if self._begun.wait(_BESIDE_S) and self._frames is not None:
+            return self._frames
+        if not isinstance(self._error, SourceError):  # what was asked cannot be
+            raise self._error
+        tell(f"without its coarse layer: {self._error}")
+        self.__exit__()
+        return None
+
     def _run(self) -> None:
         try:
             if self._url == "-":
@@ -113,7 +121,8 @@ class _Client:
         for event in events:
             if isinstance(event, Opened):
                 if self._frames is None:
-                    self._frames = LiveFrames(event, self._tell, under=self._under)
+                    under = None if self._beside is None else self._beside.layer(self._tell)
+                    self._frames = LiveFrames(event, self._tell, under=under)
                 elif event.head == self._frames.opened.head:
                     self._tell("another programme begins")
                     self._frames.begin_anew()
