@@ -19,10 +19,12 @@ QUANTUM_PER_M = 2.85e-3
 
 def distance_m(points: np.ndarray, box: tuple[float, float, float] = BOX_M) -> np.ndarray:
     """Signed distance to the room's surfaces, negative inside."""
-    corner = np.abs(points - np.array(box)) - HALF_M
-    boxed = np.linalg.norm(np.maximum(corner, 0), axis=-1) + np.minimum(corner.max(-1), 0)
-    ball = np.linalg.norm(points - np.array([-0.5, 0.2, 2.1]), axis=-1) - 0.35
-    return np.minimum.reduce([2.6 - points[..., 2], 0.8 - points[..., 1], ball, boxed])
+    x, y, z = (np.ascontiguousarray(points[..., axis]) for axis in range(3))
+    a, b, c = (np.abs(p - middle) - half for p, middle, half in zip((x, y, z), box, HALF_M, strict=True))
+    beyond = np.sqrt(np.maximum(a, 0) ** 2 + np.maximum(b, 0) ** 2 + np.maximum(c, 0) ** 2)
+    boxed = beyond + np.minimum(np.maximum(np.maximum(a, b), c), 0)
+    ball = np.sqrt((x + 0.5) ** 2 + (y - 0.2) ** 2 + (z - 2.1) ** 2) - 0.35
+    return np.minimum.reduce([2.6 - z, 0.8 - y, ball, boxed])
 
 
 def arc(count: int, angle: float = 0.7) -> np.ndarray:
