@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
+from touchfield.perception import hand_motion
 from touchfield.perception.hand_motion import (
     MARGIN_S,
+    BandSums,
     SlideMeter,
     SlideSpec,
     in_band,
@@ -47,6 +49,26 @@ def ball(error=None):
 
 def rms(signal):
     return np.sqrt((signal**2).sum(axis=1).mean())
+
+
+def test_signals_together_count_as_one_by_one():
+    signals = np.random.default_rng(1).normal(0, 0.01, (700, 3, 3))
+    together, apart = BandSums(1), BandSums(1)
+    together.add(0, signals, RATE_HZ, 700)
+    for n in range(3):
+        apart.add(0, signals[:, n : n + 1], RATE_HZ, 700)
+    assert together.samples == apart.samples == [3 * (700 - 2 * round(MARGIN_S * RATE_HZ))]
+    assert together.mn(0) == pytest.approx(apart.mn(0))
+    np.testing.assert_allclose(together.thirds_mn(), apart.thirds_mn())
+
+
+def test_every_way_is_slid_once_however_few_at_once(monkeypatch):
+    """The figures of all ways are the same where each is filtered by itself."""
+    whole = slides(ball(), ball(lambda p: 0.01 * np.sin(1500 * p)), QUICK)
+    monkeypatch.setattr(hand_motion, "_AT_ONCE", 1)
+    for one, other in zip(whole, slides(ball(), ball(lambda p: 0.01 * np.sin(1500 * p)), QUICK), strict=True):
+        assert one.paths == other.paths == QUICK.paths
+        assert one.error_mn == pytest.approx(other.error_mn)
 
 
 @pytest.mark.parametrize("frequency_hz", [63.1, 100.0, 250.0])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from touchfield.medium import ForceField, Grid
+from touchfield.perception import hand_motion
 from touchfield.perception.hand_motion import HoldMeter
 
 GRID = Grid((32, 32, 32), (0.0015,) * 3, (-0.02325,) * 3)
@@ -37,6 +38,16 @@ def test_what_is_decoded_as_it_was_makes_no_step():
     assert hold.points == 8 and hold.steps == 8 * 39
     assert hold.step_mn == hold.still_step_mn == hold.still_step_ratio == hold.start_error_mn == 0
     assert hold.error_mn is None  # 40 ms tell nothing of 40 Hz
+
+
+@pytest.mark.parametrize("at_once", [1, 3 * 500, 1 << 17])
+def test_every_point_counts_however_many_are_filtered_together(monkeypatch, at_once):
+    monkeypatch.setattr(hand_motion, "_AT_ONCE", at_once)
+    meter, share = HoldMeter(1000, 1000.0, K, F0_N, points=8), np.linspace(0, 1, 8)
+    for frame in range(1000):
+        error = 0.02 * np.sin(0.2 * np.pi * frame) * along_z(share)  # 100 Hz
+        meter.add(REST, REST.sample_n, lambda p, e=error: REST.sample_n(p) + e[: len(p)], frame == 0)
+    assert meter.hold().error_mn == pytest.approx(20 * np.sqrt((share**2).mean() / 2), rel=0.03)
 
 
 @pytest.mark.parametrize("at", [1, 499, 500, 501, 502, 1003, 1999])
