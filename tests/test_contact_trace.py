@@ -16,7 +16,7 @@ from touchfield.errors import MissingExtra, SourceError
 from touchfield.job import EncodeSpec, encode, open_stream
 from touchfield.medium import Grid
 from touchfield.medium.trace import ContactTrace, read_contacts, read_trace
-from touchfield.sources.contact_trace import ContactScene
+from touchfield.sources.contact_trace import ContactScene, CurlFree
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
@@ -52,6 +52,20 @@ def test_a_gradient_comes_back(plain: ContactScene) -> None:
     found = plain.interpolant.forces_n(at)
     assert np.abs(found - spring(at)).max() < 0.03 * np.abs(spring(at)).max()
     assert plain.interpolant.missed < 0.1 and "%" in plain.notes[0]
+
+
+@pytest.mark.parametrize("noise", [1e-4, 0.1])
+def test_a_fit_meets_its_forces_but_for_the_noise_and_misses_what_is_left_out(noise: float) -> None:
+    rng = np.random.default_rng(5)
+    points, forces = rng.uniform(0, 0.02, (12, 3)), rng.normal(0, 2, (12, 3))
+    fit = CurlFree.through(points, forces, 0.01, noise)
+    assert fit.forces_n(points) + noise * fit.weights == pytest.approx(forces, abs=1e-8)
+    left = []
+    for n in range(12):
+        others = np.arange(12) != n
+        rest = CurlFree.through(points[others], forces[others], 0.01, noise)
+        left.append(forces[n] - rest.forces_n(points[n : n + 1])[0])
+    assert fit.missed == pytest.approx(np.sqrt(np.mean(np.square(left)) / np.mean(forces**2)))
 
 
 def test_the_field_has_no_curl_whatever_was_recorded(plain: ContactScene) -> None:
