@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from touchfield.codec.registry import coder, field_decoder
 from touchfield.codec.segment import FrameKind, Worst, promise_kept
-from touchfield.codec.touch.body import BodyReader, shares_of, write_body
+from touchfield.codec.touch.body import BodyReader, exceptions_of, shares_of, with_exceptions, write_body
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.lattice import Lattice
@@ -62,6 +62,28 @@ def test_most_voxels_need_no_exception(wavy_field: ForceField) -> None:
     assert decoded[0].support_count > 0.8 * wavy_field.support_count
     records = BodyReader(body, wavy_field.grid, exact=False).records(3)
     assert sum(len(record.exceptions) for record in records) < 0.02 * len(body)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_force_sent_apart_lies_in_the_grid(axis: int) -> None:
+    shape = [24, 24, 24]
+    shape[axis] = 19
+    grid, wide = (Grid((a, b, c), (0.001,) * 3, (0.0,) * 3) for a, b, c in (shape, (24, 24, 24)))
+    for last, is_inside in ((18, True), (19, False)):
+        dense = np.zeros((24, 24, 24, 3), np.float32)
+        at = [17, 17, 17]
+        at[axis] = last
+        dense[tuple(at)] = 1, 2, 3
+        frame, place = ForceField.from_dense(wide, dense), 0
+        for c in at:
+            place = place << 3 | c & 7
+        data = exceptions_of(frame, np.array([2 * 9 + 2 * 3 + 2]), np.array([place]))
+        if is_inside:
+            inner = tuple(slice(n) for n in grid.shape)
+            assert with_exceptions(ForceField.empty(grid), data) == ForceField.from_dense(grid, dense[inner])
+        else:
+            with pytest.raises(CorruptFile, match="beyond the grid"):
+                with_exceptions(ForceField.empty(grid), data)
 
 
 @pytest.mark.parametrize("effort", ["fast", "default"])
