@@ -1,5 +1,5 @@
-"""How kernels are compiled: kept where processes that compile at once do not get in each other's way; those that make
-no array by who calls them, and without what they do not need.
+"""How kernels are compiled: by who calls them, and without what they do not need; kept where processes that compile
+at once do not get in each other's way.
 """
 
 from __future__ import annotations

@@ -166,9 +166,7 @@ def _touch(grid: Grid, query: Query, points: Float64s, force_max_n: float, viewe
     come, press = np.stack([surface + out * lead, before]), np.stack([before, touched])
     leave = slide[-1] + out * np.linspace(0.0, pressed + lead, _ACROSS)[:, None]
     sizes = _sizes(query(leave))
-    if (
-        sizes[-1] > 1e-6 * sizes[0] or sizes.max() > 1.05 * sizes[0]
-    ):  # another wall: back the way it came, which is free
+    if sizes[-1] > 1e-6 * sizes[0] or sizes.max() > 1.05 * sizes[0]:  # another wall: back as it came, which is free
         leave = np.concatenate([come, press, slide])[::-1]
     return {"come": come, "press": press, "slide": slide, "leave": leave}
 

@@ -193,7 +193,7 @@ def with_exceptions(field: ForceField, data: bytes) -> ForceField:
     if not np.isfinite(vectors).all():
         raise CorruptFile(_APART, "a force that is not finite", "finite newtons")
     local = np.stack(np.unravel_index(places, (8, 8, 8)), axis=-1)
-    if (8 * bricks_of(grid, np.array(keys)) + local >= np.asarray(grid.shape)).any():
+    if (8 * bricks_of(grid, np.array(keys, np.int64)) + local >= np.asarray(grid.shape)).any():
         raise CorruptFile(_APART, "a sample beyond the grid", f"samples below {grid.shape}")
     every = np.union1d(brick_keys(grid, field.bricks), keys)
     own = field.forces_at(every)

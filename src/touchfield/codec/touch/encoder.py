@@ -120,7 +120,8 @@ class TouchEncoder:
                 raise AssertionError("a body that does not keep the promise when it is decoded")
         frame = max(range(len(results)), key=lambda i: results[i].worst)
         worst = Worst(min(results[frame].worst, 1.0), frame, results[frame].voxel)
-        stats = (FrameStats(r.cost.kind, r.cost.bits, f.decoded, f.decoded) for r, f in zip(records, results))
+        costs = (record.cost for record in records)
+        stats = (FrameStats(c.kind, c.bits, f.decoded, f.decoded) for c, f in zip(costs, results, strict=True))
         return CodedSegment(write_body(lattice, records, None if self._spec.mode == "nmse" else worst), tuple(stats))
 
 
