@@ -10,9 +10,11 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from numba import int64, njit
 from numba.core.caching import IndexDataCacheFile
 
 import touchfield.lean
+from touchfield.lean import inner
 
 HOUSE = Path(__file__).parents[1]
 DECORATORS = {"njit", "kernel", "inner", "uncounted", "entry", "lean", "inlined"}
@@ -70,6 +72,19 @@ def inner_functions_that_python_names(tree: ast.Module, module: str = "") -> lis
         if getattr(value, "targetoptions", {}).get("no_cpython_wrapper"):
             out.append(f"{value.__module__}.{value.__name__}")
     return out
+
+
+def test_one_variant_serves_all_whole_numbers() -> None:
+    @inner
+    def shifted(n, by):
+        return n + by
+
+    @njit
+    def outer(n):
+        return shifted(n, 0) + shifted(n, 1) + shifted(1, n)
+
+    assert outer(7) == 7 + 8 + 8
+    assert shifted.signatures == [(int64, int64)]
 
 
 @pytest.mark.parametrize("folder", ["src", "tests", "bench", "reproduction"])

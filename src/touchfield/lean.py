@@ -9,8 +9,9 @@ from typing import Any, Final
 from zlib import crc32
 
 import numba
-from numba import njit
+from numba import int64, njit
 from numba.core import caching, compiler
+from numba.core.types import IntegerLiteral
 
 _CONFIG: Any = numba.config
 _COMPILER: Any = compiler.CompilerBase
@@ -53,7 +54,22 @@ class _Quick(_COMPILER):  # type: ignore[misc]
 kernel: Any = partial(njit, cache=True, nogil=True, no_cfunc_wrapper=True)
 """Of a function that Python calls."""
 
-inner: Any = partial(njit, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+def _numbers_alike(function: Any = None, **options: Any) -> Any:
+    """Compile a function once for all whole numbers: numba makes a variant of it for each constant otherwise."""
+    if function is None:
+        return partial(_numbers_alike, **options)
+    made = njit(function, **options)
+    template = made.get_call_template
+
+    def by_type(types: Any, names: Any) -> Any:
+        return template(tuple(int64 if isinstance(one, IntegerLiteral) else one for one in types), names)
+
+    made.get_call_template = by_type
+    return made
+
+
+inner: Any = partial(_numbers_alike, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """Of one that only kernels call: to unpack its arguments for Python takes as long to compile as most do themselves.
 It is kept within those who call it, not by itself."""
 
