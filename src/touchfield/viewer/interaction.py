@@ -70,7 +70,14 @@ def _draw_axes(axis: Any, times_s: Float64s, rows: Float64s, names: Sequence[str
     for name, hue, line in zip(names, _HUES, rows.T):
         axis.plot(times_s, line, color=hue, lw=1.2, label=name)
     axis.set_ylabel(label)
-    axis.legend(loc="upper right", ncols=3, fontsize=8, **legend)
+    _draw_legend(axis, **legend)
+
+
+def _draw_legend(axis: Any, **options: Any) -> None:
+    """Above the lines, which get the lower part of the panel."""
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high + 0.3 * (high - low))
+    axis.legend(loc="upper right", ncols=3, fontsize=8, **options)
 
 
 def _draw_force(axis: Any, view: InteractionView) -> None:
@@ -86,8 +93,8 @@ def _draw_force(axis: Any, view: InteractionView) -> None:
             axis.annotate(f"{word} {limit:g} N", (0.005, limit), xycoords=("axes fraction", "data"), fontsize=7,
                           va="bottom", color="0.35")  # fmt: skip
     axis.set_ylabel("|F|, N")
-    axis.set_ylim(0, 1.2 * axis.get_ylim()[1])  # room for the legend
-    axis.legend(loc="upper right", ncols=3, fontsize=8)
+    axis.set_ylim(bottom=0)
+    _draw_legend(axis)
 
 
 def _draw_path(figure: Any, axis: Any, view: InteractionView, horizontal: int, vertical: int) -> None:
