@@ -145,7 +145,7 @@ def _greatest_eigenvalue(a, b, c, d, e, f):
     return mean + 2 * spread * math.cos(math.acos(min(max(half, -1.0), 1.0)) / 3)
 
 
-@inner
+@inner(inline="always")
 def coupled(i8, u8, f8, f4, frame_a, frame_b, blend, hand):
     """The force of the coupling on a hand, newtons, and the place of the proxy then, metres."""
     k, nothing = 1.0 / f8[W.SOFTNESS], (0.0, 0.0, 0.0)
@@ -336,7 +336,7 @@ def _level(f8, at, i, forces, press):
     return first + share * (f8[at + (i * forces + high) * _BANDS] - first)
 
 
-@inner
+@inner(inline="always")
 def texture(i8, f8, row, force, velocity, dt):
     """The vibration of a material at word `row`, newtons, for a force of the field and a velocity of the hand."""
     size = length(force)

@@ -121,7 +121,7 @@ def _arrive(f8, device):
     put(f8, W.POSITION, p)
 
 
-@inner
+@inner(inline="always")
 def _wanted(i8, u8, f8, f4, frame_a, frame_b, blend, dt):
     """The force before gain and limits, newtons, the device's axes."""
     p, v = three(f8, W.POSITION), three(f8, W.VELOCITY)
@@ -239,7 +239,7 @@ def _media_now(i8, f8, clock_s):
     return f8[W.MEDIA_S]
 
 
-@inner
+@inner(inline="always")
 def adopt_order(i8, f8, clock_s):
     """Take the latest order of the player, if it is complete and new."""
     sequence = i8[W.SEQUENCE]
@@ -277,7 +277,7 @@ def _place(i8, frame):
     return i8[entry + 1]
 
 
-@inner
+@inner(inline="always")
 def _count_use(i8, frame):
     """Count the first use of a frame."""
     tag = (i8[W.GENERATION_NOW] << W.FRAME_BITS) | frame
@@ -286,7 +286,7 @@ def _count_use(i8, frame):
         i8[W.FRAMES_USED] += 1
 
 
-@inner
+@inner(inline="always")
 def frames_now(i8, f8, clock_s, is_silent):
     """Places of the two frames of this instant, 0: no force; share of the second; first frame still to be read."""
     count, rate_hz = i8[W.FRAME_COUNT], f8[W.FRAME_RATE_HZ]
@@ -328,7 +328,7 @@ def frames_now(i8, f8, clock_s, is_silent):
     return 0, 0, 0.0, wanted
 
 
-@inner
+@inner(inline="always")
 def _count_time(i8, now_ns):
     """Jitter and lateness of this tick, and the deadline of the next."""
     tick_ns = i8[W.TICK_NS]
@@ -354,7 +354,7 @@ def _count_time(i8, now_ns):
     i8[W.TICKS] += 1
 
 
-@inner
+@inner(inline="always")
 def _write_row(i8, f8, clock_s, force, is_silent, is_stopping):
     at = i8[W.LOG] + W.ROW_WORDS * (i8[W.LOG_WRITTEN] % i8[W.LOG_ROWS])
     f8[at] = clock_s
