@@ -12,6 +12,7 @@ from types import ModuleType
 import pytest
 from numba import int64, njit
 from numba.core.caching import IndexDataCacheFile
+from numba.np import arraymath, linalg
 
 import touchfield.lean
 from touchfield.lean import inner
@@ -37,6 +38,11 @@ def test_two_variants_of_a_function_that_are_saved_at_once_do_not_share_a_file(t
     assert later.load("types of the second") == "code of the second"
     assert later.load("types of the first") == "code of the first"
     assert len(list(tmp_path.glob("*.nbc"))) == 2
+
+
+def test_a_kernel_that_multiplies_matrices_finds_those_of_scipy() -> None:
+    """They are not loaded with numba, which then knows all the same that they are there."""
+    assert linalg.ensure_blas.__module__ == linalg.__name__ and arraymath._HAVE_BLAS
 
 
 def test_every_kernel_is_saved_so() -> None:

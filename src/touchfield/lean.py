@@ -4,6 +4,7 @@ at once do not get in each other's way.
 
 from __future__ import annotations
 
+import importlib
 from functools import partial
 from typing import Any, Final
 from zlib import crc32
@@ -12,6 +13,7 @@ import numba
 from numba import int64, njit
 from numba.core import caching, compiler
 from numba.core.types import IntegerLiteral
+from numba.np import linalg
 
 _CONFIG: Any = numba.config
 _COMPILER: Any = compiler.CompilerBase
@@ -27,6 +29,12 @@ def _save_named(files: Any, key: Any, data: Any) -> None:
 
 
 _FILES.save = _save_named
+
+_LINALG: Any = linalg
+_ensure_blas = _LINALG.ensure_blas
+_LINALG.ensure_blas = lambda: None  # numba loads SciPy's when a kernel runs; one that multiplies matrices still does
+importlib.import_module("numba.np.arraymath")
+_LINALG.ensure_blas = _ensure_blas
 
 
 class _Quick(_COMPILER):  # type: ignore[misc]
