@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ settings.register_profile("thorough", max_examples=600, **common)  # another sea
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "touchfield"))
 
 os.environ["TOUCHFIELD_HELPERS"] = "0"  # commands that are tested compile by themselves
+_PROGRAM = sys.modules["__main__"]
+_PROGRAM.__spec__ = _PROGRAM.__file__ = None  # processes that tests spawn need not import pytest again
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
