@@ -18,7 +18,7 @@ import pytest
 
 from live_makers import GRID, HEAD, field, medium, segment, sender_of
 from touchfield.cli.main import _exit_code
-from touchfield.errors import FormatError, InvalidArgument, SourceError
+from touchfield.errors import FormatError, InvalidArgument, SourceError, reason
 from touchfield.job import EncodeSpec, encode
 from touchfield.job.live import LiveSpec, _Lane, broadcast, opened_sender
 from touchfield.job.play import PlaySpec, play
@@ -50,7 +50,8 @@ def test_frames_go_on_the_air_in_time() -> None:
         return sender.add(one)
 
     def pause(seconds: float) -> None:
-        time.sleep(0.01)  # the coder's thread
+        if len(took) < 6:
+            time.sleep(0.01)  # the coder's thread
         now[0] += seconds
 
     sent = broadcast(prepared, send, LiveSpec(0.1, loop=True, seconds=3.0), clock_s=lambda: now[0], pause=pause)
@@ -227,7 +228,9 @@ def test_many_receivers_and_bad_ones_beside_them() -> None:
             link.close()
 
 
-def test_who_asks_for_a_segment_and_does_not_read_it_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_asks_for_a_segment_and_does_not_read_it_is_left(
+    left: threading.Event, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("touchfield.stream.live_server._PATIENCE_S", 0.3)
     sender = sender_of(0)[0]
     with LiveServer(sender, Access(port=0)) as server:
@@ -235,7 +238,7 @@ def test_who_asks_for_a_segment_and_does_not_read_it_is_left(monkeypatch: pytest
         host, port = server.address.split(":")
         with socket.create_connection((host, int(port)), timeout=5) as link:
             link.sendall(f"GET /live/0 HTTP/1.1\r\nHost: {server.address}\r\n\r\n".encode())
-            time.sleep(1.0)
+            assert left.wait(30)
             received = 0
             with suppress(ConnectionError):
                 while part := link.recv(1 << 20):
@@ -288,7 +291,7 @@ def test_a_first_segment_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_client, "TOLD_S", 0.1)
     sender, notes = sender_of(0)[0], list[str]()
     with LiveServer(sender, Access(port=0)) as server:
-        threading.Timer(1.5, lambda: server.add(segment(0))).start()
+        threading.Timer(1.25, lambda: server.add(segment(0))).start()
         with open_live(f"ws://{server.address}/live", notes.append) as live:
             assert live.medium[0].support_count
     assert "its sender may be starting" in notes[0]
@@ -353,8 +356,11 @@ def test_a_connection_that_is_cut_is_made_again() -> None:
     with on_air() as server:
         address, done = proxied(server.address, [1000, 1000])
         with open_live(f"ws://{address}/live", notes.append) as live:
-            for i in range(80):
-                live.medium[i]
+            frames = map(live.medium.__getitem__, count())
+            while sum("connecting again" in note for note in notes) < 2:
+                next(frames)
+            for _ in range(20):
+                next(frames)
         done.set()
     assert sum("connecting again" in note for note in notes) == 2
 
@@ -362,7 +368,10 @@ def test_a_connection_that_is_cut_is_made_again() -> None:
 @pytest.mark.parametrize("form", ["ws://{}/live", "http://{}/live.json"])
 def test_a_server_that_is_started_again_is_felt_again(form: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """However often it is not there meanwhile."""
+    monkeypatch.setattr("touchfield.stream.access._ENDING_S", 0.01)  # it is killed
     monkeypatch.setattr(live_client, "_LONGEST_PAUSE_S", 0.1)
+    tried = threading.Semaphore(0)
+    monkeypatch.setattr(live_client, "reason", lambda error: tried.release() or reason(error))
     notes: list[str] = []
     with ExitStack() as second:
         with ExitStack() as first:
@@ -370,8 +379,9 @@ def test_a_server_that_is_started_again_is_felt_again(form: str, monkeypatch: py
             live = second.enter_context(open_stream(form.format(server.address), notes.append))
             for i in range(30):  # numbers that the second one's are below
                 live.medium[i]
-            server.end = lambda: None  # type: ignore[method-assign]  # it is killed: nobody is told
-        time.sleep(2.0)
+            server.end = lambda: None  # type: ignore[method-assign]  # nobody is told
+        for _ in range(4):
+            assert tried.acquire(timeout=30)
         second.enter_context(on_air(Access(port=int(server.address.rpartition(":")[2]))))
         frames = live.medium.make_frame
         number = frames.stream_frame(0)  # type: ignore[attr-defined]
@@ -387,12 +397,13 @@ def test_a_server_that_is_started_again_is_felt_again(form: str, monkeypatch: py
 
 
 def test_a_server_that_is_gone_for_good_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_client, "PATIENCE_S", 1.0)
+    monkeypatch.setattr("touchfield.stream.access._ENDING_S", 0.01)  # it is killed
+    monkeypatch.setattr(live_client, "PATIENCE_S", 0.3)
     with ExitStack() as first, ExitStack() as second:
         server = first.enter_context(on_air())
         live = second.enter_context(open_stream(f"ws://{server.address}/live"))
         live.medium[0]
-        server.end = lambda: None  # type: ignore[method-assign]  # it is killed: nobody is told
+        server.end = lambda: None  # type: ignore[method-assign]  # nobody is told
         first.close()
         with pytest.raises(SourceError, match="Check the address"):
             [live.medium[i] for i in range(1, 200)]

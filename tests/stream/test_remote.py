@@ -82,7 +82,7 @@ def answering(*answers: Callable[[socket.socket], None] | bytes) -> Iterator[str
             except TimeoutError:
                 continue
             with link:
-                link.settimeout(2)
+                link.settimeout(20)
                 try:
                     while link.recv(65536):
                         answer = answers[min(count, len(answers) - 1)]
@@ -100,6 +100,7 @@ def answering(*answers: Callable[[socket.socket], None] | bytes) -> Iterator[str
     yield f"http://127.0.0.1:{listener.getsockname()[1]}/x.touch"
     done.set()
     thread.join(10)
+    assert not thread.is_alive(), "nobody has hung up"
     listener.close()
 
 
@@ -329,7 +330,9 @@ def test_beyond_this_machine_only_with_a_token(folder: Path) -> None:
         application(folder / "absent", Access())
 
 
-def test_a_client_that_does_not_read_is_left(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_that_does_not_read_is_left(
+    folder: Path, left: threading.Event, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(server, "_PATIENCE_S", 0.3)
     monkeypatch.setattr(server, "_SLOWEST", 1 << 40)
     (folder / "large.touch").write_bytes(bytes(1 << 25))
@@ -337,7 +340,7 @@ def test_a_client_that_does_not_read_is_left(folder: Path, monkeypatch: pytest.M
         host, port = address.removeprefix("http://").split(":")
         with socket.create_connection((host, int(port)), timeout=5) as link:
             link.sendall(f"GET /large.touch HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
-            threading.Event().wait(0.8)
+            assert left.wait(30)
             received = 0
             with suppress(ConnectionError):
                 while part := link.recv(1 << 20):

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Self
 
 import numpy as np
@@ -317,3 +318,25 @@ def test_play_has_its_hand_shown(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "/view/rise.touch#hand in a browser" in capsys.readouterr().err
     assert _exit_code(["play", "http://127.0.0.1:9/rise.touch", "--bridge"]) == 2
     assert "a .touch file on this machine" in capsys.readouterr().err
+
+
+def test_a_page_that_is_open_does_not_keep_a_play_from_ending(tmp_path: Path) -> None:
+    """Its connection is closed in order, not cut once some seconds have passed."""
+    tf.encode(rising(), tmp_path / "rise.touch")
+    codes, is_shown = list[int | None](), threading.Event()
+
+    async def show(address: str) -> None:
+        import aiohttp
+
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"ws://{address}/hand") as link:
+            async for _ in link:
+                is_shown.set()
+        codes.append(link.close_code)
+
+    with Bridge(tmp_path / "rise.touch", Access(port=0), PAGES) as bridge:
+        bridge.follow(SimpleNamespace(media_s=0.0, position_m=(0.01, 0.02, 0.0)))
+        page = threading.Thread(target=asyncio.run, args=(show(bridge.address),))
+        page.start()
+        assert is_shown.wait(30)
+    page.join(30)
+    assert codes == [1000]

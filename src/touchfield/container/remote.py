@@ -113,6 +113,7 @@ class RemoteFile:
             return b""
         part = self._store.get(offset, min(max(size, _LEAST), self.size - offset))
         if part.size != self.size or part.tag != self._tag:
+            self.close()
             was, now = f"{self.size} bytes {self._tag}".strip(), f"{part.size} bytes {part.tag}".strip()
             raise SourceError(self.name, f"another file now: {now}", f"{was}, as before", "Open it again.")
         self._keep(offset, part)
@@ -167,9 +168,9 @@ class _Http:
         """At most `size` bytes from `offset` on."""
         for _ in range(_MOST_REDIRECTS + 1):
             try:
-                answer = self._asked(offset, size)
-                if answer.status not in (301, 302, 303, 307, 308):
-                    return self._part(answer, offset, size)
+                with self._asked(offset, size) as answer:
+                    if answer.status not in (301, 302, 303, 307, 308):
+                        return self._part(answer, offset, size)
                 self._url = urljoin(self._url, answer.getheader("Location") or "")
                 self.close()
             except (OSError, http.client.HTTPException, ValueError) as error:
@@ -222,9 +223,7 @@ class _Http:
             if not more:
                 break
             data += more
-        if answer.length == 0:
-            answer.close()  # the connection stays
-        else:  # what was not asked for is not read
+        if answer.length != 0:  # what was not asked for is not read; otherwise the connection stays
             self.close()
         return _Part(bytes(data), whole, answer.getheader("ETag") or answer.getheader("Last-Modified") or "")
 

@@ -25,6 +25,7 @@ except ImportError:
 
 _OWN: Final = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache", "X-Frame-Options": "SAMEORIGIN"}
 _PATIENCE_S: Final = 10.0
+_ENDING_S: Final = 2.0  # half of what answers that are under way may take once a server ends
 _MOST_CONNECTIONS: Final = 1 << 15
 _MOST_BUSY: Final = 4096
 """Answers and live receivers at once; who comes beyond is told to come again."""
@@ -176,7 +177,7 @@ async def run(
         return await handler(request)
 
     application.middlewares.insert(0, hear)
-    runner = web.AppRunner(application, access_log=None, keepalive_timeout=15.0, shutdown_timeout=2.0)
+    runner = web.AppRunner(application, access_log=None, keepalive_timeout=15.0, shutdown_timeout=_ENDING_S)
     await runner.setup()
     assert runner.server is not None
     answering, most = runner.server, _most_connections()

@@ -60,7 +60,7 @@ class Bridge(Background):
         await socket.prepare(request)
         before: tuple[float, ...] = ()
         with suppress(ConnectionError):
-            while not socket.closed:
+            while not (socket.closed or self._is_over.is_set()):
                 hand = self._hand
                 now = () if hand is None else (*hand.position_m, hand.media_s)
                 if now and now != before:
