@@ -163,6 +163,7 @@ def test_a_fault_while_it_runs_is_told_to_the_one_who_watches(fake, block) -> No
 
 def test_a_driver_that_never_calls_is_told_and_let_go(fake, block, monkeypatch) -> None:
     monkeypatch.setattr(openhaptics, "_SILENCE_S", 0.05)
+    monkeypatch.setattr(openhaptics, "_LAST_FRAME_S", 0.05)  # there is none
     fake.fail("dead", 0)
     device = driven(block)
     time.sleep(0.1)
@@ -179,7 +180,10 @@ def test_a_driver_that_never_calls_is_told_and_let_go(fake, block, monkeypatch) 
     ("hdStartScheduler", "IESRTUD"),
 ])  # fmt: skip
 @pytest.mark.parametrize(("code", "words"), [(0x0301, "device already initiated"), (0x0303, "no reason given")])
-def test_a_function_that_fails_is_told_and_the_device_let_go(fake, block, function, log, code, words) -> None:
+def test_a_function_that_fails_is_told_and_the_device_let_go(
+    fake, block, function, log, code, words, monkeypatch
+) -> None:
+    monkeypatch.setattr(openhaptics, "_LAST_FRAME_S", 0.05)  # there is none
     fake.fail(function, code)
     device = OpenHaptics(None, cycle)
 

@@ -99,14 +99,14 @@ def slow(frame: int) -> ForceField:
 
 
 def test_a_stream_that_is_too_slow_is_told_while_it_plays_and_keeps_time() -> None:
-    medium = replace(telling(60), make_frame=slow)
+    medium = replace(telling(30), make_frame=slow)
     frame_bytes = W.WORD * FrameSource(medium).prepare(0).words
     # room for some frames, so that not all are there where the device takes long to be opened
     with Player(medium, OMNI, Still, memory_bytes=6 * frame_bytes) as player:
         player.play()
         assert player.wait(60)
         assert any("left out" in note for note in player.notes)
-        assert player.media_s == pytest.approx(60 / 50)
+        assert player.media_s == pytest.approx(30 / 50)
     assert player.statistics()["frames_left_out"] > 10
 
 

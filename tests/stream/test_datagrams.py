@@ -20,6 +20,7 @@ from touchfield.stream.live import Ended, LiveReceiver, LiveSegment, LiveSender,
 
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
 from live_makers import HEAD, field, segment, sender_of
+from touchfield.stream import udp
 from touchfield.stream.datagrams import MOST_DATAGRAM, Datagrams, Gathering
 from touchfield.stream.live_client import open_live
 from touchfield.stream.udp import UdpSender, _place_of, listen
@@ -282,7 +283,8 @@ def test_after_a_long_outage_the_second_segment_bears_out_the_first() -> None:
     assert receiver.receive(segments[33]) == [Lost(160, 5), segment(165)]
 
 
-def test_the_end_is_told_by_datagrams_too_and_is_none_where_more_follows() -> None:
+def test_the_end_is_told_by_datagrams_too_and_is_none_where_more_follows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(udp, "_LAST_S", 1.6)
     port, sender, taken = free_port(), sender_of(0)[0], list[bytes]()
     first, second = (sender.add(segment(5 * i)) for i in range(2))
 
@@ -290,7 +292,7 @@ def test_the_end_is_told_by_datagrams_too_and_is_none_where_more_follows() -> No
         with UdpSender(sender, f"127.0.0.1:{port}") as link:
             link.add(first)
             link.__exit__()
-            time.sleep(0.5)
+            time.sleep(0.1)
             link._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             link.add(second)
 

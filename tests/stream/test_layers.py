@@ -423,7 +423,7 @@ def coded_rough() -> dict[str, list[bytes]]:
 class OnAir:
     """A medium with its coarse layer on a server, and by datagrams at two ports, coded before it goes on the air.
 
-    The fine layer is no longer sent two seconds after `keep_back` has been called.
+    The fine layer is no longer sent half a second after `keep_back` has been called.
     """
 
     def __init__(self, port: int | None = None) -> None:
@@ -436,7 +436,7 @@ class OnAir:
         self._thread, self._is_over = threading.Thread(target=self._run, daemon=True), threading.Event()
 
     def keep_back(self) -> None:
-        self._last = min(self._last, self._sent + 20)
+        self._last = min(self._last, self._sent + 5)
 
     @property
     def has_kept_back(self) -> bool:
@@ -523,7 +523,7 @@ def test_a_coarse_layer_of_which_no_datagram_comes_delays_the_start_by_seconds(
 ) -> None:
     """Not by the minute that a first segment is waited for; and the stream's own segments are felt."""
     assert live_client._BESIDE_S <= 5
-    monkeypatch.setattr(live_client, "_BESIDE_S", 0.5)
+    monkeypatch.setattr(live_client, "_BESIDE_S", 0.1)
     notes, port, began = list[str](), free_port(), time.monotonic()
     with (
         OnAir(port),
