@@ -42,7 +42,7 @@ def fields() -> dict[str, Any]:
         name = f"{type(scene).__name__} {n}"
         if not scene.has_gpu:
             continue
-        grid = grid_of(scene, (13, 9, 10))
+        grid = grid_of(scene, (13, 9, 7))
         law = penalty(LawSpec(), 3 * max(grid.spacing_m))
         frame = scene.frame_count - 1
         own = scene.field(frame, grid, law)
