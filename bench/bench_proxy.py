@@ -154,8 +154,7 @@ def speeds(fields: dict[str, ForceField], count: int) -> Figures:
     for name, field in fields.items():
         one, rng = Held(field), np.random.default_rng(3)
         walks = surface_walks(field, 0.03, count, rng)
-        ways = [slide_m(walks, n, 0.1, 0.3, 1000.0) for n in range(len(walks.steps))]
-        points = np.concatenate([way for way in ways if len(way)])
+        points = np.concatenate([ways.swapaxes(0, 1).reshape(-1, 3) for ways in slide_m(walks, 0.1, 0.3, 1000.0)])
         took = []
         for call in (_query, _nothing):
             call(*one.memory.views, one.frames[0], *points[0])
@@ -184,10 +183,8 @@ def hums(fields: dict[str, ForceField], count: int) -> Figures:
         row: Figures = {}
         for key, is_proxy in (("proxy", True), ("field", False)):
             powers = []
-            for walk in range(len(walks.steps)):
-                way = slide_m(walks, walk, 0.05, 1.0, 1000.0)
-                if len(way) < 900:
-                    continue
+            ways = (way for some in slide_m(walks, 0.05, 1.0, 1000.0) for way in some.swapaxes(0, 1))
+            for way in (way for way in ways if len(way) >= 900):
                 normals = field.sample_n(way).astype(np.float64)
                 goal = way - 0.002 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
                 one = Held(field, is_proxy=is_proxy, damping=0.3)

@@ -25,11 +25,15 @@ _PROGRAM.__spec__ = _PROGRAM.__file__ = None  # processes that tests spawn need 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
+gc.disable()  # until all are collected: what is imported stays
+
+
 def pytest_collection_finish() -> None:
     """Modules and tests stay until the end: the collector of garbage need not go through them again and again."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000)
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

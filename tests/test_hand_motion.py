@@ -13,6 +13,7 @@ from touchfield.perception.hand_motion import (
     BandSums,
     SlideMeter,
     SlideSpec,
+    SurfaceWalks,
     in_band,
     level_of,
     margin_of,
@@ -132,10 +133,22 @@ def test_points_and_walks_lie_where_the_force_is_one_newton():
     walks = surface_walks(field, 0.06, 5, np.random.default_rng(1))
     assert (walks.steps == 61).all()
     np.testing.assert_allclose(np.linalg.norm(walks.points_m, axis=-1), RADIUS_M - 1 / STIFFNESS, atol=1e-4)
-    path = slide_m(walks, 0, 0.1, 0.55, RATE_HZ)
-    assert len(path) == 550
-    speed = RATE_HZ * np.linalg.norm(np.diff(path, axis=0), axis=1)
+    (paths,) = slide_m(walks, 0.1, 0.55, RATE_HZ)
+    assert paths.shape == (550, 5, 3)
+    speed = RATE_HZ * np.linalg.norm(np.diff(paths, axis=0), axis=2)
     np.testing.assert_allclose(speed, 0.1, rtol=0.05)
+
+
+def test_each_hand_slides_along_its_own_walk_those_of_one_length_together():
+    ways = np.eye(3)
+    points = np.arange(101)[:, None, None] * 0.001 * ways
+    points[41:, 0] = points[40, 0]  # the first ends early, and stands still
+    walks = SurfaceWalks(points, np.array([41, 101, 101]), 0.001)
+    short, long = slide_m(walks, 0.1, 5.0, RATE_HZ)
+    for paths, own in ((short, ways[:1]), (long, ways[1:])):
+        at = 0.1 * np.arange(len(paths))[:, None, None] / RATE_HZ
+        np.testing.assert_allclose(paths, at * own, atol=1e-12)
+    assert (len(short), len(long)) == (400, 1000)
 
 
 def test_half_of_the_largest_force_is_the_level_of_a_weak_field():

@@ -72,7 +72,7 @@ def test_points_that_cannot_be_are_refused() -> None:
 # -- points with a kernel without curl -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("measured", [0, 4])
+@pytest.mark.parametrize("measured", [0, 4, 40])
 def test_greedy_variance_is_that_of_the_definition_and_never_grows(measured: int) -> None:
     points = RNG(2).uniform(size=(60, 3))
     chosen, variances = variance_points(points, 15, KERNEL, measured)

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument, require_between
+from touchfield.medium.field import brick_keys
 from touchfield.perception.human import THIRDS_HZ, VibrationThreshold, vibration_threshold
 
 if TYPE_CHECKING:
@@ -110,32 +111,36 @@ def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random
     return SurfaceWalks(points, done, step_m)
 
 
-def slide_m(walks: SurfaceWalks, walk: int, speed_m_per_s: float, duration_s: float, rate_hz: float) -> Float64s:
-    """Where a hand is that slides along one walk, metres, float64 [samples, 3]; none of a walk below four knots."""
+def slide_m(walks: SurfaceWalks, speed_m_per_s: float, duration_s: float, rate_hz: float) -> Iterator[Float64s]:
+    """Where hands are that slide along the walks, metres, some of one length together, float64 [samples, hands, 3].
+
+    None slides along a walk below four knots.
+    """
     from scipy.interpolate import CubicSpline
 
     per_step_s = walks.step_m / speed_m_per_s
-    knots_s = np.arange(0.0, min(duration_s, (walks.steps[walk] - 1) * per_step_s) + 1e-9, _KNOT_S)
-    if len(knots_s) < 4:
-        return np.zeros((0, 3))
-    steps, at = np.arange(len(walks.points_m)), knots_s / per_step_s
-    points = np.stack([np.interp(at, steps, column) for column in walks.points_m[:, walk].T], axis=1)
-    return np.asarray(CubicSpline(knots_s, points)(np.arange(0.0, knots_s[-1], 1 / rate_hz)))
+    knots = np.ceil((np.minimum(duration_s, (walks.steps - 1) * per_step_s) + 1e-9) / _KNOT_S).astype(np.int64)
+    for count in np.unique(knots[knots >= 4]):
+        knots_s, points = _KNOT_S * np.arange(count), walks.points_m[:, knots == count]
+        at = knots_s / per_step_s
+        low = np.minimum(at.astype(np.int64), len(points) - 1)
+        high = np.minimum(low + 1, len(points) - 1)
+        points = (at - low)[:, None, None] * (points[high] - points[low]) + points[low]
+        times_s = np.arange(0.0, knots_s[-1], 1 / rate_hz)
+        at_once = max(1, _AT_ONCE // len(times_s))
+        for first in range(0, points.shape[1], at_once):
+            yield np.asarray(CubicSpline(knots_s, points[:, first : first + at_once])(times_s))
 
 
 def _to_level(field: ForceField, points_m: Float64s, level_n: float, rounds: int) -> tuple[Float64s, Bools]:
     """Points moved along the force to where it is `level_n`; where that came within 2 %."""
-    most_m = 0.5 * min(field.grid.spacing_m)
-    points = points_m.copy()
-    for _ in range(rounds):
-        forces = field.sample_n(points).astype(np.float64)
-        size = np.linalg.norm(forces, axis=1)
-        outwards = _unit(forces)
-        deeper = np.linalg.norm(field.sample_n(points - most_m * outwards), axis=1)
-        per_m = np.maximum((deeper - size) / most_m, 1e-9)  # in a saturated depth the way out is the only one
-        points -= outwards * np.clip((level_n - size) / per_m, -most_m, most_m)[:, None]
-    forces = field.sample_n(points).astype(np.float64)
-    return points, np.abs(np.linalg.norm(forces, axis=1) - level_n) <= 0.02 * level_n
+    from touchfield.perception import kernels
+
+    grid, points, met = field.grid, points_m.copy(), np.empty(len(points_m), np.bool_)
+    metres, sizes = (*grid.spacing_m, *grid.origin_m), (np.array(grid.shape), np.array(grid.brick_shape))
+    limits, keys = (level_n, 0.5 * min(grid.spacing_m)), brick_keys(grid, field.bricks)
+    kernels.to_level(points, met, metres, *sizes, keys, field.forces_n, limits, rounds, np.empty(3))
+    return points, met
 
 
 def _unit(vectors: Float64s) -> Float64s:
@@ -279,8 +284,9 @@ class SlideMeter:
         whole_s = spec.duration_s + 2 * MARGIN_S + 0.05
         walks = surface_walks(surface, whole_s * max(self._sums) * 1e-3, spec.paths, self._rng)
         for speed, total in self._sums.items():
-            ways = [slide_m(walks, walk, speed * 1e-3, whole_s, spec.rate_hz) for walk in range(len(walks.steps))]
-            for points in _of_one_length(ways, math.ceil((LEAST_S + 2 * MARGIN_S) * spec.rate_hz)):
+            for points in slide_m(walks, speed * 1e-3, whole_s, spec.rate_hz):
+                if len(points) < (LEAST_S + 2 * MARGIN_S) * spec.rate_hz:
+                    continue
                 flat = points.reshape(-1, 3)
                 ours, theirs = (
                     np.asarray(forces(flat), np.float64).reshape(points.shape) for forces in (source, decoded)
@@ -300,14 +306,6 @@ class SlideMeter:
             lattice_mn = lattice[0] if total.samples[2] else None
             results.append(Slide(speed, self._paths[speed], seconds, *error, *source, lattice_mn, total.thirds_mn()))
         return tuple(results)
-
-
-def _of_one_length(ways: list[Float64s], least: int) -> Iterator[Float64s]:
-    """Ways [samples, 3] of at least so many samples, those of one length together: float64 [samples, ways, 3]."""
-    for length in sorted({len(way) for way in ways if len(way) >= least}):
-        same, at_once = [way for way in ways if len(way) == length], max(1, _AT_ONCE // length)
-        for first in range(0, len(same), at_once):
-            yield np.stack(same[first : first + at_once], axis=1)
 
 
 def slides(

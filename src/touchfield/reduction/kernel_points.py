@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 _MOST_BYTES: Final = 1 << 29
 _SHORTLIST: Final = 48
 _TARGETS: Final = 1500
+_AT_ONCE: Final = 32  # points measured already
 _PILOT: Final = 600
 _LENGTHS: Final = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)  # of the extent of the field
 _NOISES: Final = (1e-3, 3e-2)
@@ -63,28 +64,32 @@ class _Posterior:
 
     def columns(self, at: Sequence[int] | Int64s, places: slice = slice(None)) -> Float64s:
         """Covariances of the places with those `at`, as they are now, float64 [3 m, 3 s]."""
-        prior = covariances(self.points[places], self.points[at])
-        known, own = self.factor[: 3 * len(self.chosen)], 3 * np.repeat(at, 3) + np.tile(np.arange(3), len(at))
+        prior, known = covariances(self.points[places], self.points[at]), self.factor[: 3 * len(self.chosen)]
         if not len(known):
             return prior
         rows = known.reshape(len(known), len(self.points), 3)[:, places].reshape(len(known), -1)
-        return np.asarray(prior - rows.T @ known[:, own])
+        return np.asarray(prior - (known[:, _components(at)].T @ rows).T)
 
     def own(self, at: Int64s) -> Float64s:
         """Covariances of what is measured at each of these places, noise in it, float64 [s, 3, 3]."""
         rows = self.factor[: 3 * len(self.chosen)].reshape(3 * len(self.chosen), len(self.points), 3)[:, at]
         return np.asarray((1 + self.noise) * np.eye(3) - np.einsum("ksi,ksj->sij", rows, rows))
 
-    def take(self, best: int) -> Float64s:
-        """Measure a candidate: the rows that are added to the factor, [3, 3 m], and its corner [3, 3]."""
-        column = self.columns([best])
-        corner = np.linalg.cholesky(column[3 * best : 3 * best + 3] + self.noise * np.eye(3))
-        rows = scipy.linalg.solve_triangular(corner, column.T, lower=True)
+    def take(self, some: Sequence[int]) -> Float64s:
+        """Measure candidates: the rows that are added to the factor, [3 s, 3 m], and their corner [3 s, 3 s]."""
+        columns, count = self.columns(some), 3 * len(some)
+        corner = np.linalg.cholesky(columns[_components(some)] + self.noise * np.eye(count))
+        rows = scipy.linalg.solve_triangular(corner, columns.T, lower=True)
         at = 3 * len(self.chosen)
-        self.factor[at : at + 3] = rows
-        self.variances -= (rows**2).reshape(3, -1, 3).sum(axis=(0, 2))
-        self.chosen.append(best)
+        self.factor[at : at + count] = rows
+        self.variances -= (rows**2).reshape(count, -1, 3).sum(axis=(0, 2))
+        self.chosen += some
         return np.concatenate([rows, corner], axis=1)
+
+
+def _components(at: Sequence[int] | Int64s) -> Int64s:
+    """Places of the three components of each of some points."""
+    return (3 * np.asarray(at)[:, None] + np.arange(3)).reshape(-1)
 
 
 def variance_points(points_m: Float64s, count: int, kernel: Kernel, measured: int = 0) -> tuple[Int64s, Float64s]:
@@ -94,15 +99,15 @@ def variance_points(points_m: Float64s, count: int, kernel: Kernel, measured: in
     """
     require_between(1, len(points_m) - measured, points=count)
     known = _Posterior(points_m, kernel, measured + count)
-    for place in range(measured):
-        known.take(place)
+    for first in range(0, measured, _AT_ONCE):
+        known.take(range(first, min(first + _AT_ONCE, measured)))
     found = np.empty(count)
     for n in range(count):
         open_ = known.variances.copy()
         open_[known.chosen] = -np.inf
         best = int(np.argmax(open_))
         found[n] = known.variances[best]
-        known.take(best)
+        known.take([best])
     return np.array(known.chosen[measured:], np.int64), found
 
 
@@ -126,7 +131,7 @@ def error_points(
         change = np.einsum("tsi,si->ts", columns, steps)
         gains = 2 * left.reshape(-1, 3)[places].reshape(-1) @ change - (change**2).sum(axis=0)
         best = int(some[np.argmax(gains)])
-        rows = known.take(best)
+        rows = known.take([best])
         step = scipy.linalg.solve_triangular(rows[:, -3:], left[3 * best : 3 * best + 3], lower=True)
         left -= step @ rows[:, :-3]
     return np.array(known.chosen, np.int64)

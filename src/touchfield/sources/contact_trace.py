@@ -113,11 +113,12 @@ def covariances(points: Float64s, others: Float64s | None = None) -> Float64s:
 
     Float64 [3 n, 3 m] of float64 [n, 3] and [m, 3]; times l^2, so that a point's own are 1.
     """
-    apart = points[:, None] - (points if others is None else others)[None]
-    near = np.exp(-0.5 * (apart**2).sum(axis=-1))
-    both = (np.eye(3) - apart[..., :, None] * apart[..., None, :]) * near[..., None, None]
-    merged: Float64s = both.transpose(0, 2, 1, 3).reshape(3 * apart.shape[0], 3 * apart.shape[1])
-    return merged
+    apart = points.T[:, :, None] - (points if others is None else others).T[:, None]
+    near = np.exp(-0.5 * (apart**2).sum(axis=0))
+    merged = np.empty((len(near), 3, near.shape[1], 3))
+    for i, j in np.ndindex(3, 3):
+        merged[:, i, :, j] = (float(i == j) - apart[i] * apart[j]) * near
+    return merged.reshape(3 * len(near), -1)
 
 
 def thinned_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, Float64s, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from touchfield.errors import import_extra
 from touchfield.medium.atomic import atomic_path
@@ -27,21 +27,22 @@ def titled_figure(purpose: str, title: str, width_inch: float, height_inch: floa
     Raises MissingExtra, which names the `purpose` ("the picture of a comparison"), if matplotlib is not installed.
     """
     import_extra("matplotlib", purpose, "matplotlib", "report")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     lines = lines_that_fit(title, width_inch)
     height = height_inch + _LINE_INCH * (len(lines) - 1)
     figure = Figure(figsize=(width_inch, height), dpi=_DOTS_PER_INCH, layout="constrained")
-    FigureCanvasAgg(figure)
     figure.suptitle("\n".join(lines), fontsize=_SIZE_PT, parse_math=False)
     return figure
 
 
 def write_png(figure: Figure, path: Path) -> None:
     """Write a figure, whole or not at all; its file tells who drew it (`is_our_picture`)."""
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        figure.savefig(file, format="png", metadata={"Creator": "touchfield"})
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    with atomic_path(path) as temporary, temporary.open("wb") as file:  # savefig would draw all twice
+        canvas: Any = FigureCanvasAgg(figure)
+        canvas.print_png(file, metadata={"Creator": "touchfield"})
 
 
 def is_our_picture(path: Path) -> bool:

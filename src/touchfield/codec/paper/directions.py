@@ -97,7 +97,8 @@ class Codebook:
         if x.ndim != 2 or x.shape[1] != 3 or not np.isfinite(x).all():
             raise InvalidArgument("vectors", f"shape {x.shape}, or one that is not finite", "finite [m, 3]")
         out = np.empty(len(x), np.uint16)
-        for_chunks(nearest, len(x), x, np.ascontiguousarray(self.vertices.T), out, chunk=1 << 12)
+        reach = 2 * math.sin(math.radians(self.covering_radius_deg) / 2) + 1e-6
+        for_chunks(nearest, len(x), x, np.ascontiguousarray(self.vertices.T), reach, out, chunk=1 << 12)
         return out
 
 

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from touchfield.lean import entry, kernel
+from touchfield.medium.kernels import first_at_least
 
 
 @entry
-def nearest(begin, end, vectors, vertices, out):
-    """Fill uint16 [m] with the first of the vertices [3, n] of largest dot product for finite float32 [m, 3]."""
+def nearest(begin, end, vectors, vertices, reach, out):
+    """Fill uint16 [m] with the first of the vertices [3, n] of largest dot product for finite float32 [m, 3].
+
+    Vertices ascend by x; the nearest of a direction is no farther than `reach`, so that no other x is looked at.
+    """
     for i in range(begin, end):
         x, y, z = np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
+        size = math.sqrt(x * x + y * y + z * z)
         best, winner = -np.inf, 0
-        for j in range(vertices.shape[1]):
-            dot = vertices[0, j] * x + vertices[1, j] * y + vertices[2, j] * z
-            if dot > best:
-                best, winner = dot, j
+        if size > 0.0:
+            j, last = first_at_least(vertices[0], x / size - reach), x / size + reach
+            while j < vertices.shape[1] and vertices[0, j] <= last:
+                dot = vertices[0, j] * x + vertices[1, j] * y + vertices[2, j] * z
+                if dot > best:
+                    best, winner = dot, j
+                j += 1
         out[i] = winner
 
 

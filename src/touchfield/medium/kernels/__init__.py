@@ -73,25 +73,30 @@ def raster_slots(bricks: Int32s, mask: Bools) -> Int64s:
     return out
 
 
+@inner
+def force_at(x, y, z, shape, brick_shape, keys, forces, total):
+    """Into `total` the force at a place in samples; `keys` are those of the bricks of `forces`, ascending."""
+    total[:] = 0.0
+    if -1.0 < x < shape[0] and -1.0 < y < shape[1] and -1.0 < z < shape[2]:
+        x0, y0, z0 = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+        for i in range(max(x0, 0), min(x0 + 2, shape[0])):
+            wx = x - x0 if i > x0 else 1.0 - (x - x0)
+            for j in range(max(y0, 0), min(y0 + 2, shape[1])):
+                wy = wx * (y - y0 if j > y0 else 1.0 - (y - y0))
+                for k in range(max(z0, 0), min(z0 + 2, shape[2])):
+                    w = wy * (z - z0 if k > z0 else 1.0 - (z - z0))
+                    key = ((i >> 3) * brick_shape[1] + (j >> 3)) * brick_shape[2] + (k >> 3)
+                    slot = first_at_least(keys, key) if w != 0.0 else keys.shape[0]
+                    if slot < keys.shape[0] and keys[slot] == key:
+                        for c in range(3):
+                            total[c] += w * forces[slot, i & 7, j & 7, k & 7, c]
+
+
 @kernel
 def _sample(index, shape, brick_shape, keys, forces, out):
     total = np.zeros(3)
     for p in range(index.shape[0]):
-        total[:] = 0.0
-        x, y, z = index[p, 0], index[p, 1], index[p, 2]
-        if -1.0 < x < shape[0] and -1.0 < y < shape[1] and -1.0 < z < shape[2]:
-            x0, y0, z0 = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-            for i in range(max(x0, 0), min(x0 + 2, shape[0])):
-                wx = x - x0 if i > x0 else 1.0 - (x - x0)
-                for j in range(max(y0, 0), min(y0 + 2, shape[1])):
-                    wy = wx * (y - y0 if j > y0 else 1.0 - (y - y0))
-                    for k in range(max(z0, 0), min(z0 + 2, shape[2])):
-                        w = wy * (z - z0 if k > z0 else 1.0 - (z - z0))
-                        key = ((i >> 3) * brick_shape[1] + (j >> 3)) * brick_shape[2] + (k >> 3)
-                        slot = first_at_least(keys, key) if w != 0.0 else keys.shape[0]
-                        if slot < keys.shape[0] and keys[slot] == key:
-                            for c in range(3):
-                                total[c] += w * forces[slot, i & 7, j & 7, k & 7, c]
+        force_at(index[p, 0], index[p, 1], index[p, 2], shape, brick_shape, keys, forces, total)
         for c in range(3):
             out[p, c] = total[c]
 
