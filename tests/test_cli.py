@@ -221,8 +221,21 @@ def test_who_writes_no_file_is_told_of_none_when_interrupted(
     assert capsys.readouterr().err == "touchfield: interrupted\n", "what was described is saved"
 
 
+def test_a_file_that_ends_too_early_is_no_interruption(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def cut(*_: object, **__: object) -> None:
+        raise EOFError("marshal data too short")
+
+    monkeypatch.setattr("touchfield.job.library.index_folder", cut)
+    assert _exit_code(["index", "media"]) == 1
+    said = capsys.readouterr().err.strip()
+    assert said == "touchfield: a file ended too early: marshal data too short. Make it anew"
+
+
 LIMITED = """
 import contextlib, io, json, resource, sys
+sys.dont_write_bytecode = True  # Python would keep modules that were cut at the limit
 from touchfield.cli.main import _exit_code
 resource.setrlimit(resource.RLIMIT_FSIZE, (600, 600))
 for line in sys.stdin:

@@ -167,7 +167,9 @@ def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
         return result if isinstance(result, int) else 0
     except TouchfieldError as error:
         return say(str(error), error.exit_code, type(error).__name__)
-    except (KeyboardInterrupt, typer.Abort):
+    except (KeyboardInterrupt, typer.Abort) as error:
+        if isinstance(error.__cause__, EOFError):  # which Typer takes for somebody who leaves
+            return say(f"a file ended too early: {error.__cause__}. Make it anew", 1, "EOFError")
         kept = "" if given[:1] and given[0] in _FILELESS else "; nothing was written under the final name"
         return say(f"interrupted{kept}", 1, "Interrupted")
     except USAGE_ERROR as error:
