@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.arrays import Float64s
+from touchfield.arrays import Float64s, lengths_of
 from touchfield.errors import InvalidArgument, require_kinds
 from touchfield.filters.resample import axis_weights, low_pass, resample
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium
@@ -182,7 +182,7 @@ class DeviceFilter:
                 number = nz + 1 - number if is_met_from_low(scene.axes) else number
                 np.maximum.at(image, columns, np.where(field.mask, number, 0).max(axis=-1))
                 continue
-            lengths = np.linalg.norm(field.forces_n.astype(np.float64), axis=-1)
+            lengths = lengths_of(field.forces_n.astype(np.float64))
             if pool == "max":
                 np.maximum.at(image, columns, lengths.max(axis=-1))
             else:

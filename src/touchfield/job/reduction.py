@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import KDTree
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int64s
+from touchfield.arrays import Bools, Float32s, Float64s, Int64s, lengths_of
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_between
 from touchfield.filters.registry import noted
@@ -201,7 +201,7 @@ class _Domain:
 
     def field(self, forces_n: NDArray[Any], least_n: float) -> ForceField:
         """The field of forces [m, 3]; those below the threshold of a hand are left out."""
-        felt = np.linalg.norm(forces_n, axis=1) >= least_n
+        felt = lengths_of(forces_n) >= least_n
         return ForceField.from_support(self.grid, self.index[felt], forces_n[felt])
 
 

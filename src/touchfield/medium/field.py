@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Bools, EqualByValue, Float32s, Float64s, Int32s, Int64s
+from touchfield.arrays import Bools, EqualByValue, Float32s, Float64s, Int32s, Int64s, lengths_of
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import BRICK, CORNERS, LOCAL, ON_A_SAMPLE, Grid
@@ -370,7 +370,7 @@ class ForceField(EqualByValue):
     def support(self) -> Support:
         """The paper's **a** and **D**, with their positions."""
         vectors = self.vectors_n()
-        amplitudes = np.linalg.norm(vectors.astype(np.float64), axis=1)
+        amplitudes = lengths_of(vectors.astype(np.float64))
         directions = vectors / amplitudes[:, None]
         return Support(
             frozen(self.positions()), frozen(amplitudes.astype(np.float32)), frozen(directions.astype(np.float32))

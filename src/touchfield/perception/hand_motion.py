@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Bools, Float64s, Int64s
+from touchfield.arrays import Bools, Float64s, Int64s, lengths_of
 from touchfield.errors import InvalidArgument, require_between
 from touchfield.medium.field import brick_keys
 from touchfield.perception.human import THIRDS_HZ, VibrationThreshold, vibration_threshold
@@ -100,7 +100,7 @@ def surface_walks(field: ForceField, length_m: float, count: int, rng: np.random
         normal = _unit(field.sample_n(here).astype(np.float64))
         ahead = _unit(heading[going] - (heading[going] * normal).sum(axis=1, keepdims=True) * normal)
         found, met = _to_level(field, here + step_m * ahead, level, 6)
-        moved = np.linalg.norm(found - here, axis=1)
+        moved = lengths_of(found - here)
         met &= (moved > 0.5 * step_m) & (moved < 2 * step_m)
         points[done[going][met], going[met]] = found[met]
         heading[going] = np.where(met[:, None], ahead, rng.normal(size=ahead.shape))
@@ -443,7 +443,7 @@ class HoldMeter:
     def _add_steps(self, forces_n: Float64s, starts: Bools) -> None:
         """Count the steps of a part."""
         change = np.diff(forces_n, axis=1)
-        source, decoded = np.linalg.norm(change, axis=-1)
+        source, decoded = lengths_of(change)
         error = ((change[1] - change[0]) ** 2).sum(axis=-1)
         self._steps += decoded.size
         for name, which in (("any", slice(None)), ("start", starts)):
@@ -456,7 +456,7 @@ class HoldMeter:
             some = error[starts == is_start]
             self._errors[is_start] = power + float(some.sum()), count + some.size
         still = source <= STILL_N
-        mask_n = np.maximum(self._f0_n, self._k * np.linalg.norm(forces_n[0], axis=-1))
+        mask_n = np.maximum(self._f0_n, self._k * lengths_of(forces_n[0]))
         ratio = decoded / np.minimum(mask_n[1:], mask_n[:-1])
         largest, worst_ratio = (float(values[still].max(initial=0.0)) for values in (decoded, ratio))
         self._still = max(self._still[0], largest), max(self._still[1], worst_ratio)

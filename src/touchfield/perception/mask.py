@@ -22,9 +22,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float32s, Float64s
+from touchfield.arrays import Float32s, Float64s, lengths_of
 from touchfield.errors import InvalidArgument, require_not_negative, require_one_of, require_positive
 from touchfield.medium.field import blocks_around
 from touchfield.medium.grid import BRICK
@@ -80,10 +80,10 @@ def violations(
     for begin in range(0, len(original_n), _CHUNK):
         x = original_n[begin : begin + _CHUNK].astype(np.float64)
         error = decoded_n[begin : begin + _CHUNK].astype(np.float64) - x
-        size = _amplitudes(error)
+        size = lengths_of(error)
         if not np.isfinite(size).all():
             raise InvalidArgument("forces to compare", "a force that is not finite", "finite newtons")
-        mask = np.maximum(f0_n, k * _amplitudes(x) + hidden[begin : begin + _CHUNK])
+        mask = np.maximum(f0_n, k * lengths_of(x) + hidden[begin : begin + _CHUNK])
         count += int(np.count_nonzero(size > mask * (1 + ROUNDING)))
         is_wide = mask > 0
         beyond = beyond or bool((size[~is_wide] > 0).any())
@@ -130,7 +130,7 @@ class SpatialMasking:
         Raises `InvalidArgument` if beta > 0 and R is below the spacing along every axis of more than one sample, or
         above 64 samples.
         """
-        levels = _amplitudes(field.forces_n)
+        levels = lengths_of(field.forces_n.astype(np.float64))
         if not self.beta or max(field.grid.shape) == 1 or not len(levels):
             return mask_n(levels, self.k, self.f0_n).astype(np.float32)
         grid = field.grid
@@ -170,8 +170,3 @@ def _neighbour_sums(levels: Float64s, factors: Sequence[Float64s]) -> Float64s:
         beside = ndimage.correlate1d(everything, both_sides, axis=axis, mode="constant")
         others, everything = others + beside, everything + beside
     return others
-
-
-def _amplitudes(forces_n: NDArray[Any]) -> Float64s:
-    x, y, z = (forces_n[..., c].astype(np.float64) for c in range(3))
-    return np.asarray(np.sqrt(x * x + y * y + z * z))

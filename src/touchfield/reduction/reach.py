@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion, binary_propagation, distance_transform_edt
 
-from touchfield.arrays import Bools, Float32s, Float64s
+from touchfield.arrays import Bools, Float32s, Float64s, lengths_of
 from touchfield.errors import require_positive
 from touchfield.medium.budget import require_memory
 from touchfield.parallel import for_chunks
@@ -97,7 +97,7 @@ def reach_of(medium: HapticMedium, hand: Hand) -> Reach:
     grid, count = medium.grid, len(medium)
     require_memory("frame as a dense array", f"{grid.voxel_count} samples", 100 * grid.voxel_count)
     spread = np.unique(np.linspace(0, count - 1, 16).astype(int))
-    greatest_n = max(float(np.linalg.norm(medium[int(i)].forces_n, axis=-1).max(initial=0.0)) for i in spread)
+    greatest_n = max(float(lengths_of(medium[int(i)].forces_n).max(initial=0.0)) for i in spread)
     best, stopped_n = np.ones(grid.shape, bool), 0.0
     for layer in _layers(medium, hand, greatest_n):
         flood = _Flood(medium, layer, hand)
@@ -115,7 +115,7 @@ def _layers(medium: HapticMedium, hand: Hand, greatest_n: float) -> list[_Layer]
         return []
     found: list[_Layer] = []
     own = math.hypot(*medium.grid.spacing_m)
-    size = np.linalg.norm(medium[0].to_dense(), axis=-1)
+    size = lengths_of(medium[0].to_dense())
     held, bin_m = size > 0, 0.25 * own
     bins = (distance_transform_edt(held, medium.grid.spacing_m)[held] / bin_m).astype(int)
     whole = np.bincount(bins)

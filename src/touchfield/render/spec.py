@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.arrays import Float64s
+from touchfield.arrays import Float64s, lengths_of
 from touchfield.asked import option
 from touchfield.errors import (
     DeviceError,
@@ -306,7 +306,7 @@ def wall_of(field: ForceField) -> Wall | None:
     Where most samples are less by K for each metre farther out and point alike it is a wall's; its stiffness is that
     of the steeper ones, as edges, thin walls and the low-pass lessen it.
     """
-    sizes = np.linalg.norm(field.forces_n, axis=-1)
+    sizes = lengths_of(field.forces_n)
     if not sizes.any():
         return None
     large = float(np.percentile(sizes[sizes > 0], _LARGE))
@@ -315,13 +315,13 @@ def wall_of(field: ForceField) -> Wall | None:
         return None
     some = slice(None, None, -(-len(brick) // _LOOKED_AT))
     forces = field.forces_n[brick, *local][some].astype(np.float64)
-    size = np.linalg.norm(forces, axis=1)
+    size = lengths_of(forces)
     outwards = forces / size[:, None]
     spacing_m = np.array(field.grid.spacing_m)
-    way_m = np.linalg.norm(outwards * spacing_m, axis=1)
+    way_m = lengths_of(outwards * spacing_m)
     at = 8 * field.bricks[brick[some]] + np.stack(local, axis=-1)[some]
     beyond = field.sample_n(field.grid.to_m(at) + way_m[:, None] * outwards).astype(np.float64)
-    farther = np.linalg.norm(beyond, axis=1)
+    farther = lengths_of(beyond)
     is_wall = (np.einsum("ij,ij->i", beyond, outwards) >= _ALIKE * farther) & (farther < _LESS * size)
     if np.mean(is_wall) < _LEAST:
         return None

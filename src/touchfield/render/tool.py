@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Float64s, Int64s
+from touchfield.arrays import Float64s, Int64s, lengths_of
 from touchfield.errors import InvalidArgument, require_between, require_up_to
 from touchfield.medium.field import frozen
 from touchfield.render.block import words as W
@@ -55,7 +55,7 @@ class Tool:
             raise InvalidArgument("points_m", f"shape {points.shape}", f"[n, 3] with n from 1 to {MOST_POINTS}")
         if not np.abs(points).max() <= _LONGEST_M:
             raise InvalidArgument("points_m", f"{np.abs(points).max():g} m", f"at most {_LONGEST_M:g} m")
-        lengths = np.linalg.norm(normals, axis=-1)
+        lengths = lengths_of(normals)
         if normals.shape != points.shape or not (np.abs(lengths - 1) < 1e-6).all():
             raise InvalidArgument("normals", f"shape {normals.shape}", f"{points.shape}, each of length 1")
         object.__setattr__(self, "points_m", frozen(points))
@@ -87,7 +87,7 @@ class Tool:
         require_between(1, MOST_POINTS, points=points)
         a, b, c = (np.asarray(vertices_m, np.float64)[triangles[:, k]] for k in range(3))
         doubled = np.cross(b - a, c - a)
-        areas = np.linalg.norm(doubled, axis=1)
+        areas = lengths_of(doubled)
         if not 0 < areas.sum() < np.inf:
             raise InvalidArgument(name, "a surface without area", "triangles with an area")
         if (a * doubled).sum() < 0:  # six times the volume
@@ -135,4 +135,4 @@ def write_tool(memory: Memory, at: int, tool: Tool | None) -> None:
     f4[2 * at : 2 * at + count] = tool.points_m.T.ravel()
     f4[2 * at + count : 2 * at + 2 * count] = tool.normals.T.ravel()
     f8[W.TOOL_SHARE] = 4.0 / len(tool)
-    f8[W.TOOL_REACH] = 1.000001 * float(np.linalg.norm(tool.points_m, axis=1).max())
+    f8[W.TOOL_REACH] = 1.000001 * float(lengths_of(tool.points_m).max())

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Bools, Float32s, Float64s
+from touchfield.arrays import Bools, Float32s, Float64s, lengths_of
 from touchfield.perception.mask import mask_n
 from touchfield.viewer.page import titled_figure, write_png
 
@@ -78,8 +78,8 @@ class _Panels:
         self.step_mm = [1e3 * h for h in grid.spacing_m]
         self.shape = held.shape
         self.vectors = (x, y)
-        self.forces = tuple(np.linalg.norm(v, axis=-1) for v in self.vectors)
-        error = np.linalg.norm(y - x, axis=-1) / mask_n(self.forces[0], *mask)
+        self.forces = tuple(lengths_of(v) for v in self.vectors)
+        error = lengths_of(y - x) / mask_n(self.forces[0], *mask)
         self.error = np.where(held, error, np.nan)
         self.cut = int(np.argmax(self.forces[0].sum(axis=(_X, _Z), dtype=np.float64)))
         self.top_n = float(max(*(f.max(initial=0) for f in self.forces), 1e-6))
@@ -161,7 +161,7 @@ class _Panels:
             shown = self._quiver(panel, unit, f"{name} direction, {self._slice_name()}")
         _bar(figure, shown, list(row[:2]), "part of the force along y")
         held = np.logical_and(*((u != 0).any(-1) for u in units))
-        across = np.linalg.norm(np.cross(units[0], units[1]), axis=-1)
+        across = lengths_of(np.cross(units[0], units[1]))
         angle = np.where(held, np.degrees(np.arctan2(across, (units[0] * units[1]).sum(-1))), np.nan)
         worst = self._image(row[2], _Z, angle, "direction error", vmin=0, vmax=20, cmap="cividis")
         _bar(figure, worst, row[2], "angle / degrees", extend="max")

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Float32s, Float64s
+from touchfield.arrays import Float32s, Float64s, lengths_of
 from touchfield.errors import InvalidArgument
 from touchfield.perception.weber import WeberLadder
 
@@ -25,9 +25,7 @@ _HAIR = 1e-9
 
 def amplitudes_n(vectors_n: Float32s) -> Float32s:
     """|F| of float32 [m, 3], float32 [m]."""
-    x = vectors_n.astype(np.float64)
-    amplitudes: Float32s = np.sqrt((x * x).sum(axis=1)).astype(np.float32)
-    return amplitudes
+    return lengths_of(vectors_n.astype(np.float64)).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

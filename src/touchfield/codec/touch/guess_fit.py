@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Float32s, Float64s, Int64s
+from touchfield.arrays import Float32s, Float64s, Int64s, lengths_of
 from touchfield.codec.kernels import LIST_CONTEXTS, LIST_SETS, end_of, fresh, writer
 from touchfield.codec.support import code_bricks, padded
 from touchfield.codec.touch import guess as synthesis
@@ -166,14 +166,14 @@ def fit_spline(
 
 def _stiffness(some: Float32s, grid: Grid) -> float:
     """Growth of the force, units a metre, of bricks [n, 8, 8, 8, 3] that are smooth; 0 of others."""
-    lengths = np.linalg.norm(some, axis=-1)
+    lengths = lengths_of(some)
     growth = np.stack(np.gradient(lengths, *grid.spacing_m, axis=(1, 2, 3)), axis=-1)
     ramp = (lengths > _RAMP[0]) & (lengths < _RAMP[1])
-    stiffness = float(np.median(np.linalg.norm(growth[ramp], axis=1))) if ramp.any() else 0.0
+    stiffness = float(np.median(lengths_of(growth[ramp]))) if ramp.any() else 0.0
     if stiffness * min(grid.spacing_m) < 1:
         return 0.0
     off = growth[ramp] / stiffness + some[ramp] / lengths[ramp][:, None]
-    return stiffness if np.mean(np.linalg.norm(off, axis=1) < _MOST_OFF) >= _LEAST_SMOOTH else 0.0
+    return stiffness if np.mean(lengths_of(off) < _MOST_OFF) >= _LEAST_SMOOTH else 0.0
 
 
 class _Samples:
@@ -243,7 +243,7 @@ class _Samples:
 def _coefficients(samples: _Samples, k: float, f0: float, growth: float) -> Any:
     """The coefficients in units, float64 [nodes], for a mask and a stiffness."""
     forces, stiffness = samples.forces, np.float32(growth)
-    length = np.linalg.norm(forces, axis=-1)
+    length = lengths_of(forces)
     tolerance = np.maximum(np.float32(f0), np.float32(k) * length)
     normal = forces / np.maximum(length, 1)[..., None]
     rows = np.zeros((*length.shape, 4, 4), np.float32)
@@ -254,11 +254,11 @@ def _coefficients(samples: _Samples, k: float, f0: float, growth: float) -> Any:
     weight = np.where(length > 0, 1 / tolerance, np.float32(_EMPTY**0.5 / f0))
     for _ in range(_ROUNDS):
         f = samples.seen_of(c)
-        steep = np.linalg.norm(f[..., 1:], axis=-1)
+        steep = lengths_of(f[..., 1:])
         slow, size = np.maximum(steep, stiffness / 2), np.clip(f[..., 0], 0, np.float32(TOP))
         direction = -f[..., 1:] / slow[..., None]
         missing = forces - size[..., None] * direction
-        share = np.linalg.norm(missing, axis=-1) / tolerance
+        share = lengths_of(missing) / tolerance
         w = (weight / np.sqrt(np.maximum(1, share)))[..., None]
         along = (steep > stiffness / 2)[..., None, None] * direction[..., :, None] * direction[..., None, :]
         grows = ((f[..., 0] > 0) & (f[..., 0] < TOP))[..., None]
