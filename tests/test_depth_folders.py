@@ -123,6 +123,20 @@ def test_a_stack_takes_the_poses_beside_it_only_where_there_is_one_for_each_fram
     assert any("poses.txt was found and not used: 9 poses for 5 frames" in note for note in sequence.notes)
 
 
+def test_a_frame_whose_number_two_pictures_have_is_left_out_and_told(tmp_path: Path) -> None:
+    folder = make.write_nerfstudio(tmp_path / "s")
+    told = json.loads((folder / "transforms.json").read_text())
+    told["frames"] = [
+        {"file_path": f"images/{eye}_{i}.png", "transform_matrix": (m @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist()}
+        for i, m in enumerate(make.poses())
+        for eye in (("left", "right") if i == 1 else ("left",))
+    ]
+    (folder / "transforms.json").write_text(json.dumps(told))
+    sequence = depth_folder.read_sequence(folder, MM)
+    assert np.allclose(sequence.poses, make.poses()[[0, 2, 3, 4]], atol=1e-6)
+    assert any("1 of 5 frames left out" in note for note in sequence.notes)
+
+
 def test_frames_without_a_pose_are_left_out_and_told(tmp_path: Path) -> None:
     folder = make.write_scannet(tmp_path / "s")
     make.write_matrix(folder / "pose" / "1.txt", np.full((4, 4), -np.inf))

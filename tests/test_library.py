@@ -356,6 +356,10 @@ def test_index_search_and_similar_as_their_user_meets_them(folder: Path, capsys:
     told = json.loads(capsys.readouterr().out)
     assert [row["rank"] for row in told["matches"]] == [1, 2]
     assert told["matches"][0]["name"] == "deeper/sphere-large.touch"
+    same = search(folder, folder / "sphere.touch", 2, {**ANY_POSE, "amplitude": 2.0}).summary()["matches"]
+    assert [row["distance"] for row in told["matches"]] == [row["distance"] for row in same]
+    assert _exit_code([*asked, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["matches"][1]["distance"] > same[1]["distance"]
     assert _exit_code(asked) == 0
     assert capsys.readouterr().out.splitlines()[1].endswith("deeper/sphere-large.touch")
     for bad in (["--weight", "amplitude"], ["--weight", "colour=1"], ["--count", "0"]):

@@ -102,6 +102,11 @@ def test_a_field_goes_through_the_points_it_is_rebuilt_from() -> None:
     assert np.abs(field.forces_n(points[chosen]) - forces[chosen]).max() < 1e-5
 
 
+def test_no_point_is_chosen_twice_however_little_a_measurement_tells() -> None:
+    points = RNG(5).uniform(size=(60, 3))
+    assert len(set(error_points(points, gradient(points), 40, Kernel(0.3, 3.0)).tolist())) == 40
+
+
 def test_points_by_error_miss_less_than_twice_as_many_at_random() -> None:
     points = RNG(4).uniform(size=(900, 3))
     forces = gradient(points) * np.exp(-30 * ((points - 0.5) ** 2).sum(axis=1))[:, None]  # in one corner of all

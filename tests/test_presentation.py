@@ -19,9 +19,11 @@ from touchfield.devices import devices
 from touchfield.job import EncodeSpec, Measurement, MeasureSpec
 from touchfield.measure import Interval, Quantity, capacity
 from touchfield.medium import ForceField, Grid
+from touchfield.render.block import COLUMNS
 from touchfield.sources.tiny_scenes import tiny_scenes
-from touchfield.viewer import picture
+from touchfield.viewer import interaction, picture
 from touchfield.viewer.information import Bar, draw_information
+from touchfield.viewer.interaction import InteractionView, draw_interaction
 from touchfield.viewer.page import lines_that_fit
 from touchfield.viewer.picture import draw_comparison
 
@@ -223,3 +225,7 @@ def test_an_axis_that_points_down_is_drawn_downwards(
     field = ForceField.from_dense(Grid.over_box((-0.02,) * 3, (0.02,) * 3, (12, 12, 12)), dense)
     draw_comparison(tmp_path / "x.png", field, field, "t\nc", axes, (0.1, 0.02))
     assert [panel.yaxis_inverted() for panel in drawn[0].axes[:2]] == ["down" in axes] * 2
+    monkeypatch.setattr(interaction, "write_png", lambda figure, path: drawn.append(figure))
+    draw_interaction(tmp_path / "x.png", InteractionView("t", "c", axes, np.zeros(0, COLUMNS), 1.0, None, field))
+    front = [panel for panel in drawn[1].axes if panel.get_ylabel() == "y, mm"]
+    assert [panel.yaxis_inverted() for panel in front] == ["down" in axes]

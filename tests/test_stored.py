@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import zipfile
 import zlib
@@ -178,6 +179,21 @@ def test_an_npz_that_claims_more_than_it_holds(tmp_path: Path) -> None:
         archive.writestr("forces_n.npy", entry)
     with pytest.raises(SourceError, match="forces_n"):
         read_npz(tmp_path / "a.npz")
+
+
+def test_an_npz_whose_entry_claims_more_than_deflate_can_hold(tmp_path: Path) -> None:
+    path, shape = tmp_path / "a.npz", (1, 512, 512, 256, 3)
+    header = repr({"descr": "<f4", "fortran_order": False, "shape": shape}).encode().ljust(117) + b"\n"
+    entry = b"\x93NUMPY\x01\0" + struct.pack("<H", len(header)) + header + bytes(12000)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("forces_n.npy", entry)
+        packed = archive.getinfo("forces_n.npy").compress_size
+    claimed = 128 + 4 * math.prod(shape)  # in the list of entries as in the header
+    begin, behind, listed = path.read_bytes().partition(b"PK\x01\x02")
+    listed = listed.replace(struct.pack("<II", packed, len(entry)), struct.pack("<II", packed, claimed))
+    path.write_bytes(begin + behind + listed)
+    with pytest.raises(SourceError, match=f"found {claimed} bytes for float32"):
+        read_npz(path)
 
 
 @pytest.mark.parametrize("order", ["C", "F"])

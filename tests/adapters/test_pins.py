@@ -146,6 +146,18 @@ def test_heights_row_after_row_and_down_at_the_end(over: Callable[[Display], obj
     assert display.shown == [[[0, 1, 2], [2, 3, 3]], [[0] * 3] * 2, [[3] * 3] * 2, [[0] * 3] * 2]
 
 
+def test_what_was_shown_before_a_refusal_is_sent_again_after_it() -> None:
+    with over_tcp(display := Display(lambda number: b"err busy\n" if number == 2 else b"ok %d\n" % number)) as words:
+        pad = array_device(words, SMALL)
+        pad.open()
+        pad.put_drives(drives(SMALL, 1.0), None, 0.1)
+        with pytest.raises(DeviceError, match="busy"):
+            pad.put_drives(drives(SMALL, 0.0), None, 0.1)
+        pad.put_drives(drives(SMALL, 1.0), None, 0.1)
+        pad.close()
+    assert [rows[0][0] for rows in display.shown] == [3, 0, 3, 0]
+
+
 def test_the_stream_tells_which_display_it_was_made_for() -> None:
     graphiti, vest = device("graphiti"), device("tactsuit-pro")
     for words, own, expected in (

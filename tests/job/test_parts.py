@@ -188,6 +188,18 @@ def test_parts_that_are_damaged_or_of_another_job_are_made_again(source: Path, a
     assert workers.done == 7  # nothing of the other job was taken
 
 
+def test_a_job_is_another_where_its_source_was_written_again(tmp_path: Path) -> None:
+    path = tmp_path / "depth" / "0.png"
+    path.parent.mkdir()
+    path.write_bytes(b"12")
+    names = [coding.name_of(str(where), "asked") for where in (path, path.parent)]
+    assert names == [coding.name_of(str(where), "asked") for where in (path, path.parent)]
+    assert names[0] != coding.name_of(str(path), "asked otherwise")
+    os.utime(path, (1, 1))
+    later = [coding.name_of(str(where), "asked") for where in (path, path.parent)]
+    assert len({*names, *later}) == 4
+
+
 def test_a_part_that_is_damaged_before_the_join_is_named(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

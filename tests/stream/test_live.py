@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from live_makers import HEAD, segment, sender_of
+from touchfield.container.records import Vibration
+from touchfield.container.wire import encode_record
 from touchfield.errors import InvalidArgument
 from touchfield.stream.live import (
     END,
@@ -51,6 +53,18 @@ def test_a_message_that_is_lost_late_told_twice_or_damaged_costs_only_itself() -
     for garbage in (b"x", segments[5][:-1], segments[5] + b"x", opening[:-3], opening + segments[5], bytes(100)):
         assert [type(e) for e in receiver.receive(garbage)] == [Refused]
     assert receiver.receive(segments[5]) == [segment(25)]
+
+
+def test_what_vibrates_beside_other_frames_is_refused() -> None:
+    sender, (opening,) = sender_of(0)
+    message = sender.add(replace(segment(0), vibration=b"beside"))
+    receiver = LiveReceiver()
+    receiver.receive(opening)
+    for first, count in ((0, 4), (1, 5)):
+        other = encode_record("VIBR", Vibration(first_frame=first, frame_count=count, body=b"beside"))
+        (refused,) = receiver.receive(other + message[len(other) :])
+        assert isinstance(refused, Refused) and "VIBR of other frames" in refused.reason
+    assert receiver.receive(message) == [replace(segment(0), vibration=b"beside")]
 
 
 def test_a_sender_that_is_started_again_begins_anew() -> None:

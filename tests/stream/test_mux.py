@@ -114,12 +114,14 @@ def test_a_manifest_names_the_movie_and_the_touch(folder: Path, tmp_path: Path, 
 def test_one_clear_line_each(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     movie, touch = str(folder / "movie.mp4"), str(folder / "noise.touch")
     (tmp_path / "text.mp4").write_text("no movie")
-    out = tmp_path / "out.mp4"
+    out, also = tmp_path / "out.mp4", tmp_path / "touch.mp4"
+    also.write_bytes((folder / "noise.touch").read_bytes())  # a stream by another ending
     for words, said in (
         (["mux", movie, touch, str(tmp_path / "out.avi")], ".avi"),
         (["mux", str(tmp_path / "text.mp4"), touch, str(out)], "a movie that ffmpeg reads"),
         (["mux", movie, movie, str(out)], "movie.mp4"),
         (["mux", movie, touch, movie], "the file that is read"),
+        (["mux", movie, str(also), str(also)], "the file that is read"),
         (["mux", movie, touch, str(out), "--at-s", "-1"], "--at-s"),
         (["mux", movie, touch, str(out), "--at-s", "nan"], "--at-s"),
         (["demux", movie, str(tmp_path / "x.touch")], "no track of touch"),
@@ -129,6 +131,7 @@ def test_one_clear_line_each(folder: Path, tmp_path: Path, capsys: pytest.Captur
         told = capsys.readouterr().err
         assert said in told and told.count("\n") == 1 and "Traceback" not in told
     assert not out.exists() and not (tmp_path / "x.touch").exists()
+    assert also.read_bytes() == (folder / "noise.touch").read_bytes()
     assert _exit_code(["mux", movie, touch, str(out), "--json"]) == 0
 
 
