@@ -256,7 +256,7 @@ def tree(path: Path) -> dict[str, bytes]:
 def test_tiles_that_are_finished_are_not_made_again(
     tmp_path: Path, small_tiles: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    encode_tiles("sample:shapes", tmp_path / "whole.zarr", SPEC)
+    whole = encode_tiles("sample:shapes", tmp_path / "whole.zarr", SPEC)
     make, made = tiles.make_tile, 0
 
     def fragile(tile: Any) -> int:
@@ -272,10 +272,11 @@ def test_tiles_that_are_finished_are_not_made_again(
         encode_tiles("sample:shapes", out, SPEC)
     assert not out.exists()
     with (tmp_path / "a.zarr.parts.txt").open("a") as stream:
-        stream.write("0,16,16")  # the line of a run that was killed
+        stream.write("0,16,16,16 12")  # the line of a run that was killed: of 1234, perhaps
     made = 0
     done = encode_tiles("sample:shapes", out, SPEC)
     assert made == 3 and any("5 of 8 tiles" in note for note in done.notes)
+    assert done.supported_voxels == whole.supported_voxels
     assert tree(out) == tree(tmp_path / "whole.zarr")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.zarr", "whole.zarr"]
     made = 0

@@ -119,10 +119,11 @@ class _Finished:
     def __init__(self, store: Path, job: str) -> None:
         self._file = store.with_name(f"{store.name}.txt")
         self.counts: dict[str, int] = {}
-        lines = self._file.read_text("utf-8").splitlines() if self._file.is_file() and store.is_dir() else []
+        text = self._file.read_text("utf-8") if self._file.is_file() and store.is_dir() else ""
+        *lines, _ = text.split("\n")  # the last line of a run that was killed may be cut
         for line in lines[1:] if lines[:1] == [job] else ():
             place, _, count = line.partition(" ")
-            if count.isdigit():  # the last line of a run that was killed may be cut
+            if count.isdigit():
                 self.counts[place] = int(count)
         if not self.counts:
             shutil.rmtree(store, ignore_errors=True)
