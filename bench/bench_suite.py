@@ -1,0 +1,57 @@
+"""Time that the tests take where no kernel is compiled yet, as in a new clone: minutes, and seconds of processors.
+
+    python bench/bench_suite.py [--quick]
+
+Beside them a loop of Python, before and after: a machine that others share is not as fast at one time as at another.
+Quickly: the tests of one file.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+from machine import Bar, Figures, at_most, bench, figure
+
+ROOT = Path(__file__).resolve().parents[1]
+ONE_FILE = (sys.executable, "-m", "pytest", "tests/test_partition.py")
+
+
+def loop_s() -> float:
+    """Seconds of 20 million turns of a loop."""
+    began, total = perf_counter(), 0
+    for i in range(20_000_000):
+        total += i * i % 7
+    return perf_counter() - began
+
+
+def measure(tests: str) -> Figures:
+    """One run of the tests; RuntimeError, with their last lines, where one fails."""
+    before_s = loop_s()
+    with TemporaryDirectory() as cache:
+        began = perf_counter()
+        command = ("make", "--no-print-directory", "test") if tests == "all" else ONE_FILE
+        surroundings = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        done = subprocess.run(command, cwd=ROOT, env=surroundings, capture_output=True, text=True, check=False)
+        clock_s = perf_counter() - began
+    if done.returncode:
+        raise RuntimeError(f"{done.stdout[-2000:]}{done.stderr[-2000:]}")
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    passed = sum(map(int, re.findall(r"(\d+) passed", done.stdout)))
+    seconds = {"clock_s": clock_s, "processors_s": used.ru_utime + used.ru_stime, "loop_before_s": before_s}
+    return {"passed": passed, "minutes": clock_s / 60, **seconds, "loop_after_s": loop_s()}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """The time that somebody waits before a change is known to be good."""
+    return [at_most("minutes of make test", figure(figures, "minutes"), 8)]
+
+
+if __name__ == "__main__":
+    bench("suite", __doc__, measure, bars, tests=("all", "one file"))
