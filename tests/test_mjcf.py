@@ -48,7 +48,7 @@ def test_bodies_rate_and_duration() -> None:
     t = np.arange(100) / 1000
     np.testing.assert_allclose(ball.track.positions_m[:, 2], 0.5 - 9.81 * t * t / 2, atol=9.81 * 0.001 * 0.1)
     (plane,) = world.scene.shapes  # type: ignore[attr-defined]
-    assert isinstance(plane, Plane) and plane.point_m == (0, 0, -0.1)
+    assert isinstance(plane, Plane) and (plane.point_m, plane.normal) == ((0, 0, -0.1), (0, 0, 1))
 
 
 def test_the_model_may_name_its_beginning() -> None:

@@ -117,8 +117,10 @@ def test_npz_keeps_the_medium_and_numpy_reads_it(tmp_path: Path, medium: HapticM
     for order in ([0, 1, 2], [2, 0, 0, 1], [1]):
         assert all(read[i] == medium[i] for i in order)
     assert read.tags == medium.tags == ("direct",)
-    write_npz(tmp_path / "tagged.npz", replace(medium, tags=("direct", "symbolic")))
-    assert read_npz(tmp_path / "tagged.npz").tags == ("direct", "symbolic")
+    for tags in (("direct", "symbolic"), ()):
+        write_npz(tmp_path / "tagged.npz", replace(medium, tags=tags, friction=0.3, damping_n_s_per_m=2.0))
+        read = read_npz(tmp_path / "tagged.npz")
+        assert (read.tags, read.friction, read.damping_n_s_per_m) == (tags, 0.3, 2.0)
     with np.load(path) as seen:
         assert str(seen["axes"]) == medium.axes
         np.testing.assert_array_equal(seen["origin_m"], medium.grid.origin_m)
