@@ -151,9 +151,11 @@ def test_medium_is_lazy_and_sliced(wavy_field: ForceField) -> None:
         medium.between(4, 11)
     with pytest.raises(InvalidArgument, match="rate_hz"):
         HapticMedium(wavy_field.grid, 0.0, 1, make)
-    other = ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))
+    other = ForceField.empty(wavy_field.grid.moved(1.0, (0.001, 0, 0)))
     with pytest.raises(InvalidArgument, match="grids"):
         HapticMedium.from_frames([wavy_field, other], 30.0)
+    with pytest.raises(InvalidArgument, match="another grid"):
+        HapticMedium(wavy_field.grid, 30.0, 1, lambda _: other)[0]
 
 
 def test_a_field_stays_within_the_memory_budget(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,6 +174,7 @@ def test_a_medium_as_a_dataset(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(data.forces_n, forces)
     near = data.forces_n.sel(component="y").sel(t=0.02, x=0.102, y=0.204, z=0.303, method="nearest")
     assert near == forces[1, 2, 2, 1, 1]
-    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.0000001")
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.000001")  # 1073 bytes: one frame, of 720
+    assert HapticMedium.from_array(forces[0], grid).to_xarray().forces_n.shape[0] == 1
     with pytest.raises(InvalidArgument, match="Take fewer frames"):
         HapticMedium.from_array(forces, grid, rate_hz=50.0).to_xarray()
