@@ -84,7 +84,9 @@ def test_poses_are_taken_from_where_they_are_asked_for(tmp_path: Path) -> None:
 def test_what_is_named_like_poses_and_not_read_is_named(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s")
     (folder / "my_trajectory_notes.txt").write_text("filmed in the kitchen\n")
+    (folder / "._poses.txt").write_bytes(b"\0\5\x16\7")  # as a Mac leaves beside a file
     notes = depth_folder.read_sequence(folder, MM).notes
+    assert not any("._poses" in note for note in notes)
     assert any("stand still" in note for note in notes)
     assert any("my_trajectory_notes.txt was found and not used: " in note for note in notes)
     make.write_rows(folder / "poses.txt", make.poses().reshape(-1, 16))
@@ -109,6 +111,15 @@ def test_poses_at_fault_are_an_error_that_tells_how_to_go_on(tmp_path: Path, row
         (folder / "depth" / f"a{i}b.png").rename(folder / "depth" / f"{'vwxyz'[i]}.png")
     make.write_rows(folder / "poses.txt", rows)
     with pytest.raises(SourceError, match=rf"poses\.txt.*{words}.*--frame camera"):
+        depth_folder.read_sequence(folder, MM)
+
+
+def test_frames_are_not_matched_by_numbers_that_count_from_one(tmp_path: Path) -> None:
+    folder = make.write_frames(tmp_path / "s", "depth/{:04d}.png", make.FRAMES)
+    (folder / "depth" / "0000.png").rename(folder / "depth" / "0006.png")
+    (folder / "depth" / "0001.png").unlink()
+    make.write_rows(folder / "poses.txt", make.poses(6).reshape(-1, 16))  # of 0 to 5, or of 1 to 6
+    with pytest.raises(SourceError, match="6 poses for 4 frames"):
         depth_folder.read_sequence(folder, MM)
 
 

@@ -62,7 +62,7 @@ def test_the_model_may_name_its_beginning() -> None:
 
 @pytest.mark.parametrize(
     ("timestep", "rate_hz", "step_s"),
-    [(0.002, 1000, 0.001), (0.0003, 1000, 1 / 3000), (0.002, 50, None), (0.001, 30, None)],
+    [(0.002, 1000, 0.001), (0.0003, 1000, 1 / 3000), (0.0006, 1000, 0.0005), (0.002, 50, None), (0.001, 30, None)],
 )
 def test_the_step_divides_the_frame(timestep: float, rate_hz: float, step_s: float | None) -> None:
     scene = opened(BALL, f'<option timestep="{timestep}"/>', seconds=0.1, rate_hz=rate_hz)
