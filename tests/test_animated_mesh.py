@@ -76,6 +76,8 @@ def test_animations_of_one_name_are_told_with_their_numbers(tmp_path: Path) -> N
         animation["name"] = "walk"
     scene = open_source(gltf.save(tmp_path / "a.gltf"), SourceOptions(animation="1"))
     assert any("'walk' (number 1):" in note and "also 'walk' (number 0)" in note for note in scene.notes)
+    first = open_source(tmp_path / "a.gltf", SourceOptions(animation="walk"))
+    assert any("'walk' (number 0):" in note for note in first.notes)
 
 
 def test_options_choose_animation_rate_and_unit(tmp_path: Path) -> None:
