@@ -13,7 +13,7 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mjcf import KIND
+from touchfield.sources.mjcf import KIND, check_files
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.shapes import Plane
@@ -234,3 +234,17 @@ def test_any_bytes_give_a_scene_or_an_error_of_ours(tmp_path_factory: pytest.Tem
     assert KIND.recognise(path) in (True, False)
     with pytest.raises(SourceError):
         KIND.open(path, SourceOptions(seconds=0.01))
+
+
+def test_files_that_name_too_many_others_are_refused(tmp_path: Path) -> None:
+    names, folders = (
+        "".join(form.format(i) for i in range(300)) for form in ('<mesh file="{}.stl"/>', '<compiler meshdir="{}"/>')
+    )
+    (tmp_path / "a.xml").write_text(f"<mujoco>{folders}<asset>{names}</asset></mujoco>")
+    with pytest.raises(SourceError, match=r"a\.xml: found 300 files in 301 folders"):
+        check_files(tmp_path / "a.xml")
+    for i in range(257):
+        (tmp_path / f"{i}.xml").write_text(f'<mujocoinclude><include file="{i + 1}.xml"/></mujocoinclude>')
+    check_files(tmp_path / "1.xml")
+    with pytest.raises(SourceError, match="more than 256 files that include others"):
+        check_files(tmp_path / "0.xml")
