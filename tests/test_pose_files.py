@@ -141,6 +141,8 @@ def test_times_that_are_no_scene_times_are_refused(tmp_path: Path) -> None:
     path = written(tmp_path, HEADER + "1600000000,0,0,0,1,0,0,0\n")
     with pytest.raises(InvalidArgument, match=r"1.6e\+09 s at 1000 Hz.*begin at 0"):
         open_physics(path, SourceOptions())
+    with pytest.raises(InvalidArgument, match="4000 s at 1000 Hz for 2 bodies"):
+        open_physics(written(tmp_path, GOOD), SourceOptions(seconds=4000.0))
 
 
 def test_poses_outside_the_time_of_the_scene_are_told(tmp_path: Path) -> None:
