@@ -168,6 +168,8 @@ def test_bounds() -> None:
     alone = AnalyticScene([plane]).bounds_m()
     np.testing.assert_allclose(alone, [[-0.5, -0.5, -2.0], [0.5, 0.5, -2.0]], atol=1e-12)
     np.testing.assert_allclose(AnalyticScene([plane, sphere]).bounds_m(), [[-0.5, -0.5, -2.0], [0.5, 0.5, 1.5]])
+    small = AnalyticScene([plane, Sphere((0.0, 0.0, 1.0), 0.25)])  # of the plane its point alone
+    np.testing.assert_allclose(small.bounds_m(), [[-0.25, -0.25, -2.0], [0.25, 0.25, 1.25]])
     assert AnalyticScene([sphere]).is_solid
 
 

@@ -76,6 +76,8 @@ def test_animations_of_one_name_are_told_with_their_numbers(tmp_path: Path) -> N
         animation["name"] = "walk"
     scene = open_source(gltf.save(tmp_path / "a.gltf"), SourceOptions(animation="1"))
     assert any("'walk' (number 1):" in note and "also 'walk' (number 0)" in note for note in scene.notes)
+    first = open_source(tmp_path / "a.gltf", SourceOptions(animation="walk"))
+    assert any("'walk' (number 0):" in note for note in first.notes)
 
 
 def test_options_choose_animation_rate_and_unit(tmp_path: Path) -> None:
@@ -264,6 +266,8 @@ def test_the_ends_of_an_animation_have_the_velocity_of_what_there_is(tmp_path: P
     step = AnimatedMeshScene(moving_cube([[0, 0, 0], [3, 0, 0], [3, 0, 0]], [0, 0.5, 1]).save(tmp_path / "a.gltf"))
     for frame, expected in ((0, 6.0), (29, 6.0), (30, 3.0), (31, 0.0), (59, 0.0)):
         np.testing.assert_allclose(step.velocities_m_s(frame)[:, 0], expected, atol=1e-9)
+    odd = AnimatedMeshScene(moving_cube([[0, 0, 0], [3, 0, 0]], [0, 1]).save(tmp_path / "c.gltf"), rate_hz=5.3)
+    np.testing.assert_allclose(odd.velocities_m_s(5)[:, 0], 3.0, atol=1e-9)  # half a frame later it is over
     still = AnimatedMeshScene(moving_cube([[0, 0, 0]], [0]).save(tmp_path / "b.gltf"))
     np.testing.assert_array_equal(still.velocities_m_s(0), np.zeros((8, 3)))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -78,3 +80,8 @@ def test_no_text_of_poses_raises_anything_else(text: str) -> None:
     for parse in (poses.parse_poses, poses.parse_extrinsics):
         with pytest.raises(SourceError):
             parse(text, "where")
+
+
+def test_names_of_depth_go_before_those_of_colour() -> None:
+    frame = {"file_path": "a/1.jpg", "depth_file_path": "b/2.png", "transform_matrix": np.eye(4).tolist()}
+    assert poses.parse_poses(json.dumps({"frames": [frame]}), "a").names == ("b/2.png",)

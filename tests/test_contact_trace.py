@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,11 @@ import pytest
 
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.errors import MissingExtra, SourceError
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.job import EncodeSpec, encode, open_stream
 from touchfield.medium import Grid
 from touchfield.medium.trace import ContactTrace, read_contacts, read_trace
-from touchfield.sources.contact_trace import ContactScene, CurlFree
+from touchfield.sources.contact_trace import ContactScene, CurlFree, recorded_contacts
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
@@ -130,6 +131,7 @@ def test_the_log_of_a_play_is_one_and_units_are_read(tmp_path: Path) -> None:
         ("x_m,y_m,z_m,fx_n,fy_n,fz_n\n1,2,3,4,5,6\n1,2,3,4,5,6\n", "never moved"),
         ("x_m,y_m,z_m,fx_n,fy_n,fz_n\n1,2,3,0,0,0\n2,2,3,0,0,0\n", "no force"),
         ("x_m,y_m,z_m,fx_n,fy_n,fz_n\n1,2,3,1,0,0\n2,2,3,1,0,0\n", "2 places"),
+        ("x_m,y_m,z_m,fx_n,fy_n,fz_n\n1,2,3,1e6,0,0\n2,2,3,1,0,0\n", "Check the units"),
     ],
 )
 def test_traces_that_cannot_be_are_named(tmp_path: Path, text: str, told: str) -> None:
@@ -137,6 +139,20 @@ def test_traces_that_cannot_be_are_named(tmp_path: Path, text: str, told: str) -
     with pytest.raises(SourceError) as caught:
         open_source(tmp_path / "a.csv", SourceOptions(kind="contacts"))
     assert told in str(caught.value) and "a.csv" in str(caught.value)
+
+
+def test_what_is_told_of_a_recording(plain: ContactScene, tmp_path: Path) -> None:
+    points = plain.interpolant.points_m
+    assert plain.bounds_m() == pytest.approx(
+        np.stack([points.min(axis=0) - plain.reach_m, points.max(axis=0) + plain.reach_m])
+    )
+    assert len(plain.notes) == 1
+    twisted = ContactScene(probed(40, 20_000.0))
+    assert "rough mean" in twisted.notes[1]
+    four = probed(4)  # the fewest
+    assert ContactScene(four).interpolant.points_m.shape == (4, 3)
+    with pytest.raises(InvalidArgument, match="a trace has no camera"):
+        open_source(written(tmp_path / "a.csv", four), SourceOptions(frame="camera"))
 
 
 # -- MCAP -----------------------------------------------------------------------------------------------------------
@@ -186,7 +202,7 @@ def test_mcap_of_json_and_of_ros(tmp_path: Path) -> None:
             "geometry_msgs/msg/TransformStamped",
             "cdr",
             n / 100,
-            stamped(*place, order=">", names=(b"a\0", b"tip\0")),
+            stamped(*place, order=">", names=(b"a\0", b"fingertip\0")),
         )
         for n, place in enumerate(trace.positions_m.tolist())
     ]
@@ -206,6 +222,29 @@ def test_mcap_of_json_and_of_ros(tmp_path: Path) -> None:
         open_source(tmp_path / "b.mcap")
     with pytest.raises(SourceError, match=r"c\.mcap"):
         open_source(mcap_file(tmp_path / "c.mcap", [(*ros[0][:4], ros[0][4][:8])]))
+    with pytest.raises(SourceError, match="found a message of 40 bytes; expected a PoseStamped of at least 52"):
+        open_source(mcap_file(tmp_path / "c.mcap", [(*ros[0][:4], ros[0][4][:40])]))
+
+
+def test_the_place_of_a_force_in_mcap_is_that_of_its_time(tmp_path: Path) -> None:
+    def message(topic: str, what: str, time_s: float, *values: float) -> tuple[str, str, str, float, bytes]:
+        return topic, "Probe", "json", time_s, json.dumps({what: dict(zip("xyz", values))}).encode()
+
+    place = [message("/p", "position", 2, 4, 0, -2), message("/p", "position", 0, 0, 0, 2)]  # not in their order
+    force = [message("/f", "force", time_s, time_s, 5, 6) for time_s in (1.5, 0.5, 9)]  # the last is after the places
+    others = [message("/q", "position", 3, 7, 7, 7), message("/g", "force", 3, 8, 8, 8)]
+    trace = recorded_contacts(mcap_file(tmp_path / "a.mcap", [*place, *force, *others]))
+    assert trace is not None
+    assert trace.positions_m.tolist() == [[1, 0, 1], [3, 0, -1]] and trace.forces_n.tolist() == [
+        [0.5, 5, 6],
+        [1.5, 5, 6],
+    ]
+    for messages, said in (
+        ([*place, force[2]], "forces at other times than positions"),
+        ([*place, message("/f", "force", 1, math.nan, 0, 0)], "not finite"),
+    ):
+        with pytest.raises(SourceError, match=said):
+            recorded_contacts(mcap_file(tmp_path / "b.mcap", messages))
 
 
 def test_without_the_library_mcap_names_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -84,7 +84,9 @@ def test_poses_are_taken_from_where_they_are_asked_for(tmp_path: Path) -> None:
 def test_what_is_named_like_poses_and_not_read_is_named(tmp_path: Path) -> None:
     folder = make.write_frames(tmp_path / "s")
     (folder / "my_trajectory_notes.txt").write_text("filmed in the kitchen\n")
+    (folder / "._poses.txt").write_bytes(b"\0\5\x16\7")  # as a Mac leaves beside a file
     notes = depth_folder.read_sequence(folder, MM).notes
+    assert not any("._poses" in note for note in notes)
     assert any("stand still" in note for note in notes)
     assert any("my_trajectory_notes.txt was found and not used: " in note for note in notes)
     make.write_rows(folder / "poses.txt", make.poses().reshape(-1, 16))
@@ -112,6 +114,24 @@ def test_poses_at_fault_are_an_error_that_tells_how_to_go_on(tmp_path: Path, row
         depth_folder.read_sequence(folder, MM)
 
 
+def test_frames_are_matched_by_their_last_number_or_in_order_where_no_time_is_near(tmp_path: Path) -> None:
+    folder = make.write_frames(tmp_path / "s", "depth/cam7_{:04d}.png")
+    make.write_rows(folder / "poses.txt", make.poses(8).reshape(-1, 16))
+    assert np.allclose(depth_folder.read_sequence(folder, MM).poses, make.poses(8)[:5], atol=1e-6)
+    timed = make.write_frames(tmp_path / "t", "depth/10{}.25.png")
+    make.write_rows(timed / "poses.txt", make.tum_rows(0.05 + 0.1 * np.arange(5))[::-1])
+    assert np.allclose(depth_folder.read_sequence(timed, MM).poses, make.poses(), atol=1e-6)
+
+
+def test_frames_are_not_matched_by_numbers_that_count_from_one(tmp_path: Path) -> None:
+    folder = make.write_frames(tmp_path / "s", "depth/{:04d}.png", make.FRAMES)
+    (folder / "depth" / "0000.png").rename(folder / "depth" / "0006.png")
+    (folder / "depth" / "0001.png").unlink()
+    make.write_rows(folder / "poses.txt", make.poses(6).reshape(-1, 16))  # of 0 to 5, or of 1 to 6
+    with pytest.raises(SourceError, match="6 poses for 4 frames"):
+        depth_folder.read_sequence(folder, MM)
+
+
 def test_a_stack_takes_the_poses_beside_it_only_where_there_is_one_for_each_frame(tmp_path: Path) -> None:
     np.save(tmp_path / "depth.npy", make.depths_mm())
     make.write_intrinsics(tmp_path / "intrinsics.txt")
@@ -121,6 +141,11 @@ def test_a_stack_takes_the_poses_beside_it_only_where_there_is_one_for_each_fram
     sequence = depth_stack.read_sequence(tmp_path / "depth.npy", MM)
     assert sequence.poses is None
     assert any("poses.txt was found and not used: 9 poses for 5 frames" in note for note in sequence.notes)
+    (tmp_path / "poses.txt").unlink()
+    told = [{"file_path": f"{i}.png", "transform_matrix": np.eye(4).tolist()} for i in range(4)]
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": told}))
+    with pytest.raises(SourceError, match="4 of 5 frames with a pose"):
+        depth_stack.read_sequence(tmp_path / "depth.npy", MM)
 
 
 def test_a_frame_whose_number_two_pictures_have_is_left_out_and_told(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -189,6 +190,12 @@ def test_tum_says_what_is_missing_and_takes_the_rate_from_the_stamps(tmp_path: P
     sequence = tum.read_sequence(make.write_tum(tmp_path / "s"), SourceOptions(rate_hz=7))
     assert sequence.rate_hz == pytest.approx(25, rel=1e-3)
     assert any("5 of the 7 frames" in note for note in sequence.notes)
+    listing = tmp_path / "s" / "depth.txt"
+    listing.write_text("\n".join(reversed(listing.read_text().splitlines())))
+    (tmp_path / "s" / "depth" / "1305031233.580000.png").unlink()  # the third
+    fewer = tum.read_sequence(tmp_path / "s", SourceOptions())
+    assert fewer.rate_hz == pytest.approx(25, rel=1e-3)
+    assert [np.array_equal(fewer.depth_m(i), sequence.depth_m(of)) for i, of in enumerate((0, 1, 3, 4))] == [True] * 4
 
 
 def test_tum_leaves_out_a_frame_whose_pose_is_too_far_in_time(tmp_path: Path) -> None:
@@ -205,7 +212,7 @@ def test_tum_leaves_out_a_frame_whose_pose_is_too_far_in_time(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("name", "fx"),
     [("rgbd_fr1_desk", 517.3), ("rgbd_dataset_freiburg2_xyz", 520.9), ("fr3", 535.4), ("rgbd_bonn_box", 542.822841),
-     ("living_room_traj1_frei_png", 481.2),
+     ("living_room_traj1_frei_png", 481.2), ("fr1/fr3", 535.4),
      ("fr1st", None)],
 )  # fmt: skip
 def test_tum_knows_its_cameras_by_name(tmp_path: Path, name: str, fx: float | None) -> None:
@@ -252,9 +259,29 @@ def test_sun3d_goes_by_the_colour_frames_and_their_time(tmp_path: Path) -> None:
     sequence = sun3d.read_sequence(make.write_sun3d(tmp_path / "s", colour=8), SourceOptions())
     assert np.allclose(sequence.poses, make.poses(), atol=1e-6)
     assert sequence.rate_hz == pytest.approx(1 / 0.033)
-    (tmp_path / "s" / "image" / "0000008-000000235000.jpg").unlink()
+    (tmp_path / "s" / "extrinsics" / "20131231235959.txt").write_text("older")
+    for i in range(8):  # numbers that run against the time
+        file = tmp_path / "s" / "image" / f"{i + 1:07d}-{33000 * i + 4000:012d}.jpg"
+        file.rename(file.with_name(f"{100 - i:07d}{file.name[7:]}"))
+    make.write_matrix(tmp_path / "s" / "extrinsics" / "20140808220511.txt", make.poses(8)[::-1, :3].reshape(-1, 4))
+    assert np.allclose(sun3d.read_sequence(tmp_path / "s", SourceOptions()).poses, make.poses(), atol=1e-6)
+    (tmp_path / "s" / "image" / "0000093-000000235000.jpg").unlink()
     with pytest.raises(SourceError, match="8 poses for 5 depth and 7 colour frames"):
         sun3d.read_sequence(tmp_path / "s", SourceOptions())
+
+
+def test_the_scale_of_a_file_goes_before_that_of_a_layout_and_what_is_asked_before_both(tmp_path: Path) -> None:
+    (tmp_path / "camera.json").write_text('{"fx": 20, "fy": 21, "cx": 5.5, "cy": 4, "depth_scale": 2000}')
+    asked = SourceOptions(intrinsics=str(tmp_path / "camera.json"))
+    first, turned = make.write_redwood(tmp_path / "a"), make.write_sun3d(tmp_path / "b")
+    for module, path, options, units in (
+        (redwood, first, asked, 2000), (redwood, first, replace(asked, depth_scale=4000), 4000),
+        (sun3d, turned, asked, 1000),
+    ):  # fmt: skip
+        depth = module.read_sequence(path, options).depth_m(0)
+        np.testing.assert_allclose(depth, make.depths_mm()[0] / units, rtol=1e-6)
+    both = SourceOptions(source_rate_hz=10.0, rate_hz=20.0)
+    assert redwood.read_sequence(first, both).rate_hz == 10.0
 
 
 def test_3dmatch_leaves_out_lost_frames(tmp_path: Path) -> None:

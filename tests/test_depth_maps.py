@@ -95,6 +95,10 @@ def test_middleburys_calibration_beside_the_map_is_used(tmp_path: Path) -> None:
     other = inverse_depth.read_disparity(path.rename(tmp_path / "disp1.pfm"), SourceOptions(baseline_m=0.4))
     assert other.intrinsics.cx == 7.5
     assert np.allclose(other.depth_m(0), 2 * depth, rtol=1e-6)
+    known = depth > 0  # without the offset of 2 pixels, and of disparities in halves
+    asked = SourceOptions(disparity_offset_px=0.0, depth_scale=2.0)
+    halved = inverse_depth.read_disparity(tmp_path / "disp1.pfm", asked).depth_m(0)
+    assert np.allclose(halved[known], 100 * 0.2 / (disparity_px[known] / 2), rtol=1e-6)
     for bad in (calibration.replace("width=12", "width=13"), calibration.replace("baseline=200", "baseline=-1"), "x"):
         (tmp_path / "calib.txt").write_text(bad)
         with pytest.raises(SourceError, match=r"calib\.txt"):

@@ -117,8 +117,17 @@ def test_an_npy_of_something_else_than_numbers_is_refused(tmp_path: Path, dtype:
 
 def test_an_npy_that_claims_more_than_it_holds_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.zeros((2, 2), np.float64))
-    data = (tmp_path / "a.npy").read_bytes().replace(b"(2, 2), }      ", b"(8000, 8000), }")
+    whole = (tmp_path / "a.npy").read_bytes()
+    data = whole.replace(b"(2, 2), }      ", b"(8000, 8000), }")
     assert b"8000" in data
     (tmp_path / "a.npy").write_bytes(data)
     with pytest.raises(SourceError, match=r"8000.* bytes"):
         pictures.read_picture(tmp_path / "a.npy")
+    for data, said in (
+        (whole + b"\0", r"161 bytes; expected numbers in 160 bytes"),
+        (whole.replace(b"(2, 2), }  ", b"(-2, -2), }"), r"the shape \(-2, -2\)"),
+        (whole.replace(b"(2, 2), }   ", b"(2, 2, 1, 1)}"), r"an array of shape \(2, 2, 1, 1\)"),
+    ):
+        (tmp_path / "a.npy").write_bytes(data)
+        with pytest.raises(SourceError, match=said):
+            pictures.read_picture(tmp_path / "a.npy")

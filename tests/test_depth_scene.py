@@ -229,6 +229,10 @@ def test_the_noise_step_follows_the_noise_and_not_the_edges() -> None:
     assert 0.005 < steps[0] < 0.01 and steps[2] == pytest.approx(0.02)
     assert noise_step_per_m(np.zeros(SIZE, np.float32)) == pytest.approx(FINEST)
     assert noise_step_per_m(np.ones((1, 2), np.float32)) == pytest.approx(FINEST)
+    frames = [exact, exact + np.float32(0.002) * exact**2 * noise]  # that of the first, whichever is asked for first
+    late, both = DepthScene(Frames(frames)), DepthScene(Frames(frames))
+    both.planes(0)
+    np.testing.assert_array_equal(late.planes(1).planes, both.planes(1).planes)
 
 
 # -- forces -----------------------------------------------------------------------------------------------

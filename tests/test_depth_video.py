@@ -241,11 +241,12 @@ def test_a_stack_comes_back(tmp_path: Path, name: str) -> None:
         sequence.depth_m(5)
 
 
-def test_a_tiff_of_several_pages_is_told_what_to_do(tmp_path: Path) -> None:
-    path = tmp_path / "depth.tif"
+@pytest.mark.parametrize("suffix", ["tif", "tiff"])
+def test_a_tiff_of_several_pages_is_told_what_to_do(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"depth.{suffix}"
     first, second, small = (Image.fromarray(page) for page in (*depths_mm(2), depths_mm(1)[0, ::2, ::2]))
     first.save(path, save_all=True, append_images=[second])
-    with pytest.raises(SourceError, match=r"depth\.tif: found a TIFF of several pages.*NPY \[frames"):
+    with pytest.raises(SourceError, match=r"depth\.tiff?: found a TIFF of several pages.*NPY \[frames"):
         open_source(path, TOLD)
     first.save(path, save_all=True, append_images=[small])  # a smaller copy is no frame of its own
     assert open_source(path, TOLD).frame_count == 1

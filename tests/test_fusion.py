@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import depth_makers as make
 import fusion_makers as rooms
 from touchfield.errors import InvalidArgument
 from touchfield.job.encode import encode
+from touchfield.job.prepare import prepare
 from touchfield.job.spec import EncodeSpec
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.depth_layouts import depth_scene
@@ -124,6 +126,16 @@ def test_a_box_moves_before_a_wall_that_stands(moving: rooms.Room) -> None:
     assert "moves" in note
     early = fused.field(0, grid, WALL)  # the moving part begins anew
     assert early == fields[0]
+
+
+@pytest.mark.parametrize(("frames", "kept"), [((2, 5), range(2, 5)), ((7, None), range(7, 10))])
+def test_a_world_is_fused_from_the_frames_that_are_asked_for(
+    standing: rooms.Room, frames: tuple[int, int | None], kept: range
+) -> None:
+    alone = copy(standing)
+    alone.key_frames = lambda: kept  # type: ignore[method-assign]
+    some, expected = (prepare(FusedScene(one), EncodeSpec(nw=4, frames=frames)).medium for one in (standing, alone))
+    assert len(some) == 3 and some[0] == expected[0] and some[0].support_count > 100
 
 
 def test_what_moved_away_is_carved_from_a_causal_world(moving: rooms.Room) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from touchfield.errors import InvalidArgument
+from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 
 RATE_HZ = 50.0
@@ -198,6 +198,17 @@ def test_what_cannot_be_asked(monkeypatch: pytest.MonkeyPatch) -> None:
             scene.sample_n(frame, [0.0, 0.0, 0.0])
     with pytest.raises(InvalidArgument, match="positions_m"):
         scene.sample_n(0, [0.0, 0.0])
+    one, point = scene.objects[0], scene.grid.to_m(scene.voxelise()[0].positions()[0])
+    fine = replace(scene, grid=Grid((8 * 4097, 1, 1), (1e-9,) * 3, tuple(point)), file_bytes=0)
+    with pytest.raises(CorruptFile, match="more than 4096 bricks"):
+        fine.voxelise()[0]
+    assert replace(scene, file_bytes=0).voxelise(fine.grid)[0].support_count == 8 * 4097
+    for change, found in (
+        ({"track": PoseTrack.still(2)}, "object one: found 2 poses; expected 1"),
+        ({"medium": HapticMedium.from_frames([sphere()] * 2, 1.0)}, "object one: found 2 fields; expected 1 or 1"),
+    ):
+        with pytest.raises(InvalidArgument, match=found):
+            replace(scene, objects=(one, replace(one, **change)))  # type: ignore[arg-type]
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.0001")
     with pytest.raises(InvalidArgument, match=r"haptic objects.*GiB"):
         placed(sphere()).sample_n(0, [0.0, 0.0, 0.0])

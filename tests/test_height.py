@@ -190,6 +190,22 @@ def test_a_depth_map_read_as_heights() -> None:
     assert not held[~strip & (at[..., 2] < 1.5)].any()
 
 
+def test_an_exaggerated_slope_of_depth_stays_a_slope() -> None:
+    class Slope(Stairs):
+        def depth_m(self, frame: int) -> np.ndarray:
+            return np.tile(np.linspace(1, 2, self.width, dtype=np.float32), (self.height, 1))
+
+    scene = HeightScene.from_depth_sequence(Slope(), 4.0)  # steps of 7 % of the middle depth
+    low, high = scene.bounds_m()
+    forces = scene.field(1, Grid.over_box(low, high, (16, 16, 16)), SOLID).vectors_n()
+    assert (np.abs(forces[:, 0]) > np.abs(forces[:, 2])).mean() > 0.9
+
+
+def test_a_lattice_whose_steps_are_none_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="step_m"):
+        HeightLattice(0.0, 1.0, 0.0, 1.0, step_m=0.0)
+
+
 def test_a_sequence_without_depth_is_refused() -> None:
     class Blank(Stairs):
         def depth_m(self, frame: int) -> np.ndarray:
@@ -238,8 +254,9 @@ def test_npz_of_metres_and_of_degrees(tmp_path: Path) -> None:
     np.savez(path, a=MAP, dx=0.05, **place)
     along, across = degree_m(60)
     np.testing.assert_allclose(opened(path).bounds_m()[1], [0.15 * across, 0.1 * along, 11], rtol=1e-12)
-    np.savez(path, a=MAP, dx=5.0, **place)  # a local system of metres, not degrees
-    np.testing.assert_allclose(opened(path).bounds_m()[1], [15, 10, 11])
+    for step in (5.0, 0.5):  # a local system of metres, not degrees
+        np.savez(path, a=MAP, dx=step, **place)
+        np.testing.assert_allclose(opened(path).bounds_m()[1], [3 * step, 2 * step, 11])
 
 
 def test_npy_in_either_order_and_over_time(tmp_path: Path) -> None:
@@ -345,6 +362,9 @@ def test_geotiff_in_degrees_with_nodata(tmp_path: Path) -> None:
     np.testing.assert_allclose(scene.bounds_m()[1], [0.003 * across, 0.002 * along, 11])
     assert scene.bounds_m()[0][2] == 0
     assert np.isnan(scene._heights(0)[1, 1])
+    tags[33922] = (12, (4.0, 3.0, 0.0, 10.004, 49.9985, 0.0))  # the other corner
+    tiff(tmp_path / "ground.tif", values, tags)
+    np.testing.assert_allclose(opened(tmp_path / "ground.tif").bounds_m(), scene.bounds_m())
 
 
 def test_geotiff_in_feet(tmp_path: Path) -> None:
@@ -352,6 +372,8 @@ def test_geotiff_in_feet(tmp_path: Path) -> None:
     tags = {33550: (12, (10.0, 10.0, 0.0)), 34735: (3, keys), 42113: (2, "nan")}
     tiff(tmp_path / "ground.tif", MAP, tags)
     np.testing.assert_allclose(opened(tmp_path / "ground.tif").bounds_m()[1], np.array([30, 20, 11]) * 0.3048)
+    scaled = opened(tmp_path / "ground.tif", height_scale=0.1)  # what is asked for goes before what the file says
+    np.testing.assert_allclose(scaled.bounds_m()[1], [30 * 0.3048, 20 * 0.3048, 1.1])
 
 
 class Trap:
@@ -377,6 +399,7 @@ def _broken(path: Path) -> dict[str, Path]:
     made("none.npz", lambda p: np.savez(p, a=np.zeros(3)))
     made("dx.npz", lambda p: np.savez(p, z=np.zeros((3, 3)), dx=np.zeros(3)))
     made("pole.npz", lambda p: np.savez(p, z=np.zeros((3, 3)), dx=0.01, xmin=0, xmax=1, ymin=89.9, ymax=89.95))
+    made("south.npz", lambda p: np.savez(p, z=np.zeros((3, 3)), dx=0.01, xmin=0, xmax=1, ymin=-89.9, ymax=-89.95))
     made("colour.png", lambda p: Image.fromarray(np.zeros((3, 3, 3), np.uint8)).save(p))
     made("empty.png", lambda p: p.write_bytes(b""))
     made("zip.npz", lambda p: p.write_bytes(b"PK\x05\x06" + b"\0" * 17))

@@ -40,8 +40,10 @@ def test_all_forms_of_intrinsics_are_read(tmp_path: Path, text: str) -> None:
         ("20 21 nan 4", "cx = nan"),
         ("20 0 0 0 21 0 5.5 4 1", "no skew"),
         ("20 3 5 0 21 4 0 0 1", "no skew"),
+        ("20 0 5 1 21 4 0 0 1", "no skew"),
         ('{"intrinsic_matrix": [1, 2]}', "2 numbers"),
         ('{"width": 640, "height": 480, "fx": 1, "fy": 1, "cx": 1, "cy": 1}', "640 x 480"),
+        ('{"width": 12, "height": 10, "fx": 1, "fy": 1, "cx": 1, "cy": 1}', "12 x 10"),
         ('{"fx": 1', "JSON"),
         ('{"fx": "a"}', "without numbers"),
     ],
@@ -55,3 +57,9 @@ def test_bad_intrinsics_name_file_and_fault(text: str, words: str) -> None:
 def test_intrinsics_that_are_neither_numbers_nor_a_file(asked: str) -> None:
     with pytest.raises(InvalidArgument, match="--intrinsics"):
         intrinsics_file.camera_of("s", asked, (), (12, 9))
+
+
+def test_a_scale_above_a_nested_camera_is_its_own() -> None:
+    inner = '"camera": {"fx": 1, "fy": 1, "cx": 1, "cy": 1'
+    for text in (f'{{"depth_scale": 500, {inner}}}}}', f'{{"depth_scale": 500, {inner}, "depth_scale": 2000}}}}'):
+        assert intrinsics_file.parse_intrinsics(text, "k.txt").units_per_m == 500

@@ -59,6 +59,9 @@ def test_sums_of_laws_are_sums(names: set[str], k: float, f_max: float) -> None:
 def test_a_law_in_other_metres_is_the_same_law(name: str, scale: float) -> None:
     profile = profile_of(LawSpec(name), 0.02)
     np.testing.assert_allclose(profile.rescaled(scale)(phi / scale), profile(phi), atol=1e-6)
+    damped = ForceProfile(profile.pieces, 2.0)  # v is `scale` times smaller there
+    assert damped.rescaled(scale).surface_damping_n_s_per_m == 2.0 * scale
+    assert (profile + damped).surface_damping_n_s_per_m == 2.0
 
 
 def test_the_natural_wall_reaches_the_limit_of_the_device() -> None:

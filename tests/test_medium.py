@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.budget import zero_forces
+from touchfield.medium.medium import Segments, VibrationFrame
 
 shapes = st.tuples(*[st.integers(1, 21)] * 3)
 metres = st.floats(-2.0, 2.0)
@@ -147,13 +150,41 @@ def test_medium_is_lazy_and_sliced(wavy_field: ForceField) -> None:
     assert made == [4, 6]
     with pytest.raises(IndexError):
         part[3]
+    np.testing.assert_allclose(part.at(0.7 / 30).to_dense(), 5.7 * wavy_field.to_dense(), rtol=1e-6)
+    np.testing.assert_allclose(part.sample_n([[0.0, 0.0, 0.0]], 9.0), part[2].sample_n([[0.0, 0.0, 0.0]]))
+    segmented = replace(medium, segments=Segments((0, 4, 6), 0.1, 0.0))
+    cuts = [segmented.between(*frames).segments for frames in ((3, 9), (4, 6), (5, 7))]
+    assert [cut.starts for cut in cuts if cut] == [(0, 1, 3), (0,), (0, 1)]
     with pytest.raises(InvalidArgument, match="0:10"):
         medium.between(4, 11)
     with pytest.raises(InvalidArgument, match="rate_hz"):
         HapticMedium(wavy_field.grid, 0.0, 1, make)
-    other = ForceField.empty(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)))
+    other = ForceField.empty(wavy_field.grid.moved(1.0, (0.001, 0, 0)))
     with pytest.raises(InvalidArgument, match="grids"):
         HapticMedium.from_frames([wavy_field, other], 30.0)
+    with pytest.raises(InvalidArgument, match="another grid"):
+        HapticMedium(wavy_field.grid, 30.0, 1, lambda _: other)[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"positions": np.zeros((2, 3), np.int64)}, "int32"),
+        ({"positions": np.array([[0, 0, 0], [0, 0, 3]], np.int32)}, "outside"),
+        ({"positions": np.array([[0, -1, 0], [0, 0, 1]], np.int32)}, "outside"),
+        ({"positions": np.array([[0, 0, 1], [0, 0, 1]], np.int32)}, "twice"),
+        ({"positions": np.array([[1, 0, 0], [0, 1, 0]], np.int32)}, "order"),
+        ({"amplitudes_n": np.ones(3, np.float32)}, "amplitudes_n"),
+        ({"amplitudes_n": np.array([1, 0], np.float32)}, "amplitudes_n"),
+        ({"frequencies_hz": np.array([1, np.inf], np.float32)}, "frequencies_hz"),
+        ({"frequencies_hz": np.array([1, 10001], np.float32)}, "up to 10000 Hz"),
+    ],
+)
+def test_bad_vibrations_are_refused(change: dict[str, np.ndarray], said: str) -> None:
+    places, both = np.array([[0, 0, 1], [1, 0, 0]], np.int32), np.full(2, 10000, np.float32)
+    frame = VibrationFrame(Grid((2, 2, 3), (1, 1, 1), (0, 0, 0)), places, both, both)
+    with pytest.raises(InvalidArgument, match=said):
+        replace(frame, **change)
 
 
 def test_a_field_stays_within_the_memory_budget(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,6 +203,7 @@ def test_a_medium_as_a_dataset(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(data.forces_n, forces)
     near = data.forces_n.sel(component="y").sel(t=0.02, x=0.102, y=0.204, z=0.303, method="nearest")
     assert near == forces[1, 2, 2, 1, 1]
-    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.0000001")
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.000001")  # 1073 bytes: one frame, of 720
+    assert HapticMedium.from_array(forces[0], grid).to_xarray().forces_n.shape[0] == 1
     with pytest.raises(InvalidArgument, match="Take fewer frames"):
         HapticMedium.from_array(forces, grid, rate_hz=50.0).to_xarray()

@@ -174,7 +174,7 @@ def test_polygons_of_all_sizes_are_cut_inside(tmp_path: Path, kind: str) -> None
 
 
 def test_a_text_as_windows_and_old_macs_write_it(tmp_path: Path) -> None:
-    text, path = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", tmp_path / "corner.obj"
+    text, path = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2\n", tmp_path / "corner.obj"
     ends = [text.replace("\n", end).encode() for end in ("\r", "\r\n")]
     for data in (text.encode("utf-8-sig"), text.encode("utf-16"), *ends):
         path.write_bytes(data)

@@ -13,7 +13,7 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.mesh_scene import MeshScene
-from touchfield.sources.mjcf import KIND
+from touchfield.sources.mjcf import KIND, check_files
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.shapes import Plane
@@ -48,7 +48,7 @@ def test_bodies_rate_and_duration() -> None:
     t = np.arange(100) / 1000
     np.testing.assert_allclose(ball.track.positions_m[:, 2], 0.5 - 9.81 * t * t / 2, atol=9.81 * 0.001 * 0.1)
     (plane,) = world.scene.shapes  # type: ignore[attr-defined]
-    assert isinstance(plane, Plane) and plane.point_m == (0, 0, -0.1)
+    assert isinstance(plane, Plane) and (plane.point_m, plane.normal) == ((0, 0, -0.1), (0, 0, 1))
 
 
 def test_the_model_may_name_its_beginning() -> None:
@@ -62,7 +62,7 @@ def test_the_model_may_name_its_beginning() -> None:
 
 @pytest.mark.parametrize(
     ("timestep", "rate_hz", "step_s"),
-    [(0.002, 1000, 0.001), (0.0003, 1000, 1 / 3000), (0.002, 50, None), (0.001, 30, None)],
+    [(0.002, 1000, 0.001), (0.0003, 1000, 1 / 3000), (0.0006, 1000, 0.0005), (0.002, 50, None), (0.001, 30, None)],
 )
 def test_the_step_divides_the_frame(timestep: float, rate_hz: float, step_s: float | None) -> None:
     scene = opened(BALL, f'<option timestep="{timestep}"/>', seconds=0.1, rate_hz=rate_hz)
@@ -234,3 +234,17 @@ def test_any_bytes_give_a_scene_or_an_error_of_ours(tmp_path_factory: pytest.Tem
     assert KIND.recognise(path) in (True, False)
     with pytest.raises(SourceError):
         KIND.open(path, SourceOptions(seconds=0.01))
+
+
+def test_files_that_name_too_many_others_are_refused(tmp_path: Path) -> None:
+    names, folders = (
+        "".join(form.format(i) for i in range(300)) for form in ('<mesh file="{}.stl"/>', '<compiler meshdir="{}"/>')
+    )
+    (tmp_path / "a.xml").write_text(f"<mujoco>{folders}<asset>{names}</asset></mujoco>")
+    with pytest.raises(SourceError, match=r"a\.xml: found 300 files in 301 folders"):
+        check_files(tmp_path / "a.xml")
+    for i in range(257):
+        (tmp_path / f"{i}.xml").write_text(f'<mujocoinclude><include file="{i + 1}.xml"/></mujocoinclude>')
+    check_files(tmp_path / "1.xml")
+    with pytest.raises(SourceError, match="more than 256 files that include others"):
+        check_files(tmp_path / "0.xml")

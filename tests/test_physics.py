@@ -297,6 +297,11 @@ BAD = [
         'kind = "mesh"\nvertices_m = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]\ntriangles = [[0, 1, 3]]',
         "body 1.triangles",
     ),
+    (
+        'kind = "box"\nhalf_extents_m = [1, 1, 1]',
+        'kind = "mesh"\nvertices_m = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]\ntriangles = [[0, 1, 1.5]]',
+        "body 1.triangles",
+    ),
 ]
 
 

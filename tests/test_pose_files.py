@@ -15,7 +15,7 @@ from touchfield.medium import PoseTrack
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.physics import open_physics
+from touchfield.sources.physics import open_physics, read_physics
 from touchfield.sources.poses import quaternion_of_turns, track_at_rate
 from touchfield.sources.shapes import rotation_matrix
 
@@ -123,6 +123,15 @@ def test_a_scene_of_files_needs_no_mujoco(tmp_path: Path, monkeypatch: pytest.Mo
     assert box.track.is_still
     np.testing.assert_allclose(box.track.rotation(7), rotation_matrix((0, 0, 30)), atol=1e-12)
     assert open_physics(path, SourceOptions(seconds=3.0, rate_hz=10.0)).frame_count == 30
+    short = (
+        SCENE.replace("finger", "thumb").replace("track.csv", "short.csv").partition('\n[[body]]\nkind = "box"')[0]
+    )
+    (tmp_path / "short.csv").write_text(GOOD.replace("1.0,0.1,0,0.2,0,0,0,1\n", ""))
+    path.write_text(SCENE + short)
+    assert open_physics(path, SourceOptions()).frame_count == 1001  # as long as the longest
+    path.write_text("[physics]\nseconds = 2.0\nstep_s = 0.002\n" + SCENE)
+    assert [open_physics(path, SourceOptions(seconds=asked)).frame_count for asked in (None, 0.5)] == [2000, 500]
+    assert read_physics(path).world.contact_s == 0.016  # 8 steps
     (tmp_path / "scene.toml").write_text(SCENE.replace("fixed = true", ""))
     with pytest.raises(MissingExtra, match=r"touchfield\[physics\]"):
         open_physics(path, SourceOptions())
@@ -132,6 +141,8 @@ def test_times_that_are_no_scene_times_are_refused(tmp_path: Path) -> None:
     path = written(tmp_path, HEADER + "1600000000,0,0,0,1,0,0,0\n")
     with pytest.raises(InvalidArgument, match=r"1.6e\+09 s at 1000 Hz.*begin at 0"):
         open_physics(path, SourceOptions())
+    with pytest.raises(InvalidArgument, match="4000 s at 1000 Hz for 2 bodies"):
+        open_physics(written(tmp_path, GOOD), SourceOptions(seconds=4000.0))
 
 
 def test_poses_outside_the_time_of_the_scene_are_told(tmp_path: Path) -> None:

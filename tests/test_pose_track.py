@@ -74,6 +74,9 @@ def test_a_single_pose_and_a_still_one_do_not_move() -> None:
         assert not velocity.any() and not turning.any()
         assert track.is_still
     assert not any_track(1)[1].is_still
+    there_and_back = PoseTrack(PoseTrack.still(3).quaternions, [[0, 0, 0], [0, 0, 1], [0, 0, 0]])
+    spinning = PoseTrack([[1, 0, 0, 0], [0.6, 0.8, 0, 0]], np.zeros((2, 3)))
+    assert not there_and_back.is_still and not spinning.is_still
 
 
 def test_scaling_the_scene_scales_the_body_and_its_place() -> None:

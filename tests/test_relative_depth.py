@@ -156,6 +156,9 @@ def test_the_map_may_lie_elsewhere(mapped: Path, tmp_path: Path) -> None:
     for where in (other, other.parent):
         depth = read_sequence(mapped, SourceOptions(relative_depth=str(where))).depth_m(0)
         assert depth[0, 0] == 1.0 and depth[-1, -1] == 2.0
+    alone = tmp_path / "alone.png"  # whoever names a map says what the picture is
+    alone.write_bytes(mapped.read_bytes())
+    assert isinstance(open_source(alone, SourceOptions(relative_depth=str(other))), DepthScene)
 
 
 # -- the camera ----------------------------------------------------------------------------------------------------

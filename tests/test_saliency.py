@@ -18,7 +18,7 @@ from touchfield.sources.moving_pictures import ColourPictures
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.pictures import MAX_PIXELS
 from touchfield.sources.registry import open_source
-from touchfield.sources.saliency import SaliencyMaps, SaliencyModel, SaliencyScene
+from touchfield.sources.saliency import FADE_S, FLOORS, SaliencyMaps, SaliencyModel, SaliencyScene
 from video_makers import write_video
 
 HEIGHT, WIDTH, COUNT = 48, 64, 20
@@ -213,12 +213,23 @@ def test_beyond_the_picture_there_is_no_force_and_between_cells_it_is_linear() -
         assert forces[i, j] == pytest.approx(3.3 * expected, abs=1e-5)
 
 
+def test_a_peak_fades_by_time_and_not_by_pictures() -> None:
+    for rate_hz in (4.0, 12.0):
+        _, first = SaliencyModel(rate_hz).update(picture(0))
+        model = first
+        for _ in range(round(FADE_S * rate_hz)):
+            _, model = model.update(np.full((HEIGHT, WIDTH, 3), 40, np.uint8))
+        assert model.peaks[:2] == pytest.approx(np.maximum(np.exp(-1) * np.array(first.peaks[:2]), FLOORS[:2]))
+        assert first.peaks[0] > 3 * FLOORS[0]
+
+
 def test_the_amplitude_is_the_largest_of_the_law() -> None:
     scene, grid = SaliencyScene(Drawn(), 25.0), Grid((64, 48, 1), (1 / 64,) * 3, (-0.49, -0.37, 0.0))
     largest = scene.saliency(0).max()
     for pieces, force in (
         (((-0.01, 0.0, 0.0, -200.0),), 2.0),
         (((-np.inf, -0.1, 1.5, 0.0), (0.0, 0.1, 0.5, 5.0)), 1.5),
+        (((-0.01, 0.0, 0.0, -200.0), (0.0, 0.1, 2.5, 0.0)), 2.5),
     ):
         felt = scene.field(0, grid, ForceProfile(pieces)).to_dense()[..., 2].max()
         assert 0.8 * force * largest < felt <= force * largest * (1 + 1e-6)

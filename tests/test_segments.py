@@ -152,6 +152,17 @@ def test_what_comes_back_elsewhere_is_a_new_object() -> None:
     places = {0: [(10, 10, 9, 1.0)], 1: [], 2: [(10, 40, 9, 1.0)], 3: [], 4: [(12, 12, 9, 1.0)]}
     found = segmented(lambda f: wall(*places[f]), 5)
     assert found.pixels[:, 2:].tolist() == [[81, 0], [0, 0], [0, 81], [0, 0], [81, 0]]
+    assert segmented(lambda f: wall(*places[f]), 5, "least=0.004,at-most=2").object_count == 2
+
+    def alone(frame: int) -> np.ndarray:  # A, B, C, and B again: of those that are gone the latest is remembered
+        depth = np.zeros((HEIGHT, WIDTH))
+        depth[10:19, (10, 30, 50, 30)[frame] :][:, :9] = 1.0
+        return depth
+
+    assert segmented(alone, 4, "at-most=1").pixels[:, 1].tolist() == [0, 81, 0, 81]
+    more = [(10, 10, 9, 1.0), (30, 10, 8, 1.0), (30, 40, 7, 1.0)]
+    found = segmented(lambda f: wall(*more[: 1 + 2 * f]), 2)  # two at once get names of their own
+    assert found.pixels[:, 2:].tolist() == [[81, 0, 0], [81, 64, 49]]
 
 
 def test_the_greatest_overlap_decides() -> None:

@@ -118,7 +118,7 @@ def test_a_frame_may_be_changed_by_the_caller() -> None:
 
 def test_a_lower_rate_takes_fewer_frames() -> None:
     sequence = InterpolatedSequence(Kept(ramp(20), 20.0), 8.0)
-    assert sequence.frame_count == 8
+    assert sequence.frame_count == 8 and list(sequence.key_frames()) == list(range(8))
     assert np.allclose([sequence.depth_m(j)[0, 0] for j in range(8)], 1 + 2.5 * np.arange(8) / 100)
 
 

@@ -154,6 +154,10 @@ def test_what_folds_or_is_no_deformation_is_refused() -> None:
     ):
         with pytest.raises(InvalidArgument, match=said):
             replace(lattice, **bad)  # type: ignore[arg-type]
+    most = replace(lattice, displacement_m=np.zeros((1 << 9, 11, 11, 11, 3)))  # 2^18 cells
+    assert len(replace(most, displacement_m=np.full((1, 4, 4, 4, 3), 0.5))) == 1
+    with pytest.raises(InvalidArgument, match="262656 cells over all frames"):
+        replace(most, displacement_m=np.zeros((1 + (1 << 9), 11, 11, 11, 3)))
 
 
 def test_a_file_keeps_whole_steps_and_strangers_are_refused(tmp_path: Path) -> None:
@@ -212,8 +216,9 @@ def test_a_fit_finds_an_affine_motion_to_the_last_and_carries_it_on() -> None:
     rest = places(600, 0.01)
     a = np.array([[0.95, -0.2, 0], [0.2, 0.95, 0], [0, 0, 1.05]])
     now = rest @ a.T + [0.001, 0, 0]
-    made, rms = fitted(rest, [rest, now], Deformation.at_rest((-0.013,) * 3, (0.013,) * 3), 25.0)
-    assert rms < 2e-6 and not made.displacement_m[0].any() and made.rate_hz == 25.0
+    reported: list[int] = []
+    made, rms = fitted(rest, [rest, now], Deformation.at_rest((-0.013,) * 3, (0.013,) * 3), 25.0, reported.append)
+    assert reported == [1, 2] and rms < 2e-6 and not made.displacement_m[0].any() and made.rate_hz == 25.0
     p = places(200, 0.006, seed=9) @ a.T + [0.001, 0, 0]
     back = p + moved(made, made.displacement_m[1], p)
     assert np.abs(back - (p - [0.001, 0, 0]) @ np.linalg.inv(a).T).max() < 2e-5

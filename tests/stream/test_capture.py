@@ -8,6 +8,7 @@ import shutil
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -100,13 +101,15 @@ def test_a_picture_that_is_never_finished_is_passed_over(tmp_path: Path, monkeyp
     np.testing.assert_array_equal(folder.next(), depth_mm(1))
 
 
-def test_pictures_of_a_pipe_are_shown_one_by_one() -> None:
+def test_pictures_of_a_pipe_are_shown_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     sequence = piped(b"".join(png(i) for i in range(5)))
     for i in range(5):
         np.testing.assert_array_equal(sequence.depth_m(i), depth_mm(i) / np.float32(1000))
     np.testing.assert_array_equal(sequence.depth_m(3), depth_mm(3) / np.float32(1000))  # asked for again
     with pytest.raises(CaptureEnd, match="its end"):
         sequence.depth_m(5)
+    until(lambda: not list(tmp_path.iterdir()))  # nothing is left behind
 
 
 @pytest.mark.parametrize(
@@ -145,8 +148,9 @@ def test_what_is_no_depth_is_told(tmp_path: Path) -> None:
         piped(png(0), SourceOptions(intrinsics="60,60,31.5,23.5"))
     with pytest.raises(SourceError, match="no folder"):
         captured(f"watch:{tmp_path / 'absent'}", OPTIONS)
-    with pytest.raises(InvalidArgument, match="all there"):
-        captured(f"watch:{tmp_path}", SourceOptions(reading="height"))
+    for asked in ({"reading": "height"}, {"segment": "step=0.1"}, {"poses": "a.txt"}):
+        with pytest.raises(InvalidArgument, match="all there"):
+            captured(f"watch:{tmp_path}", SourceOptions(**asked))
     assert captured("room.ply", OPTIONS) is None and captured("sample:terrain", OPTIONS) is None
 
 

@@ -38,7 +38,7 @@ MOST_CELLS: Final = 1 << 18
 """Over all frames: a second or two, to see that none of them folds; 8 x 8 x 8 control points for 35 s at 60 Hz."""
 
 STEP_M: Final = 2e-5  # of displacements in a file: what no hand tells from nothing, and no slope of a map feels
-_MOST_BYTES: Final = 64 << 20
+_MOST_BYTES: Final = MOST_CELLS * 4**3 * 3 * 2  # of the least lattice, whose one cell has most control points
 _FINE: Final = 3  # places along each side of a cell at which the determinant is looked at
 _ARRAYS: Final = {"corner_m": 3, "spacing_m": 3, "rate_hz": 1, "compliance_m_per_n": 1, "relax_s": 1}
 
@@ -177,7 +177,7 @@ def read_deformation(path: str | Path) -> Deformation:
     archive = NpzArchive(Path(path))
     header, where = archive.header("displacement"), f"{path}, array displacement"
     if header.dtype != np.uint8 or len(header.shape) != 6 or header.shape[0] != 2 or header.data_bytes > _MOST_BYTES:
-        raise SourceError(where, header.words, "bytes [2, frame, nx, ny, nz, 3], at most 64 MiB")
+        raise SourceError(where, header.words, f"bytes [2, frame, nx, ny, nz, 3], at most {_MOST_BYTES >> 20} MiB")
     arrays = {name: archive.numbers(name, count) for name, count in _ARRAYS.items()}
     beside: dict[str, Any] = {
         name: tuple(values) if len(values) > 1 else values[0] for name, values in arrays.items()

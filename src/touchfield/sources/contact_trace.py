@@ -217,7 +217,7 @@ def read_mcap(path: Path) -> ContactTrace:
     count = 0
     try:
         with readable(path, _WHAT, "Check path and rights."), path.open("rb") as file:
-            for schema, channel, message in reader.make_reader(file).iter_messages():
+            for schema, channel, message in reader.make_reader(file).iter_messages():  # by time
                 name = schema.name if schema is not None else ""
                 names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
                 for kind, values in _contents(
@@ -235,7 +235,6 @@ def read_mcap(path: Path) -> ContactTrace:
             expected = f"{what}: JSON, or CDR of geometry_msgs ({', '.join(_CDR)})"
             raise SourceError(str(path), f"no {what} in {shown}", expected)
     positions, forces = (np.array(next(iter(rows.values()))) for rows in rows_of)
-    positions, forces = (rows[np.argsort(rows[:, 0], kind="stable")] for rows in (positions, forces))
     if not (np.isfinite(positions).all() and np.isfinite(forces).all()):
         raise SourceError(str(path), "a number that is not finite", "finite metres and newtons")
     is_between = (forces[:, 0] >= positions[0, 0]) & (forces[:, 0] <= positions[-1, 0])

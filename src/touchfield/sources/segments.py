@@ -118,7 +118,7 @@ class Segmentation:
     def __init__(self, sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float) -> None:
         self.sequence, self.rule = sequence, rule
         self._noise_step_per_m = noise_step_per_m
-        self._least_px = max(1, round(rule.least * sequence.width * sequence.height))
+        self._least_px = round(rule.least * sequence.width * sequence.height)
         self._known_px = np.zeros(sequence.frame_count, np.int64)
         followed = self._followed()
         totals: dict[int, int] = {}

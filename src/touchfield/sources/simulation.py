@@ -153,7 +153,7 @@ def _driven(model: Any, body: int, track: PoseTrack, rate_hz: float) -> tuple[sl
 def _steps_a_frame(model: Any, rate_hz: float) -> tuple[int, tuple[str, ...]]:
     """Steps between two frames; sets the model's time step to what divides the time between them."""
     period, asked = 1.0 / rate_hz, float(model.opt.timestep)
-    below = max(math.floor(period / asked * (1 + 1e-9)), 1)
+    below = max(math.floor(period / asked), 1)
     steps = min((below, below + 1), key=lambda n: (abs(period / n - asked), n))
     model.opt.timestep = period / steps
     if abs(period / steps - asked) <= 1e-9 * asked:
