@@ -234,6 +234,7 @@ def test_what_cannot_be_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -
     calls: list[tuple[type[TouchfieldError], str, tuple[Any, ...]]] = [
         (InvalidArgument, "ending", (wall, tmp_path / "a.mp3")),
         (InvalidArgument, "full_scale_n", (vest, hjif, None, None, "front", silent, 2.0)),
+        (InvalidArgument, "--source", (wall, hjif, None, None, "front", silent, 1.0, wall)),
         (InvalidArgument, "--device", (wall, hjif)),
         (InvalidArgument, "array of actuators", (wall, hjif, "omega.3")),
         (InvalidArgument, "tactsuit-x40", (vest, tact, "tshirt-32x32")),

@@ -90,6 +90,17 @@ def test_a_range_of_frames(tmp_path: Path) -> None:
     assert compare(field, part).summary()["nmse_db"] == told["nmse_db"]
 
 
+def test_another_mask_is_that_which_is_asked_for(tmp_path: Path) -> None:
+    masked = TouchSpec(masking=0.3, masking_radius_m=0.02)
+    encode(ball(), tmp_path / "s.touch", EncodeSpec(nw=4, touch=masked))
+    own = compare(ball(), tmp_path / "s.touch").meter
+    assert own.mask_violations == 0
+    for asked in ({"k": own.k}, {"f0_n": own.f0_n}):
+        assert compare(ball(), tmp_path / "s.touch", **asked).meter.mask_violations > 0, "without the masking"
+    other = compare(ball(), tmp_path / "s.touch", k=0.5, f0_n=4.0).meter
+    assert (other.k, other.f0_n) == (0.5, 4.0) and other.worst_mask_ratio < own.worst_mask_ratio
+
+
 def test_the_same_job_makes_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
         encode(moving(), tmp_path / f"{name}.touch", EncodeSpec(nw=4))
