@@ -259,6 +259,8 @@ def test_a_medium_is_like_itself_and_less_like_others() -> None:
     assert same.shown["descriptor_distance"] == 0.0 and not same.notes
     assert other.shown["normalised"]["value"] < 0.5 and other.shown["jensen_shannon"]["value"] > 0.1
     assert other.shown["descriptor_distance"] > 0.2
+    parts = other.shown["descriptor_parts"].values()
+    assert other.shown["descriptor_distance"] == pytest.approx(sum(part**2 for part in parts) ** 0.5)
     assert set(other.shown["descriptor_parts"]) == set(tf.measure.descriptors.PARTS)
     assert json.dumps(other.summary())
 

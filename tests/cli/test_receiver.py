@@ -12,10 +12,15 @@ from PIL import Image
 
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.devices import device
 from touchfield.job import EncodeSpec, encode
-from touchfield.job.play import COLUMNS
+from touchfield.job.play import COLUMNS, PlaySpec, play
+from touchfield.job.prepare import decode
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.trace import read_trace
+from touchfield.render.spec import RenderSpec
+from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.shapes import Sphere
 from touchfield.sources.stored import StoredScene
 from touchfield.sources.tiny_scenes import tiny_scenes
 
@@ -88,6 +93,27 @@ def test_the_picture_has_millimetres_and_newtons(
         np.testing.assert_allclose(parts.lines[axis].get_ydata(), at[f"force_{c}_n"], atol=1e-6)
     size = np.linalg.norm([at[f"field_{c}_n"] for c in "xyz"], axis=0)
     np.testing.assert_allclose(force.lines[0].get_ydata(), size, atol=1e-6)
+
+
+def test_what_is_asked_of_the_renderer_holds_for_the_hand_and_the_picture(tmp_path: Path) -> None:
+    ball = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.03),))
+    encode(ball, tmp_path / "ball.touch", EncodeSpec(nw=5, friction=0.4))
+    omni, greatest_n = device("phantom-omni"), []
+    for limits, peak_n, continuous_n, friction in (
+        (RenderSpec(), omni.force_max_n, omni.force_continuous_n, 0.4),
+        (RenderSpec(peak_n=1.0, continuous_n=0.5, friction=0.0), 1.0, 0.5, 0.0),
+    ):
+        played = play(tmp_path / "ball.touch", PlaySpec(offline=True, is_drawn=True, render=limits))
+        assert played.view is not None
+        assert (played.view.peak_n, played.view.continuous_n) == (peak_n, continuous_n)
+        assert (played.statistics["friction"], played.statistics["profile"]) == (friction, omni.name)
+        greatest_n.append(played.statistics["greatest_force_n"])
+    assert 0 < greatest_n[1] <= 0.8 * 0.5 < greatest_n[0], "a hand that was told nothing presses no harder"
+
+
+def test_the_frame_behind_the_picture_is_the_middle_one(long_stream: Path) -> None:
+    played = play(long_stream, PlaySpec(offline=True, is_drawn=True))
+    assert played.view is not None and played.view.background == decode(long_stream)[4]
 
 
 def test_a_log_is_a_trajectory(stream: Path, tmp_path: Path, capsys: Capture) -> None:
