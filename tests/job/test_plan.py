@@ -15,6 +15,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters import rebuilt
 from touchfield.job import Budget, EncodeSpec, Plan, PlanGrid, Trial, encode, open_stream, parse_budget, plan, prepare
+from touchfield.job.plan import amount
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import HapticMedium
 from touchfield.sources.analytic_scene import AnalyticScene
@@ -42,6 +43,12 @@ def test_rates_are_read(text: str, bits: float) -> None:
 @pytest.mark.parametrize(("text", "size"), [("60kB", 60e3), ("512 B", 512), ("1.5MB", 1.5e6)])
 def test_sizes_are_read(text: str, size: float) -> None:
     assert parse_budget(text) == Budget(bytes=size)
+
+
+@pytest.mark.parametrize("asked", [(), (0.0,), (math.nan,), (1.0, 1.0), (None, -1.0), (math.inf,)])
+def test_a_budget_is_one_of_both(asked: tuple[float, ...]) -> None:
+    with pytest.raises(InvalidArgument, match="one of both, above 0"):
+        Budget(*asked)
 
 
 @pytest.mark.parametrize(
@@ -264,6 +271,8 @@ def test_a_choice_that_a_hand_feels_is_told() -> None:
     (note,) = Plan(rows, 0.1, 0.05, 20, "x", 1, "bytes").notes
     assert "only 8 % of the voxels" in note and note.endswith("keeps it, for 40 bytes")
     assert Plan(rows, 0.1, 0.05, 40, "x", 1, "bytes").notes == ()
+    costs = [(999.0, "999 bit/s"), (1e3, "1 kbit/s"), (999e3, "999 kbit/s"), (1e6, "1 Mbit/s")]
+    assert [(cost, amount(cost, "bit/s")) for cost, _ in costs] == costs
     (note,) = Plan(rows[:1], 0.1, 0.05, 20, "x", 1, "bytes").notes
     assert "no setting that was tried keeps it" in note
 
