@@ -107,6 +107,8 @@ def test_devices_fit_a_terminal_a_line_each(capsys: Capture, monkeypatch: pytest
     assert len(lines) == len(devices()) + 3 and max(map(len, lines)) <= 80
     for one, line in zip(devices(), lines[2:], strict=False):
         assert line.startswith(one.name) and "x".join(f"{x:.0f}" for x in one.workspace_mm) in line.split()
+        unseen = [source for source in one.sources.values() if source.startswith("unverified")]
+        assert line.rstrip().endswith(f" {len(unseen)} of {len(one.sources)}")
 
 
 def test_names_are_listed_and_sizes_multiplied(capsys: Capture) -> None:

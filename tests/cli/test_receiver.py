@@ -241,7 +241,9 @@ def test_the_log_is_written_also_when_the_stream_fails_half_way(
     how: list[str], long_stream: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     path, log = _spoilt(long_stream, tmp_path / "spoilt.touch"), tmp_path / "log.csv"
-    assert _exit_code(["play", str(path), "--seconds", "30", "--log", str(log), *how]) == 1
+    plot = tmp_path / "forces.png"
+    asked = ["play", str(path), "--seconds", "30", "--log", str(log), "--plot", str(plot)]
+    assert _exit_code([*asked, *how]) == 1 and not plot.exists()
     said = capsys.readouterr()
     assert "CRC-32" in said.err and "the log is" in said.out
     at = _columns(log)
@@ -256,6 +258,18 @@ def test_a_stream_that_came_too_late_is_told(stream: Path, monkeypatch: pytest.M
         monkeypatch.setattr(job, "play", lambda *_, played=played: played)
         assert _exit_code(["play", str(stream)]) == code
         assert ("frames came too late" in capsys.readouterr().out) == bool(code)
+
+
+def test_what_is_asked_for_in_words_reaches_the_renderer(stream: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import touchfield.job.play as job
+
+    took: list[PlaySpec] = []
+    monkeypatch.setattr(job, "play", lambda path, spec, *_: took.append(spec) or job.Played({}, None, None, ()))
+    asked = ["play", str(stream), "--gravity-n", "0,-1,0.5", "--clutch-mm", "1,2,-3", "--no-blend", "--speed", "2"]
+    assert _exit_code(asked) == _exit_code(asked[:2]) == 0
+    spec, usual = took
+    expected = RenderSpec(gravity_n=(0.0, -1.0, 0.5), clutch_m=(0.001, 0.002, -0.003), blend=False)
+    assert spec == PlaySpec(speed=2.0, render=expected) and usual == PlaySpec()
 
 
 def test_doctor_names_what_is_missing_and_how_to_mend_it(capsys: Capture) -> None:

@@ -90,6 +90,9 @@ def test_a_range_of_frames(tmp_path: Path) -> None:
         assert list(b.medium) == [a.medium[i] for i in (2, 3, 4)]
     told = compare(moving(), part).summary()
     assert told["frames"] == 3
+    for asked in ({"frames": (5, 8)}, {"fit_frames": (0, 8)}, {"frames": (7, None)}):
+        with pytest.raises(InvalidArgument, match=f"{next(iter(asked))}: .*within 0:7"):
+            prepare(moving(), EncodeSpec(nw=4, **asked))  # type: ignore[arg-type]
     field = write_field(tmp_path / "field.npz", moving().medium)
     assert compare(field, part).summary()["nmse_db"] == told["nmse_db"]
 
