@@ -14,7 +14,7 @@ from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare, write_field
-from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.shapes import Sphere
 from touchfield.sources.stored import StoredScene
@@ -128,6 +128,19 @@ def test_mappings_keep_millimetres_honest() -> None:
         forces = medium[0].sample_n([[0.028, 0, 0], [0, -0.028, 0]])
         np.testing.assert_allclose(np.linalg.norm(forces, axis=1), 1.0, atol=0.25)
         assert forces[0, 0] > 0 > forces[1, 1]
+
+
+def test_friction_is_the_sources_or_as_asked_also_where_that_is_none() -> None:
+    rubbed = StoredScene(replace(moving().medium, friction=0.4))
+    asked = [prepare(rubbed, EncodeSpec(nw=4, friction=mu)).medium.friction for mu in (None, 0.0, 0.2)]
+    assert asked == [0.4, 0.0, 0.2]
+
+
+def test_a_field_that_is_kept_without_loss_must_fit_along_each_axis() -> None:
+    grid = Grid((40, 4, 4), (0.01,) * 3, (-0.195, -0.015, -0.015))
+    long = StoredScene(HapticMedium.from_frames([ForceField.from_dense(grid, np.ones((40, 4, 4, 3)))], 30.0))
+    with pytest.raises(InvalidArgument, match="a stored field of 400 x 40 x 40 mm"):
+        prepare(long, EncodeSpec(touch=TouchSpec(mode="lossless")))
 
 
 def test_no_force_exceeds_the_device(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from browser import ROOT
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
+from touchfield.job.view import fine_source
 from touchfield.viewer.browser import empty_page, page_of
 
 WEB = ROOT / "web"
@@ -148,16 +149,18 @@ def test_a_page_with_the_source_tells_its_bytes(
     assert within and len(base64.b64decode(within[1])) == told["source_bytes"] > 0
     assert _exit_code(["export", stream, str(tmp_path / "drives.hjif"), "--source", source]) == 2
     assert _exit_code(["view", stream, "--source", source, "--out", source, "--no-open"]) == 2
-    figures = tf.view(stream, source).figures
-    assert list(figures["capacity"]) == ["phantom-omni"] and figures["source_share"] == pytest.approx(0.1)
-    monkeypatch.setattr("touchfield.job.view.MOST_BYTES", told["source_bytes"] - 1)
-    assert tf.view(stream, source).figures["source_share"] == pytest.approx(0.3)
-    monkeypatch.setattr("touchfield.job.view.MOST_BYTES", 100)
+    assert list(tf.view(stream, source).figures["capacity"]) == ["phantom-omni"]
+
+    def share(most_bytes: int) -> float:
+        monkeypatch.setattr("touchfield.job.view.MOST_BYTES", most_bytes)
+        with tf.open_stream(stream) as opened:
+            return fine_source(source, opened).share
+
+    assert [share(told["source_bytes"] - n) for n in (0, 1)] == pytest.approx([0.1, 0.3])
     with pytest.raises(InvalidArgument, match="at most 100 in a page"):
-        tf.view(stream, source)
-    monkeypatch.undo()
+        share(100)
     tf.encode(source, stream, tf.EncodeSpec(nw=4, touch=tf.TouchSpec(k=0.002, f0_n=0.01)))
-    assert tf.view(stream, source).figures["source_share"] == pytest.approx(0.5), "no finer than 1e-3"
+    assert share(1 << 20) == pytest.approx(0.5), "no finer than k = 0.001"
     nothing = tf.HapticMedium.from_frames([tf.ForceField.empty(grid)], 30.0)
     tf.encode(nothing, tmp_path / "nothing.touch")
     assert "capacity" not in tf.view(tmp_path / "nothing.touch", nothing).figures
