@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import touchfield as tf
+from touchfield import job
 from touchfield.cli.main import _exit_code, open_rooms
+from touchfield.job import EncodeSpec, Plan, PlanGrid, Trial
 from touchfield.job.compare import Comparison
 from touchfield.medium.npz import write_npz
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.samples import SAMPLES
 
 SPHERE = '[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n'
@@ -69,6 +75,47 @@ def test_encode_info_decode_compare(sphere: Path, tmp_path: Path, capsys: pytest
     assert again["nmse_db"] == pytest.approx(compared["nmse_db"], abs=1e-9)
     assert _exit_code(["info", str(stream), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["frames"] == 1
+
+
+def test_options_reach_the_job(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    took: list[EncodeSpec] = []
+    answer = SimpleNamespace(summary=dict, notes=())
+    monkeypatch.setattr(job, "encode", lambda source, out, spec, *_, **__: took.append(spec) or answer)
+    usual = EncodeSpec()
+    for words, expected in (
+        ("--nw 5 --frames 3", {"nw": 5, "frames": (3, 4)}),
+        ("--frames :4 --fit-frames 2:", {"frames": (0, 4), "fit_frames": (2, None)}),
+        ("--nominal --law proximity --band-m 0.003", {"nw": None, "law": "proximity", "band_m": 0.003}),
+        ("--thickness-m inf --mapping 0.25", {"thickness_m": math.inf, "mapping": "0.25"}),
+        ("--friction 0 --damping-n-s-per-m 2", {"friction": 0.0, "damping_n_s_per_m": 2.0}),
+        ("--unit-m 0.01 --as stl", {"source": SourceOptions(kind="stl", unit_m=0.01)}),
+    ):
+        assert _exit_code(["encode", "no.stl", "out.touch", *words.split()]) == 0, capsys.readouterr().err
+        assert took.pop() == replace(usual, **expected), words
+    for command, told in (
+        ("encode no.stl s3://b/out.touch --target-bytes 9000", "not with an address"),
+        ("encode no.stl out.touch --target-bytes 9 --workers processes:2", "--workers works without --target-bytes"),
+        ("encode no.stl out.zarr --target-nmse-db -20", "not with .zarr"),
+        ("live no.stl - --coarse", "--coarse: found a pipe"),
+        ("live no.stl out.touch", "OUT: found 'out.touch'"),
+    ):
+        assert _exit_code(command.split()) == 2 and not took
+        assert told in capsys.readouterr().err
+
+
+def test_a_plan_tells_the_options_that_encode_takes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def planned(source: str, budget: object, spec: EncodeSpec, search: PlanGrid, *_: object) -> Plan:
+        assert search.nw == (3, 4) and spec.touch.effort == "fast"
+        return Plan((Trial(replace(spec, nw=4), 100, 1, 0.1),), 0.1, 0.05, 200.0, source, 1, "bytes")
+
+    monkeypatch.setattr(job, "plan", planned)
+    scene = "--mapping 0.25 --stiffness-n-per-m 300.0 --exaggeration 2.0"
+    assert _exit_code(["plan", "no.stl", "--budget", "200B", "--nw", "4", *scene.split(), "--json"]) == 0
+    words = json.loads(capsys.readouterr().out)["encode_options"]
+    assert words.startswith("--nw 4 ") and "--representation voxel --effort fast" in words
+    assert sorted(words.partition("fast")[2].split()) == sorted(scene.split())
 
 
 def test_people_get_tables(sphere: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -135,3 +135,17 @@ def test_the_place_ends_with_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
             assert os.environ["TOUCHFIELD_COMPUTE"] == "cpu"
         assert os.environ["TOUCHFIELD_COMPUTE"] == "auto"
     assert os.environ["TOUCHFIELD_COMPUTE"] == "cpu"
+    monkeypatch.delenv("TOUCHFIELD_COMPUTE")
+    with gpu.computing("cpu"):
+        pass
+    assert "TOUCHFIELD_COMPUTE" not in os.environ
+
+
+@pytest.mark.parametrize(("is_there", "expected"), [(True, "cuda auto"), (False, "cuda")])
+def test_a_gpu_is_used_where_it_must_be_or_where_there_is_one(
+    monkeypatch: pytest.MonkeyPatch, is_there: bool, expected: str
+) -> None:
+    monkeypatch.setattr(gpu, "_is_there", lambda: is_there)
+    for where in gpu.COMPUTE:
+        monkeypatch.setenv("TOUCHFIELD_COMPUTE", where)
+        assert gpu.uses_gpu() == (where in expected.split())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -148,6 +149,8 @@ def test_a_preview_shows_where_the_scene_lies(tmp_path: Path, monkeypatch: pytes
     # the viewer sits at the left of the side panel, and below the other: z points away, or y does
     assert not side.xaxis_inverted() and not above.yaxis_inverted()
     assert front.yaxis_inverted() == side.yaxis_inverted() == (axes == CAMERA_AXES)
+    draw_preview(replace(prepared, device=device("tshirt-32x32")), tmp_path / "a.png")
+    assert "up for the hand" not in str(drawn[1]._suptitle), "an array lies as it was laid"
     assert ("z up for the hand" in figure.texts[0].get_text() + str(figure._suptitle)) == (axes == UP_Z_AXES)
 
 

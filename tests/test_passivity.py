@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from touchfield.codec.paper.directions import Codebook
 from touchfield.errors import InvalidArgument
+from touchfield.job import MeasureSpec, measure_medium
 from touchfield.measure.passivity import loop_work_j, passivity
-from touchfield.medium import ForceField, Grid
+from touchfield.medium import ForceField, Grid, HapticMedium
 
 Float64s = NDArray[np.float64]
 GRID = Grid((21, 18, 17), (0.001, 0.002, 0.0015), (-0.01, 0.003, 0.02))
@@ -274,6 +275,13 @@ def test_the_summary_is_json() -> None:
 
 
 # -- bad input --------------------------------------------------------------------------------------------------
+
+
+def test_of_a_medium_it_is_told_of_the_frame_with_the_largest_support(wavy_field: ForceField) -> None:
+    small = ForceField.from_support(wavy_field.grid, wavy_field.positions()[:300], wavy_field.vectors_n()[:300])
+    medium = HapticMedium.from_frames([small, wavy_field, small], 30.0)
+    told = measure_medium(medium, MeasureSpec(limits=False)).passivity
+    assert told is not None and told.summary() == passivity(wavy_field).summary() != passivity(small).summary()
 
 
 def test_an_empty_field_is_refused() -> None:

@@ -120,6 +120,8 @@ def test_a_wall_between_the_samples_is_told() -> None:
     for thickness_m, nw, is_told in ((0.002, 5, True), (0.002, 7, False), (None, 5, False)):
         notes = prepare(scene, EncodeSpec(nw=nw, thickness_m=thickness_m)).notes
         assert any("2 mm is thinner than the 5 mm" in note for note in notes) == is_told
+    pins = prepare(scene, EncodeSpec(device="graphiti", thickness_m=0.002)).notes
+    assert not any("is thinner than" in note for note in pins), "an array pools what lies between"
 
 
 def test_an_array_has_its_own_lattice() -> None:

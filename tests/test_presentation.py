@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.quiver import Quiver
 from PIL import Image
 
 from touchfield import job
@@ -106,6 +107,8 @@ def test_devices_fit_a_terminal_a_line_each(capsys: Capture, monkeypatch: pytest
     assert len(lines) == len(devices()) + 3 and max(map(len, lines)) <= 80
     for one, line in zip(devices(), lines[2:], strict=False):
         assert line.startswith(one.name) and "x".join(f"{x:.0f}" for x in one.workspace_mm) in line.split()
+        unseen = [source for source in one.sources.values() if source.startswith("unverified")]
+        assert line.rstrip().endswith(f" {len(unseen)} of {len(one.sources)}")
 
 
 def test_names_are_listed_and_sizes_multiplied(capsys: Capture) -> None:
@@ -182,16 +185,19 @@ def test_report_of_filters_on_a_narrow_page(tmp_path: Path, capsys: Capture, mon
 
 def test_the_slices_go_through_where_the_most_force_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Many weak samples at one height, fewer strong ones at another."""
-    grid = Grid.over_box((0, 0, 0), (0.04, 0.02, 0.04), (20, 10, 20))
-    dense = np.zeros((20, 10, 20, 3))
+    grid = Grid.over_box((0, 0, 0), (0.04, 0.02, 0.04), (80, 10, 80))
+    dense = np.zeros((80, 10, 80, 3))
     dense[:, 2, :, 2] = 0.01
-    dense[5:15, 7, 5:15, 2] = 2.0
+    dense[20:60, 7, 20:60, 2] = 2.0
     drawn: list = []
     monkeypatch.setattr(picture, "write_png", lambda figure, path: drawn.append(figure))
     field = ForceField.from_dense(grid, dense)
     draw_comparison(tmp_path / "x.png", field, field, "t\nc", "x right, y up", (0.1, 0.02))
     titles = [panel.get_title() for panel in drawn[0].axes]
     assert sum("slice at y = 15.0 mm" in title for title in titles) == 4
+    arrows = [one for panel in drawn[0].axes for one in panel.findobj(Quiver)]
+    assert [len(one.U) for one in arrows] == [16**2] * 2, "one for each thirtieth of the page that holds a force"
+    assert all((one.V > 0).all() and not one.U.any() for one in arrows)
 
 
 def test_the_axes_are_millimetres_of_the_lattice_where_forces_are(
@@ -211,6 +217,8 @@ def test_the_axes_are_millimetres_of_the_lattice_where_forces_are(
         seen = sorted(panel.get_xlim())
         # the box of the forces, -10 to 10 mm, with at most a few samples around it
         assert 1e3 * low[0] - 1e-6 <= seen[0] <= -10 + 1e-6 and 10 - 1e-6 <= seen[1] <= 1e3 * high[0] + 1e-6
+    met_mm = front.images[0].get_array().compressed()
+    np.testing.assert_allclose(met_mm, 117.0, err_msg="whoever has z towards the eye meets the highest first")
     assert top.get_ylabel() == "z / mm" and 100 - 1e-6 <= min(top.get_ylim()) <= 106 + 1e-6
 
 

@@ -255,12 +255,16 @@ def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zarr_store, "_CHUNK", 16)
 
 
-def test_tiles_are_the_field_within_the_promise(tmp_path: Path, small_tiles: None) -> None:
+def test_tiles_are_the_field_within_the_promise(
+    tmp_path: Path, small_tiles: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tiles, "_MADE", 8)  # a tile in eight parts
     done = encode_tiles("sample:shapes", tmp_path / "a.zarr", SPEC)
     whole = prepare("sample:shapes", replace(SPEC, representation="voxel")).medium[0]
     again = read_zarr(tmp_path / "a.zarr")
     assert again.grid == whole.grid and done.tiles == 8
     assert done.supported_voxels == pytest.approx(whole.support_count, rel=1e-3)
+    assert done.file_bytes == sum(map(len, tree(tmp_path / "a.zarr").values()))
     x, y = whole.to_dense().astype(np.float64), again[0].to_dense()
     assert (np.linalg.norm(x - y, axis=-1) <= np.maximum(0.05, 0.1 * np.linalg.norm(x, axis=-1)) + 2e-6).all()
 

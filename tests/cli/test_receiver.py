@@ -12,10 +12,15 @@ from PIL import Image
 
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.devices import device
 from touchfield.job import EncodeSpec, encode
-from touchfield.job.play import COLUMNS
+from touchfield.job.play import COLUMNS, PlaySpec, play
+from touchfield.job.prepare import decode
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.trace import read_trace
+from touchfield.render.spec import RenderSpec
+from touchfield.sources.analytic_scene import AnalyticScene
+from touchfield.sources.shapes import Sphere
 from touchfield.sources.stored import StoredScene
 from touchfield.sources.tiny_scenes import tiny_scenes
 
@@ -88,6 +93,27 @@ def test_the_picture_has_millimetres_and_newtons(
         np.testing.assert_allclose(parts.lines[axis].get_ydata(), at[f"force_{c}_n"], atol=1e-6)
     size = np.linalg.norm([at[f"field_{c}_n"] for c in "xyz"], axis=0)
     np.testing.assert_allclose(force.lines[0].get_ydata(), size, atol=1e-6)
+
+
+def test_what_is_asked_of_the_renderer_holds_for_the_hand_and_the_picture(tmp_path: Path) -> None:
+    ball = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.03),))
+    encode(ball, tmp_path / "ball.touch", EncodeSpec(nw=5, friction=0.4))
+    omni, greatest_n = device("phantom-omni"), []
+    for limits, peak_n, continuous_n, friction in (
+        (RenderSpec(), omni.force_max_n, omni.force_continuous_n, 0.4),
+        (RenderSpec(peak_n=1.0, continuous_n=0.5, friction=0.0), 1.0, 0.5, 0.0),
+    ):
+        played = play(tmp_path / "ball.touch", PlaySpec(offline=True, is_drawn=True, render=limits))
+        assert played.view is not None
+        assert (played.view.peak_n, played.view.continuous_n) == (peak_n, continuous_n)
+        assert (played.statistics["friction"], played.statistics["profile"]) == (friction, omni.name)
+        greatest_n.append(played.statistics["greatest_force_n"])
+    assert 0 < greatest_n[1] <= 0.8 * 0.5 < greatest_n[0], "a hand that was told nothing presses no harder"
+
+
+def test_the_frame_behind_the_picture_is_the_middle_one(long_stream: Path) -> None:
+    played = play(long_stream, PlaySpec(offline=True, is_drawn=True))
+    assert played.view is not None and played.view.background == decode(long_stream)[4]
 
 
 def test_a_log_is_a_trajectory(stream: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -215,7 +241,9 @@ def test_the_log_is_written_also_when_the_stream_fails_half_way(
     how: list[str], long_stream: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     path, log = _spoilt(long_stream, tmp_path / "spoilt.touch"), tmp_path / "log.csv"
-    assert _exit_code(["play", str(path), "--seconds", "30", "--log", str(log), *how]) == 1
+    plot = tmp_path / "forces.png"
+    asked = ["play", str(path), "--seconds", "30", "--log", str(log), "--plot", str(plot)]
+    assert _exit_code([*asked, *how]) == 1 and not plot.exists()
     said = capsys.readouterr()
     assert "CRC-32" in said.err and "the log is" in said.out
     at = _columns(log)
@@ -230,6 +258,18 @@ def test_a_stream_that_came_too_late_is_told(stream: Path, monkeypatch: pytest.M
         monkeypatch.setattr(job, "play", lambda *_, played=played: played)
         assert _exit_code(["play", str(stream)]) == code
         assert ("frames came too late" in capsys.readouterr().out) == bool(code)
+
+
+def test_what_is_asked_for_in_words_reaches_the_renderer(stream: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import touchfield.job.play as job
+
+    took: list[PlaySpec] = []
+    monkeypatch.setattr(job, "play", lambda path, spec, *_: took.append(spec) or job.Played({}, None, None, ()))
+    asked = ["play", str(stream), "--gravity-n", "0,-1,0.5", "--clutch-mm", "1,2,-3", "--no-blend", "--speed", "2"]
+    assert _exit_code(asked) == _exit_code(asked[:2]) == 0
+    spec, usual = took
+    expected = RenderSpec(gravity_n=(0.0, -1.0, 0.5), clutch_m=(0.001, 0.002, -0.003), blend=False)
+    assert spec == PlaySpec(speed=2.0, render=expected) and usual == PlaySpec()
 
 
 def test_doctor_names_what_is_missing_and_how_to_mend_it(capsys: Capture) -> None:

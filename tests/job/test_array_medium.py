@@ -17,6 +17,7 @@ from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec
 from touchfield.job.array_medium import array_drives, is_top_first
+from touchfield.job.play import PlaySpec, play
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.medium import VibrationFrame
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES
@@ -68,6 +69,51 @@ def test_a_stream_of_the_same_array_goes_through_as_it_is() -> None:
     drives = frames.drives(0)
     assert drives[0].max() == 0.0 and drives[1, 4, 0] == 0.5 and drives[1, 0, 3] == 1.0  # the sign does not matter
     assert frames.frequencies(0) is None
+
+
+class Shown:
+    """A player of an array that has been waited for, of whose frames a twentieth came too late."""
+
+    error, notes = None, ("as it was shown",)
+
+    def __init__(self, drives: Any, chosen: Any, **times: float) -> None:
+        self.told, self.times = chosen.profile.name, times
+        SHOWN.append(self)
+
+    def __enter__(self) -> Shown:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def wait_begun(self, seconds: float) -> bool:
+        return True
+
+    def wait(self, seconds: float) -> bool:
+        return True
+
+    def statistics(self) -> dict[str, Any]:
+        return {"sent": 100, "stalled": 5}
+
+
+SHOWN: list[Shown] = []
+
+
+def test_an_array_is_played_as_it_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("touchfield.job.play.ArrayPlayer", Shown)
+    path, said = tmp_path / "vest.touch", list[str]()
+    job.encode(on_lattice(VEST, {(1, 0): 1.0}), path, EncodeSpec(device=VEST.name))
+    times = {"loop": True, "speed": 2.0, "start_s": 0.5}
+    for profile in (None, "tshirt-32x32"):
+        spec = PlaySpec("osc:127.0.0.1:9", profile=profile, **times)  # type: ignore[arg-type]
+        played = play(path, spec, tell=said.append)
+        assert played.statistics["stalled_share"] == 0.05 and played.is_starved
+        assert SHOWN[-1].times == times and played.notes == Shown.notes
+        assert SHOWN[-1].told == played.statistics["profile"] == (profile or VEST.name)
+        assert [f"made for {VEST.name}, and is shown on {profile}" in note for note in said] == [True] * bool(profile)
+    for wrong in ({"offline": True}, {"trace": path}, {"trajectory": path}, {"is_logged": True}):
+        with pytest.raises(InvalidArgument, match="with a point device"):
+            play(path, PlaySpec("osc:127.0.0.1:9", **wrong))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("pool", ["max", "mean"])

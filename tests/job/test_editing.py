@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -133,32 +134,35 @@ def test_operators_in_words_are_the_operators(stream: Path) -> None:
 
 def test_an_edit_is_exact_outside_its_region_and_its_frames(stream: Path, tmp_path: Path) -> None:
     region = "ball:0,0,0,15mm"
-    done = edit(stream, tmp_path / "e.touch", region, ["gain:2", "limit:1.5"], frames=(1, 4), spec=EXACT)
+    done = edit(stream, tmp_path / "e.touch", region, ["gain:2", "limit:1.5"], frames=(2, 5), spec=EXACT)
     before, after = tf.decode(stream), tf.decode(tmp_path / "e.touch")
     inside = region_of(region).holds(points())
     for n in range(6):
         a, b = before[n].to_dense(), after[n].to_dense()
         assert np.array_equal(a[~inside], b[~inside])
-        assert np.array_equal(a, b) == (not 1 <= n < 4)
-    assert np.linalg.norm(after[2].to_dense()[inside], axis=-1).max() == pytest.approx(1.5, abs=1e-5)
+        assert np.array_equal(a, b) == (not 2 <= n < 5)
+    assert np.linalg.norm(after[3].to_dense()[inside], axis=-1).max() == pytest.approx(1.5, abs=1e-5)
     told = done.summary()
-    changed = (before[2].to_dense() != after[2].to_dense()).any(axis=-1)
-    assert told["looked_at_frame"] == 2 and told["samples_changed"] == changed.sum()
+    changed = (before[3].to_dense() != after[3].to_dense()).any(axis=-1)
+    assert told["looked_at_frame"] == 3 and told["samples_changed"] == changed.sum()
     assert told["file_bytes"] == (tmp_path / "e.touch").stat().st_size
     assert "gain" in after.provenance["edits"] and "limit" in after.provenance["edits"]
     again = edit(tmp_path / "e.touch", tmp_path / "f.touch", operators=["erase"], spec=EXACT)
     assert again.medium[0].support_count == 0
     history = tf.decode(tmp_path / "f.touch").provenance["edits"]
     assert history.index("gain") < history.index("erase"), "a file tells all that was done to it"
+    edit(stream, tmp_path / "g.touch", " | ".join(["everywhere"] * 400), ["gain:2"], frames=(0, 1), spec=EXACT)
+    assert len(tf.decode(tmp_path / "g.touch").provenance["edits"]) == 1000, "or as much of it as a file holds"
 
 
 def test_another_medium_is_composed_over_one(stream: Path, tmp_path: Path) -> None:
     grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (16, 16, 16))
     tf.encode(tf.HapticMedium.from_array(ball(grid, (0.0, 0.0, 0.0)), grid, 30.0, AXES), tmp_path / "o.touch", EXACT)
-    edit(stream, tmp_path / "x.npz", operators=[f"add:{tmp_path / 'o.touch'}"], frames=(2, 3))
+    edit(stream, tmp_path / "x.npz", operators=[f"add:{tmp_path / 'o.touch'}"], frames=(2, 4))
     made = read_medium(tmp_path / "x.npz").medium
-    expected = tf.decode(stream)[2] + resampled(tf.decode(tmp_path / "o.touch"), GRID)[0]
-    assert_near(made[2].to_dense(), expected.to_dense())
+    for n in (2, 3):  # a still one is there in each
+        expected = tf.decode(stream)[n] + resampled(tf.decode(tmp_path / "o.touch"), GRID)[0]
+        assert_near(made[n].to_dense(), expected.to_dense())
     assert made[1] == tf.decode(stream)[1]
     tf.encode(rolling(frames=2), tmp_path / "short.touch", EXACT)
     with pytest.raises(InvalidArgument, match="2 frames"):
@@ -198,7 +202,7 @@ def test_another_rate_is_linear_between_the_frames() -> None:
     assert (len(twice), len(less)) == (12, 4) and twice.rate_hz == 60.0
     assert twice[4] == medium[2] and less[2] == medium[3] and twice[11] == medium[5]
     assert_near(twice[5].to_dense(), (medium[2].to_dense() + medium[3].to_dense()) / 2)
-    assert retimed(medium, 30.0) is medium
+    assert retimed(medium, 30.0) is medium and len(retimed(medium[:4], 20.0)) == 3
     with pytest.raises(InvalidArgument):
         retimed(medium, 0.0)
 
@@ -231,15 +235,24 @@ def test_media_are_joined_in_space_time_and_axes() -> None:
     back, notes = joined(turned, like)
     assert_near(back[2].to_dense(), like[2].to_dense())
     assert "turned" in notes[0]
+    flat, high = ((0.04, 0.03, 0.02), (32, 24, 16)), ((0.04, 0.02, 0.03), (32, 16, 24))
+    lying, standing = (tf.Grid.over_box([-n for n in corner], corner, shape) for corner, shape in (flat, high))
+    turned = tf.HapticMedium.from_array(rolling(standing)[0].to_dense(), standing, 30.0, "x right, y forward, z up")
+    back, notes = joined(turned, rolling(lying))
+    swapped = turned[0].to_dense().transpose(0, 2, 1, 3)[:, :, ::-1, [0, 2, 1]] * np.float32([1, 1, -1])
+    assert back.grid == lying and len(notes) == 1
+    assert_near(back[0].to_dense(), swapped)
     small = tf.Grid.over_box((-0.04, -0.04, -0.04), (0.0, 0.04, 0.04), (16, 32, 32))
-    assert "outside" in joined(like, rolling(small))[1][1]
+    note = joined(like, rolling(small))[1][1]
+    share = np.mean(like.grid.to_m(like[3].positions())[:, 0] > 0)
+    assert f": {100 * share:.3g} % of its samples lie outside" in note and 0.1 < share < 0.9
     assert joined(like, like)[0][1] == like[1] and not joined(like, like)[1]
 
 
 def test_rooms_of_other_rates_and_lattices_are_spliced(stream: Path, tmp_path: Path) -> None:
     grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (24, 24, 24))
     tf.encode(rolling(grid, 10, 50.0), tmp_path / "b.touch", EXACT)
-    done = splice([f"{stream}@1:5", str(tmp_path / "b.touch")], tmp_path / "s.touch", fade_s=0.1, spec=EXACT)
+    done = splice([f"{stream}@1:5", str(tmp_path / "b.touch")], tmp_path / "s.touch", fade_s=0.09, spec=EXACT)
     made, first = tf.decode(tmp_path / "s.touch"), tf.decode(stream)
     second, _ = joined(tf.decode(tmp_path / "b.touch"), first)
     assert len(made) == 4 + 6 - 3 and made.grid == GRID and made.rate_hz == 30.0
@@ -251,6 +264,10 @@ def test_rooms_of_other_rates_and_lattices_are_spliced(stream: Path, tmp_path: P
     assert "splices" in made.provenance
     cut = splice([f"{stream}@:2", f"{stream}@4:"], tmp_path / "cut.touch", spec=EXACT)
     assert [cut.medium[n] == first[n if n < 2 else n + 2] for n in range(4)] == [True] * 4
+    tf.encode(rolling(frames=1), tmp_path / "v.touch", replace(EXACT, vibration="gain=0.1,frequency=150"))
+    one, two = (splice([str(tmp_path / "v.touch")] * n, tmp_path / "cut.touch", spec=EXACT) for n in (1, 2))
+    assert one.medium.vibration is not None and not any("vibration" in note for note in one.notes)
+    assert two.medium.vibration is None and two.notes[:2] == ("v.touch: the vibration is left out",) * 2
     for bad in ([f"{stream}@4"], [f"{stream}@9:"], [str(tmp_path / "none.touch")], []):
         with pytest.raises(tf.TouchfieldError):
             splice(bad, tmp_path / "x.touch")

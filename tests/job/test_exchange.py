@@ -85,11 +85,12 @@ def test_a_stream_for_a_vest_as_hjif_and_back(tmp_path: Path) -> None:
 
 def test_a_stream_for_a_vest_as_a_pattern(tmp_path: Path) -> None:
     path, drives = vest_stream(tmp_path / "a.touch")
-    done = export(path, tmp_path / "a.tact", panel="back")
-    spans = read_tact(tmp_path / "a.tact")
-    assert done.shown["panel"] == "back" and len(spans) == 6 and {one.position for one in spans} == {"VestBack"}
-    for one, wanted in zip(spans, drives):
-        assert one.intensities == pytest.approx(wanted, abs=K + 0.0051)
+    for profile in (None, "tactsuit-x40"):  # one panel as the stream tells it, and both of the vest
+        done = export(path, tmp_path / "a.tact", profile, panel="back")
+        spans = read_tact(tmp_path / "a.tact")
+        assert done.shown["panel"] == "back" and len(spans) == 6 and {one.position for one in spans} == {"VestBack"}
+        for one, wanted in zip(spans, drives):
+            assert one.intensities == pytest.approx(wanted, abs=K + 0.0051)
 
 
 def test_fields_in_space_are_pooled_onto_the_array(tmp_path: Path) -> None:
@@ -104,6 +105,8 @@ def test_heights_of_pins_are_no_vibration_and_that_is_told(tmp_path: Path) -> No
     path = wall_stream(tmp_path / "a.touch")
     assert not any("pins" in note for note in export(path, tmp_path / "a.hjif", "tshirt-32x32").notes)
     assert any("knows no pins" in note for note in export(path, tmp_path / "a.hjif", "graphiti").notes)
+    pins, _ = vest_stream(tmp_path / "pins.touch", "graphiti")
+    assert any("knows no pins" in note for note in export(pins, tmp_path / "a.hjif", "tshirt-32x32").notes)
 
 
 def test_a_force_along_a_trajectory(tmp_path: Path) -> None:
@@ -123,7 +126,7 @@ def test_a_probe_seen_seldom_meets_what_lies_between(tmp_path: Path) -> None:
     export(path, tmp_path / "f.hjif", trajectory=fast)
     _, forces = read_force(tmp_path / "f.hjif")
     assert not forces[0].any() and not forces[-1].any() and forces[:, 2].max() > 2.5
-    for rows, ticks in (([0.0, 0.0001], 1000), ([0.0, 131.07], 500), ([5.0], 1000)):
+    for rows, ticks in (([0.0, 0.0001], 1000), ([0.0, 131.07], 500), ([0.0, 100.0], 655), ([5.0], 1000)):
         slow = probe(tmp_path / "p.csv", [(t, 0, 0, 0) for t in rows])
         assert export(path, tmp_path / "f.hjif", trajectory=slow).shown["ticks_per_second"] == ticks
 
@@ -174,7 +177,9 @@ def test_what_exceeds_the_peak_is_shortened(tmp_path: Path) -> None:
     done = export(path, tmp_path / "f.hjif", trajectory=deep)
     _, forces = read_force(tmp_path / "f.hjif")
     peak_n = device("phantom-omni").force_max_n
-    assert np.abs(forces).max() == pytest.approx(peak_n) and "shortened" in done.notes[0]
+    shortened = np.mean(np.linalg.norm(forces, axis=1) > peak_n * (1 - 1e-6))
+    assert np.abs(forces).max() == pytest.approx(peak_n) and 0.5 < shortened < 1
+    assert done.notes[0] == f"{100 * shortened:.3g} % of the samples exceed {peak_n:g} N and are shortened to it."
     other = export(path, tmp_path / "g.hjif", "novint-falcon", deep)
     assert other.shown["force_max_n"] == device("novint-falcon").force_max_n
 
@@ -234,6 +239,7 @@ def test_what_cannot_be_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -
     calls: list[tuple[type[TouchfieldError], str, tuple[Any, ...]]] = [
         (InvalidArgument, "ending", (wall, tmp_path / "a.mp3")),
         (InvalidArgument, "full_scale_n", (vest, hjif, None, None, "front", silent, 2.0)),
+        (InvalidArgument, "--source", (wall, hjif, None, None, "front", silent, 1.0, wall)),
         (InvalidArgument, "--device", (wall, hjif)),
         (InvalidArgument, "array of actuators", (wall, hjif, "omega.3")),
         (InvalidArgument, "tactsuit-x40", (vest, tact, "tshirt-32x32")),
@@ -252,6 +258,7 @@ def test_what_cannot_be_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -
         import_effect(wall, tmp_path / "b.touch")
     with pytest.raises(SourceError, match=r"none\.hjif"):
         import_effect(tmp_path / "none.hjif", tmp_path / "b.touch")
-    with pytest.raises(InvalidArgument, match="force_max_n"):
-        import_effect(tmp_path / "none.hjif", tmp_path / "b.touch", force_max_n=-1.0)
+    for force_max_n in (-1.0, 0.0, 2e6):
+        with pytest.raises(InvalidArgument, match="force_max_n"):
+            import_effect(tmp_path / "none.hjif", tmp_path / "b.touch", force_max_n=force_max_n)
     assert sorted(tmp_path.iterdir()) == before

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from touchfield.cli.main import run
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.job import EncodeSpec, compare, encode, prepare
 from touchfield.medium import HapticMedium, PoseTrack
 from touchfield.sources.analytic_scene import AnalyticScene
@@ -56,6 +57,17 @@ def test_a_medium_of_many_frames_is_held(tmp_path):
     encode(scene, path, EncodeSpec(nw=4))
     hold = compare(scene, path).hand.hold
     assert hold.points > 0 and hold.step_source_mn == 0 and hold.still_step_mn == hold.step_mn
+
+
+def test_a_step_where_a_segment_starts_is_told_as_such(tmp_path):
+    still = prepare(BALL, EncodeSpec(nw=4)).medium[0]
+    scene = StoredScene(HapticMedium.from_frames([still, still.scaled(0.5)], 30.0))
+    steps = []
+    for length in (1, 2):
+        spec = EncodeSpec(nw=4, touch=TouchSpec(segment_frames=length))
+        encode(scene, tmp_path / "two.touch", spec)
+        steps.append(compare(scene, tmp_path / "two.touch").hand.hold.start_step_source_mn)
+    assert steps[0] > 0 == steps[1]
 
 
 def test_objects_are_felt_by_the_receivers_query(tmp_path):

@@ -210,10 +210,13 @@ def test_a_filter_wider_than_a_body_finds_room_and_loses_no_force() -> None:
 
 
 def test_the_report_of_a_filter_is_of_the_objects_that_are_coded(tmp_path: Path) -> None:
-    spec = replace(SPEC, filters=(("gaussian", "3mm"),))
+    plain = replace(SPEC, stiffness_n_per_m=20.0)
+    spec = replace(plain, filters=(("gaussian", "3mm"),))
     report = job.filter_report(falling(), spec).shown["stages"]
     coded = job.prepare(falling(), spec).medium
-    assert report[0]["supported_voxels"] == sum(f.support_count for f in job.prepare(falling(), SPEC).medium)
+    assert report[0]["supported_voxels"] == sum(f.support_count for f in job.prepare(falling(), plain).medium)
+    greatest_n = max(float(f.support().amplitudes_n.max()) for f in coded)
+    assert report[1]["greatest_n"] == pytest.approx(greatest_n) and greatest_n < 1
     assert report[1]["supported_voxels"] == sum(f.support_count for f in coded)
     assert report[1]["rms_n"] == pytest.approx(
         np.sqrt(np.mean(np.concatenate([(f.vectors_n() ** 2).sum(axis=1) for f in coded], dtype=np.float64)))

@@ -14,7 +14,7 @@ from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare, write_field
-from touchfield.medium import ForceField, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.shapes import Sphere
 from touchfield.sources.stored import StoredScene
@@ -40,8 +40,12 @@ def test_frames_that_are_decoded_without_a_force_are_told(tmp_path: Path) -> Non
     grid = prepare(ball(), EncodeSpec(nw=3)).medium.grid
     weak, strong = (ForceField.from_dense(grid, np.full((8, 8, 8, 3), n / 3**0.5)) for n in (0.03, 1.0))
     empty = ForceField.empty(grid)
-    for frames, told in (((strong, weak, empty), "In 1 of 3 frames nothing"), ((strong, empty, strong), "")):
-        notes = encode(HapticMedium.from_frames(frames, 30.0), tmp_path / "out.touch").notes
+    alone = EncodeSpec(touch=TouchSpec(segment_frames=1))
+    for frames, told in (
+        ((strong, weak, empty), "In 1 of 3 frames nothing"), ((strong, empty, strong), ""),
+        ((weak, strong, weak), "In 2 of 3 frames nothing"), ((weak, weak, strong), "In 2 of 3 frames nothing"),
+    ):  # fmt: skip
+        notes = encode(HapticMedium.from_frames(frames, 30.0), tmp_path / "out.touch", alone).notes
         assert [told in note and "--f0-n" in note for note in notes[1:]] == [True] * bool(told)
 
 
@@ -86,8 +90,22 @@ def test_a_range_of_frames(tmp_path: Path) -> None:
         assert list(b.medium) == [a.medium[i] for i in (2, 3, 4)]
     told = compare(moving(), part).summary()
     assert told["frames"] == 3
+    for asked in ({"frames": (5, 8)}, {"fit_frames": (0, 8)}, {"frames": (7, None)}):
+        with pytest.raises(InvalidArgument, match=f"{next(iter(asked))}: .*within 0:7"):
+            prepare(moving(), EncodeSpec(nw=4, **asked))  # type: ignore[arg-type]
     field = write_field(tmp_path / "field.npz", moving().medium)
     assert compare(field, part).summary()["nmse_db"] == told["nmse_db"]
+
+
+def test_another_mask_is_that_which_is_asked_for(tmp_path: Path) -> None:
+    masked = TouchSpec(masking=0.3, masking_radius_m=0.02)
+    encode(ball(), tmp_path / "s.touch", EncodeSpec(nw=4, touch=masked))
+    own = compare(ball(), tmp_path / "s.touch").meter
+    assert own.mask_violations == 0
+    for asked in ({"k": own.k}, {"f0_n": own.f0_n}):
+        assert compare(ball(), tmp_path / "s.touch", **asked).meter.mask_violations > 0, "without the masking"
+    other = compare(ball(), tmp_path / "s.touch", k=0.5, f0_n=4.0).meter
+    assert (other.k, other.f0_n) == (0.5, 4.0) and other.worst_mask_ratio < own.worst_mask_ratio
 
 
 def test_the_same_job_makes_the_same_bytes(tmp_path: Path) -> None:
@@ -110,6 +128,19 @@ def test_mappings_keep_millimetres_honest() -> None:
         forces = medium[0].sample_n([[0.028, 0, 0], [0, -0.028, 0]])
         np.testing.assert_allclose(np.linalg.norm(forces, axis=1), 1.0, atol=0.25)
         assert forces[0, 0] > 0 > forces[1, 1]
+
+
+def test_friction_is_the_sources_or_as_asked_also_where_that_is_none() -> None:
+    rubbed = StoredScene(replace(moving().medium, friction=0.4))
+    asked = [prepare(rubbed, EncodeSpec(nw=4, friction=mu)).medium.friction for mu in (None, 0.0, 0.2)]
+    assert asked == [0.4, 0.0, 0.2]
+
+
+def test_a_field_that_is_kept_without_loss_must_fit_along_each_axis() -> None:
+    grid = Grid((40, 4, 4), (0.01,) * 3, (-0.195, -0.015, -0.015))
+    long = StoredScene(HapticMedium.from_frames([ForceField.from_dense(grid, np.ones((40, 4, 4, 3)))], 30.0))
+    with pytest.raises(InvalidArgument, match="a stored field of 400 x 40 x 40 mm"):
+        prepare(long, EncodeSpec(touch=TouchSpec(mode="lossless")))
 
 
 def test_no_force_exceeds_the_device(tmp_path: Path) -> None:

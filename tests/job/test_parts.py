@@ -121,6 +121,14 @@ def test_bytes_are_those_of_one_process_in_any_order(source: Path, alone: bytes,
         assert not list(tmp_path.glob("*.parts"))
 
 
+def test_a_part_may_have_several_segments(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(coding, "STRETCH", 2)
+    here = encode(source, tmp_path / "a.touch", SPEC)
+    there = encode(source, tmp_path / "b.touch", SPEC, executor=Straight())
+    assert (tmp_path / "a.touch").read_bytes() == (tmp_path / "b.touch").read_bytes()
+    assert here.supported_voxels == there.supported_voxels
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_processes_write_the_same_bytes(source: Path, alone: bytes, tmp_path: Path, count: int) -> None:
     with executor_of(f"processes:{count}") as workers:

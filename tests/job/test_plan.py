@@ -15,6 +15,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.filters import rebuilt
 from touchfield.job import Budget, EncodeSpec, Plan, PlanGrid, Trial, encode, open_stream, parse_budget, plan, prepare
+from touchfield.job.plan import amount
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import HapticMedium
 from touchfield.sources.analytic_scene import AnalyticScene
@@ -42,6 +43,12 @@ def test_rates_are_read(text: str, bits: float) -> None:
 @pytest.mark.parametrize(("text", "size"), [("60kB", 60e3), ("512 B", 512), ("1.5MB", 1.5e6)])
 def test_sizes_are_read(text: str, size: float) -> None:
     assert parse_budget(text) == Budget(bytes=size)
+
+
+@pytest.mark.parametrize("asked", [(), (0.0,), (math.nan,), (1.0, 1.0), (None, -1.0), (math.inf,)])
+def test_a_budget_is_one_of_both(asked: tuple[float, ...]) -> None:
+    with pytest.raises(InvalidArgument, match="one of both, above 0"):
+        Budget(*asked)
 
 
 @pytest.mark.parametrize(
@@ -187,8 +194,11 @@ def test_an_array_keeps_its_lattice() -> None:
     ball = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.04),))
     stored = StoredScene(prepare(ball, EncodeSpec(nw=4, thickness_m=math.inf)).medium)
     search = PlanGrid((4, 5), (), (), ("octa1",), (0.05, 0.25), (4,))
-    tried = plan(stored, Budget(bytes=1e9), EncodeSpec(device="tshirt-32x32"), search)
-    assert len(tried.trials) == 2
+    steps: list[tuple[int, int]] = []
+    tried = plan(
+        stored, Budget(bytes=1e9), EncodeSpec(device="tshirt-32x32"), search, lambda *step: steps.append(step)
+    )
+    assert len(tried.trials) == 2 and steps == [(1, 2), (2, 2)]
     assert tried.front()[-1].nmse < 0.01
 
 
@@ -214,13 +224,25 @@ def drifting(frames: int = 6) -> StoredScene:
     return StoredScene(HapticMedium.from_frames(fields, 25.0))
 
 
-def test_a_medium_that_moves_has_a_rate_and_a_size_is_one_over_its_time() -> None:
+def test_a_medium_that_moves_has_a_rate_and_a_size_is_one_over_its_time(tmp_path: Path) -> None:
     scene, search = drifting(), PlanGrid((4, 5), (0.1,), (0.1,), ())
     by_rate = plan(scene, 400_000.0, SPEC, search)
     assert by_rate.unit == "bit/s" and by_rate.chosen.bits_per_s <= 400_000
     assert "bits_per_s" in by_rate.summary()["trials"][0] and by_rate.frames_tried == 6
     by_size = plan(scene, Budget(bytes=400_000 / 8 * 6 / 25), SPEC, search)
     assert by_size.budget == pytest.approx(400_000) and by_size.chosen == by_rate.chosen
+    trial = by_rate.trials[-1]
+    size = encode(scene, tmp_path / "s.touch", trial.spec).file_bytes
+    assert trial.frames == 6 and trial.file_bytes == pytest.approx(size, rel=0.2)
+
+
+def test_what_is_tried_are_pairs_of_frames_all_over_the_medium() -> None:
+    still, search = drifting(1).medium[0], PlanGrid((5,), (0.4,), (), ())
+    for count, expected in ((2, [0, 1]), (5, [0, 1, 2, 3]), (20, [3, 4, 9, 10, 15, 16])):
+        made: list[int] = []
+        medium = HapticMedium(still.grid, 25.0, count, lambda i, made=made: made.append(i) or still)  # type: ignore[misc]
+        assert plan(StoredScene(medium), 1e9, SPEC, search).frames_tried == len(expected)
+        assert sorted(set(made)) == expected
 
 
 def test_a_still_medium_takes_of_a_rate_what_one_second_carries() -> None:
@@ -245,10 +267,12 @@ def test_a_choice_that_a_hand_feels_is_told() -> None:
     def trial(size: int, nmse: float, kept: float) -> Trial:
         return Trial(SPEC, size, 1, nmse, 30.0, kept)
 
-    rows = (trial(10, 0.5, 0.08), trial(40, 0.1, 0.99))
+    rows = (trial(10, 0.5, 0.08), trial(40, 0.1, 0.99), trial(60, 0.05, 1.0))
     (note,) = Plan(rows, 0.1, 0.05, 20, "x", 1, "bytes").notes
     assert "only 8 % of the voxels" in note and note.endswith("keeps it, for 40 bytes")
     assert Plan(rows, 0.1, 0.05, 40, "x", 1, "bytes").notes == ()
+    costs = [(999.0, "999 bit/s"), (1e3, "1 kbit/s"), (999e3, "999 kbit/s"), (1e6, "1 Mbit/s")]
+    assert [(cost, amount(cost, "bit/s")) for cost, _ in costs] == costs
     (note,) = Plan(rows[:1], 0.1, 0.05, 20, "x", 1, "bytes").notes
     assert "no setting that was tried keeps it" in note
 

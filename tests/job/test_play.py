@@ -13,6 +13,8 @@ import touchfield as tf
 from touchfield.devices import device
 from touchfield.job.array_medium import stream_device
 from touchfield.job.editing import edit
+from touchfield.job.play import _before_end
+from touchfield.render.block import FLAGS
 from touchfield.render.feeder import FrameSource
 from touchfield.render.spec import stated_n_per_m
 
@@ -35,6 +37,14 @@ def test_a_stream_names_a_profile_and_never_a_file(tmp_path: Path) -> None:
         assert stream_device(SimpleNamespace(told_device=named)) is named
     array = replace(told, type=2)
     assert stream_device(SimpleNamespace(told_device=array)) is array
+
+
+def test_what_comes_behind_the_end_of_a_live_stream_was_missed_by_nobody() -> None:
+    rows = np.zeros(10, [("flags", np.int64)])
+    rows["flags"][:6], rows["flags"][2] = FLAGS["running"], FLAGS["stalled"]
+    rows["flags"][6:] = FLAGS["stalled"]
+    told = _before_end({"stalled_ticks": 5, "stalled_share": 0.5, "ticks": 10}, rows)
+    assert told == {"stalled_ticks": 1, "stalled_share": 1 / 6, "ticks": 10}
 
 
 @pytest.mark.parametrize("stiffness", [150.0, 1500.0])

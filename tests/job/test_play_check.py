@@ -13,6 +13,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, encode
 from touchfield.job.play import check_play
+from touchfield.job.prepare import decode
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.stored import StoredScene
 
@@ -49,6 +50,15 @@ def test_a_sample_of_segments_is_held_against_real_time(stream: Path) -> None:
     assert check_play(stream, clock_s=Clock(8.0))["frames_decoded"] < 8  # bounded in time
     with pytest.raises(InvalidArgument, match="speed"):
         check_play(stream, 0.0)
+    assert [check_play(stream, speed, Clock(0.05))["needed_rate_hz"] for speed in (1.0, 0.5)] == [30.0, 15.0]
+
+
+def test_a_short_file_is_decoded_whole_and_a_still_one_can_always_be_played(stream: Path, tmp_path: Path) -> None:
+    for count in (5, 1):
+        encode(decode(stream)[:count], tmp_path / "a.touch", EncodeSpec(touch=TouchSpec(segment_frames=3)))
+        assert check_play(tmp_path / "a.touch", clock_s=Clock(0.05))["frames_decoded"] == count
+    told = check_play(tmp_path / "a.touch", clock_s=Clock(30.0))
+    assert (told["frames_decoded"], told["needed_rate_hz"], told["can_play"]) == (1, 0.0, True)
 
 
 def test_the_exit_code_tells(

@@ -12,8 +12,8 @@ import pytest
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument
-from touchfield.job import EncodeSpec, Target, compare, encode, encode_to_target, open_stream
-from touchfield.job.rate_control import MOST_ENCODES
+from touchfield.job import EncodeSpec, Target, compare, encode, encode_to_target, open_stream, rate_control
+from touchfield.job.rate_control import MOST_ENCODES, RootSearch
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.stored import StoredScene
 
@@ -61,13 +61,26 @@ def test_a_promise_that_fits_is_kept_as_asked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("frames", [2, 12])
-def test_a_mean_error_is_reached(frames: int, tmp_path: Path) -> None:
-    source, out = rough(frames), tmp_path / "s.touch"
+def test_a_mean_error_is_reached(frames: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source, out, calls = rough(frames), tmp_path / "s.touch", list[int]()
+    was = rate_control.encode_prepared
+    monkeypatch.setattr(rate_control, "encode_prepared", lambda *given: calls.append(1) or was(*given))
     told = encode_to_target(source, out, NMSE, Target(nmse_db=-24.0)).summary()
     found = compare(source, out).summary()
     assert found["nmse_db"] == pytest.approx(-24.0, abs=0.13)
     assert told["nmse_db"] == pytest.approx(found["nmse_db"], abs=1e-6)
-    assert told["mode"] == "nmse" and told["encodes"] <= MOST_ENCODES
+    assert told["mode"] == "nmse" and told["encodes"] == len(calls) <= MOST_ENCODES
+
+
+def test_of_what_fits_the_best_is_kept_wherever_the_search_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = iter((0.5, *np.linspace(0.2, 0.1, 20)))  # of which the first alone fits
+    monkeypatch.setattr(RootSearch, "guess", lambda search: next(map(math.log, steps), None))
+    spec = replace(NMSE, touch=replace(NMSE.touch, step_n=0.8))
+    told = encode_to_target(rough(2), tmp_path / "s.touch", spec, Target(bytes=6000)).summary()
+    assert told["step_n"] == 0.5 and told["encodes"] == MOST_ENCODES
+    assert told["file_bytes"] == (tmp_path / "s.touch").stat().st_size < 6000
 
 
 def test_bytes_are_reached_by_the_step(tmp_path: Path) -> None:

@@ -19,15 +19,18 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from live_makers import GRID, HEAD, Hand, field, medium, segment
+from touchfield.codec.registry import field_encoder
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.filters.resample import halved, interpolated, pyramid, rebuilt
 from touchfield.job import EncodeSpec
 from touchfield.job.live import LiveSpec, broadcast, coarse_layer, opened_sender
 from touchfield.job.prepare import Prepared
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.medium import VibrationFrame
 from touchfield.stream.live import ENDLESS, Ended, LiveReceiver, LiveSegment, Lost, Opened
 from touchfield.stream.live_medium import WAITED_S, LiveEnd, LiveFrames, LiveStream
 
@@ -260,18 +263,30 @@ class Paced:
 
 
 def test_both_layers_go_on_the_air() -> None:
-    prepared, _ = opened_sender(medium(), EncodeSpec())
-    coarse, under = coarse_layer(medium(), prepared)
+    one, ones = np.ones((1, 3), np.int32), np.ones(1, np.float32)
+    shaken = replace(medium(), vibration=lambda i: VibrationFrame(GRID, one, ones, (100 + i) * ones))
+    prepared, _ = opened_sender(shaken, EncodeSpec())
+    assert prepared.spec.touch.effort == "fast"
+    coarse, under = coarse_layer(shaken, prepared)
     took: tuple[list[LiveSegment], list[LiveSegment]] = ([], [])
     paced, spec = Paced(5, *took), LiveSpec(0.1, loop=True, seconds=2.0)
     layer = (coarse, took[1].append)
     sent = broadcast(prepared, took[0].append, spec, clock_s=lambda: paced.now_s, pause=paced.pause, coarse=layer)
     assert sent.segments == len(took[0]) == len(took[1]) == 20 and sent.left_out == 0
     assert sent.coarse_bytes == sum(len(one.body) for one in took[1]) > 0
+    assert sent.sent_bytes == sum(len(one.body) + len(one.vibration or b"") for one in took[0])
+    assert not any(one.vibration for one in took[1]), "what vibrates is in the fine layer"
+    last = took[0][-1]  # the medium has begun again
+    assert last.vibration is not None
+    band = [float(f.frequencies_hz[0]) for f in decode_vibration(last.vibration, GRID, 5)]
+    assert band == [145, 146, 147, 148, 149]
+    decoder = TouchDecoder(GRID, field_encoder(GRID, prepared.coding).parameters)
+    assert [f.support_count for f in decoder.frames(last.body, 5)] == [field(45 + i).support_count for i in range(5)]
     receiver = LiveReceiver()
     (opened,) = receiver.receive(under.opening)
     assert isinstance(opened, Opened) and "NMSE" in opened.provenance["layer"]
     assert opened.head.weber_fraction == 2 * prepared.spec.k
+    assert opened.head.force_threshold_n == 2 * prepared.spec.f0_n
     frames = LiveFrames(opened)
     frames.take(took[1][0])
     number = took[1][0].first_frame

@@ -20,7 +20,7 @@ from live_makers import GRID, HEAD, field, medium, segment, sender_of
 from touchfield.cli.main import _exit_code
 from touchfield.errors import FormatError, InvalidArgument, SourceError, reason
 from touchfield.job import EncodeSpec, encode
-from touchfield.job.live import LiveSpec, _Lane, broadcast, opened_sender
+from touchfield.job.live import LiveSpec, Sent, _Lane, broadcast, opened_sender
 from touchfield.job.play import PlaySpec, play
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.render.player import Player
@@ -82,9 +82,25 @@ def test_who_makes_frames_too_slowly_is_told_at_once() -> None:
 
     slow_medium = HapticMedium(grid=GRID, rate_hz=50.0, axes=HEAD.axes, frame_count=50, make_frame=slow)
     prepared, sender = opened_sender(slow_medium, EncodeSpec())
-    spec = LiveSpec(0.1, seconds=0.2)
-    broadcast(prepared, sender.add, spec, notes.append, lambda: now[0], ready=lambda: notes.append("ready"))
+    spec = LiveSpec(0.1, loop=True, seconds=1.9)
+    sent = broadcast(prepared, sender.add, spec, notes.append, lambda: now[0], ready=lambda: notes.append("ready"))
+    assert sent.frames + sent.left_out == 95 and sent.left_out > 50
     assert "makes some 10 frames a second, and the medium has 50" in notes[0] and notes[1] == "ready"
+
+
+def test_a_broadcast_has_one_frame_at_least_and_so_has_a_segment() -> None:
+    prepared, sender = opened_sender(replace(medium(), rate_hz=20.0), EncodeSpec())
+    looks = iter(range(10_000))
+    spec = LiveSpec(0.01, seconds=0.01)
+    sent = broadcast(prepared, sender.add, spec, clock_s=lambda: 1e-6 * next(looks), pause=lambda seconds: None)
+    assert (sent.frames, sent.segments, sent.left_out) == (1, 1, 0)
+
+
+def test_frames_that_are_left_out_are_told_each_time_that_they_are_twice_as_many() -> None:
+    sent, notes = Sent(), list[str]()
+    for _ in range(9):
+        sent.leave_out(1, "slow", notes.append)
+    assert [note.split()[1] for note in notes] == ["1", "2", "4", "8"] and sent.left_out == 9
 
 
 @pytest.mark.parametrize("wrong", [{"segment_s": 0.0}, {"segment_s": 11.0}, {"seconds": 0.0}])

@@ -14,6 +14,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader
 from touchfield.errors import InvalidArgument, TouchfieldError
 from touchfield.job import EncodeSpec, encode
+from touchfield.job.view import view
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.stream.mux import BEGINS, demux, mux
 
@@ -60,6 +61,8 @@ def test_what_is_taken_out_is_what_was_put_in(folder: Path, tmp_path: Path, form
     done = mux(folder / "movie.mp4", folder / name, out, 0.4)
     assert done.other_tracks == ("video", "audio") and done.segments == demux(out, back).segments
     assert back.read_bytes() == (folder / name).read_bytes()
+    if form == ".mp4":
+        assert 'data-type="video/mp4" data-at="0.400000"' in view(out).html
     before, after = pictures(folder / "movie.mp4"), pictures(out)
     assert len(before) == len(after) and [b for _, b in before] == [b for _, b in after]
     shifts = {round(float(a - b), 3) for (a, _), (b, _) in zip(after, before, strict=True)}

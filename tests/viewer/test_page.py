@@ -21,6 +21,7 @@ from browser import ROOT
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
+from touchfield.job.view import fine_source
 from touchfield.viewer.browser import empty_page, page_of
 
 WEB = ROOT / "web"
@@ -133,7 +134,9 @@ def test_a_page_tells_what_devices_render(tmp_path: Path, capsys: pytest.Capture
     assert _exit_code(["view", str(GOLDEN / "touch-empty.touch"), *asked, "--out", str(out), "--no-open"]) == 2
 
 
-def test_a_page_with_the_source_tells_its_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_with_the_source_tells_its_bytes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     grid = tf.Grid((16, 16, 8), (0.005, 0.005, 0.005), (-0.0375, -0.0375, -0.0175))
     force = np.zeros((16, 16, 8, 3), np.float32)
     force[4:12, 4:12, 2:6, 2] = 1.0
@@ -146,6 +149,21 @@ def test_a_page_with_the_source_tells_its_bytes(tmp_path: Path, capsys: pytest.C
     assert within and len(base64.b64decode(within[1])) == told["source_bytes"] > 0
     assert _exit_code(["export", stream, str(tmp_path / "drives.hjif"), "--source", source]) == 2
     assert _exit_code(["view", stream, "--source", source, "--out", source, "--no-open"]) == 2
+    assert list(tf.view(stream, source).figures["capacity"]) == ["phantom-omni"]
+
+    def share(most_bytes: int) -> float:
+        monkeypatch.setattr("touchfield.job.view.MOST_BYTES", most_bytes)
+        with tf.open_stream(stream) as opened:
+            return fine_source(source, opened).share
+
+    assert [share(told["source_bytes"] - n) for n in (0, 1)] == pytest.approx([0.1, 0.3])
+    with pytest.raises(InvalidArgument, match="at most 100 in a page"):
+        share(100)
+    tf.encode(source, stream, tf.EncodeSpec(nw=4, touch=tf.TouchSpec(k=0.002, f0_n=0.01)))
+    assert share(1 << 20) == pytest.approx(0.5), "no finer than k = 0.001"
+    nothing = tf.HapticMedium.from_frames([tf.ForceField.empty(grid)], 30.0)
+    tf.encode(nothing, tmp_path / "nothing.touch")
+    assert "capacity" not in tf.view(tmp_path / "nothing.touch", nothing).figures
     other = str(tmp_path / "other.npz")
     tf.write_field(other, tf.HapticMedium.from_array(force[:8], tf.Grid((8, 16, 8), grid.spacing_m, grid.origin_m)))
     assert _exit_code(["view", stream, "--source", other, "--out", out, "--no-open"]) == 2
@@ -163,4 +181,5 @@ def test_a_medium_shows_itself_in_a_notebook() -> None:
     force[:, 4:12, 4:12, 2:6, 2] = 1.0
     page = tf.view(tf.HapticMedium.from_array(force, grid))
     assert page.figures["frames_of"] == 40
+    assert "frames_of" not in tf.view(tf.HapticMedium.from_array(force[:30], grid)).figures
     assert "given-medium" in tf.HapticMedium.from_array(force[:1], grid)._repr_html_()

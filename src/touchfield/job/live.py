@@ -263,7 +263,7 @@ def _groups(
     while first < last:
         late_s = clock_s() - began - (first + 1) / medium.rate_hz
         if late_s > 2 * length / medium.rate_hz:
-            missed = int(late_s * medium.rate_hz)
+            missed = min(int(late_s * medium.rate_hz), last - first)
             sent.leave_out(missed, "frames cannot be made in time", tell)
             first += missed
             continue

@@ -317,7 +317,7 @@ def check_play(path: str | Path, speed: float = 1.0, clock_s: Callable[[], float
         count = source.frame_count
         starts = [*(source.starts or range(0, count, max(1, count // _CHECKED_SEGMENTS)))]
         checked = range(min(_CHECKED_SEGMENTS, len(starts)))
-        chosen = sorted({starts[i * len(starts) // _CHECKED_SEGMENTS] for i in checked})
+        chosen = [starts[i * len(starts) // len(checked)] for i in checked]
         source.prepare(chosen[-1])  # code is loaded or compiled first, and is no part of it
         begun, frames = clock_s(), 0
         for first in chosen:
