@@ -135,6 +135,12 @@ def test_wavelets_and_waves(tmp_path: Path) -> None:
     told = read_hjif_array(written(tmp_path / "v.hmpg", wave)).effect
     assert told.frequencies_hz is not None and told.frequencies_hz[:, 0, 0] == pytest.approx(np.arange(80, 121, 8))
     assert told.drives == pytest.approx(0.6, abs=0.005)
+    taps = [share(0.6, -1, 1, 8), (0, 16), (80, 16), share(0.3, -1, 1, 8), (50, 16), (10001, 16)]
+    fields = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 25), (0, 1), (2, 16)]
+    tap = head(6, channel(0, 1.0), band(0, 0, 0, [])) + unit(1, 128, packet(5, [*fields, *taps]))
+    told = read_hjif_array(written(tmp_path / "t.hmpg", tap)).effect
+    assert told.frequencies_hz is not None and told.frequencies_hz[[0, 5], 0, 0].tolist() == [80, 10000]
+    assert told.drives[[0, 5], 0, 0] == pytest.approx([0.6, 0.3], abs=0.005)
 
 
 @pytest.mark.parametrize(
