@@ -198,6 +198,7 @@ def test_compositions_are_what_they_say() -> None:
     expected = {"replace": y, "over": np.where(there, y, x), "add": x + y, "max": np.where(longer, y, x)}
     for how, forces in expected.items():
         assert np.array_equal(Composed(OTHER, how)(FIELD).to_dense(), forces)
+    assert Composed(FIELD.scaled(-1), "max")(FIELD) == FIELD  # the field's where both are as long
 
 
 def test_whole_steps_and_quarter_turns_are_exact() -> None:

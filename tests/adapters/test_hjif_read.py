@@ -168,7 +168,9 @@ def test_a_force_along_any_direction(tmp_path: Path) -> None:
         read(tmp_path, mighty, modality="Force")
     later = effect([keyframe(0, 1.0), keyframe(10, 0.5), keyframe(20, 1.0)], 40)  # its curve begins with it
     made["perceptions"][0]["channels"] = [channel(band("Curve", later), direction={"X": 0, "Y": 0, "Z": 127})]
-    assert read_hjif_array(written(tmp_path / "f.hjif", made)).effect.drives[3:, 0, 0] == pytest.approx([0, 1, 0.5, 1])
+    assert read_hjif_array(written(tmp_path / "f.hjif", made)).effect.drives[3:, 0, 0] == pytest.approx(
+        [0, 1, 0.5, 1]
+    )
     wave = document(channel(steady(1.0), direction={"X": 127, "Y": 0, "Z": 0}), modality="Force")
     with pytest.raises(SourceError, match=r"bands\[0\].*Curve"):
         read_force(written(tmp_path / "g.hjif", wave))
