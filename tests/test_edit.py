@@ -279,6 +279,7 @@ def test_a_medium_over_a_medium_begins_with_the_range() -> None:
     made = edited_medium(below, Everywhere(), Composed(above, "over"), frames=(3, None))
     assert made[2] == below[2]
     assert made[4] == Composed(above[1], "over")(below[4])
+    assert made.provenance["edits"] == "compose over another medium, everywhere, frames 3:5"
     with pytest.raises(InvalidArgument, match="at least the 3"):
         edited_medium(below, Everywhere(), Composed(above, "over"), frames=(2, None))
     with pytest.raises(InvalidArgument, match="2 frames"):

@@ -96,6 +96,10 @@ def test_targets_lie_columns_from_the_left_and_rows_from_below(tmp_path: Path) -
         ),
     ).effect
     assert made.drives[0].tolist() == [[0, 0, 0.25], [0.5, 0.5, 0]]
+    for x, y, z in ((3, 0, 0), (0, 2, 0), (0, 0, 1)):
+        target = [{"X": 0, "Y": 0, "Z": 0}, {"X": x, "Y": y, "Z": z}]
+        with pytest.raises(SourceError, match=r"actuator_target\[1\]: .*within 3 x 2 x 1"):
+            read(tmp_path, channel(steady(0.5), actuator_resolution=size, actuator_target=target))
     whole = read(tmp_path, channel(steady(0.5), actuator_resolution=size)).effect
     assert (whole.drives == 0.5).all() and whole.lattice == (3, 2, 1)
 
@@ -337,6 +341,9 @@ def test_files_that_are_no_hjif(tmp_path: Path, text: str) -> None:
 def test_files_that_are_not_there_or_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SourceError, match="No such file"):
         read_hjif_array(tmp_path / "none.hjif")
+    monkeypatch.setattr(hjif_read, "MAX_CHANNELS", 1)
+    with pytest.raises(SourceError, match="found 2 channels; expected at most 1"):
+        read(tmp_path, channel(steady(0.5)), channel(steady(0.5)))
     monkeypatch.setattr(hjif_read, "MAX_BYTES", 10)
     with pytest.raises(SourceError, match="more than 10 bytes"):
         drives(tmp_path, band("Curve", effect(LINE)))

@@ -92,6 +92,14 @@ def test_an_effect_in_several_units(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(("kind", "begin"), [(1, 15), (2, 2)])
+def test_an_effect_counts_from_its_unit_and_one_in_space_from_nowhere(tmp_path: Path, kind: int, begin: int) -> None:
+    told = head(6, channel(0, 1.0), band(0, 0, 1, LINEAR), packet(6, [(0, 24)]))  # with a library of nothing
+    data = told + unit(kind, 128) + unit(kind, 128, curve(22, (0, 1.0)))
+    made = read_hjif_array(written(tmp_path / "a.hmpg", data))
+    assert np.flatnonzero(made.effect.drives).tolist() == [begin]
+
+
 def test_numbers_are_the_words_of_the_standard(tmp_path: Path) -> None:
     modalities = (
         "Other", "Pressure", "Acceleration", "Velocity", "Position", "Temperature", "Vibrotactile", "Water", "Wind",
@@ -110,16 +118,18 @@ def test_numbers_are_the_words_of_the_standard(tmp_path: Path) -> None:
         data = head(6, channel(0, 1.0), band(0, 0, 1, [(number, 4)]))
         with pytest.raises(SourceError, match=f"a curve of type {shape}"):
             read_hjif(written(tmp_path / "a.hmpg", data))
+    (perception,) = read_hjif(written(tmp_path / "a.hmpg", head(6, channel(0, -0.5)))).perceptions
+    assert perception.channels[0].gain == 0
     with pytest.raises(SourceError, match="a modality of number 14"):
         read_hjif(written(tmp_path / "a.hmpg", head(14, channel(0, 1.0))))
 
 
 def test_a_force_comes_in_with_its_gain(tmp_path: Path) -> None:
-    data = head(9, channel(0, 0.02, (0, 127, 0)), band(0, 0, 1, LINEAR)) + unit(
+    data = head(9, channel(0, 0.02, (0, -127, 0)), band(0, 0, 1, LINEAR)) + unit(
         1, 128, curve(0, (0, -1.0), (90, 1.0))
     )
     times, forces = read_force(written(tmp_path / "f.hmpg", data))
-    assert times.tolist() == [0, 0.09] and forces[:, 1] == pytest.approx([-0.02, 0.02], abs=1e-5)
+    assert times.tolist() == [0, 0.09] and forces[:, 1] == pytest.approx([0.02, -0.02], abs=1e-5)
 
 
 def test_wavelets_and_waves(tmp_path: Path) -> None:

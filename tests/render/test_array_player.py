@@ -74,6 +74,7 @@ def played(frames: Frames, recorder: Recorder, **options: object) -> tuple[list[
     with ArrayPlayer(frames, recorder, **options) as player:
         assert player.wait(20.0)
     assert recorder.closed and not recorder.shown[-1].any()
+    assert not [one for one in threading.enumerate() if one.name.startswith("touchfield-array")]
     return [float(one[0, 0, 0]) for one in recorder.shown], player
 
 
