@@ -136,9 +136,10 @@ def test_wavelets_and_waves(tmp_path: Path) -> None:
     stream = bytes.fromhex("c74800643dd4ae76bcf880035af04ad119389999cca7d3d2950038a13da51f52533f2ddff5e431cacbafbd19")
     block = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 1), (len(stream), 16)]
     data = packet(5, [*block, *((one, 8) for one in stream)])
-    waves = head(6, channel(0, 1.0), band(0, 0, 3, [(64, 8)])) + unit(1, 128, data)
+    waves = head(6, channel(0, 1.0), band(0, 0, 3, [(64, 8)])) + unit(1, 128, data, data)
     made = read_hjif_array(written(tmp_path / "w.hmpg", waves)).effect
     assert made.frequencies_hz is not None and made.frequencies_hz[3, 0, 0] == pytest.approx(200, abs=5)
+    assert len(made.drives) == 13 and made.drives[2:12].min() > 0.4  # one block behind the other
     keyframes: Fields = [(3, 2), share(0.6, -1, 1, 8), (0, 16), (80, 16), (2, 2), (50, 16), (120, 16)]
     fields = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 25), (0, 1), (2, 16), (0, 16), (1, 4)]
     wave = head(6, channel(0, 1.0), band(0, 0, 2, [])) + unit(1, 128, packet(5, [*fields, *keyframes]))

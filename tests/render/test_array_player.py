@@ -74,7 +74,6 @@ def played(frames: Frames, recorder: Recorder, **options: object) -> tuple[list[
     with ArrayPlayer(frames, recorder, **options) as player:
         assert player.wait(20.0)
     assert recorder.closed and not recorder.shown[-1].any()
-    assert not [one for one in threading.enumerate() if one.name.startswith("touchfield-array")]
     return [float(one[0, 0, 0]) for one in recorder.shown], player
 
 
@@ -201,6 +200,19 @@ def test_preparation_is_told_from_play() -> None:
         assert player.wait_begun(20)
     with pytest.raises(SourceError), ArrayPlayer(Frames(lambda i: SourceError("a", "b"), 1), Recorder()) as player:
         assert player.wait_begun(20) and player.wait(20)
+
+
+def test_a_close_waits_for_the_frame_that_is_being_decoded() -> None:
+    begun = threading.Event()
+
+    def make(frame: int) -> float:
+        begun.set()
+        time.sleep(0.1)
+        return 0.5
+
+    with ArrayPlayer(Frames(make, 1), Recorder()):
+        assert begun.wait(20)
+    assert not [one for one in threading.enumerate() if one.name.startswith("touchfield-array")]
 
 
 def test_a_device_that_is_not_there_is_told_by_start() -> None:

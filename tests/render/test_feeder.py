@@ -102,6 +102,11 @@ def test_frames_that_are_past_are_not_decoded() -> None:
     memory.i8[W.NEEDS] = tag(1, 9)
     feeder.step()
     assert shown(session, memory, 1, 9) == 0.5 + 9 / 64 and shown(session, memory, 1, 1) is None
+    assert feeder.left_out == 8
+    feeder.seek(2, 0)
+    memory.i8[W.NEEDS] = tag(2, 3)
+    feeder.step()
+    assert feeder.left_out == 8  # none of what comes before the first of a seek was to be shown
 
 
 class Desk:

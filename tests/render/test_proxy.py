@@ -200,10 +200,11 @@ def test_walls_are_found_where_there_are_some() -> None:
         found = FrameSource(replace(late, provenance=told)).wall()
         assert found is not None and found.stiffness_n_per_m == pytest.approx(stiffness, rel=0.02)
     track = PoseTrack([[1.0, 0, 0, 0]], [[0.0, 0, 0]])
-    bodies = [HapticObject(str(n), HapticMedium.from_frames([ball.scaled(n)], 30.0), track) for n in (1, 3, 2)]
+    bodies = [HapticObject(str(n), HapticMedium.from_frames([ball.scaled(n)], 30.0), track) for n in (0.1, 3, 2)]
     found = FrameSource(HapticScene(ball.grid, 30.0, tuple(bodies), 20.0)).wall()
     assert found is not None and found.stiffness_n_per_m == pytest.approx(1500, rel=0.02)  # of the stiffest
-    assert found.level_n == wall.level_n  # and the force of the weakest
+    weakest = wall_of(ball.scaled(0.1))  # and the force of the weakest
+    assert weakest is not None and found.level_n == weakest.level_n < wall.level_n
 
 
 def test_a_terrain_whose_rim_overshoots_is_a_wall() -> None:
