@@ -73,7 +73,7 @@ def curve(position: int, *keyframes: tuple[int, float], effect: int = 7, of: int
 LINEAR: Fields = [(2, 4)]
 FILE = (
     head(6, channel(0, 0.5), band(0, 0, 1, LINEAR))
-    + unit(1, 128, curve(20, (0, 1.0), (100, 1.0)))
+    + unit(1, 128, curve(20, (0, 1.0), (100, 0.5)))
     + unit(3, 128)
     + unit(1, 128, curve(-236, (300, 1.0), (400, -1.0)))  # the same effect, two units later
 )
@@ -88,7 +88,7 @@ def test_an_effect_in_several_units(tmp_path: Path) -> None:
     made = read_hjif_array(written(tmp_path / "a.hmpg", FILE))
     assert made.device_name == "vest"
     assert made.effect.drives[:, 0, 0] == pytest.approx(
-        np.abs(np.interp(np.arange(43), [1.99, 2, 32, 42], [0, 0.5, 0.5, -0.5])), abs=0.005
+        np.abs(np.interp(np.arange(43), [1.99, 2, 12, 32, 42], [0, 0.5, 0.25, 0.5, -0.5])), abs=0.005
     )
 
 

@@ -231,6 +231,8 @@ def test_a_session_chooses_and_tells() -> None:
     tool, bent = Tool.sphere(0.001, 10), Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)
     for spec in (RenderSpec(tool=tool), RenderSpec(deformation=bent)):  # these are of the field as it is
         assert not any("proxy" in note for note in laid_out(medium, spec)[0].notes)
+        with pytest.raises(InvalidArgument, match="proxy"):
+            replace(spec, render="proxy")
     track = PoseTrack(np.array([UNTURNED]), np.zeros((1, 3)))
     body = HapticScene(field.grid, 30.0, (HapticObject("plate", medium, track),), 3.3, axes=STRONG.axes)
     assert _peak_n(body, RenderSpec())[0] > 1.0
