@@ -22,7 +22,7 @@ from touchfield.medium.trace import Trace
 from touchfield.render.block import words as W
 from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
-from touchfield.render.spec import RenderSpec, wall_of
+from touchfield.render.spec import RenderSpec, stated_n_per_m, wall_of
 from touchfield.render.tool import Tool
 from touchfield.sources.shapes import Box, Sphere
 
@@ -199,6 +199,8 @@ def test_walls_are_found_where_there_are_some() -> None:
         told = {} if words is None else {"spec": json.dumps({"law": "penalty", "stiffness_n_per_m": words})}
         found = FrameSource(replace(late, provenance=told)).wall()
         assert found is not None and found.stiffness_n_per_m == pytest.approx(stiffness, rel=0.02)
+    for law, more in (("constant", {}), ("penalty", {"edits": "gain 2"})):
+        assert stated_n_per_m({"spec": json.dumps({"law": law, "stiffness_n_per_m": 700}), **more}) is None
     track = PoseTrack([[1.0, 0, 0, 0]], [[0.0, 0, 0]])
     bodies = [HapticObject(str(n), HapticMedium.from_frames([ball.scaled(n)], 30.0), track) for n in (0.1, 3, 2)]
     found = FrameSource(HapticScene(ball.grid, 30.0, tuple(bodies), 20.0)).wall()
