@@ -25,6 +25,7 @@ from touchfield.filters import (
     device_medium,
     limited,
 )
+from touchfield.filters.device_filter import same_lattice
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.sources.laws import ForceProfile, LawSpec, profile_of
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES, Scene
@@ -350,7 +351,7 @@ class Stored(Formula):
 def stored() -> Stored:
     field = random_field(device_grid(OMNI, 4), 3)
     medium = HapticMedium.from_frames([field, field.scaled(0.5)], 25.0)
-    return Stored(replace(medium, friction=0.3, tags=("symbolic",), provenance={"from": "afar"}))
+    return Stored(replace(medium, friction=0.3, tags=("symbolic",), provenance={"from": "afar", "device": "touch"}))
 
 
 def test_a_medium_is_lazy_and_says_where_it_comes_from() -> None:
@@ -371,6 +372,12 @@ def test_a_stored_medium_on_the_same_lattice_passes_untouched() -> None:
     relabelled = device_medium(scene, OMNI, hand.to_hand(grid), hand, WALL)
     assert np.array_equal(relabelled[1].forces_n, scene.medium[1].forces_n)
     assert relabelled.friction == 0.3 and scene.asked == 0
+    wide = Grid.over_box(*grid.box_m, (8, 8, 8))
+    low, high = wide.origin_m, wide.to_m((7, 7, 7))
+    assert not same_lattice(wide, Grid((15, 15, 15), tuple((high - low) / 14), low))  # from corner to corner alike
+    for share, is_same in ((0.9e-6, True), (1.1e-6, False)):
+        moved = tuple(o + share * h for o, h in zip(grid.origin_m, grid.spacing_m))
+        assert same_lattice(grid, Grid(grid.shape, grid.spacing_m, moved)) == is_same
 
 
 def test_a_stored_medium_on_another_lattice_is_filtered_and_keeps_what_travels_beside_it() -> None:

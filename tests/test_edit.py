@@ -198,6 +198,7 @@ def test_compositions_are_what_they_say() -> None:
     expected = {"replace": y, "over": np.where(there, y, x), "add": x + y, "max": np.where(longer, y, x)}
     for how, forces in expected.items():
         assert np.array_equal(Composed(OTHER, how)(FIELD).to_dense(), forces)
+    assert Composed(FIELD.scaled(-1), "max")(FIELD) == FIELD  # the field's where both are as long
 
 
 def test_whole_steps_and_quarter_turns_are_exact() -> None:
@@ -278,6 +279,7 @@ def test_a_medium_over_a_medium_begins_with_the_range() -> None:
     made = edited_medium(below, Everywhere(), Composed(above, "over"), frames=(3, None))
     assert made[2] == below[2]
     assert made[4] == Composed(above[1], "over")(below[4])
+    assert made.provenance["edits"] == "compose over another medium, everywhere, frames 3:5"
     with pytest.raises(InvalidArgument, match="at least the 3"):
         edited_medium(below, Everywhere(), Composed(above, "over"), frames=(2, None))
     with pytest.raises(InvalidArgument, match="2 frames"):

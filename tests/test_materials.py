@@ -26,7 +26,14 @@ from touchfield.perception.vibrotactile import (
     band_rms,
 )
 from touchfield.render.block.words import MATERIAL_CREST
-from touchfield.render.material import Material, materials_json, read_materials, stored_materials, write_table
+from touchfield.render.material import (
+    Material,
+    materials_json,
+    read_materials,
+    stored_json,
+    stored_materials,
+    write_table,
+)
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec
 from touchfield.sources.recording import Recording, read_recording
@@ -177,6 +184,7 @@ def test_the_limits_of_the_device_hold_and_the_spectrum_keeps_its_shape(scale: f
     spec = RenderSpec(render="field", rate_hz=RATE_HZ, materials=(oak(scale),), slew_n_per_s=300.0)
     trace = Trace(np.array([0.0, 1.0]), np.zeros((2, 3)))
     notes = run_offline(field(), STRONG, point_device("sim", trace).opener, spec, seconds=0.01).notes
+    assert not any("ticks a second" in note for note in notes)
     steepest = (
         MATERIAL_CREST * np.sqrt(((2 * np.pi * np.array(BANDS_HZ) * oak(scale).levels_n) ** 2).sum(axis=-1)).max()
     )
@@ -229,6 +237,8 @@ def test_a_material_may_be_that_of_an_object() -> None:
     spec = RenderSpec(render="field", rate_hz=RATE_HZ, materials=(oak(object="table", friction=0.3),))
     rows = slide(scene, 0.1, spec)
     assert vibration(rows).std() > 0.005
+    other = tf.HapticScene(GRID, 30.0, tuple(objects[::-1]), 40.0)
+    assert vibration(slide(other, 0.1, replace(spec, materials=(oak(friction=0.3),)))).std() > 0.005  # of any object
     below = slide(scene, 0.1, replace(spec, materials=(oak(object="floor"),)))
     assert vibration(below).std() < 1e-3
     with pytest.raises(InvalidArgument, match=r"'chair'; expected one of table, floor"):
@@ -256,6 +266,10 @@ def test_a_table_goes_through_its_file_and_a_stream_unharmed(tmp_path: Path) -> 
     assert vibration(heard)[x < -0.01].std() > 10 * max(vibration(still)[x < -0.01].std(), 1e-6)
     with pytest.raises(InvalidArgument, match=r"letters; expected at most 4096\. Give it beside the file"):
         store_materials(tmp_path / "a.touch", [replace(oak(), name=str(n)) for n in range(9)], tmp_path / "c.touch")
+    room = 4097 - len(materials_json([Material("a")]))
+    assert len(stored_json([Material("a" * room)])) == 4096
+    with pytest.raises(InvalidArgument, match="4097 letters"):
+        stored_json([Material("a" * (room + 1))])
     with pytest.raises(InvalidArgument, match=r"'\.json'; expected OUT\.touch"):
         store_materials(tmp_path / "a.touch", again, tmp_path / "c.json")
     with pytest.raises(InvalidArgument, match=r"'\.touch'; expected TABLE\.json"):
@@ -273,6 +287,8 @@ BAD_TABLES = [
     ({"materials": [{"name": "a", "friction": -1}]}, r"materials\[0\] material 'a' friction: found -1"),
     ({"materials": [{"name": "a", "friction": "x"}]}, r"materials\[0\]: found a value of another kind"),
     ({"materials": [{"name": "a", "static_friction": 1}]}, "static_friction: found it alone"),
+    ({"materials": [{"name": "a", "friction": 0.5, "static_friction": 0.4}]}, "0.4; expected a finite number, 0.5"),
+    ({"materials": [{"name": "a", "speeds_m_s": list(range(1, 34))}]}, r"speeds_m_s: found .*at most 32"),
     ({"materials": [{"name": "a", "box_m": [[1, 1, 1], [0, 0, 0]]}]}, r"box_m: found"),
     ({"materials": [{"name": "a", "speeds_m_s": [2, 1]}]}, r"speeds_m_s: found \(2, 1\)"),
     ({"materials": [{"name": "a", "speeds_m_s": [1], "forces_n": [1]}]}, r"texture_rms_n: found shape \(0,\)"),

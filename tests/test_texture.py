@@ -227,6 +227,8 @@ def test_words() -> None:
     assert asked == TextureFilter("salt-pepper", 3, 0.1, 0.2, 2e-3)
     assert TextureFilter.parse(f"{asked.words},limit=1.0") == asked  # as older streams have it
     assert TextureFilter.parse("") == TextureFilter.parse("salt-pepper") == TextureFilter.parse("salt-pepper:")
+    field = constant(cube(9))  # 1 mm apart: a grain has whole samples, the nearest
+    assert TextureFilter(grain_m=1.9e-3)(field) == TextureFilter(grain_m=2e-3)(field)
     for texture in (asked, TextureFilter(), TextureFilter(grain_m=1e-3)):
         assert TextureFilter.parse(texture.words) == texture
 

@@ -3,10 +3,11 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { DEVICE = 3, MOST = 10000 };
+enum { MOST = 10000 };
+#define DEVICE (opens == 1 ? 0 : 3) /* the first is number 0 */
 
-static double forces[MOST][3], torques[MOST][3];
-static int count, reads, opened, enabled, failing_after;
+static double forces[MOST][3], torques[MOST][3], latest[3]; /* a torque acts until another is put */
+static int count, reads, opens, opened, enabled, failing_after;
 static int wrist; /* with motors, a gripper and buttons */
 static char faults[400], failing[40], log_[64];
 
@@ -16,7 +17,7 @@ static int fails(const char *function) { return !strcmp(failing, function) && fa
 
 void fake_wrist(int is_there) { wrist = is_there; }
 const double *fake_torques(void) { return &torques[0][0]; }
-void fake_reset(void) { wrist = count = reads = opened = enabled = failing_after = 0; faults[0] = failing[0] = log_[0] = 0; }
+void fake_reset(void) { memset(latest, 0, sizeof latest), wrist = count = reads = opens = opened = enabled = failing_after = 0; faults[0] = failing[0] = log_[0] = 0; }
 void fake_fail(const char *function, int after)
 {
     snprintf(failing, sizeof failing, "%s", function);
@@ -32,7 +33,7 @@ int dhdOpen(void)
     note('O');
     if (fails("dhdOpen")) return -1;
     need(!opened, "dhdOpen twice");
-    opened = 1;
+    opened = 1, opens++;
     return DEVICE;
 }
 int dhdEnableForce(unsigned char on, char device)
@@ -57,7 +58,7 @@ int dhdSetForce(double x, double y, double z, char device)
     double force[3] = {x, y, z};
     need(opened && device == DEVICE && (enabled || !(x || y || z)), "dhdSetForce without forces on");
     if (fails("dhdSetForce")) return -1;
-    if (count < MOST) memset(torques[count], 0, sizeof force), memcpy(forces[count++], force, sizeof force);
+    if (count < MOST) memcpy(torques[count], latest, sizeof force), memcpy(forces[count++], force, sizeof force);
     return x > 10 ? 2 : 0; /* 2: a motor is at its limit */
 }
 int dhdSetForceAndTorqueAndGripperForce(
@@ -67,6 +68,7 @@ int dhdSetForceAndTorqueAndGripperForce(
     need(opened && device == DEVICE && (enabled || !(x || y || z || u || v || w)), "wrench without forces on");
     need(wrist && gripper == 0, "wrench on a device without motors of the wrist, or a force of the gripper");
     if (fails("dhdSetForceAndTorqueAndGripperForce")) return -1;
+    memcpy(latest, torque, sizeof torque);
     if (count < MOST) memcpy(torques[count], torque, sizeof torque), memcpy(forces[count++], force, sizeof force);
     return 0;
 }

@@ -47,17 +47,26 @@ def test_a_continuous_event_has_its_intensity_and_frequency(tmp_path: Path) -> N
 
 def test_defaults_and_clamping(tmp_path: Path) -> None:
     assert drives(tmp_path, event("HapticContinuous", -1.0, 0.02)).tolist() == [1, 1, 1, 0]
+    assert drives(tmp_path, event("HapticContinuous", 0.017, 0.001)).tolist() == [0, 0, 1, 0]  # between two frames
     made = read(tmp_path, event("HapticContinuous", 0.0, 0.02, HapticIntensity=7, HapticSharpness=-3))
     assert made.drives.max() == 1 and made.frequencies_hz is not None and made.frequencies_hz[0] == SHARPNESS_HZ[0]
+    loud = event("HapticContinuous", 0, 0.1, HapticIntensity=7, HapticSharpness=9, Sustained=False)
+    low = curve("HapticSharpnessControl", 0, (0, -0.5))
+    made = read(tmp_path, loud, low)  # it is clamped before anything acts on it
+    assert made.drives[5] == pytest.approx(0.5) and made.frequencies_hz is not None
+    assert made.frequencies_hz[5] == pytest.approx(np.mean(SHARPNESS_HZ))
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 100.0, 1000.0])
 def test_a_transient_is_never_lost(tmp_path: Path, rate_hz: float) -> None:
-    made = drives(tmp_path, event("HapticTransient", 0.1234, HapticIntensity=0.8), rate_hz=rate_hz)
-    first = round(0.1234 * rate_hz)
+    made = drives(tmp_path, event("HapticTransient", 0.1678, HapticIntensity=0.8), rate_hz=rate_hz)
+    first = round(0.1678 * rate_hz)
     assert made[first] == pytest.approx(0.8) and not made[:first].any() and made[-1] == 0
     assert (np.diff(made[first:]) <= 0).all()
     assert np.flatnonzero(made)[-1] <= first + TRANSIENT_S * rate_hz
+    after = np.arange(len(made) - first) / rate_hz
+    assert made[first:] == pytest.approx(0.8 * np.clip(1 - after / TRANSIENT_S, 0, 1))
+    assert len(made) == first + int(TRANSIENT_S * rate_hz) + 2
 
 
 def test_attack_release_and_what_is_not_sustained(tmp_path: Path) -> None:
@@ -65,7 +74,7 @@ def test_attack_release_and_what_is_not_sustained(tmp_path: Path) -> None:
     assert attack[:7] == pytest.approx([0, 0.2, 0.4, 0.6, 0.8, 1, 1])
     release = drives(tmp_path, event("HapticContinuous", 0, 0.1, ReleaseTime=0.05))
     assert release[10:] == pytest.approx([1, 0.8, 0.6, 0.4, 0.2, 0, 0], abs=1e-6)
-    falling = drives(tmp_path, event("HapticContinuous", 0, 0.1, Sustained=False))
+    falling = drives(tmp_path, event("HapticContinuous", 0, 0.1, Sustained=False, ReleaseTime=0.05))
     assert falling == pytest.approx([*(1 - np.arange(11) / 10), 0], abs=1e-6)
 
 
@@ -73,9 +82,9 @@ def test_controls_multiply_intensity_and_add_to_sharpness(tmp_path: Path) -> Non
     made = read(
         tmp_path,
         event("HapticContinuous", 0, 0.4, HapticIntensity=0.8, HapticSharpness=0.5),
-        curve("HapticIntensityControl", 0.1, (0, 1), (0.1, 0.5)),
-        curve("HapticSharpnessControl", 0.0, (0, 0), (0.4, -0.4)),
         {"Parameter": {"ParameterID": "HapticIntensityControl", "Time": 0.3, "ParameterValue": 0.25}},
+        curve("HapticIntensityControl", 0.1, (0, 1), (0.1, 0.5)),  # in no order of time, nor are its points
+        curve("HapticSharpnessControl", 0.0, (0.4, -0.4), (0, 0)),
         curve("AudioVolumeControl", 0.0, (0, 0)),
     )
     at = made.drives[[0, 10, 15, 25, 30, 40], 0, 0]

@@ -64,6 +64,11 @@ def test_it_opens_again_after_a_close() -> None:
             device = opened(fake)
             assert device.position_m() == (0.001, -0.02, 0.1)
             device.close()
+        device = opened(fake)
+        fake.hung_up.clear()
+        device.open()  # lets the first connection go
+        assert fake.hung_up.wait(5) and device.position_m() == (0.001, -0.02, 0.1)
+        device.close()
 
 
 def send_limit_s(line: socket.socket) -> float:
@@ -192,8 +197,10 @@ def test_a_state_that_cannot_be_is_one_clear_line(answer, words) -> None:
     ],
 )
 def test_a_first_message_without_a_device_is_told(first, words) -> None:
-    with pytest.raises(DeviceError, match=words):
-        answered(first=first)
+    with fake_haply(first=first) as fake:
+        with pytest.raises(DeviceError, match=words):
+            Haply(("127.0.0.1", fake.port)).open()
+        assert fake.hung_up.wait(5)
 
 
 NUMBERS = st.integers() | st.floats(allow_nan=True)
@@ -325,9 +332,14 @@ def test_a_grip_tells_how_it_is_turned_and_its_buttons_and_when_it_is_lost() -> 
             told.append((device.orientation(), device.buttons()))
             device.put_wrench(0.0, 0.5, 0.0, 0.1, 0.1, 0.1)  # it has no motors for the torque
         device.close()
+        fake.answer = lambda n, _: FakeHaply.state(n)
+        device.open()
+        device.position_m()
+        told.append((device.orientation(), device.buttons()))  # none that was lost, but none
+        device.close()
     assert told[:2] == [((0.6, 0, 0.8, 0), 5), ((1, 0, 0, 0), 1)]
-    assert math.isnan(told[2][0][0]) and told[2][1] == 0
-    assert fake.forces == [(0, 0, 0), (0, 0.5, 0), (0, 0.5, 0), (0, 0.5, 0), (0, 0, 0)]
+    assert math.isnan(told[2][0][0]) and told[2][1] == 0 and told[3] == ((1, 0, 0, 0), 0)
+    assert fake.forces[:5] == [(0, 0, 0), (0, 0.5, 0), (0, 0.5, 0), (0, 0.5, 0), (0, 0, 0)]
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,10 @@ def test_an_envelope_comes_back_from_a_clip(tmp_path: Path) -> None:
     assert np.interp(np.arange(300) / 100, times, amplitudes) == pytest.approx(drives, abs=2e-4)
     frequency = load(tmp_path / "a.haptic")["signals"]["continuous"]["envelopes"]["frequency"]
     assert [point["frequency"] for point in frequency] == [0.5, 0.5]
+    write_haptic(tmp_path / "one.haptic", track(np.full(1, 0.25)))  # an only frame is held for its time
+    envelopes = load(tmp_path / "one.haptic")["signals"]["continuous"]["envelopes"]
+    assert envelopes["amplitude"] == [{"time": 0, "amplitude": 0.25}, {"time": 0.01, "amplitude": 0.25}]
+    assert [point["time"] for point in envelopes["frequency"]] == [0, 0.01]
 
 
 def test_a_tap_is_an_emphasis_and_a_transient(tmp_path: Path) -> None:
@@ -75,6 +79,9 @@ def test_a_tap_is_an_emphasis_and_a_transient(tmp_path: Path) -> None:
     write_ahap(tmp_path / "a.ahap", track(drives))
     kinds = [entry["Event"]["EventType"] for entry in load(tmp_path / "a.ahap")["Pattern"]]
     assert kinds == ["HapticTransient"] * 2
+    drives[99] = 0.5  # nothing tells that it is over
+    write_haptic(tmp_path / "b.haptic", track(drives))
+    assert sum("emphasis" in p for p in check_clip(load(tmp_path / "b.haptic"))) == 2
     drives[70:90] = 0.2  # curves act on all events: a tap beside an envelope stays in it
     write_ahap(tmp_path / "b.ahap", track(drives))
     read = read_ahap(tmp_path / "b.ahap").effect
@@ -88,6 +95,8 @@ def test_a_pattern_comes_back_with_its_frequencies_and_in_parts(tmp_path: Path) 
     read = read_ahap(tmp_path / "a.ahap").effect
     for some in (slice(0, 3000), slice(3001, 3500)):  # at 30 s one event ends and the next begins
         assert read.drives[some, 0, 0] == pytest.approx(drives[some], abs=2e-4)
+    between = read_ahap(tmp_path / "a.ahap", 200.0).effect.drives[1:5999:2, 0, 0]
+    assert between == pytest.approx((drives[:2999] + drives[1:3000]) / 2, abs=2e-4)  # also from curve to curve
     assert read.frequencies_hz is not None and read.frequencies_hz[5:3000] == pytest.approx(120, abs=0.1)
 
 

@@ -96,6 +96,10 @@ def test_targets_lie_columns_from_the_left_and_rows_from_below(tmp_path: Path) -
         ),
     ).effect
     assert made.drives[0].tolist() == [[0, 0, 0.25], [0.5, 0.5, 0]]
+    for x, y, z in ((3, 0, 0), (0, 2, 0), (0, 0, 1)):
+        target = [{"X": 0, "Y": 0, "Z": 0}, {"X": x, "Y": y, "Z": z}]
+        with pytest.raises(SourceError, match=r"actuator_target\[1\]: .*within 3 x 2 x 1"):
+            read(tmp_path, channel(steady(0.5), actuator_resolution=size, actuator_target=target))
     whole = read(tmp_path, channel(steady(0.5), actuator_resolution=size)).effect
     assert (whole.drives == 0.5).all() and whole.lattice == (3, 2, 1)
 
@@ -112,6 +116,16 @@ def test_channels_without_an_array_lie_in_a_row_and_body_parts_side_by_side(tmp_
     assert "2 body parts" in made.notes[0]
 
 
+def test_channels_that_meet_add_up_to_one_and_the_strongest_sings(tmp_path: Path) -> None:
+    def wave(amplitude: float, hertz: float) -> dict[str, Any]:
+        made = effect([keyframe(0, amplitude, hertz), keyframe(10, amplitude, hertz)])
+        return channel(band("VectorialWave", made), actuator_target=[{"X": 0, "Y": 0, "Z": 0}])
+
+    made = read(tmp_path, wave(0.5, 100), wave(0.4, 200), wave(0.45, 300)).effect
+    assert made.drives.tolist() == [[[1]], [[1]]] and made.frequencies_hz is not None
+    assert (made.frequencies_hz == 100).all()
+
+
 def test_thousands_of_channels_lie_in_a_row(tmp_path: Path) -> None:
     made = read(tmp_path, *[channel(steady(0.5))] * 5000).effect
     assert made.lattice == (5000, 1, 1) and (made.drives == 0.5).all()
@@ -122,6 +136,10 @@ def test_perceptions_that_cannot_be_shown_are_left_out_or_refused(tmp_path: Path
     both["perceptions"].insert(0, document(channel(steady(1.0)), modality="Temperature")["perceptions"][0])
     made = read_hjif_array(written(tmp_path / "b.hjif", both))
     assert made.effect.drives[0, 0, 0] == 0.5 and "Temperature" in made.notes[0]
+    both["perceptions"].insert(0, document(channel(steady(1.0)), modality="Other")["perceptions"][0])
+    del both["timescale"]  # of a thousandth of a second
+    made = read_hjif_array(written(tmp_path / "b.hjif", both))
+    assert made.effect.drives[:, 0, 0].tolist() == [0.5, 0.5] and "Other, Temperature" in made.notes[0]
     with pytest.raises(SourceError, match="Temperature"):
         read(tmp_path, channel(steady(1.0)), modality="Temperature")
 
@@ -143,8 +161,20 @@ def test_a_force_along_any_direction(tmp_path: Path) -> None:
     one = read_hjif_array(tmp_path / "f.hjif")
     assert one.force_max_n == 5 and one.effect.drives[[0, 5, 10], 0, 0] == pytest.approx([1, 1, 1], abs=1e-6)
     assert one.effect.drives[2, 0, 0] == pytest.approx(np.hypot(0.6, 0.4))
+    bare = channel(steady(0.5))
     with pytest.raises(SourceError, match="direction"):
-        read_force(written(tmp_path / "g.hjif", document(channel(steady(1.0)), modality="Force")))
+        read_force(written(tmp_path / "g.hjif", document(bare, modality="Force")))
+    turned = channel(steady(0.5), direction={"X": 127, "Y": 0, "Z": 0})
+    assert read(tmp_path, bare, modality="Force").effect.drives[0, 0, 0] == 0.5  # actuators, as no direction is told
+    assert read(tmp_path, turned).effect.drives[0, 0, 0] == 0.5  # a direction is nothing to a vibration
+    mighty = force_channel((127, 0, 0), keyframe(0, 1.0), keyframe(10, 1.0), gain=1.1e6)
+    with pytest.raises(SourceError, match="a greatest force of"):
+        read(tmp_path, mighty, modality="Force")
+    later = effect([keyframe(0, 1.0), keyframe(10, 0.5), keyframe(20, 1.0)], 40)  # its curve begins with it
+    made["perceptions"][0]["channels"] = [channel(band("Curve", later), direction={"X": 0, "Y": 0, "Z": 127})]
+    assert read_hjif_array(written(tmp_path / "f.hjif", made)).effect.drives[3:, 0, 0] == pytest.approx(
+        [0, 1, 0.5, 1]
+    )
     wave = document(channel(steady(1.0), direction={"X": 127, "Y": 0, "Z": 0}), modality="Force")
     with pytest.raises(SourceError, match=r"bands\[0\].*Curve"):
         read_force(written(tmp_path / "g.hjif", wave))
@@ -311,6 +341,9 @@ def test_files_that_are_no_hjif(tmp_path: Path, text: str) -> None:
 def test_files_that_are_not_there_or_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SourceError, match="No such file"):
         read_hjif_array(tmp_path / "none.hjif")
+    monkeypatch.setattr(hjif_read, "MAX_CHANNELS", 1)
+    with pytest.raises(SourceError, match="found 2 channels; expected at most 1"):
+        read(tmp_path, channel(steady(0.5)), channel(steady(0.5)))
     monkeypatch.setattr(hjif_read, "MAX_BYTES", 10)
     with pytest.raises(SourceError, match="more than 10 bytes"):
         drives(tmp_path, band("Curve", effect(LINE)))

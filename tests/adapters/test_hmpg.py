@@ -73,7 +73,7 @@ def curve(position: int, *keyframes: tuple[int, float], effect: int = 7, of: int
 LINEAR: Fields = [(2, 4)]
 FILE = (
     head(6, channel(0, 0.5), band(0, 0, 1, LINEAR))
-    + unit(1, 128, curve(20, (0, 1.0), (100, 1.0)))
+    + unit(1, 128, curve(20, (0, 1.0), (100, 0.5)))
     + unit(3, 128)
     + unit(1, 128, curve(-236, (300, 1.0), (400, -1.0)))  # the same effect, two units later
 )
@@ -88,8 +88,16 @@ def test_an_effect_in_several_units(tmp_path: Path) -> None:
     made = read_hjif_array(written(tmp_path / "a.hmpg", FILE))
     assert made.device_name == "vest"
     assert made.effect.drives[:, 0, 0] == pytest.approx(
-        np.abs(np.interp(np.arange(43), [1.99, 2, 32, 42], [0, 0.5, 0.5, -0.5])), abs=0.005
+        np.abs(np.interp(np.arange(43), [1.99, 2, 12, 32, 42], [0, 0.5, 0.25, 0.5, -0.5])), abs=0.005
     )
+
+
+@pytest.mark.parametrize(("kind", "begin"), [(1, 15), (2, 2)])
+def test_an_effect_counts_from_its_unit_and_one_in_space_from_nowhere(tmp_path: Path, kind: int, begin: int) -> None:
+    told = head(6, channel(0, 1.0), band(0, 0, 1, LINEAR), packet(6, [(0, 24)]))  # with a library of nothing
+    data = told + unit(kind, 128) + unit(kind, 128, curve(22, (0, 1.0)))
+    made = read_hjif_array(written(tmp_path / "a.hmpg", data))
+    assert np.flatnonzero(made.effect.drives).tolist() == [begin]
 
 
 def test_numbers_are_the_words_of_the_standard(tmp_path: Path) -> None:
@@ -110,31 +118,40 @@ def test_numbers_are_the_words_of_the_standard(tmp_path: Path) -> None:
         data = head(6, channel(0, 1.0), band(0, 0, 1, [(number, 4)]))
         with pytest.raises(SourceError, match=f"a curve of type {shape}"):
             read_hjif(written(tmp_path / "a.hmpg", data))
+    (perception,) = read_hjif(written(tmp_path / "a.hmpg", head(6, channel(0, -0.5)))).perceptions
+    assert perception.channels[0].gain == 0
     with pytest.raises(SourceError, match="a modality of number 14"):
         read_hjif(written(tmp_path / "a.hmpg", head(14, channel(0, 1.0))))
 
 
 def test_a_force_comes_in_with_its_gain(tmp_path: Path) -> None:
-    data = head(9, channel(0, 0.02, (0, 127, 0)), band(0, 0, 1, LINEAR)) + unit(
+    data = head(9, channel(0, 0.02, (0, -127, 0)), band(0, 0, 1, LINEAR)) + unit(
         1, 128, curve(0, (0, -1.0), (90, 1.0))
     )
     times, forces = read_force(written(tmp_path / "f.hmpg", data))
-    assert times.tolist() == [0, 0.09] and forces[:, 1] == pytest.approx([-0.02, 0.02], abs=1e-5)
+    assert times.tolist() == [0, 0.09] and forces[:, 1] == pytest.approx([0.02, -0.02], abs=1e-5)
 
 
 def test_wavelets_and_waves(tmp_path: Path) -> None:
     stream = bytes.fromhex("c74800643dd4ae76bcf880035af04ad119389999cca7d3d2950038a13da51f52533f2ddff5e431cacbafbd19")
     block = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 1), (len(stream), 16)]
     data = packet(5, [*block, *((one, 8) for one in stream)])
-    waves = head(6, channel(0, 1.0), band(0, 0, 3, [(64, 8)])) + unit(1, 128, data)
+    waves = head(6, channel(0, 1.0), band(0, 0, 3, [(64, 8)])) + unit(1, 128, data, data)
     made = read_hjif_array(written(tmp_path / "w.hmpg", waves)).effect
     assert made.frequencies_hz is not None and made.frequencies_hz[3, 0, 0] == pytest.approx(200, abs=5)
+    assert len(made.drives) == 13 and made.drives[2:12].min() > 0.4  # one block behind the other
     keyframes: Fields = [(3, 2), share(0.6, -1, 1, 8), (0, 16), (80, 16), (2, 2), (50, 16), (120, 16)]
     fields = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 25), (0, 1), (2, 16), (0, 16), (1, 4)]
     wave = head(6, channel(0, 1.0), band(0, 0, 2, [])) + unit(1, 128, packet(5, [*fields, *keyframes]))
     told = read_hjif_array(written(tmp_path / "v.hmpg", wave)).effect
     assert told.frequencies_hz is not None and told.frequencies_hz[:, 0, 0] == pytest.approx(np.arange(80, 121, 8))
     assert told.drives == pytest.approx(0.6, abs=0.005)
+    taps = [share(0.6, -1, 1, 8), (0, 16), (80, 16), share(0.3, -1, 1, 8), (50, 16), (10001, 16)]
+    fields = [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (0, 16), (0, 2), (0, 25), (0, 1), (2, 16)]
+    tap = head(6, channel(0, 1.0), band(0, 0, 0, [])) + unit(1, 128, packet(5, [*fields, *taps]))
+    told = read_hjif_array(written(tmp_path / "t.hmpg", tap)).effect
+    assert told.frequencies_hz is not None and told.frequencies_hz[[0, 5], 0, 0].tolist() == [80, 10000]
+    assert told.drives[[0, 5], 0, 0] == pytest.approx([0.6, 0.3], abs=0.005)
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,9 @@ def test_a_frame_is_one_datagram_and_the_end_is_told_three_times() -> None:
         array.close()
         array.close()
         told = heard(line, X40, 5)
+        array.open()
+        array.close()
+        assert [int(f["number"]) for f in heard(line, X40, 3).frames] == [0, 0, 0]  # counted from its opening on
     assert len(told.sizes) == 5 and told.seconds == sorted(told.seconds)
     assert [int(f["number"]) for f in told.frames] == [0, 1, 2, 2, 2]
     assert np.abs(told.frames[0]["drives"] - drives).max() <= 0.005 + 1e-6  # 101 levels

@@ -158,6 +158,28 @@ def test_what_was_shown_before_a_refusal_is_sent_again_after_it() -> None:
     assert [rows[0][0] for rows in display.shown] == [3, 0, 3, 0]
 
 
+def test_a_display_that_is_opened_again_is_sent_all_again() -> None:
+    sent: list[bytes] = []
+
+    class Told:
+        def write(self, data: bytes) -> None:
+            sent.append(data.partition(b" *")[0])
+
+        def read_line(self, deadline_s: float, most_bytes: int) -> bytes:
+            word, number, *_ = sent[-1].split()
+            return b"ok " + (b"0" if word == b"size" else number)
+
+        def close(self) -> None:
+            pass
+
+    pad = Pins(SMALL, "told", Told)
+    for _ in range(2):
+        pad.open()
+        pad.put_drives(np.zeros((1, 2, 3), np.float32), None, 0.05)
+        pad.close()
+    assert sent == [b"size 2 3 4", b"pins 1 000000"] * 2
+
+
 def test_the_stream_tells_which_display_it_was_made_for() -> None:
     graphiti, vest = device("graphiti"), device("tactsuit-pro")
     for words, own, expected in (
@@ -300,8 +322,9 @@ def test_nothing_there() -> None:
     with pytest.raises(DeviceError, match=rf"^pins:127.0.0.1:{port}: found no connection .*Check that it is on"):
         pad.open()
     pad.close()
-    with pytest.raises(DeviceError, match=r"^pins:/dev/no-such-port: found that it cannot be opened"):
-        array_device("pins:/dev/no-such-port").open()
+    for port in ("/dev/no-such-port", "/dev/no-such-port:1"):  # a colon in its path makes no host of it
+        with pytest.raises(DeviceError, match=rf"^pins:{port}: found that it cannot be opened"):
+            array_device(f"pins:{port}").open()
 
 
 def test_words_that_name_no_device() -> None:

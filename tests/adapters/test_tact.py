@@ -52,6 +52,10 @@ def test_short_frames_are_gathered_and_their_greatest_is_kept(tmp_path: Path) ->
     (span,) = read_tact(tmp_path / "a.tact")
     assert (span.start_ms, span.end_ms) == (20, 20 + LEAST_SPAN_MS)
     assert span.intensities[2, 1] == 0.75 and np.count_nonzero(span.intensities) == 1
+    write_tact(tmp_path / "b.tact", ArrayEffect(4000.0, drives[37:38]))  # of a quarter of a millisecond
+    (span,) = read_tact(tmp_path / "b.tact")
+    assert (span.start_ms, span.end_ms) == (0, 1)
+    assert json.loads((tmp_path / "b.tact").read_text())["durationMillis"] == 1
 
 
 def test_the_shape_of_a_project(tmp_path: Path) -> None:

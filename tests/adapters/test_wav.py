@@ -55,6 +55,11 @@ def test_parts_are_one_wave(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert np.abs(heard(tmp_path / "a.wav") - heard(tmp_path / "b.wav")).max() < 1e-4
 
 
+def test_what_is_beyond_full_scale_is_cut(tmp_path: Path) -> None:
+    write_wav(tmp_path / "a.wav", [np.array([[1.5], [-1.5], [0.5]])], 1, 3)
+    assert heard(tmp_path / "a.wav")[:, 0] == pytest.approx([1, -1, 0.5], abs=1e-4)
+
+
 def test_sounds_that_cannot_be(tmp_path: Path) -> None:
     for channels, count in ((0, 1), (5000, 1), (1024, 1 << 20)):
         with pytest.raises(InvalidArgument, match="channels"):

@@ -202,6 +202,19 @@ def test_preparation_is_told_from_play() -> None:
         assert player.wait_begun(20) and player.wait(20)
 
 
+def test_a_close_waits_for_the_frame_that_is_being_decoded() -> None:
+    begun = threading.Event()
+
+    def make(frame: int) -> float:
+        begun.set()
+        time.sleep(0.1)
+        return 0.5
+
+    with ArrayPlayer(Frames(make, 1), Recorder()):
+        assert begun.wait(20)
+    assert not [one for one in threading.enumerate() if one.name.startswith("touchfield-array")]
+
+
 def test_a_device_that_is_not_there_is_told_by_start() -> None:
     recorder = Recorder(gone_after=-1)
     player = ArrayPlayer(Frames(lambda i: 1.0, 5), recorder)

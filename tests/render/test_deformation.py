@@ -18,6 +18,7 @@ from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.deformation import STEP_M, Deformation, fitted, read_deformation
+from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
 from touchfield.render.sampler import FieldSampler
 from touchfield.render.spec import RenderSpec
@@ -86,6 +87,10 @@ def test_an_affine_map_is_that_map_and_turns_forces_with_it() -> None:
     assert np.abs(made - expected).max() < 1e-6 * np.abs(expected).max()
     assert bent.least_determinant()[0] == pytest.approx(np.linalg.det(j))
     assert np.linalg.norm(j, 2) <= bent.most_stretch < 1.15 * np.linalg.norm(j, 2)
+    for frames in (1, 2):  # of one frame the field is shared
+        sources = [FrameSource(medium(spring, frames), deformation=d) for d in (None, bent)]
+        plain, stretched = (max(s.stiffest_n_per_m, s.prepare(0).stiffest_n_per_m) for s in sources)
+        assert plain > 0 and stretched == pytest.approx(bent.most_stretch**2 * plain)
 
 
 def test_force_and_slopes_are_those_of_the_formula() -> None:

@@ -52,7 +52,7 @@ def test_frames_come_in_order_until_the_end() -> None:
 
 
 def test_a_loop_counts_on_and_begins_in_the_middle() -> None:
-    session, memory = laid_out(telling(5), loop=True, start_s=3 / 50)
+    session, memory = laid_out(telling(5), loop=True, start_s=13 / 50)  # the third time round
     feeder = session.feeder(memory)
     feeder.keep_ahead(6)
     assert [shown(session, memory, 1, n) for n in range(3, 9)] == [0.5 + n % 5 / 64 for n in range(3, 9)]
@@ -62,6 +62,9 @@ def test_one_frame_is_written_once() -> None:
     session, memory = laid_out(telling(1), loop=True)
     feeder = session.feeder(memory)
     assert run_dry(feeder) == 1 and shown(session, memory, 1, 0) == 0.5
+    assert (
+        session.checked_s(7.0) == 0 and laid_out(telling(10))[0].checked_s(7.0) == 0.2
+    )  # the end, where there is one
     feeder.seek(2, 0)
     memory.i8[W.NEEDS] = tag(2, 0)
     assert run_dry(feeder) == 1 and shown(session, memory, 2, 0) == 0.5
@@ -102,12 +105,17 @@ def test_frames_that_are_past_are_not_decoded() -> None:
     memory.i8[W.NEEDS] = tag(1, 9)
     feeder.step()
     assert shown(session, memory, 1, 9) == 0.5 + 9 / 64 and shown(session, memory, 1, 1) is None
+    assert feeder.left_out == 8
+    feeder.seek(2, 0)
+    memory.i8[W.NEEDS] = tag(2, 3)
+    feeder.step()
+    assert feeder.left_out == 8  # none of what comes before the first of a seek was to be shown
 
 
 class Desk:
     """A servo of the plainest kind, which ticks on while frames are decoded, each in as many ticks as it takes."""
 
-    def __init__(self, count: int, ticks: int, starts: tuple[int, ...] = ()) -> None:
+    def __init__(self, count: int, ticks: int, starts: tuple[int, ...] = (), room: float = 1000.0) -> None:
         self.count, self.ticks, self.now_s, self.late, self.decoded = (
             count,
             ticks,
@@ -116,7 +124,8 @@ class Desk:
             list[int](),
         )
         medium = replace(telling(count), make_frame=self.make)
-        self.session, self.memory = laid_out(medium, RenderSpec(render="field"))
+        words = FrameSource(telling()).prepare(0).words
+        self.session, self.memory = laid_out(medium, RenderSpec(render="field"), memory_bytes=int(8 * room * words))
         self.session.source.starts = starts
         self.memory.i8[W.MODE_NOW] = W.PLAYING
         self.memory.f8[W.SPEED_NOW] = 1.0
@@ -158,7 +167,7 @@ class Desk:
     ("ticks", "starts"), [(50, ()), (200, ()), (30, tuple(range(0, 500, 5))), (60, tuple(range(0, 500, 10)))]
 )
 def test_a_stream_that_is_too_slow_is_thinned_out_and_keeps_time(ticks: int, starts: tuple[int, ...]) -> None:
-    desk = Desk(500, ticks, starts)
+    desk = Desk(500, ticks, starts, room=2.5)  # nothing that is held is written over
     desk.play()
     there = [late for late in desk.late if late is not None]
     assert len(desk.late) >= 9990 and len(there) > 0.95 * len(desk.late)

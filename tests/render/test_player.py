@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -76,6 +77,7 @@ def test_a_medium_is_played_to_its_end_and_again() -> None:
     assert counts["priority"] and counts["memory"] and counts["processors"] and counts["decode_median_s"] > 0
     player.close()  # twice is once
     assert player.is_ended
+    assert not [one for one in threading.enumerate() if one.name in ("touchfield-feeder", "touchfield-player")]
     assert player.servo_pid is None
     for use in (player.play, player.pause, player.__enter__):
         with pytest.raises(InvalidArgument, match="player"):

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
+from player_makers import laid_out
 from proxy_makers import STRONG, Held, field_of, ramp_n
 
 from touchfield.adapters.sim import SimHand
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium.deformation import Deformation
 from touchfield.medium.medium import HapticObject, HapticScene
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace
 from touchfield.render.block import words as W
+from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
-from touchfield.render.spec import RenderSpec, wall_of
+from touchfield.render.spec import RenderSpec, stated_n_per_m, wall_of
+from touchfield.render.tool import Tool
 from touchfield.sources.shapes import Box, Sphere
 
 UNTURNED = (1.0, 0.0, 0.0, 0.0)
@@ -186,7 +192,21 @@ def test_walls_are_found_where_there_are_some() -> None:
     steady = np.where(ball.forces_n.any(axis=-1, keepdims=True), np.float32([0, 0, 1]), np.float32(0))
     assert wall_of(ForceField(ball.grid, ball.bricks, steady)) is None
     assert wall_of(ForceField(ball.grid, ball.bricks, -ball.forces_n)) is None  # it draws the hand in
-    assert wall_of(ForceField.empty(ball.grid)) is None
+    empty = ForceField.empty(ball.grid)
+    assert wall_of(empty) is None
+    late = HapticMedium.from_frames([empty, ball], 30.0)  # nothing in its first frame
+    for words, stiffness in ((None, 500), (700, 700), (1.0, 1), (5001, 500)):  # what a file may state counts
+        told = {} if words is None else {"spec": json.dumps({"law": "penalty", "stiffness_n_per_m": words})}
+        found = FrameSource(replace(late, provenance=told)).wall()
+        assert found is not None and found.stiffness_n_per_m == pytest.approx(stiffness, rel=0.02)
+    for law, more in (("constant", {}), ("penalty", {"edits": "gain 2"})):
+        assert stated_n_per_m({"spec": json.dumps({"law": law, "stiffness_n_per_m": 700}), **more}) is None
+    track = PoseTrack([[1.0, 0, 0, 0]], [[0.0, 0, 0]])
+    bodies = [HapticObject(str(n), HapticMedium.from_frames([ball.scaled(n)], 30.0), track) for n in (0.1, 3, 2)]
+    found = FrameSource(HapticScene(ball.grid, 30.0, tuple(bodies), 20.0)).wall()
+    assert found is not None and found.stiffness_n_per_m == pytest.approx(1500, rel=0.02)  # of the stiffest
+    weakest = wall_of(ball.scaled(0.1))  # and the force of the weakest
+    assert weakest is not None and found.level_n == weakest.level_n < wall.level_n
 
 
 def test_a_terrain_whose_rim_overshoots_is_a_wall() -> None:
@@ -210,6 +230,11 @@ def test_a_session_chooses_and_tells() -> None:
     for spec in (RenderSpec(render="field"), RenderSpec(coupling_n_per_m=300.0)):
         plain, notes = _peak_n(medium, spec)
         assert abs(plain) < 0.5 and not any("proxy" in note for note in notes)
+    tool, bent = Tool.sphere(0.001, 10), Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)
+    for spec in (RenderSpec(tool=tool), RenderSpec(deformation=bent)):  # these are of the field as it is
+        assert not any("proxy" in note for note in laid_out(medium, spec)[0].notes)
+        with pytest.raises(InvalidArgument, match="proxy"):
+            replace(spec, render="proxy")
     track = PoseTrack(np.array([UNTURNED]), np.zeros((1, 3)))
     body = HapticScene(field.grid, 30.0, (HapticObject("plate", medium, track),), 3.3, axes=STRONG.axes)
     assert _peak_n(body, RenderSpec())[0] > 1.0

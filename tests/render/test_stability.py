@@ -167,6 +167,14 @@ def test_the_stiffest_slope_of_a_wall(stiffness: float) -> None:
     assert stiffest_n_per_m([CellPool.of(field(stiffness))]) == pytest.approx(stiffness, rel=0.04)
 
 
+def test_a_medium_that_damps_needs_no_more_than_the_rest() -> None:
+    device, spec = told(0.3, 1), RenderSpec(coupling_n_per_m=0.0)
+    brakes = [stability_of(device, spec, damping, 700.0).brake_n_s_per_m for damping in (0.0, 0.2, 50.0)]
+    assert brakes == pytest.approx([2 * 700 * 0.0015 - 0.3, 2 * 700 * 0.0015 - 0.5, 0])
+    asked = RenderSpec(coupling_n_per_m=200.0, scale=2.0, force_scale=3.0)
+    assert stability_of(device, asked, 0.0, 700.0).coupling_n_per_m == pytest.approx(200)  # in the field's units
+
+
 def test_a_field_without_force_has_no_slope() -> None:
     nothing = ForceField.from_dense(GRID, np.zeros((*GRID.shape, 3), np.float32))
     assert stiffest_n_per_m([CellPool.of(nothing)]) == 0

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -118,10 +118,18 @@ def read_ahap(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> ImportedEff
 
 
 def _sampled(pattern: JsonValue, events: list[_Event], curves: list[_Curve], rate_hz: float) -> ArrayEffect:
+    # a transient is felt from the frame that it is told at; any other where it is
+    events = [
+        replace(one, start_s=round(one.start_s * rate_hz) / rate_hz) if one.is_transient else one for one in events
+    ]
     seconds = max(one.end_s for one in events)
     if seconds > MAX_SECONDS:
         raise pattern.wrong(f"a pattern of {seconds:g} s", f"at most {MAX_SECONDS:g} s")
-    frames = checked_frames(pattern.file, math.floor(seconds * rate_hz + 1e-6) + 2, 1)  # the last one is silent
+    spans = [
+        (first := round(one.start_s * rate_hz), max(first, math.floor(one.end_s * rate_hz + 1e-6)) + 1)
+        for one in events
+    ]
+    frames = checked_frames(pattern.file, max(stop for _, stop in spans) + 1, 1)  # the last one is silent
     times = np.arange(frames) / rate_hz
     if (len(curves) + 1) * frames > _MOST_WORK or sum(
         one.end_s - one.start_s for one in events
@@ -132,13 +140,9 @@ def _sampled(pattern: JsonValue, events: list[_Event], curves: list[_Curve], rat
         begin = int(np.searchsorted(times, curve.times_s[0] - 1e-9))
         controls[curve.parameter][begin:] = np.interp(times[begin:], curve.times_s, curve.values)
     total, (low, high) = Drive.silent(frames), SHARPNESS_HZ
-    for one in events:
-        first = min(round(one.start_s * rate_hz), frames - 1)
-        stop = max(first + 1, min(frames, math.floor(one.end_s * rate_hz + 1e-6) + 1))
-        # a transient is felt from the frame that it is told at; any other where it is
-        start_s = times[first] if one.is_transient else one.start_s
+    for one, (first, stop) in zip(events, spans):
         where = slice(first, stop)
-        share = one.envelope(np.maximum(times[where] - start_s, 0))
+        share = one.envelope(np.maximum(times[where] - one.start_s, 0))
         sharpness = np.clip(one.values["HapticSharpness"] + controls["HapticSharpnessControl"][where], 0, 1)
         total.add(Drive(share * one.values["HapticIntensity"], low + (high - low) * sharpness), where)
     drives = np.clip(total.amplitudes * controls["HapticIntensityControl"], 0, 1).astype(np.float32)

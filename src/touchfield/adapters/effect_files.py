@@ -266,16 +266,12 @@ def write_haptic(path: str | Path, effect: ArrayEffect, name: str = "", descript
     Returns tuple of str: what is lost on the way. Raises SourceError if the system refuses to write.
     """
     track = OneTrack.of(effect)
-    times, amplitudes = np.transpose(track.amplitudes)
     points: dict[float, dict[str, Any]] = {
         time: {"time": time, "amplitude": amplitude} for time, amplitude in track.amplitudes
     }
     for at, amplitude, sharpness in track.taps:
-        time = round(at, 6)
-        if time not in points:
-            points[time] = {"time": time, "amplitude": round(float(np.interp(time, times, amplitudes)), DIGITS)}
-        own = points[time]
-        own["emphasis"] = {"amplitude": max(amplitude, own["amplitude"]), "frequency": sharpness}
+        own = points.setdefault(time := round(at, 6), {"time": time, "amplitude": 0.0})  # nothing is left there
+        own["emphasis"] = {"amplitude": amplitude, "frequency": sharpness}
     document = {
         "version": {"major": 1, "minor": 0, "patch": 0},
         "metadata": {
@@ -302,11 +298,9 @@ def write_ahap(path: str | Path, effect: ArrayEffect, name: str = "", descriptio
         track = OneTrack.of(effect, has_taps=False)
     pattern = [_event("HapticTransient", at, amplitude, sharpness) for at, amplitude, sharpness in track.taps]
     if not pattern:
-        begin = 0.0
-        while track.seconds - begin > 1e-6:
+        for begin in np.arange(0.0, track.seconds - 1e-6, _LONGEST_S).tolist():
             length = min(_LONGEST_S, track.seconds - begin)
             pattern.append(_event("HapticContinuous", begin, 1.0, 0.0, length))
-            begin += length
         for parameter, points in (("Intensity", track.amplitudes), ("Sharpness", track.sharpness)):
             pattern += _curves(f"Haptic{parameter}Control", points)
     metadata = {"Project": name, "Created": "", "Description": description}

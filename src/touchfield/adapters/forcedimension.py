@@ -163,7 +163,7 @@ def quaternion_of_rows(
     )
     row = rows[max(range(4), key=squares.__getitem__)]  # the greatest, so that nothing cancels
     length = math.sqrt(sum(v * v for v in row))
-    if not 0 < length < math.inf:
+    if not length < math.inf:
         return (math.nan,) * 4
     w, x, y, z = (v / length for v in row)
     return w, x, y, z

@@ -319,15 +319,16 @@ def device_medium(
         band = (vibration := stored.vibration) and (lambda i: replace(vibration(i), grid=grid))
         return replace(stored, grid=grid, make_frame=lambda i: stored[i].on_grid(grid), vibration=band)
     mapping = DeviceFilter(device, grid, placement, spec or DeviceFilterSpec())
-    told = _provenance(mapping, array_pool(scene, device, mapping.spec.pool))
-    beside = stored if isinstance(stored, HapticMedium) else None
-    medium = HapticMedium(
-        grid, scene.rate_hz, scene.frame_count, mapping.frames(scene, profile_hand), axes=scene.axes
+    told, frames = (
+        _provenance(mapping, array_pool(scene, device, mapping.spec.pool)),
+        mapping.frames(scene, profile_hand),
     )
-    if beside is None:
-        return replace(medium, tags=scene.tags, provenance=told)
-    own = {**beside.beside, "rate_hz": medium.rate_hz, "axes": medium.axes}
-    return replace(medium, **own, provenance={**beside.provenance, **told})
+    medium = HapticMedium(
+        grid, scene.rate_hz, scene.frame_count, frames, axes=scene.axes, tags=scene.tags, provenance=told
+    )
+    if isinstance(stored, HapticMedium):
+        return replace(medium, **stored.beside, provenance={**stored.provenance, **told})
+    return medium
 
 
 def _provenance(mapping: DeviceFilter, pool: str) -> dict[str, str]:

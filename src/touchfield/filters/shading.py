@@ -97,12 +97,7 @@ class ShadingFilter(FieldFilter):
         masses[field.mask, 0], masses[field.mask, 1] = 1, lengths_n / scale_n
         keys = keys_of_passes(field, axes)
         keys[3] = keys[0]  # the bricks around the support need not be made
-        means = []
-        for values in (masses, directions):
-            sums, tops = sums_of_bricks(field.grid, values, axes, keys)
-            sums[tops == 0] = 0
-            means.append(sums)
-        mean_masses, mean_directions = means
+        mean_masses, mean_directions = (sums_of_bricks(field.grid, v, axes, keys)[0] for v in (masses, directions))
         reached = field.mask
         weights = mean_masses[reached][:, 0]
         if self.smooth != "direction":
