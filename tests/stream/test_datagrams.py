@@ -9,6 +9,7 @@ import threading
 import time
 import zlib
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -281,6 +282,16 @@ def test_after_a_long_outage_the_second_segment_bears_out_the_first() -> None:
     assert events[1:] == [segment(0), segment(5)]
     assert receiver.receive(segments[31]) == [Lost(10, 140), segment(150), segment(155)]
     assert receiver.receive(segments[33]) == [Lost(160, 5), segment(165)]
+    far, farther = (replace(segment(0), first_frame=first) for first in (5000, 9000))
+    sender = sender_of(0)[0]
+    messages = [sender.add(one) for one in (far, farther)]
+    assert receiver.receive(messages[0]) == []
+    assert receiver.receive(segments[34]) == [segment(170)]  # which clears the doubt
+    assert receiver.receive(messages[1]) == []
+    other = sender_of(9)[1]
+    events = [event for message in (*other[:2], messages[1]) for event in receiver.receive(message)]
+    assert [type(event) for event in events] == [Opened, LiveSegment]
+    assert receiver.receive(other[9]) == [Lost(5, 35), segment(40)], "no more than eight segments ahead"
 
 
 def test_the_end_is_told_by_datagrams_too_and_is_none_where_more_follows(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -300,6 +311,12 @@ def test_the_end_is_told_by_datagrams_too_and_is_none_where_more_follows(monkeyp
         taken.append(message)
         return message == b""
 
+    async def received_all() -> None:
+        await asyncio.wait_for(listen(f"udp://127.0.0.1:{port}", take), 20)
+        await asyncio.sleep(0)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+            link.bind(("127.0.0.1", port))  # which is free again
+
     threading.Timer(0.3, send).start()
-    asyncio.run(asyncio.wait_for(listen(f"udp://127.0.0.1:{port}", take), 20))
+    asyncio.run(received_all())
     assert taken == [sender.opening, first, second, b""]

@@ -58,7 +58,13 @@ def pictures(path: Path) -> list[tuple[Fraction, bytes]]:
 def test_what_is_taken_out_is_what_was_put_in(folder: Path, tmp_path: Path, form: str, name: str) -> None:
     out, back = tmp_path / f"both{form}", tmp_path / "back.touch"
     done = mux(folder / "movie.mp4", folder / name, out, 0.4)
-    assert done.other_tracks == ("video", "audio") and done.segments == demux(out, back).segments
+    taken = demux(out, back)
+    assert done.other_tracks == ("video", "audio") and done.at_s == 0.4 == pytest.approx(taken.at_s, abs=2e-3)
+    with TouchReader(back) as reader:
+        own = len(reader.segments), reader.head.frame_count / reader.head.rate_hz
+        end = reader.segments[-1].offset + reader.segments[-1].length  # what is behind is made again
+    assert (done.segments, done.touch_seconds) == (taken.segments, taken.touch_seconds) == own
+    assert taken.touch_bytes >= end and (form == ".ts" or done.touch_bytes == taken.touch_bytes == end)
     assert back.read_bytes() == (folder / name).read_bytes()
     before, after = pictures(folder / "movie.mp4"), pictures(out)
     assert len(before) == len(after) and [b for _, b in before] == [b for _, b in after]
@@ -92,13 +98,16 @@ def test_the_movie_is_decoded_as_before(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("stem", ["film", "sight & touch"])
 def test_a_manifest_names_the_movie_and_the_touch(folder: Path, tmp_path: Path, stem: str) -> None:
     out = tmp_path / f"{stem}.mpd"
-    assert mux(folder / "movie.mp4", folder / "noise.touch", out, 0.5).other_tracks == ("video", "audio")
+    done, size = mux(folder / "movie.mp4", folder / "noise.touch", out, 0.5), (folder / "noise.touch").stat().st_size
+    assert (done.other_tracks, done.at_s, done.touch_bytes) == (("video", "audio"), 0.5, size)
     space = "{urn:mpeg:dash:schema:mpd:2011}"
     sets = ElementTree.parse(out).getroot().findall(f"{space}Period/{space}AdaptationSet")
     assert [one.get("contentType") for one in sets] == ["video", "audio", "application"]
     named = [one.findtext(f"{space}Representation/{space}BaseURL") for one in sets]
     assert {path.name for path in tmp_path.iterdir()} == {out.name, *map(str, named)}
     assert sets[2].get("mimeType") == "haptics/vnd.touchfield" and named[2] == f"{stem}.touch"
+    shown = sets[2].find(f"{space}Representation")
+    assert shown is not None and shown.get("bandwidth") == str(round(8 * size / 0.9))
     told = sets[2].find(f"{space}SupplementalProperty")
     assert told is not None and (told.get("schemeIdUri"), told.get("value")) == (BEGINS, "0.5")
     assert (tmp_path / f"{stem}.touch").read_bytes() == (folder / "noise.touch").read_bytes()
