@@ -21,6 +21,7 @@ from touchfield.stream.live import Ended, LiveReceiver, LiveSegment, LiveSender,
 
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
 from live_makers import HEAD, field, segment, sender_of
+from touchfield.stream import datagrams as datagrams_module
 from touchfield.stream import udp
 from touchfield.stream.datagrams import MOST_DATAGRAM, Datagrams, Gathering
 from touchfield.stream.live_client import open_live
@@ -149,6 +150,56 @@ def test_no_more_datagrams_of_a_message_are_looked_at_than_it_can_need() -> None
 def test_repair_that_cannot_be(repair: float) -> None:
     with pytest.raises(InvalidArgument, match="repair"):
         Datagrams(1, repair)
+
+
+def numbered(number: int, stream: int = 7) -> bytes:
+    """A datagram that has all of a message, which is the stream and the number."""
+    datagrams = Datagrams(stream)
+    datagrams._number = number
+    return datagrams.add(b"%d.%d" % (stream, number))[0]
+
+
+def test_numbers_that_are_near_enough() -> None:
+    """At most eight above the newest, and 24 below; the number after the last is 0."""
+    gathering = Gathering()
+    assert gathering.receive(numbered(0)) == [b"7.0"]
+    assert gathering.receive(numbered(8)) == [] and gathering.refused == 0, "those between are waited for"
+    assert gathering.receive(numbered(17)) == [] and gathering.refused == 1
+    assert gathering.receive(numbered(16)) == gathering.receive(numbered(24)) == [] and gathering.lost == 0
+    assert gathering.receive(numbered(0)) == [] and gathering.refused == 1, "late, and no more than that"
+    assert gathering.receive(numbered(25)) == [] and gathering.lost == 1, "24 are waited for, from 2 on"
+    last = Datagrams(7)
+    last._number = (1 << 32) - 1
+    assert len(last.add(b"x")) == 1 and len(last.add(b"y")) == 2 and last._number == 1
+    assert len(sent([b"x"])) == 4, "of one symbol, and three of repair"
+
+
+def test_messages_of_a_length_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(datagrams_module, "MOST_BYTES", 3000)
+    for message in (b"", bytes(3001)):
+        with pytest.raises(InvalidArgument, match="bytes; expected 1 to 3000"):
+            Datagrams(7).add(message)
+    twice = [one for one in sent([bytes(3000)]) for _ in range(2)]
+    assert received(twice)[0] == [bytes(3000)], "what a network repeats is not too much"
+    monkeypatch.setattr(datagrams_module, "MOST_BYTES", 2999)
+    assert received(twice)[1].refused == len(twice)
+
+
+def test_two_datagrams_bear_out_another_stream_once_the_first_is_silent() -> None:
+    now = [0.0]
+    gathering = Gathering(clock_s=lambda: now[0])
+
+    def at(time_s: float, *coming: bytes) -> list[bytes]:
+        now[0] = time_s
+        return [message for one in coming for message in gathering.receive(one)]
+
+    assert at(0.0, numbered(0)) == [b"7.0"] and at(1.5, numbered(8)) == []
+    assert at(3.5, numbered(5, 8), numbered(6, 8)) == [], "no more than two seconds of silence"
+    assert at(3.6, numbered(5, 9)) == [], "of two streams, one each"
+    assert at(3.6, numbered(14, 9), numbered(14, 9)) == [], "one too far off, and the same again"
+    assert gathering.refused == 5 and at(3.6, numbered(6, 9)) == [b"9.6"], "it goes on from the lower number"
+    assert at(3.7, numbered(0, 11), numbered(1, 11)) == [], "nor is this one silent"
+    assert at(3.8, *(numbered(number, 9) for number in range(7, 14))) == [b"9.%d" % n for n in range(7, 15)]
 
 
 @pytest.mark.parametrize("text", ["", "host", "host:", ":9", "host:0", "host:99999", "host:x"])
