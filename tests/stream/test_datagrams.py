@@ -202,10 +202,13 @@ def test_two_datagrams_bear_out_another_stream_once_the_first_is_silent() -> Non
     assert at(3.8, *(numbered(number, 9) for number in range(7, 14))) == [b"9.%d" % n for n in range(7, 15)]
 
 
-@pytest.mark.parametrize("text", ["", "host", "host:", ":9", "host:0", "host:99999", "host:x"])
+@pytest.mark.parametrize(
+    "text", ["", "host", "host:", ":9", "host:0", "host:99999", "host:x", "a..b:9", f"{'x' * 64}:9"]
+)
 def test_addresses_that_are_none(text: str) -> None:
-    with pytest.raises(InvalidArgument):
+    with pytest.raises(InvalidArgument, match="a host and a port from 1 to 65535"):
         _place_of(text)
+    assert _place_of(f"udp://[::1]:{1}/") == ("::1", 1) and _place_of("HOST.example.:65535")[0] == "host.example."
 
 
 def free_port() -> int:
@@ -267,6 +270,36 @@ def test_a_hand_feels_what_is_live_through_a_network_that_loses() -> None:
     jumped = live.frames.skipped
     for i in shown if not jumped else ():
         np.testing.assert_allclose(felt[i].to_dense(), field(begins + i).to_dense(), atol=0.2)
+
+
+def test_the_opening_is_told_again_before_every_fourth_segment() -> None:
+    sender, (opening, *told) = sender_of(9)
+    gathering, out = Gathering(), list[bytes]()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))
+        link.settimeout(5)
+        with UdpSender(sender, f"udp://127.0.0.1:{link.getsockname()[1]}/") as sending:
+            for message in told:
+                sending.add(message)
+        while b"\0" not in out:
+            out += gathering.receive(link.recv(2048))
+    assert out == [opening, *told[:4], opening, *told[4:8], opening, told[8], b"\0"]
+
+
+@pytest.mark.parametrize(("layer", "count"), [("alone", 44), ("fine", 41), ("coarse", 50)])
+def test_a_layer_has_its_share_of_parity_and_its_port(layer: udp.Layer, count: int) -> None:
+    """36 pieces of a thousand bytes, which all have come once the sender has ended."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))
+        link.setblocking(False)
+        port = link.getsockname()[1] - (layer == "coarse")
+        with UdpSender(sender_of(0)[0], f"127.0.0.1:{port}", layer) as sending:
+            sending.add(bytes(36_000))
+        coming = list[bytes]()
+        with suppress(BlockingIOError):
+            while True:
+                coming.append(link.recv(2048))
+    assert sum(len(one) > 1000 for one in coming) == count
 
 
 def test_messages_of_a_whole_stream_by_datagrams() -> None:

@@ -236,6 +236,8 @@ def test_an_address_that_is_taken_is_told() -> None:
         thread.start()
         thread.join(10)
     assert told and f"127.0.0.1:{port}" in told[0] and "--port" in told[0]
+    with pytest.raises(InvalidArgument, match=r"a\.\.b:0: .*--host"):
+        LiveServer(sender_of(0)[0], Access("a..b", port=0, is_open=True)).__enter__()
 
 
 def test_many_receivers_and_bad_ones_beside_them() -> None:

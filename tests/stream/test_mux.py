@@ -149,7 +149,7 @@ def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(folder: Path
     mux(folder / "movie.mp4", folder / "noise.touch", out)
     data, rng = out.read_bytes(), np.random.default_rng(3)
     (tmp_path / "late.ts").write_bytes(data[len(data) // 2 // 188 * 188 :])
-    with pytest.raises(TouchfieldError):
+    with pytest.raises(TouchfieldError, match=r"late\.ts"):
         demux(tmp_path / "late.ts", back)
     refused = 0
     for _ in range(25):

@@ -200,9 +200,11 @@ async def run(
     try:
         try:
             listening = await loop.create_server(connected, access.host, access.port, backlog=4096)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             found = f"{access.host}:{access.port}: {reason(error)}"
-            raise InvalidArgument("--port", found, "an address that is free", "Take another --port.") from None
+            raise InvalidArgument(
+                "--port", found, "an address that is free", "Take another --port or --host."
+            ) from None
         host, port = listening.sockets[0].getsockname()[:2]
         ready(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")
         await until.wait()
