@@ -15,6 +15,7 @@ from touchfield.container import TouchReader
 from touchfield.errors import InvalidArgument, TouchfieldError
 from touchfield.job import EncodeSpec, encode
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.stream import mux as mux_module
 from touchfield.stream.mux import BEGINS, demux, mux
 
 av = pytest.importorskip("av", reason="movies need the extra video")
@@ -146,7 +147,9 @@ def test_one_clear_line_each(folder: Path, tmp_path: Path, capsys: pytest.Captur
     assert _exit_code(["mux", movie, touch, str(out), "--json"]) == 0
 
 
-def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(folder: Path, tmp_path: Path) -> None:
+def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out, back = tmp_path / "both.ts", tmp_path / "back.touch"
     mux(folder / "movie.mp4", folder / "noise.touch", out)
     data, rng = out.read_bytes(), np.random.default_rng(3)
@@ -168,3 +171,8 @@ def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(folder: Path
             assert back.read_bytes() == (folder / "noise.touch").read_bytes()
             back.unlink()
     assert refused > 5
+    found = mux_module._found
+    monkeypatch.setattr(mux_module, "_found", lambda *given: (found(*given)[0][:2], 0.0))
+    with pytest.raises(TouchfieldError, match=r"both\.ts: INDX\.segments: found 6 frames; expected 9"):
+        demux(out, back)
+    assert not back.exists()
