@@ -17,9 +17,9 @@ from depth_makers import write_plain, write_redwood, write_sun3d, write_threedma
 from touchfield.container import TouchReader
 from touchfield.devices.profile import device
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
-from touchfield.files import require_beside
+from touchfield.files import keep_sources, readable, require_beside, require_plain
 from touchfield.job import EncodeSpec
-from touchfield.json_values import read_json
+from touchfield.json_values import JsonValue, read_json
 from touchfield.medium.trace import read_trace
 from touchfield.render.material import BANDS_HZ, stored_materials
 from touchfield.render.spec import stated_n_per_m
@@ -102,6 +102,49 @@ def test_nothing_but_a_file_is_opened_anywhere(tmp_path: Path, monkeypatch: pyte
     for read in readers:
         with pytest.raises(TouchfieldError, match="a pipe, a socket or a device"):
             read()
+
+
+def test_a_folder_is_taken_where_it_may_be_and_nothing_is_written_over_what_is_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "own").write_text("mine")
+    (tmp_path / "link").symlink_to(tmp_path / "own")
+    require_plain(tmp_path, "a folder", or_folder=True)
+    require_plain("a\0b", "a name that another tells")
+    for path, is_folder_taken in ((tmp_path / "pipe", True), (tmp_path, False)):
+        with pytest.raises(SourceError, match=r"found a (pipe|folder)"):
+            require_plain(path, "a file", or_folder=is_folder_taken)
+    keep_sources(tmp_path / "new", tmp_path / "own", tmp_path / "absent")
+    with pytest.raises(InvalidArgument, match="the file that is read"):
+        keep_sources(tmp_path / "link", tmp_path / "absent", tmp_path / "own")
+    expected = r"found No such file or directory; expected a list\. Make it"
+    with pytest.raises(SourceError, match=expected), readable(tmp_path / "absent", "a list", "Make it."):
+        (tmp_path / "absent").read_bytes()
+
+
+def test_json_is_taken_up_to_its_bounds(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+
+    def told(text: str) -> JsonValue:
+        path.write_text(text, "utf-8")
+        return read_json(path, 400, "a document of 400 bytes")
+
+    document = told(f'\ufeff{{"a": [1.0, 9.9e299, 1e300, true, "{"x" * 60}"]}}'.ljust(398))
+    assert path.stat().st_size == 400
+    whole, most, more, truth, text = document.at("a").each(5)
+    assert whole.whole(1, 1) == 1 and most.number() == 9.9e299
+    for take, found in (
+        (more.number, r"\$\.a\[2\]: found 1e\+300; expected a finite number"),
+        (truth.number, r"\$\.a\[3\]: found true; expected a number"),
+        (lambda: truth.whole(0, 1), "found true; expected an integer from 0 to 1"),
+        (text.number, f'found "{"x" * 59}\\.\\.\\.; expected a number'),
+        (lambda: document.at("a").each(6), "found an array of 5; expected at least 6"),
+        (lambda: told("[NaN]"), "no JSON .the constant NaN"),
+        (lambda: told(f"1{'0' * 301}").number(), "found a number of over 300 digits"),
+        (lambda: told("1" * 401), "more than 400 bytes"),
+        (lambda: read_json("a\0b", 9, "a document"), "null byte"),
+    ):
+        with pytest.raises(SourceError, match=found):
+            take()
 
 
 @pytest.mark.parametrize(("radius", "place"), [("0x{}", "0"), ("0.1", "0x{}")])

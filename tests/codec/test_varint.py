@@ -55,5 +55,8 @@ def test_any_bytes_are_numbers_or_a_fault(data: bytes, count: int) -> None:
 def test_a_number_too_large_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="numbers"):
         encode_numbers(np.array([LARGEST + 1]))
+    np.testing.assert_array_equal(
+        decode_numbers(encode_numbers(np.array([LARGEST, -LARGEST])), 2), [LARGEST, -LARGEST]
+    )
     with pytest.raises(CorruptFile, match="1073741823 at most"):
         decode_numbers(bytes(30), 3)  # a code of ones: negative numbers of as many digits as there may be

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -83,6 +85,31 @@ def test_a_damaged_segment_is_told_as_without_it(core: Any, tmp_path: Path) -> N
     bad.write_bytes(data)
     with open_stream(bad) as stream, pytest.raises(FormatError, match="CRC-32"):
         stream.medium[0]
+
+
+def test_what_it_refuses_within_a_segment_python_decodes_from_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_stream(voxels()) as plain:
+        count = plain.reader.segments[0].frame_count
+        expected = [plain.medium[i] for i in range(count)]
+    frame = expected[0]
+    numbers = np.ravel_multi_index(frame.bricks.T, frame.grid.brick_shape).astype(np.uint32)
+    # in any order, one brick of them without a force; told from those of Python by their size
+    empty, expected[0] = np.setdiff1d(np.arange(math.prod(frame.grid.brick_shape)), numbers)[:1], frame.scaled(2)
+    forces = np.concatenate([np.zeros_like(frame.forces_n[:1]), 2 * frame.forces_n[::-1]])
+    told = np.append(empty, numbers[::-1]).astype(np.uint32), forces
+
+    class Core:
+        open = frames = staticmethod(lambda *given: iter([tuple(part.tobytes() for part in told)]))
+
+        @staticmethod
+        def next(frames: Iterator[Any]) -> Any:
+            for one in frames:
+                return one
+            raise ValueError("bytes that contradict themselves")
+
+    monkeypatch.setattr(native, "_core", lambda: Core)
+    with open_stream(voxels()) as own:
+        assert own.is_native and [own.medium[i] for i in range(count)] == expected
 
 
 def test_what_is_no_file_is_refused_in_words(core: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -64,6 +65,7 @@ def test_in_sequence_every_segment_is_decoded_once(
     frames = frames_of(begun.append)
     assert [number_of(frames(i)) for i in range(LENGTH * COUNT)] == list(range(LENGTH * COUNT))
     assert sorted(begun) == list(range(COUNT))
+    assert number_of(frames(LENGTH * COUNT - 1)) == LENGTH * COUNT - 1 and len(begun) == COUNT, "the latest is kept"
 
 
 def test_the_next_segments_are_decoded_by_other_threads(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,6 +81,12 @@ def test_the_next_segments_are_decoded_by_other_threads(monkeypatch: pytest.Monk
     assert not ahead.is_set(), "one frame alone asks for nothing else"
     frames(1)
     assert ahead.wait(30)
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "1")
+    begun: list[int] = []
+    alone = frames_of(begun.append)
+    assert [number_of(alone(i)) for i in range(LENGTH)] == list(range(LENGTH))
+    time.sleep(0.02)
+    assert begun == [0], "there is no other thread"
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
@@ -92,10 +100,12 @@ def test_a_damaged_segment_costs_its_own_frames_from_the_fault_on(
             if (segment, i) == (2, 1):
                 raise CorruptFile("body", "damage")
             yield field(LENGTH * segment + i)
+        if segment == 4:
+            raise CorruptFile("body", "damage behind the last frame")
 
     frames = SegmentFrames(reader(), decode)
     for i in range(LENGTH * COUNT):
-        if i in (7, 8):
+        if i in (7, 8, 14):
             with pytest.raises(CorruptFile, match="damage"):
                 frames(i)
         else:

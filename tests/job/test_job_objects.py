@@ -120,6 +120,12 @@ def test_a_stream_of_objects_compares_with_its_source_and_is_measured(stream: Pa
     assert sum(told) == 8 * stream.stat().st_size
     measured = job.measure_medium(stream)
     assert measured.frames == FRAMES and measured.object.value > 0
+    with job.open_stream(stream) as opened:
+        told = opened.summary()
+        assert opened.scene is not None and opened.scene.file_bytes == opened.file_bytes == stream.stat().st_size
+        assert all(one.medium.rate_hz == 1000.0 for one in opened.scene.objects)
+        assert told["bits_fields"] + told["bits_poses"] == opened.bits.total < 8 * opened.file_bytes
+    assert told["frame_kinds"] == {"object": FRAMES} and told["place_tolerance_um"] == pytest.approx(10)
 
 
 def test_a_body_farther_from_its_place_than_is_tolerated_excuses_nothing(stream: Path) -> None:

@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from live_makers import HEAD
 from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.container import TouchWriter
 from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, compare, encode, open_stream, prepare
-from touchfield.medium import HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium, Segments
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.shapes import Sphere
 from touchfield.sources.stored import StoredScene
@@ -30,6 +33,50 @@ def breathing(frames: int = 7) -> StoredScene:
         scene = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02 + 0.002 * t),))
         made.append(prepare(scene, replace(SPEC, mapping="crop")).medium[0].on_grid(grid))
     return StoredScene(HapticMedium.from_frames(made, 25.0, "x right, y up, z towards the viewer"))
+
+
+def test_a_stream_tells_what_its_head_and_its_segments_say(tmp_path: Path) -> None:
+    """All of it unlike any default; forces only in the second segment."""
+    grid = Grid((16, 8, 24), (0.01, 0.02, 0.005), (0.1, -0.2, 0.3))
+    spec = TouchSpec(effort="fast", k=0.2, f0_n=0.07, masking=0.03, masking_radius_m=0.006)
+    encoder, path, notes = TouchEncoder(grid, spec), tmp_path / "own.touch", list[tuple[int, int]]()
+    dense = np.random.default_rng(1).normal(0, 1, (16, 8, 24, 3)).astype(np.float32)
+    frames = [ForceField.empty(grid), ForceField.from_dense(grid, dense)]
+    head = replace(
+        HEAD, grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, frame_count=5, axes="x y z",
+        device_name="mine", device_type=2, force_max_n=7.0, mapping_scale=0.5, mapping_offset_m=(1.0, 2.0, 3.0),
+        weber_fraction=0.2, force_threshold_n=0.07, friction=0.3, damping_n_s_per_m=0.4, tags=("direct", "mine"),
+        coder_parameters=encoder.parameters,
+    )  # fmt: skip
+    with TouchWriter(path) as writer:
+        writer.write_head(head, {"reference": "my own"})
+        writer.write_segment(0, 3, encoder.encode_segment(frames[:1] * 3).body)
+        writer.write_segment(3, 2, encoder.encode_segment(frames[1:] * 2).body)
+    with open_stream(path) as opened:
+        told, medium, device = opened.summary(), opened.medium, opened.told_device
+        assert opened.masking == (0.03, 0.006) and medium.segments == Segments((0, 3), 0.2, 0.07)
+        held = opened.supported_voxels(lambda *at: notes.append(at))
+        size = 8 * path.stat().st_size
+        assert opened.bits_of_voxels(held)["bits_per_decoded_voxel"] == size / held
+        assert opened.bits_of_voxels(0)["bits_per_decoded_voxel"] is None
+        assert held == sum(field.support_count for field in medium) == 2 * medium[4].support_count > 0
+    assert notes == [(i + 1, 5) for i in range(5)]
+    for key, value in {
+        "frames": 5, "seconds": 0.1, "segments": 2, "grid_shape": [16, 8, 24], "axes": "x y z", "device": "mine",
+        "device_type": 2, "force_max_n": 7.0, "mapping_scale": 0.5, "mapping_offset_m": [1.0, 2.0, 3.0], "k": 0.2,
+        "f0_n": 0.07, "tags": ["direct", "mine"], "promise_against": "my own", "provenance": {"reference": "my own"},
+        "cr_full": size / (5 * 3072 * 96), "guesses": 0,
+    }.items():  # fmt: skip
+        assert told[key] == value, key
+    assert told["spacing_mm"] == pytest.approx([10, 20, 5]) and told["worst_frame"] in (3, 4)
+    assert told["cr_literal"] == (told["bits_amplitude"] + told["bits_direction"]) / (5 * 3072 * 96)
+    assert sum(told[f"bits_{kind}"] for kind in ("support", "amplitude", "direction", "models", "side")) == size
+    kinds, each = told["frame_kinds"], told["bits_per_frame_by_kind"]
+    assert sum(kinds.values()) == 5 and size - 8 * 600 < sum(kinds[kind] * each[kind] for kind in kinds) < size
+    assert (medium.rate_hz, medium.axes, medium.friction, medium.damping_n_s_per_m) == (50.0, "x y z", 0.3, 0.4)
+    assert medium.tags == ("direct", "mine") and medium.provenance == {"reference": "my own"}
+    assert (device.name, device.type, device.lattice, device.force_max_n) == ("mine", 2, (16, 8, 24), 7.0)
+    assert device.workspace_mm == pytest.approx((160, 160, 120))
 
 
 def test_threads_change_no_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,6 +29,7 @@ from touchfield.sources.depth_scene import DepthScene
 from touchfield.sources.fused_scene import FusedScene
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
+from touchfield.stream import live
 from touchfield.stream.live import LiveSegment, messages, write_message
 
 OPTIONS = SourceOptions(intrinsics="60,60,31.5,23.5", depth_scale=1000.0, source_rate_hz=50.0, world="causal")
@@ -161,14 +162,14 @@ def test_a_causal_world_of_a_pipe_is_that_of_the_stored_sequence() -> None:
         def values(self, frame: int) -> np.ndarray:
             return depth_mm(frame)
 
-    live = FusedScene(piped(b"".join(png(i) for i in range(6))), "causal")
-    sequence = CodedSequence("stored", Stored(), DepthCode(1000.0), live.sequence.intrinsics, 50.0)
+    coming = FusedScene(piped(b"".join(png(i) for i in range(6))), "causal")
+    sequence = CodedSequence("stored", Stored(), DepthCode(1000.0), coming.sequence.intrinsics, 50.0)
     stored = FusedScene(sequence, "causal")
-    np.testing.assert_allclose(live.bounds_m()[0, 2], 0.9, atol=0.01)  # of the first picture
+    np.testing.assert_allclose(coming.bounds_m()[0, 2], 0.9, atol=0.01)  # of the first picture
     grid = Grid.over_box((-0.4, -0.3, 0.7), (0.4, 0.3, 1.1), (32, 32, 32))
     profile = ForceProfile(((-0.05, 0.0, 0.0, -18.0),))
     for frame in range(6):
-        now = live.field(frame, grid, profile)
+        now = coming.field(frame, grid, profile)
         assert now == stored.field(frame, grid, profile) and now.support_count
 
 
@@ -210,15 +211,21 @@ def test_a_camera_needs_opencv(monkeypatch: pytest.MonkeyPatch) -> None:
 # -- through a pipe -------------------------------------------------------------------------------------------
 
 
-def test_messages_of_a_pipe() -> None:
+def test_messages_of_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "MOST_BYTES", 70000)
     file = io.BytesIO()
     for message in (b"one", b"", b"x" * 70000):
         write_message(file, message)
     data = file.getvalue()
     assert list(messages(io.BytesIO(data), "pipe")) == [b"one", b"", b"x" * 70000]
-    for bad in (data[:-1], data[:2], struct.pack("<I", (1 << 26) + 1) + data):
+    for bad in (data[:-1], data[:2], struct.pack("<I", 70001) + bytes(70001)):
         with pytest.raises(SourceError):
             list(messages(io.BytesIO(bad), "pipe"))
+    read, write = os.pipe()
+    with open(read, "rb", buffering=0) as there, open(write, "wb") as here:
+        write_message(here, b"at once")
+        os.set_blocking(read, False)
+        assert next(messages(there, "pipe")) == b"at once"
 
 
 def test_one_process_feels_what_another_sends_through_a_pipe() -> None:

@@ -9,6 +9,7 @@ import threading
 import time
 import zlib
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from touchfield.stream.live import Ended, LiveReceiver, LiveSegment, LiveSender,
 
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
 from live_makers import HEAD, field, segment, sender_of
+from touchfield.stream import datagrams as datagrams_module
 from touchfield.stream import udp
 from touchfield.stream.datagrams import MOST_DATAGRAM, Datagrams, Gathering
 from touchfield.stream.live_client import open_live
@@ -150,10 +152,63 @@ def test_repair_that_cannot_be(repair: float) -> None:
         Datagrams(1, repair)
 
 
-@pytest.mark.parametrize("text", ["", "host", "host:", ":9", "host:0", "host:99999", "host:x"])
+def numbered(number: int, stream: int = 7) -> bytes:
+    """A datagram that has all of a message, which is the stream and the number."""
+    datagrams = Datagrams(stream)
+    datagrams._number = number
+    return datagrams.add(b"%d.%d" % (stream, number))[0]
+
+
+def test_numbers_that_are_near_enough() -> None:
+    """At most eight above the newest, and 24 below; the number after the last is 0."""
+    gathering = Gathering()
+    assert gathering.receive(numbered(0)) == [b"7.0"]
+    assert gathering.receive(numbered(8)) == [] and gathering.refused == 0, "those between are waited for"
+    assert gathering.receive(numbered(17)) == [] and gathering.refused == 1
+    assert gathering.receive(numbered(16)) == gathering.receive(numbered(24)) == [] and gathering.lost == 0
+    assert gathering.receive(numbered(0)) == [] and gathering.refused == 1, "late, and no more than that"
+    assert gathering.receive(numbered(25)) == [] and gathering.lost == 1, "24 are waited for, from 2 on"
+    last = Datagrams(7)
+    last._number = (1 << 32) - 1
+    assert len(last.add(b"x")) == 1 and len(last.add(b"y")) == 2 and last._number == 1
+    assert len(sent([b"x"])) == 4, "of one symbol, and three of repair"
+
+
+def test_messages_of_a_length_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(datagrams_module, "MOST_BYTES", 3000)
+    for message in (b"", bytes(3001)):
+        with pytest.raises(InvalidArgument, match="bytes; expected 1 to 3000"):
+            Datagrams(7).add(message)
+    twice = [one for one in sent([bytes(3000)]) for _ in range(2)]
+    assert received(twice)[0] == [bytes(3000)], "what a network repeats is not too much"
+    monkeypatch.setattr(datagrams_module, "MOST_BYTES", 2999)
+    assert received(twice)[1].refused == len(twice)
+
+
+def test_two_datagrams_bear_out_another_stream_once_the_first_is_silent() -> None:
+    now = [0.0]
+    gathering = Gathering(clock_s=lambda: now[0])
+
+    def at(time_s: float, *coming: bytes) -> list[bytes]:
+        now[0] = time_s
+        return [message for one in coming for message in gathering.receive(one)]
+
+    assert at(0.0, numbered(0)) == [b"7.0"] and at(1.5, numbered(8)) == []
+    assert at(3.5, numbered(5, 8), numbered(6, 8)) == [], "no more than two seconds of silence"
+    assert at(3.6, numbered(5, 9)) == [], "of two streams, one each"
+    assert at(3.6, numbered(14, 9), numbered(14, 9)) == [], "one too far off, and the same again"
+    assert gathering.refused == 5 and at(3.6, numbered(6, 9)) == [b"9.6"], "it goes on from the lower number"
+    assert at(3.7, numbered(0, 11), numbered(1, 11)) == [], "nor is this one silent"
+    assert at(3.8, *(numbered(number, 9) for number in range(7, 14))) == [b"9.%d" % n for n in range(7, 15)]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "host", "host:", ":9", "host:0", "host:99999", "host:x", "a..b:9", f"{'x' * 64}:9"]
+)
 def test_addresses_that_are_none(text: str) -> None:
-    with pytest.raises(InvalidArgument):
+    with pytest.raises(InvalidArgument, match="a host and a port from 1 to 65535"):
         _place_of(text)
+    assert _place_of(f"udp://[::1]:{1}/") == ("::1", 1) and _place_of("HOST.example.:65535")[0] == "host.example."
 
 
 def free_port() -> int:
@@ -215,6 +270,36 @@ def test_a_hand_feels_what_is_live_through_a_network_that_loses() -> None:
     jumped = live.frames.skipped
     for i in shown if not jumped else ():
         np.testing.assert_allclose(felt[i].to_dense(), field(begins + i).to_dense(), atol=0.2)
+
+
+def test_the_opening_is_told_again_before_every_fourth_segment() -> None:
+    sender, (opening, *told) = sender_of(9)
+    gathering, out = Gathering(), list[bytes]()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))
+        link.settimeout(5)
+        with UdpSender(sender, f"udp://127.0.0.1:{link.getsockname()[1]}/") as sending:
+            for message in told:
+                sending.add(message)
+        while b"\0" not in out:
+            out += gathering.receive(link.recv(2048))
+    assert out == [opening, *told[:4], opening, *told[4:8], opening, told[8], b"\0"]
+
+
+@pytest.mark.parametrize(("layer", "count"), [("alone", 44), ("fine", 41), ("coarse", 50)])
+def test_a_layer_has_its_share_of_parity_and_its_port(layer: udp.Layer, count: int) -> None:
+    """36 pieces of a thousand bytes, which all have come once the sender has ended."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))
+        link.setblocking(False)
+        port = link.getsockname()[1] - (layer == "coarse")
+        with UdpSender(sender_of(0)[0], f"127.0.0.1:{port}", layer) as sending:
+            sending.add(bytes(36_000))
+        coming = list[bytes]()
+        with suppress(BlockingIOError):
+            while True:
+                coming.append(link.recv(2048))
+    assert sum(len(one) > 1000 for one in coming) == count
 
 
 def test_messages_of_a_whole_stream_by_datagrams() -> None:
@@ -281,6 +366,16 @@ def test_after_a_long_outage_the_second_segment_bears_out_the_first() -> None:
     assert events[1:] == [segment(0), segment(5)]
     assert receiver.receive(segments[31]) == [Lost(10, 140), segment(150), segment(155)]
     assert receiver.receive(segments[33]) == [Lost(160, 5), segment(165)]
+    far, farther = (replace(segment(0), first_frame=first) for first in (5000, 9000))
+    sender = sender_of(0)[0]
+    messages = [sender.add(one) for one in (far, farther)]
+    assert receiver.receive(messages[0]) == []
+    assert receiver.receive(segments[34]) == [segment(170)]  # which clears the doubt
+    assert receiver.receive(messages[1]) == []
+    other = sender_of(9)[1]
+    events = [event for message in (*other[:2], messages[1]) for event in receiver.receive(message)]
+    assert [type(event) for event in events] == [Opened, LiveSegment]
+    assert receiver.receive(other[9]) == [Lost(5, 35), segment(40)], "no more than eight segments ahead"
 
 
 def test_the_end_is_told_by_datagrams_too_and_is_none_where_more_follows(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -300,6 +395,12 @@ def test_the_end_is_told_by_datagrams_too_and_is_none_where_more_follows(monkeyp
         taken.append(message)
         return message == b""
 
+    async def received_all() -> None:
+        await asyncio.wait_for(listen(f"udp://127.0.0.1:{port}", take), 20)
+        await asyncio.sleep(0)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+            link.bind(("127.0.0.1", port))  # which is free again
+
     threading.Timer(0.3, send).start()
-    asyncio.run(asyncio.wait_for(listen(f"udp://127.0.0.1:{port}", take), 20))
+    asyncio.run(received_all())
     assert taken == [sender.opening, first, second, b""]

@@ -12,7 +12,9 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from live_makers import HEAD, segment, sender_of
 from touchfield.container.records import Vibration
 from touchfield.container.wire import encode_record
+from touchfield.container.writer import opening_of
 from touchfield.errors import InvalidArgument
+from touchfield.stream import live
 from touchfield.stream.live import (
     END,
     ENDLESS,
@@ -23,6 +25,7 @@ from touchfield.stream.live import (
     Lost,
     Opened,
     Refused,
+    _opened,
 )  # fmt: skip
 
 
@@ -67,8 +70,31 @@ def test_what_vibrates_beside_other_frames_is_refused() -> None:
     assert receiver.receive(message) == [replace(segment(0), vibration=b"beside")]
 
 
+def test_what_is_no_live_stream_or_too_long_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    sender, messages = sender_of(1)
+    file = b"".join(opening_of(replace(HEAD, frame_count=500), {}))
+    (refused,) = LiveReceiver().receive(file)
+    assert isinstance(refused, Refused) and "HEAD.frame_count: found 500" in refused.reason
+    with pytest.raises(InvalidArgument, match="a second call"):
+        sender.open(HEAD)
+    with pytest.raises(InvalidArgument, match="frames from 4; expected 5 or later"):
+        sender.add(replace(segment(0), first_frame=4))
+    receiver, following = LiveReceiver(), replace(segment(0), first_frame=5)
+    receiver.receive(messages[0])
+    monkeypatch.setattr(live, "MOST_BYTES", len(messages[1]))
+    with pytest.raises(InvalidArgument, match="shorter segments"):
+        sender.add(replace(following, vibration=b""))
+    assert receiver.receive(messages[1]) == [segment(0)] and receiver.receive(sender.add(following)) == [following]
+    monkeypatch.setattr(live, "MOST_BYTES", len(messages[1]) - 1)
+    (refused,) = LiveReceiver().receive(messages[0])
+    assert isinstance(refused, Refused) and "bytes; expected at most" in refused.reason
+
+
 def test_a_sender_that_is_started_again_begins_anew() -> None:
-    (_, before), (_, again) = sender_of(4), sender_of(2)
+    (_, before), (sender, again) = sender_of(4), sender_of(2)
+    retold = LiveSender()
+    retold.open(HEAD, {"source": "test", "programme": _opened(sender.opening).provenance["programme"]})
+    assert retold.opening != sender.opening, "a live stream that is sent on is another programme"
     receiver = LiveReceiver()
     for message in before:
         receiver.receive(message)
@@ -155,3 +181,5 @@ def test_who_is_slow_is_moved_on_to_the_newest() -> None:
     message = sender.next(slow)
     assert message is not None and receiver.receive(message) == [segment(95)] and slow.skipped == 19
     assert sender.next(slow) is None
+    told = {"number": 19, "first_frame": 95, "frames": 5, "bytes": len(message)}
+    assert sender.manifest()["segments"][-1] == told and sender.message(19) == message and sender.message(15) is None

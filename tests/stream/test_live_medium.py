@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 from tests.stream.test_layers import COARSE, UNDER_HEAD
 
-from live_makers import HEAD, Hand, field, segment
+from live_makers import GRID, HEAD, Hand, field, segment
+from touchfield.codec.vibration import encode_vibration
 from touchfield.errors import SourceError
+from touchfield.medium.medium import VibrationFrame
 from touchfield.stream.live import (
     ENDLESS,
     Ended,
     LiveSegment,
     Lost,
     Opened,
+    Refused,
 )  # fmt: skip
 from touchfield.stream.live_medium import LiveEnd, LiveFrames, LiveStream
 
@@ -33,6 +36,20 @@ def test_frames_are_those_that_were_sent_and_lost_ones_hold_no_force() -> None:
         np.testing.assert_allclose(frames(i).to_dense(), field(10 + i).to_dense(), atol=0.2)
     assert not frames(7).support_count and frames.lost == 5
     assert frames.is_there(14) and not frames.is_there(15)
+
+
+def test_what_vibrates_is_that_of_the_frame_and_messages_of_no_use_are_counted() -> None:
+    place, one = np.zeros((1, 3), np.int32), np.ones(1, np.float32)
+    bands = [VibrationFrame(GRID, place + i, one, (90 + i) * one) for i in range(5)]
+    frames = frames_of(segment(0))
+    assert not frames.vibrates and LiveStream("live", frames).medium.vibration is None
+    frames.take(replace(segment(5), vibration=encode_vibration(bands)))
+    assert frames.vibrates and LiveStream("live", frames).medium.vibration == frames.vibration
+    assert [len(frames.vibration(i)) for i in (0, 4)] == [0, 0]
+    assert [frames.vibration(5 + i).frequencies_hz.tolist() for i in (4, 0)] == [[94], [90]]
+    for _ in range(3):
+        frames.take(Refused("no segment"))
+    assert frames.refused == 3
 
 
 def test_who_has_fallen_behind_goes_on_with_the_newest() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import socket
 import sys
 import threading
@@ -18,6 +19,7 @@ import pytest
 
 from live_makers import GRID, HEAD, field, medium, segment, sender_of
 from touchfield.cli.main import _exit_code
+from touchfield.container import TouchReader
 from touchfield.errors import FormatError, InvalidArgument, SourceError, reason
 from touchfield.job import EncodeSpec, encode
 from touchfield.job.live import LiveSpec, Sent, _Lane, broadcast, opened_sender
@@ -198,6 +200,60 @@ def test_connections_that_say_nothing_are_left(monkeypatch: pytest.MonkeyPatch) 
             assert [live.medium[i].support_count > 0 for i in range(20)] == [True] * 20
         for link in silent:
             link.close()
+
+
+def status_of(address: str, path: str, *headers: str) -> int:
+    """The status of the answer to a request."""
+    host, port = address.split(":")
+    with socket.create_connection((host, int(port)), timeout=5) as link:
+        link.sendall("\r\n".join([f"GET {path} HTTP/1.1", f"Host: {address}", *headers, "", ""]).encode())
+        return int(link.recv(1 << 12).split()[1])
+
+
+UPGRADE = (
+    "Connection: Upgrade", "Upgrade: websocket", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+    "Sec-WebSocket-Version: 13",
+)  # fmt: skip
+
+
+def test_no_more_are_served_than_can_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A connection too many is closed at once; an answer too many is refused, and none once others have ended."""
+    monkeypatch.setattr("touchfield.stream.access._most_connections", lambda: 3)
+    monkeypatch.setattr("touchfield.stream.access._MOST_BUSY", 1)
+    monkeypatch.setattr("touchfield.stream.access._ENDING_S", 0.01)
+    with LiveServer(sender_of(1)[0], Access(port=0)) as server, ExitStack() as others:
+        for _ in range(2):
+            assert [status_of(server.address, "/live.json") for _ in range(3)] == [200] * 3
+            host, port = server.address.split(":")
+            with socket.create_connection((host, int(port)), timeout=5) as hand:
+                words = (f"GET /live HTTP/1.1\r\nHost: {server.address}", *UPGRADE, "", "")
+                hand.sendall("\r\n".join(words).encode())
+                assert hand.recv(12) == b"HTTP/1.1 101"
+                assert status_of(server.address, "/live.json") == 503
+            while server.receivers:
+                time.sleep(0.01)
+        for _ in range(3):
+            others.enter_context(socket.create_connection((host, int(port))))
+        with socket.create_connection((host, int(port)), timeout=5) as link, suppress(ConnectionError):
+            assert link.recv(1) == b""
+
+
+def test_an_address_that_is_taken_is_told() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port, told = other.getsockname()[1], list[str]()
+
+        def enter() -> None:
+            try:
+                LiveServer(sender_of(0)[0], Access(port=port)).__enter__()
+            except InvalidArgument as error:
+                told.append(str(error))
+
+        thread = threading.Thread(target=enter, daemon=True)
+        thread.start()
+        thread.join(10)
+    assert told and f"127.0.0.1:{port}" in told[0] and "--port" in told[0]
+    with pytest.raises(InvalidArgument, match=r"a\.\.b:0: .*--host"):
+        LiveServer(sender_of(0)[0], Access("a..b", port=0, is_open=True)).__enter__()
 
 
 def test_many_receivers_and_bad_ones_beside_them() -> None:
@@ -423,11 +479,14 @@ def test_a_server_that_is_gone_for_good_is_given_up(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_segment_is_a_file_of_its_own(tmp_path: Path) -> None:
-    _, (opening, _, second) = sender_of(2)
+    sender, (opening, _, second) = sender_of(2)
     (tmp_path / "segment.touch").write_bytes(file_of(opening, second))
     with open_stream(tmp_path / "segment.touch") as opened:
         assert len(opened.medium) == 5 and opened.reader.provenance["source"] == "test"
         for i in range(5):
             np.testing.assert_allclose(opened.medium[i].to_dense(), field(5 + i).to_dense(), atol=0.2)
+    message = sender.add(LiveSegment(10, 5, b"body", b"beside"))
+    with TouchReader(io.BytesIO(file_of(opening, message))) as reader:
+        assert (reader.read_segment(0), reader.read_vibration(0)) == (b"body", b"beside")
     with pytest.raises(FormatError):
         file_of(opening, second[:-1])

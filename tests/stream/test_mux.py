@@ -16,6 +16,7 @@ from touchfield.errors import InvalidArgument, TouchfieldError
 from touchfield.job import EncodeSpec, encode
 from touchfield.job.view import view
 from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.stream import mux as mux_module
 from touchfield.stream.mux import BEGINS, demux, mux
 
 av = pytest.importorskip("av", reason="movies need the extra video")
@@ -59,7 +60,13 @@ def pictures(path: Path) -> list[tuple[Fraction, bytes]]:
 def test_what_is_taken_out_is_what_was_put_in(folder: Path, tmp_path: Path, form: str, name: str) -> None:
     out, back = tmp_path / f"both{form}", tmp_path / "back.touch"
     done = mux(folder / "movie.mp4", folder / name, out, 0.4)
-    assert done.other_tracks == ("video", "audio") and done.segments == demux(out, back).segments
+    taken = demux(out, back)
+    assert done.other_tracks == ("video", "audio") and done.at_s == 0.4 == pytest.approx(taken.at_s, abs=2e-3)
+    with TouchReader(back) as reader:
+        own = len(reader.segments), reader.head.frame_count / reader.head.rate_hz
+        end = reader.segments[-1].offset + reader.segments[-1].length  # what is behind is made again
+    assert (done.segments, done.touch_seconds) == (taken.segments, taken.touch_seconds) == own
+    assert taken.touch_bytes >= end and (form == ".ts" or done.touch_bytes == taken.touch_bytes == end)
     assert back.read_bytes() == (folder / name).read_bytes()
     if form == ".mp4":
         assert 'data-type="video/mp4" data-at="0.400000"' in view(out).html
@@ -83,9 +90,11 @@ def test_what_is_taken_out_is_what_was_put_in(folder: Path, tmp_path: Path, form
 
 
 def test_the_movie_is_decoded_as_before(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "both.mp4"
-    mux(folder / "movie.mp4", folder / "noise.touch", out)
-    shown = []
+    out, notes, shown = tmp_path / "both.mp4", list[tuple[int, int]](), list[list[bytes]]()
+    mux(folder / "movie.mp4", folder / "noise.touch", out, 1.5, lambda *at: notes.append(at))  # beyond its end, too
+    assert notes == [(1, 3), (2, 3), (3, 3)]
+    demux(out, tmp_path / "back.touch")
+    assert (tmp_path / "back.touch").read_bytes() == (folder / "noise.touch").read_bytes()
     for path in (folder / "movie.mp4", out):
         with av.open(str(path)) as movie:
             shown.append([f.to_ndarray(format="rgb24").tobytes() for f in movie.decode(video=0)])
@@ -95,13 +104,16 @@ def test_the_movie_is_decoded_as_before(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("stem", ["film", "sight & touch"])
 def test_a_manifest_names_the_movie_and_the_touch(folder: Path, tmp_path: Path, stem: str) -> None:
     out = tmp_path / f"{stem}.mpd"
-    assert mux(folder / "movie.mp4", folder / "noise.touch", out, 0.5).other_tracks == ("video", "audio")
+    done, size = mux(folder / "movie.mp4", folder / "noise.touch", out, 0.5), (folder / "noise.touch").stat().st_size
+    assert (done.other_tracks, done.at_s, done.touch_bytes) == (("video", "audio"), 0.5, size)
     space = "{urn:mpeg:dash:schema:mpd:2011}"
     sets = ElementTree.parse(out).getroot().findall(f"{space}Period/{space}AdaptationSet")
     assert [one.get("contentType") for one in sets] == ["video", "audio", "application"]
     named = [one.findtext(f"{space}Representation/{space}BaseURL") for one in sets]
     assert {path.name for path in tmp_path.iterdir()} == {out.name, *map(str, named)}
     assert sets[2].get("mimeType") == "haptics/vnd.touchfield" and named[2] == f"{stem}.touch"
+    shown = sets[2].find(f"{space}Representation")
+    assert shown is not None and shown.get("bandwidth") == str(round(8 * size / 0.9))
     told = sets[2].find(f"{space}SupplementalProperty")
     assert told is not None and (told.get("schemeIdUri"), told.get("value")) == (BEGINS, "0.5")
     assert (tmp_path / f"{stem}.touch").read_bytes() == (folder / "noise.touch").read_bytes()
@@ -138,12 +150,14 @@ def test_one_clear_line_each(folder: Path, tmp_path: Path, capsys: pytest.Captur
     assert _exit_code(["mux", movie, touch, str(out), "--json"]) == 0
 
 
-def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(folder: Path, tmp_path: Path) -> None:
+def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out, back = tmp_path / "both.ts", tmp_path / "back.touch"
     mux(folder / "movie.mp4", folder / "noise.touch", out)
     data, rng = out.read_bytes(), np.random.default_rng(3)
     (tmp_path / "late.ts").write_bytes(data[len(data) // 2 // 188 * 188 :])
-    with pytest.raises(TouchfieldError):
+    with pytest.raises(TouchfieldError, match=r"late\.ts"):
         demux(tmp_path / "late.ts", back)
     refused = 0
     for _ in range(25):
@@ -160,3 +174,8 @@ def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(folder: Path
             assert back.read_bytes() == (folder / "noise.touch").read_bytes()
             back.unlink()
     assert refused > 5
+    found = mux_module._found
+    monkeypatch.setattr(mux_module, "_found", lambda *given: (found(*given)[0][:2], 0.0))
+    with pytest.raises(TouchfieldError, match=r"both\.ts: INDX\.segments: found 6 frames; expected 9"):
+        demux(out, back)
+    assert not back.exists()

@@ -6,6 +6,7 @@ import asyncio
 import hmac
 import ipaddress
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -180,16 +181,18 @@ async def run(
     runner = web.AppRunner(application, access_log=None, keepalive_timeout=15.0, shutdown_timeout=_ENDING_S)
     await runner.setup()
     assert runner.server is not None
-    answering, most = runner.server, _most_connections()
+    answering, most, begun = runner.server, _most_connections(), deque[web.RequestHandler]()
 
     def leave(connection: web.RequestHandler) -> None:
         if connection.transport is not None and connection.transport not in heard:
             connection.transport.abort()
 
     def connected() -> asyncio.Protocol:
-        if len(answering.connections) >= most:
+        if len(answering.connections) + len(begun) >= most:
             return _Refusal()
         connection = answering()
+        begun.append(connection)
+        loop.call_soon(begun.popleft)  # and next to it the connection is among the others
         loop.call_later(_PATIENCE_S, leave, connection)
         return connection
 
@@ -197,9 +200,11 @@ async def run(
     try:
         try:
             listening = await loop.create_server(connected, access.host, access.port, backlog=4096)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             found = f"{access.host}:{access.port}: {reason(error)}"
-            raise InvalidArgument("--port", found, "an address that is free", "Take another --port.") from None
+            raise InvalidArgument(
+                "--port", found, "an address that is free", "Take another --port or --host."
+            ) from None
         host, port = listening.sockets[0].getsockname()[:2]
         ready(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")
         await until.wait()

@@ -128,7 +128,7 @@ class LiveReceiver:
             if message == self._opening:  # told again, for those who come later
                 return []
             opened = _opened(message)
-            self._opening, self._next, self._doubted = message, None, None
+            self._opening, self._next = message, None
             return [opened]
         if message[:4] not in (b"SEGM", b"VIBR"):
             return [Refused("neither an opening nor a segment")]

@@ -120,7 +120,6 @@ def demux(movie: str | Path, out: str | Path) -> Muxed:
         for i in range(reader.object_count):
             reader.read_object(i)
         for i in range(len(reader.segments)):
-            reader.read_segment(i)
             reader.read_vibration(i)
         temporary.write_bytes(whole.getvalue())
         seconds = reader.head.frame_count / reader.head.rate_hz

@@ -14,7 +14,7 @@ from touchfield.codec.objects.layout import MAX_POSES, CodedObject
 from touchfield.codec.registry import field_decoder
 from touchfield.codec.segment import BitAccount, promise_kept
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
-from touchfield.errors import CorruptFile, UnsupportedVersion
+from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import require_memory
 from touchfield.parallel import Report, silent
@@ -56,15 +56,13 @@ class SceneStream(OpenStream):
 
     It is open for reading as long as fields of objects that deform are asked for.
 
-    Raises UnsupportedVersion if the file is of another coder; FormatError if its bytes contradict themselves;
-    InvalidArgument if its poses would take more memory than `memory_budget_bytes`.
+    Raises FormatError if its bytes contradict themselves; InvalidArgument if its poses would take more memory than
+    `memory_budget_bytes`.
     """
 
     def __init__(self, reader: TouchReader) -> None:
         super().__init__(reader)
         head = reader.head
-        if head.coder != ObjectsDecoder.name:
-            raise UnsupportedVersion("HEAD.coder", repr(head.coder), repr(ObjectsDecoder.name))
         poses = reader.object_count * head.frame_count
         if poses > MAX_POSES:
             count = f"{head.frame_count} frames of {reader.object_count} objects"

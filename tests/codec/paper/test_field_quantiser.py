@@ -82,6 +82,13 @@ def test_bad_words_are_refused(words: str) -> None:
         FieldQuantiserSpec.parse(words)
 
 
+def test_a_step_may_be_as_fine_as_the_forces_allow(wavy_field: ForceField) -> None:
+    fine = FieldQuantiserSpec.parse("uniform:1e-6/none")
+    assert fine.fit([wavy_field.scaled(0.01)]).alphabet > 9000
+    with pytest.raises(InvalidArgument, match="1 to 65536"):
+        fine.fit([wavy_field])
+
+
 def test_a_large_frame_trains_too(monkeypatch: pytest.MonkeyPatch, wavy_field: ForceField) -> None:
     from touchfield.codec.paper import field_quantiser
 

@@ -197,5 +197,9 @@ def test_specs_are_checked() -> None:
     ):
         with pytest.raises(InvalidArgument):
             dataclasses.replace(PaperSpec(), **bad)
+    for most in ({"nq": 1}, {"nq": 12}, {"segment_frames": 1}, {"segment_frames": 4096}, {"k": 0.999}):
+        dataclasses.replace(PaperSpec(), **most)
+    for most in (1e-9, 1e6):
+        PaperSpec(stage="dct", step_n=most)
     with pytest.raises(InvalidArgument):
         PaperEncoder(Grid((8, 8, 8), (1, 1, 1), (0, 0, 0)), PaperSpec(directions="ico99"))

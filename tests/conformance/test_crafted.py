@@ -1,0 +1,188 @@
+"""Crafted bodies and parameters of the coder `touch`, at the ends of their bounds: three decoders say the same."""
+
+from __future__ import annotations
+
+import io
+import struct
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from second import decoder, reading
+from test_c import CODES, COMPILER, built, run
+
+from live_makers import HEAD
+from touchfield.codec.touch.body import BodyReader
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.lattice import FLOOR_LIMIT, RATE_LIMIT
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.varint import chunk, write_varint
+from touchfield.container import TouchWriter
+from touchfield.errors import FormatError
+from touchfield.job import open_stream
+from touchfield.medium import ForceField, Grid
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
+
+GRID = Grid((12, 9, 8), (0.01,) * 3, (0.0,) * 3)
+ENCODER = TouchEncoder(GRID, TouchSpec(effort="fast"))
+SMALL = ForceField.from_support(GRID, [[1, 2, 3], [1, 2, 4]], [[0, 0, 1], [0, 0.5, 2]])
+BODY = ENCODER.encode_segment([SMALL]).body
+BEGIN = BodyReader(BODY, GRID, exact=False)
+(FRAME,) = BEGIN.records(1)
+EXACT = TouchEncoder(GRID, TouchSpec(mode="lossless"))
+(EXACT_FRAME,) = BodyReader(EXACT.encode_segment([SMALL]).body, GRID, exact=True).records(1)
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`touch_decode`, compiled in no time."""
+    return built(tmp_path_factory.mktemp("c"), "touch_decode", "-O0")
+
+
+def file_of(body: bytes, parameters: bytes = ENCODER.parameters) -> bytes:
+    """A file of one frame."""
+    file = io.BytesIO()
+    head = replace(HEAD, grid_shape=GRID.shape, spacing_m=GRID.spacing_m, coder_parameters=parameters)
+    with TouchWriter(file) as writer:
+        writer.write_head(head)
+        writer.write_segment(0, 1, body)
+    return file.getvalue()
+
+
+def body(
+    flags: int = 1, lattice: bytes | None = None, worst: tuple[int, ...] = (0, 0, 0, 0), how: int = 0,
+    shares: tuple[int, int] = (0, 0), guess: bytes | None = None, payload: bytes = FRAME.payload,
+    apart: bytes | None = None, behind: bytes = b"",
+) -> bytes:  # fmt: skip
+    """A body of one frame."""
+    assert BEGIN.lattice is not None
+    how |= 2 * (guess is not None) | 4 * (apart is not None)
+    parts = [bytes([flags]), BEGIN.lattice.to_bytes() if lattice is None else lattice]
+    parts += [b"\1\0", *map(write_varint, worst)] if flags & 1 else []
+    chunks = [chunk(data) for data in (guess, payload, apart) if data is not None]
+    return b"".join([*parts, bytes([how, *shares]), *chunks, behind])
+
+
+def lattice(*numbers: int) -> bytes:
+    """A lattice of floor and rate, along and across."""
+    return struct.pack("<f", BEGIN.lattice.unit_n) + b"".join(map(write_varint, numbers))  # type: ignore[union-attr]
+
+
+def force(gap: int, sample: int, *newtons: float) -> bytes:
+    """A force that is sent apart, or none."""
+    return write_varint(gap) + write_varint(2 * sample + (not newtons)) + struct.pack(f"<{len(newtons)}f", *newtons)
+
+
+def voxel(x: int, y: int, z: int) -> dict[str, Any]:
+    return {"worst": (0, x, y, z)}
+
+
+SHAPE, BRICKS = GRID.shape, 4
+BODIES: dict[str, tuple[dict[str, Any], str]] = {
+    "as it is": ({}, ""),
+    "no worst voxel": ({"flags": 0}, ""),
+    "another flag": ({"flags": 3}, "CorruptFile"),
+    "the last voxel": (voxel(11, 8, 7), ""),
+    "x beyond": (voxel(SHAPE[0], 0, 0), "CorruptFile"),
+    "y beyond": (voxel(0, SHAPE[1], 0), "CorruptFile"),
+    "z beyond": (voxel(0, 0, SHAPE[2]), "CorruptFile"),
+    "a worst frame behind the last": ({"worst": (1, 0, 0, 0)}, "CorruptFile"),
+    "the frame before is missing": ({"how": 1}, "CorruptFile"),
+    "an unknown bit of a frame": ({"how": 8}, "CorruptFile"),
+    "shares of all": ({"shares": (200, 55)}, ""),
+    "shares of more": ({"shares": (200, 56)}, "CorruptFile"),
+    "an empty guess": ({"guess": b""}, "CorruptFile"),
+    "a guess of another kind": ({"guess": b"\2" + bytes(20)}, "CorruptFile"),
+    "no exceptions": ({"apart": b""}, "CorruptFile"),
+    "a byte more": ({"behind": b"\0"}, "CorruptFile"),
+    "no axis": ({"payload": b"\3" + FRAME.payload[1:]}, "CorruptFile"),
+    "another bit of the course": ({"payload": bytes([32 | FRAME.payload[0]]) + FRAME.payload[1:]}, "CorruptFile"),
+    "too steep": ({"payload": FRAME.payload[:1] + write_varint(1 << 17) + FRAME.payload[2:]}, "CorruptFile"),
+    "a payload cut": ({"payload": FRAME.payload[: len(FRAME.payload) // 2]}, "TruncatedFile"),
+    "no floor": ({"lattice": lattice(0, 7000, 1, 7000)}, "CorruptFile"),
+    "no floor across": ({"lattice": lattice(21, 7000, 0, 7000)}, "CorruptFile"),
+    "a floor too high": ({"lattice": lattice(FLOOR_LIMIT, 0, 1, 0)}, "CorruptFile"),
+    "a rate too high": ({"lattice": lattice(21, RATE_LIMIT, 1, 0)}, "CorruptFile"),
+    "steps too fine": ({"lattice": lattice(20, 63, 20, 63)}, "CorruptFile"),
+    "exceptions": ({"apart": force(0, 0, 1, 2, 3) + force(0, 1) + force(1, 0, 1, 2, 3)}, ""),
+    "the same sample twice": ({"apart": force(0, 1, 1, 2, 3) + force(0, 1)}, "CorruptFile"),
+    "samples that descend": ({"apart": force(1, 1, 1, 2, 3) + force(0, 0)}, "CorruptFile"),
+    "the last brick": ({"apart": force(BRICKS - 1, 0, 1, 2, 3)}, ""),
+    "a brick behind the last": ({"apart": force(BRICKS, 0, 1, 2, 3)}, "CorruptFile"),
+    "a sample beyond the grid": ({"apart": force(2, 256)}, "CorruptFile"),
+    "the last sample of the grid": ({"apart": force(2, 192, 1, 2, 3)}, ""),
+    "a sample that there is not": ({"apart": force(0, 512)}, "CorruptFile"),
+    "no number": ({"apart": force(0, 0, 1, float("nan"), 3)}, "CorruptFile"),
+    "no end": ({"apart": force(0, 0, 1, 2, float("inf"))}, "CorruptFile"),
+    "half a force": ({"apart": force(0, 0, 1, 2)}, "TruncatedFile"),
+}
+
+
+def exact(payload: bytes = EXACT_FRAME.payload, **change: Any) -> dict[str, Any]:
+    return {"lattice": b"", "payload": payload, **change}
+
+
+LOSSLESS: dict[str, tuple[dict[str, Any], str]] = {
+    "lossless": (exact(), ""),
+    "lossless with a guess": (exact(guess=b"\0\0"), "CorruptFile"),
+    "lossless with exceptions": (exact(apart=force(0, 0, 1, 2, 3)), "CorruptFile"),
+    "a codebook that there is not": (exact(b"\xc8\1\0" + bytes(40)), "CorruptFile"),
+    "a codebook without levels": (exact(b"\5\0\0" + bytes(40)), "CorruptFile"),
+    "a level without end": (exact(b"\5\1\0" + struct.pack("<f", float("inf")) + bytes(40)), "CorruptFile"),
+    "a level cut": (exact(b"\5\1\0\0\0\0"), "TruncatedFile"),
+    "nothing lossless": (exact(b""), "TruncatedFile"),
+}
+
+
+def asked(how: int, *numbers: float, version: int = 1) -> bytes:
+    return struct.pack(f"<BB{len(numbers)}d", version, how, *numbers)
+
+
+HEADS: dict[str, tuple[bytes, str]] = {
+    "the least": (asked(0, 0.001, 0.0), ""),
+    "too small a share": (asked(0, 0.000999, 0.05), "CorruptFile"),
+    "a share of all": (asked(0, 1.0, 0.05), "CorruptFile"),
+    "less than no force": (asked(0, 0.1, -0.05), "CorruptFile"),
+    "no number asked for": (asked(0, 0.1, float("nan")), "CorruptFile"),
+    "without end": (asked(0, 0.1, float("inf")), "CorruptFile"),
+    "a number less": (asked(0, 0.1), "CorruptFile"),
+    "a number more": (asked(0, 0.1, 0.05, 0.1), "CorruptFile"),
+    "an older effort": (asked(16, 0.1, 0.05), ""),
+    "no effort": (asked(24, 0.1, 0.05), "CorruptFile"),
+    "masking": (asked(32, 0.1, 0.05, 1.0, 1.0), ""),
+    "masking by nothing": (asked(32, 0.1, 0.05, 0.0, 0.001), "CorruptFile"),
+    "masking by more than all": (asked(32, 0.1, 0.05, 1.1, 0.001), "CorruptFile"),
+    "masking from afar": (asked(32, 0.1, 0.05, 0.1, 1.1), "CorruptFile"),
+    "masking of directions": (asked(33, 0.1, 0.05, 18.0, 0.1, 0.001), "CorruptFile"),
+    "another bit": (asked(64, 0.1, 0.05, 0.1, 0.001), "CorruptFile"),
+    "a right angle": (asked(1, 0.1, 0.05, 90.0), "CorruptFile"),
+    "no step": (asked(2, 0.0), "CorruptFile"),
+    "a later version": (asked(0, 0.1, 0.05, version=2), "UnsupportedVersion"),
+    "nothing": (b"\1", "CorruptFile"),
+}
+
+
+@pytest.mark.parametrize("name", [*BODIES, *LOSSLESS, *HEADS])
+def test_three_decoders_say_the_same(name: str, program: Path, tmp_path: Path) -> None:
+    if name not in HEADS:
+        change, expected = (BODIES | LOSSLESS)[name]
+        data = file_of(body(**change), (EXACT if name in LOSSLESS else ENCODER).parameters)
+    else:
+        parameters, expected = HEADS[name]
+        data = file_of(body(), parameters)
+    path, said = tmp_path / "crafted.touch", ["", ""]
+    path.write_bytes(data)
+    try:
+        with open_stream(path) as opened:
+            opened.medium[len(opened.medium) - 1].to_dense()
+            opened.summary()
+    except FormatError as error:
+        said[0] = type(error).__name__
+    try:
+        decoder.decode(path)
+    except reading.FaultyFile as error:
+        said[1] = type(error).__name__
+    code, words = run(program, path, tmp_path / "raw")
+    assert [*said, CODES[code]] == [expected] * 3, words
