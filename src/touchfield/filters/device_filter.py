@@ -319,10 +319,8 @@ def device_medium(
         band = (vibration := stored.vibration) and (lambda i: replace(vibration(i), grid=grid))
         return replace(stored, grid=grid, make_frame=lambda i: stored[i].on_grid(grid), vibration=band)
     mapping = DeviceFilter(device, grid, placement, spec or DeviceFilterSpec())
-    told, frames = (
-        _provenance(mapping, array_pool(scene, device, mapping.spec.pool)),
-        mapping.frames(scene, profile_hand),
-    )
+    told = _provenance(mapping, array_pool(scene, device, mapping.spec.pool))
+    frames = mapping.frames(scene, profile_hand)
     medium = HapticMedium(
         grid, scene.rate_hz, scene.frame_count, frames, axes=scene.axes, tags=scene.tags, provenance=told
     )
