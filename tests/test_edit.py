@@ -104,10 +104,12 @@ def test_an_edit_makes_a_sound_field() -> None:
 
 def test_a_feather_falls_in_a_straight_line() -> None:
     flat = ForceField.from_dense(GRID, np.broadcast_to(np.float32([0, 0, 1]), (*GRID.shape, 3)))
-    made = edited(flat, Box((-1.0, -1.0, -1.0), (-0.0055, 1.0, 1.0)), Erased(), 0.004).to_dense()
-    expected = np.clip((GRID.axis_m(0) + 0.0055) / 0.004, 0, 1)
-    np.testing.assert_allclose(made[:, 5, 5, 2], expected, atol=1e-6)
-    assert not made[..., :2].any()
+    for feather_m in (0.004, 0.011):
+        made = edited(flat, Box((-1.0, -1.0, -1.0), (-0.0055, 1.0, 1.0)), Erased(), feather_m).to_dense()
+        expected = np.clip((GRID.axis_m(0) + 0.0055) / feather_m, 0, 1)
+        np.testing.assert_allclose(made[:, 5, 5, 2], expected, atol=1e-6)
+        assert not made[..., :2].any()
+    assert ((expected > 0) & (expected < 0.1)).any() and ((expected > 0.9) & (expected < 1)).any()
 
 
 # -- regions --------------------------------------------------------------------------------------------------------
