@@ -202,11 +202,17 @@ def test_connections_that_say_nothing_are_left(monkeypatch: pytest.MonkeyPatch) 
             link.close()
 
 
-def status_of(address: str, path: str, *headers: str) -> int:
-    """The status of the answer to a request."""
+def asking(address: str, path: str, *headers: str) -> socket.socket:
+    """A connection with a request on it."""
     host, port = address.split(":")
-    with socket.create_connection((host, int(port)), timeout=5) as link:
-        link.sendall("\r\n".join([f"GET {path} HTTP/1.1", f"Host: {address}", *headers, "", ""]).encode())
+    link = socket.create_connection((host, int(port)), timeout=5)
+    link.sendall("\r\n".join([f"GET {path} HTTP/1.1", f"Host: {address}", *headers, "", ""]).encode())
+    return link
+
+
+def status_of(address: str, path: str) -> int:
+    """The status of the answer to a request."""
+    with asking(address, path) as link:
         return int(link.recv(1 << 12).split()[1])
 
 
@@ -224,14 +230,12 @@ def test_no_more_are_served_than_can_be(monkeypatch: pytest.MonkeyPatch) -> None
     with LiveServer(sender_of(1)[0], Access(port=0)) as server, ExitStack() as others:
         for _ in range(2):
             assert [status_of(server.address, "/live.json") for _ in range(3)] == [200] * 3
-            host, port = server.address.split(":")
-            with socket.create_connection((host, int(port)), timeout=5) as hand:
-                words = (f"GET /live HTTP/1.1\r\nHost: {server.address}", *UPGRADE, "", "")
-                hand.sendall("\r\n".join(words).encode())
+            with asking(server.address, "/live", *UPGRADE) as hand:
                 assert hand.recv(12) == b"HTTP/1.1 101"
                 assert status_of(server.address, "/live.json") == 503
             while server.receivers:
                 time.sleep(0.01)
+        host, port = server.address.split(":")
         for _ in range(3):
             others.enter_context(socket.create_connection((host, int(port))))
         with socket.create_connection((host, int(port)), timeout=5) as link, suppress(ConnectionError):
@@ -260,11 +264,7 @@ def test_many_receivers_and_bad_ones_beside_them() -> None:
     """Ten that read, one that never does, one that talks, and one that sends garbage: the ten miss nothing."""
     with on_air() as server:
         host, port = server.address.split(":")
-        mute = socket.create_connection((host, int(port)))
-        mute.sendall(
-            f"GET /live HTTP/1.1\r\nHost: {server.address}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
-            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
-        )
+        mute = asking(server.address, "/live", *UPGRADE)
         garbage = socket.create_connection((host, int(port)))
         garbage.sendall(b"\x16\x03\x01" + bytes(range(256)) * 8)
         idle = [socket.create_connection((host, int(port))) for _ in range(50)]
@@ -304,9 +304,7 @@ def test_who_asks_for_a_segment_and_does_not_read_it_is_left(
     sender = sender_of(0)[0]
     with LiveServer(sender, Access(port=0)) as server:
         server.add(LiveSegment(0, 5, bytes(1 << 25)))
-        host, port = server.address.split(":")
-        with socket.create_connection((host, int(port)), timeout=5) as link:
-            link.sendall(f"GET /live/0 HTTP/1.1\r\nHost: {server.address}\r\n\r\n".encode())
+        with asking(server.address, "/live/0") as link:
             assert left.wait(30)
             received = 0
             with suppress(ConnectionError):

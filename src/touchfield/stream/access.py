@@ -181,18 +181,18 @@ async def run(
     runner = web.AppRunner(application, access_log=None, keepalive_timeout=15.0, shutdown_timeout=_ENDING_S)
     await runner.setup()
     assert runner.server is not None
-    answering, most, begun = runner.server, _most_connections(), deque[web.RequestHandler]()
+    answering, most, newcomers = runner.server, _most_connections(), deque[web.RequestHandler]()
 
     def leave(connection: web.RequestHandler) -> None:
         if connection.transport is not None and connection.transport not in heard:
             connection.transport.abort()
 
     def connected() -> asyncio.Protocol:
-        if len(answering.connections) + len(begun) >= most:
+        if len(answering.connections) + len(newcomers) >= most:
             return _Refusal()
         connection = answering()
-        begun.append(connection)
-        loop.call_soon(begun.popleft)  # and next to it the connection is among the others
+        newcomers.append(connection)
+        loop.call_soon(newcomers.popleft)  # and next to it the connection is among the others
         loop.call_later(_PATIENCE_S, leave, connection)
         return connection
 
