@@ -200,6 +200,13 @@ def test_a_function_that_fails_is_told_and_the_device_let_go(
         device.drive(block.i8.ctypes.data, block.words)
 
 
+def test_no_device_is_told_also_where_the_driver_has_no_error(fake) -> None:
+    fake.fail("nothing", 0)
+    with pytest.raises(DeviceError, match=r"no device; expected one\. Is it plugged in"):
+        OpenHaptics(None, cycle).open()
+    assert fake.log == "I"
+
+
 def test_the_name_reaches_the_driver_and_the_opener_another_process(fake) -> None:
     for words, name in (("openhaptics", "(default)"), ("openhaptics:Left Device", "Left Device")):
         choice = point_device(words)

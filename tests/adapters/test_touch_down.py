@@ -63,6 +63,15 @@ def test_it_presses_no_harder_than_it_may() -> None:
     assert 0.65 < forces[1000] < 0.75 and forces[950:2350].max() < 0.8
 
 
+def test_on_a_wall_that_leans_the_slide_is_as_long_as_on_any() -> None:
+    normal = np.full(3, 3**-0.5)
+    trace = touch_down(
+        still(ForceField.from_dense(GRID, np.clip(-500 * PLACES @ normal, 0, 3.3)[..., None] * normal))
+    )
+    slid = np.linalg.norm(np.diff(trace.positions_m[1050:2250], axis=0), axis=1).sum()
+    assert slid == pytest.approx(0.2 * np.linalg.norm(np.subtract(*GRID.box_m)), rel=0.02)
+
+
 def test_it_moves_without_jumps() -> None:
     trace = touch_down(still(ForceField.from_dense(GRID, SOLID)))
     assert np.linalg.norm(np.diff(trace.positions_m, axis=0), axis=1).max() < 0.0004  # 0.4 m/s

@@ -89,6 +89,25 @@ def test_the_next_segments_are_decoded_by_other_threads(monkeypatch: pytest.Monk
     assert begun == [0], "there is no other thread"
 
 
+def test_of_a_large_segment_only_the_first_frames_are_decoded_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
+    monkeypatch.setattr(module, "MOST_BYTES_AHEAD", field(0).forces_n.nbytes)
+    made: list[int] = []
+
+    def decode(segment: int) -> Iterator[ForceField]:
+        for i in range(LENGTH * segment, LENGTH * (segment + 1)):
+            made.append(i)
+            yield field(i)
+
+    frames = SegmentFrames(reader(), decode)
+    frames(0), frames(1)
+    ends = time.monotonic() + 30
+    while 7 not in made and time.monotonic() < ends:
+        time.sleep(0.001)
+    time.sleep(0.02)
+    assert sorted(made) == [0, 1, 3, 4, 6, 7], "as many as fit, and the one that does not"
+
+
 @pytest.mark.parametrize("threads", ["1", "3"])
 def test_a_damaged_segment_costs_its_own_frames_from_the_fault_on(
     threads: str, monkeypatch: pytest.MonkeyPatch

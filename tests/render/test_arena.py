@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from player_makers import telling
 
+from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.render.block import PREFIX, Block, Layout, Memory, Ring, check_fits, shared_folder
 from touchfield.render.block import words as W
 from touchfield.render.feeder import FrameSource, arena_words
-from touchfield.render.player import ramp_limit_s
+from touchfield.render.player import Session, ramp_limit_s
+from touchfield.render.spec import RenderSpec
 
 
 @given(st.integers(20, 60), st.lists(st.tuples(st.integers(1, 25), st.integers(0, 3)), max_size=40))
@@ -57,6 +61,8 @@ def test_no_more_memory_than_the_medium_needs() -> None:
     few, many = FrameSource(telling(2)), FrameSource(telling(2000))
     assert arena_words(few, 1 << 40) < arena_words(many, 1 << 40)
     assert arena_words(many, 1 << 20) == 1 << 17
+    slots = [Session(telling(2000), device("phantom-omni"), RenderSpec(), speed=s).layout.slots for s in (0.1, 1, 9)]
+    assert slots == [256, 256, 2048], "frames of four seconds of the hand, and no fewer than that"
     with pytest.raises(InvalidArgument, match=r"memory_bytes.*frame 3.*Ask for more memory"):
         check_fits(11, 10, "frame 3")
 
@@ -64,6 +70,15 @@ def test_no_more_memory_than_the_medium_needs() -> None:
 def test_a_ramp_is_given_up_at_last() -> None:
     assert ramp_limit_s(4.0, 800.0, 0.02) == pytest.approx(1.03)
     assert ramp_limit_s(4.0, 1e-9, 0.02) == 10.0
+
+
+@pytest.mark.parametrize("slow", [{"slew_n_per_s": 25.0}, {"slew_nm_per_s": 0.5}])
+def test_of_force_and_torque_the_slower_ramp_is_waited_for(slow: dict[str, float]) -> None:
+    sigma = replace(device("sigma.7"), force_max_n=20.0, torque_max_nm=0.4)
+    session = Session(telling(1), sigma, RenderSpec(**slow))  # type: ignore[arg-type]
+    memory = Memory.empty(session.layout.words)
+    session.set_up(memory)
+    assert memory.i8[W.RAMP_LIMIT_NS] == pytest.approx(1e9 * (1.02 + 1.6))
 
 
 def test_a_block_is_seen_by_both_and_leaves_nothing() -> None:

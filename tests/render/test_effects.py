@@ -89,6 +89,10 @@ def test_the_velocity_follows_true_times() -> None:
         bench.tick(math.nan, 0, 0, 0.001)
     bench.tick(x + 21 * 0.05 * 0.001, 0, 0, 0.001)
     assert bench.state(W.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
+    bench.restart(RenderSpec(velocity_cutoff_hz=20.0))
+    for n in range(9):  # a step of the velocity, through the low-pass
+        bench.tick(0.05 * 0.001 * n, 0, 0, 0.001)
+    assert bench.word(W.VELOCITY) == pytest.approx(0.05 * (1 - math.exp(-2 * math.pi * 20 * 0.008)))
 
 
 # -- coupling ---------------------------------------------------------------------------------------------------

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from player_makers import OMNI, Absent, Failing, Hung, Noted, Simulated, Still, telling, told
+from player_makers import GRID, OMNI, Absent, Failing, Hung, Noted, Simulated, Still, telling, told
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
-from touchfield.medium import ForceField
+from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 from touchfield.render.block import FLAGS, PREFIX, shared_folder
 from touchfield.render.block import words as W
 from touchfield.render.feeder import FrameSource
@@ -188,7 +188,7 @@ def test_a_signal_to_the_process_is_a_stop() -> None:
     assert not player.log()["force_n"][-1].any()
 
 
-def test_what_cannot_be_is_refused_before_anything_is_begun() -> None:
+def test_what_cannot_be_is_refused_before_anything_is_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InvalidArgument, match="from_frames"):
         Player(telling()[0], OMNI, Still)  # type: ignore[arg-type]
     for options in ({"memory_bytes": 0}, {"speed": -1.0}, {"start_s": float("inf")}):
@@ -198,6 +198,10 @@ def test_what_cannot_be_is_refused_before_anything_is_begun() -> None:
         pytest.fail("a lambda cannot be sent to another process")
     with pytest.raises(InvalidArgument, match="memory_bytes"), Player(telling(), OMNI, Still, memory_bytes=5000):
         pytest.fail("no frame fits")
+    monkeypatch.setattr("touchfield.render.player.free_bytes", lambda: 5000)  # of which nine tenths may be taken
+    body = HapticScene(GRID, 50.0, (HapticObject("body", telling(1), PoseTrack.still(2)),), 4.0)
+    with pytest.raises(InvalidArgument, match=r"memory_bytes: found 0\.00 MiB of room"):
+        Player(body, OMNI, Still)
 
 
 ORPHAN = """

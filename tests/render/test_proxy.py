@@ -16,7 +16,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.job import EncodeSpec, prepare
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.deformation import Deformation
-from touchfield.medium.medium import HapticObject, HapticScene
+from touchfield.medium.medium import HapticObject, HapticScene, VibrationFrame
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace
 from touchfield.render.block import words as W
@@ -207,6 +207,12 @@ def test_walls_are_found_where_there_are_some() -> None:
     assert found is not None and found.stiffness_n_per_m == pytest.approx(1500, rel=0.02)  # of the stiffest
     weakest = wall_of(ball.scaled(0.1))  # and the force of the weakest
     assert weakest is not None and found.level_n == weakest.level_n < wall.level_n
+    fine = HapticObject("fine", HapticMedium.from_frames([field_of(BALL, nw=8)], 30.0), track)
+    found = FrameSource(HapticScene(ball.grid, 30.0, (bodies[1], fine), 20.0)).wall()
+    assert found is not None and found.spacing_m == (min(fine.medium.grid.spacing_m),) * 3
+    still = VibrationFrame.empty(ball.grid)
+    found = FrameSource(HapticMedium(ball.grid, 30.0, 1, lambda i: ball, vibration=lambda i: still)).wall()
+    assert found == wall  # what is beside it is no second body
 
 
 def test_a_terrain_whose_rim_overshoots_is_a_wall() -> None:
@@ -226,7 +232,12 @@ def test_a_session_chooses_and_tells() -> None:
     medium = HapticMedium(field.grid, 30.0, 1, lambda i: field, axes=STRONG.axes)
     held, notes = _peak_n(medium, RenderSpec())
     assert held > 1.0 and any("proxy" in note for note in notes)
-    assert _peak_n(medium, RenderSpec(wall_n_per_m=300.0))[0] == pytest.approx(300 * 0.006, rel=0.1)
+    soft = RenderSpec(wall_n_per_m=300.0)
+    assert _peak_n(medium, soft)[0] == pytest.approx(300 * 0.006, rel=0.1)
+    session, memory = laid_out(medium, soft)
+    chosen = memory.f8[[W.BRAKE, W.COUPLING]]
+    session.feeder(memory).keep_ahead(1)  # its stiffest slope is that of the field, which nobody feels
+    assert (memory.f8[[W.BRAKE, W.COUPLING]] == chosen).all()
     for spec in (RenderSpec(render="field"), RenderSpec(coupling_n_per_m=300.0)):
         plain, notes = _peak_n(medium, spec)
         assert abs(plain) < 0.5 and not any("proxy" in note for note in notes)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from player_makers import OMNI, Absent, Failing, Simulated, Still, frame_of, laid_out, telling
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
+from touchfield.render.block import LOG_ROWS
 from touchfield.render.block import words as W
 from touchfield.render.offline import run_offline
 from touchfield.render.point_device import Point, PointDevice
@@ -293,6 +294,9 @@ def test_offline_for_some_seconds_and_round_and_round() -> None:
     assert 500 < len(run.log) < 530 and run.log["media_s"][499] == pytest.approx(499 * 3 / 500)
     assert (run.log["field_force_n"][50:500, 2] > 0.49).all()
     assert not run_offline(telling(5), OMNI, Simulated, seconds=0.0).log["force_n"].any()
+    ticks = LOG_ROWS + 1000  # the ring of the log is taken out in time
+    long = run_offline(telling(1), OMNI, Simulated, seconds=ticks / 1000)
+    assert len(long.log) >= ticks and np.allclose(np.diff(long.log["time_s"]), 1e-3)
 
 
 def test_offline_an_error_of_the_medium_comes_after_the_ramp() -> None:

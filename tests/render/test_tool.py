@@ -175,6 +175,12 @@ def test_what_comes_from_behind_a_thin_plate_does_not_pull_the_tool_through() ->
         assert held.wrench(np.array([0, 0, 0.012 - depth]), np.eye(3))[0][2] > 0
 
 
+def test_a_long_tool_is_felt_at_its_far_end() -> None:
+    stick = Tool(np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]] * 2))
+    force, torque = Held(stick, GRID, constant(0.0, 0.0, 1.0)).wrench(np.array([-0.3, 0.0, 0.0]), np.eye(3))
+    assert force == pytest.approx([0, 0, 2]) and torque == pytest.approx([0, -0.6, 0])
+
+
 def test_of_a_tool_far_away_or_nowhere_nothing_is_felt() -> None:
     held = Held(Tool.sphere(0.01, 50), GRID, constant(1.0, 0.0, 0.0))
     for place in ((5.0, 0, 0), (np.nan, 0, 0), (0, np.inf, 0), (1e300, 0, 0)):

@@ -137,9 +137,13 @@ def on_air(access: Access = Access(port=0), is_over: Callable[[], bool] = lambda
         thread.join()
 
 
-def test_a_manifest_whose_numbers_have_no_end_is_told() -> None:
-    with pytest.raises(SourceError, match="a manifest that is none"):
-        _manifest(b'{"is_ended": false, "segments": [{"number": 1e999}]}', "live.json")
+@pytest.mark.parametrize(
+    ("numbers", "said"), [(["1e999"], "that is none"), ([3, 3], "ascend"), ([4, 3], "ascend"), ([-1, 0], "ascend")]
+)
+def test_a_manifest_whose_numbers_have_no_end_or_do_not_ascend_is_told(numbers: list[object], said: str) -> None:
+    segments = ", ".join(f'{{"number": {n}}}' for n in numbers)
+    with pytest.raises(SourceError, match=said):
+        _manifest(f'{{"is_ended": false, "segments": [{segments}]}}'.encode(), "live.json")
 
 
 @pytest.mark.parametrize("form", ["ws://{}/live", "http://{}/live.json"])

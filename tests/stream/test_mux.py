@@ -68,6 +68,7 @@ def test_what_is_taken_out_is_what_was_put_in(folder: Path, tmp_path: Path, form
     assert (done.segments, done.touch_seconds) == (taken.segments, taken.touch_seconds) == own
     assert taken.touch_bytes >= end and (form == ".ts" or done.touch_bytes == taken.touch_bytes == end)
     assert back.read_bytes() == (folder / name).read_bytes()
+    assert (b"moof" in out.read_bytes()) == (form != ".ts")  # fragments, for streaming
     if form == ".mp4":
         assert 'data-type="video/mp4" data-at="0.400000"' in view(out).html
     before, after = pictures(folder / "movie.mp4"), pictures(out)
