@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -32,6 +34,7 @@ def field(number: int) -> ForceField:
     return ForceField.from_dense(GRID, dense)
 
 
+@cache
 def segment(first: int, count: int = 5) -> LiveSegment:
     return LiveSegment(first, count, ENCODER.encode_segment([field(first + i) for i in range(count)]).body)
 

@@ -181,9 +181,9 @@ def test_what_only_the_coarse_layer_could_have_is_nothing_where_it_lost_it() -> 
 
 
 def test_a_layer_of_another_lattice_is_refused() -> None:
-    other = LiveFrames(OPENED)
-    with pytest.raises(SourceError, match="half of"):
-        LiveFrames(OPENED, under=other)
+    for head in (OPENED.head, replace(UNDER_HEAD, rate_hz=25.0)):
+        with pytest.raises(SourceError, match="half of"):
+            LiveFrames(OPENED, under=LiveFrames(Opened(head, {})))
 
 
 class Layers(RuleBasedStateMachine):

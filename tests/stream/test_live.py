@@ -170,6 +170,12 @@ TestBroadcast = Broadcast.TestCase
 TestBroadcast.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
 
 
+def test_who_comes_late_begins_with_the_newest() -> None:
+    sender, (opening, *_, newest) = sender_of(3)
+    receiver = sender.joined()
+    assert [sender.next(receiver) for _ in range(3)] == [opening, newest, None] and receiver.skipped == 0
+
+
 def test_who_is_slow_is_moved_on_to_the_newest() -> None:
     sender, _ = sender_of(1)
     slow = sender.joined()

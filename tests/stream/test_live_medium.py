@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from tests.stream.test_layers import COARSE, UNDER_HEAD
 
 from live_makers import GRID, HEAD, Hand, field, segment
 from touchfield.codec.vibration import encode_vibration
-from touchfield.errors import SourceError
+from touchfield.errors import SourceError, UnsupportedVersion
 from touchfield.medium.medium import VibrationFrame
 from touchfield.stream.live import (
     ENDLESS,
@@ -67,7 +68,7 @@ def test_play_stays_at_what_is_due(begins_s: float) -> None:
     now, rng = [0.0], np.random.default_rng(4)
     opened = Opened(replace(HEAD, frame_count=ENDLESS), {})
     frames = LiveFrames(opened, clock_s=lambda: now[0])
-    live, hand, waits = LiveStream("live", frames), Hand(begins_s), 0
+    live, hand, waits, skipped = LiveStream("live", frames), Hand(begins_s), 0, 0
     late, sent = rng.uniform(0, 0.03, 60), 0
     bodies = [segment(5 * i) for i in range(12)]
     for step in range(500):
@@ -76,12 +77,15 @@ def test_play_stays_at_what_is_due(begins_s: float) -> None:
             frames.take(replace(bodies[sent % 12], first_frame=5 * sent))
             sent += 1
         if step % 10 == 0:
-            live.keep_up(hand)
+            before = hand.media_s
+            went = live.keep_up(hand)
+            assert (went and hand.speed == 1) or (hand.media_s == before and 0.9 <= hand.speed <= 1.1)
+            skipped += max(0, round(50 * (hand.media_s - before)))
         if step > 300:
             waits += hand.media_s * 50 > 5 * sent
             assert -0.06 < now[0] - hand.media_s < 0.08
         hand.media_s += 0.01 * hand.speed
-    assert waits == 0
+    assert waits == 0 and frames.skipped == skipped
 
 
 @pytest.mark.parametrize(("here_s", "there_s"), [(1000.0, 0.0), (0.0, 60.0), (-300.0, 0.0)])
@@ -109,6 +113,19 @@ def test_a_segment_that_cannot_be_decoded_costs_only_itself() -> None:
     bad = LiveSegment(5, 5, b"\0" * 50)
     frames = frames_of(segment(0), bad, segment(10))
     assert frames.lost == 5 and not frames(5).support_count and frames(10).support_count
+    whole = segment(5)
+    half = replace(whole, body=whole.body[: 3 * len(whole.body) // 4])  # of which some frames can be decoded
+    frames = frames_of(segment(0), half, segment(10))
+    assert 0 < sum(not frames(i).support_count for i in range(5, 10)) == frames.lost < 5 and frames(10).support_count
+
+
+def test_of_large_segments_fewer_are_kept_and_one_at_least(monkeypatch: pytest.MonkeyPatch) -> None:
+    size = sum(frames_of(segment(5))(i).forces_n.nbytes for i in range(5))
+    for most, oldest in ((1, 25), (2 * size, 20), (1 << 30, 10)):
+        monkeypatch.setattr("touchfield.stream.live_medium.MOST_BYTES", most)
+        frames = frames_of(*(replace(segment(5), first_frame=5 * i) for i in range(6)))
+        assert frames(oldest).support_count and frames.skipped == 0
+        assert frames(oldest - 1).support_count and frames.skipped == 26 - oldest
 
 
 @pytest.mark.parametrize("is_layered", [False, True])
@@ -138,11 +155,20 @@ def test_the_end_and_silence_are_told() -> None:
         frames(100_000)
     frames.take(Ended())
     assert frames(4).support_count and frames.is_there(5)
+    frames.fail(SourceError("a connection", "its end behind that"))
     with pytest.raises(LiveEnd):
         frames(5)
 
 
-@pytest.mark.parametrize("length", [5, 250])
+def test_a_frame_that_comes_soon_is_waited_for_and_objects_are_not_live() -> None:
+    frames, coming = frames_of(segment(0)), segment(5)
+    threading.Timer(0.02, frames.take, [coming]).start()
+    assert frames(9).support_count
+    with pytest.raises(UnsupportedVersion, match="coder objects; expected a coder of fields"):
+        LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS, coder="objects"), {}))
+
+
+@pytest.mark.parametrize("length", [5, 60])
 def test_silence_is_waited_for_a_minute_and_told_once(length: int) -> None:
     now, notes, usual_s = [0.0], list[str](), length / 50
     frames = LiveFrames(Opened(replace(HEAD, frame_count=ENDLESS), {}), notes.append, clock_s=lambda: now[0])
@@ -153,7 +179,7 @@ def test_silence_is_waited_for_a_minute_and_told_once(length: int) -> None:
     for silent_s in (0.0, usual_s + 2.9, usual_s + 3.1, 40.0, 59.0):
         now[0] = 100.0 + silent_s
         assert not frames.is_there(length) and len(notes) == (silent_s > usual_s + 3)
-    frames.take(segment(length, length))
+    frames.take(replace(segment(0, length), first_frame=length))
     assert frames.is_there(length) and not frames.is_there(2 * length)
     now[0] = 218.0
     assert not frames.is_there(2 * length) and len(notes) == 2

@@ -164,9 +164,7 @@ class LiveFrames:
 
     def fail(self, error: TouchfieldError) -> None:
         """Nothing more will come: who waits for a frame is told."""
-        with self._news:
-            self._error = self._error or error
-            self._news.notify_all()
+        self._error = self._error or error
 
     def _lose(self, frames: int, why: str) -> None:
         """Count frames that are lost, and tell each time that they have become twice as many."""
