@@ -217,6 +217,13 @@ def test_a_board_that_starts_when_its_port_is_opened() -> None:
         pad.put_drives(drives(SMALL, 1.0), None, 0.1)
         pad.close()
     assert not sizes and [frame[0][0] for frame in display.shown] == [3, 0]
+    sizes = [b"err no such size\n", b"ok 0\n"]  # who refuses is not asked again
+    with over_tcp(Display(lambda number: b"ok %d\n" % number if number else sizes.pop(0))) as words:
+        pad = array_device(words, SMALL)
+        with pytest.raises(DeviceError, match="refuses line 0: no such size"):
+            pad.open()
+        pad.close()
+    assert len(sizes) == 1
 
 
 def test_the_lines_of_the_documentation() -> None:
@@ -368,6 +375,14 @@ def test_any_words_are_a_device_or_one_line(words: str) -> None:
 def test_addresses() -> None:
     assert address("", "x", ("localhost", 1)) == ("localhost", 1)
     assert address("[fe80::1]:80", "x") == ("fe80::1", 80) and address("host:65535", "x") == ("host", 65535)
+
+
+@pytest.mark.parametrize(("words", "asked"), [("/dev/x", ("/dev/x", 115200)), ("/dev/x@9600", ("/dev/x", 9600))])
+def test_the_usual_rate_of_a_serial_port(words: str, asked: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pins, "SerialLine", lambda *given: pytest.fail(f"{given[:2]}"))
+    with pytest.raises(pytest.fail.Exception) as told:
+        array_device(f"pins:{words}", SMALL).open()
+    assert str(told.value) == f"{asked}"
 
 
 def test_checks_tell_the_ports(monkeypatch: pytest.MonkeyPatch) -> None:

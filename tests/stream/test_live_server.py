@@ -33,6 +33,7 @@ from touchfield.stream.live import (
     ENDLESS,
     LiveReceiver,
     LiveSegment,
+    LiveSender,
     Lost,
     Refused,
     file_of,
@@ -324,8 +325,9 @@ def test_who_may_not_receive() -> None:
         with pytest.raises(SourceError, match="found 401 ") as told, wrong:
             pass
         assert "that" not in str(told.value).replace("and that it is on", "")
-        with open_live(f"ws://{server.address}/live?token=a%20long%20word") as live:
-            assert live.medium[0].support_count
+        for form in ("ws://{}/live", "http://{}/live.json"):
+            with open_live(f"{form.format(server.address)}?token=a%20long%20word") as live:
+                assert live.medium[0].support_count
     with on_air() as server:
 
         async def from_page(origin: str) -> int:
@@ -366,6 +368,15 @@ def test_a_first_segment_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
         with open_live(f"ws://{server.address}/live", notes.append) as live:
             assert live.medium[0].support_count
     assert "its sender may be starting" in notes[0]
+
+
+def test_another_programme_with_another_head_is_to_be_opened_anew() -> None:
+    client, other = live_client._Client("ws://127.0.0.1:1/live", lambda note: None), LiveSender()
+    other.open(replace(HEAD, rate_hz=25.0))
+    client._take(sender_of(0)[0].opening)
+    with pytest.raises(SourceError, match=r"another programme; expected the one that was opened\. Open it again"):
+        client._take(other.opening)
+    client._loop.close()
 
 
 def test_what_is_not_there_is_told() -> None:
@@ -460,6 +471,8 @@ def test_a_server_that_is_started_again_is_felt_again(form: str, monkeypatch: py
             live.medium[after]
             if frames.stream_frame(0) != number:  # type: ignore[attr-defined]
                 break
+        else:
+            pytest.fail("frames go on as if they were those of the first")
         for i in range(after, after + 10):
             got, number = live.medium[i], frames.stream_frame(i)  # type: ignore[attr-defined]
             np.testing.assert_allclose(got.to_dense(), field(number % 60).to_dense(), atol=0.2)

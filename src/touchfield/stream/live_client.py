@@ -209,7 +209,7 @@ class _Client:
             for number in numbers[-1:] if next_number is None else numbers:
                 await asyncio.to_thread(self._take, await got(f"{folder}/{number}", MOST_BYTES))
                 next_number = number + 1
-            if is_over and not numbers:
+            if is_over:
                 return await asyncio.to_thread(self._take, b"")
             await asyncio.sleep(_POLL_S)
 
