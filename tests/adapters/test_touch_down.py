@@ -106,6 +106,10 @@ def test_a_medium_is_touched_as_it_is_when_the_probe_arrives_and_within_its_time
     late = HapticMedium.from_frames([empty] * 14 + [wall], 10.0)  # empty when it arrives: the frame that is not
     assert forces_of(wall, touch_down(late).positions_m).max() > 1
     assert touch_down(HapticMedium.from_frames([wall], 1000.0)).times_s[-1] == 3.0
+    assert touch_down(medium, start_s=0.5, speed=2.0).times_s[-1] == 0.5
+    other = ForceField.from_dense(GRID, np.roll(WALL, -12, axis=1))  # there when the probe arrives, at 0.6 s
+    quick = touch_down(HapticMedium.from_frames([wall] * 4 + [other] * 26, 10.0), speed=2.0)
+    assert forces_of(other, quick.positions_m[len(quick) // 2]) > 1
 
 
 def test_a_scene_of_objects_is_touched_where_the_object_is() -> None:
@@ -124,7 +128,10 @@ def test_an_object_that_moves_and_turns_is_met_all_the_time(start_s: float, spee
     turns = np.linspace(0, 2, 4000)
     quaternions = np.stack([np.cos(turns), 0 * turns, np.sin(turns), 0 * turns], axis=1)
     places = np.stack([0.3 * np.sin(3 * turns), 0.1 * turns, -0.2 * turns], axis=1)
-    scene = HapticScene(GRID, 1000.0, (HapticObject("ball", body, PoseTrack(quaternions, places)),), 3.3)
+    weak = HapticMedium.from_frames([ForceField.from_dense(GRID, SOLID).scaled(0.3)], 1000.0)  # a body beside it
+    beside = PoseTrack(np.tile([1.0, 0, 0, 0], (4000, 1)), np.tile([-0.3, 0.0, 0.0], (4000, 1)))
+    objects = HapticObject("weak", weak, beside), HapticObject("ball", body, PoseTrack(quaternions, places))
+    scene = HapticScene(GRID, 1000.0, objects, 3.3)
     forces = met(scene, touch_down(scene, start_s=start_s, speed=speed), start_s, speed)
     assert not forces[:500].any()
     assert forces[950:2350].min() > 0.85 * forces[950:2350].max() > 1

@@ -13,6 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -297,7 +298,8 @@ def test_many_receivers_and_bad_ones_beside_them() -> None:
         *heard, talker = asyncio.run(receive())
         assert all(len(seen) == 8 and np.diff(seen).tolist() == [5] * 7 for seen in heard)
         assert len(talker) < 8  # who speaks is left
-        assert server.most_receivers >= 11
+        with open_stream(f"ws://{server.address}/live"):
+            assert server.most_receivers >= 11  # at once, however few there are now
         for link in (mute, garbage, *idle):
             link.close()
 
@@ -315,7 +317,12 @@ def test_who_asks_for_a_segment_and_does_not_read_it_is_left(
             with suppress(ConnectionError):
                 while part := link.recv(1 << 20):
                     received += len(part)
-        assert received < 1 << 25
+        assert received < 1 << 25 and server.left == 0
+        with asking(server.address, "/live", *UPGRADE):
+            ends = time.monotonic() + 30
+            while not server.left and time.monotonic() < ends:
+                time.sleep(0.01)
+        assert server.left == 1, "of receivers alone it is told"
 
 
 def test_who_may_not_receive() -> None:
@@ -500,6 +507,13 @@ def test_a_segment_is_a_file_of_its_own(tmp_path: Path) -> None:
         assert len(opened.medium) == 5 and opened.reader.provenance["source"] == "test"
         for i in range(5):
             np.testing.assert_allclose(opened.medium[i].to_dense(), field(5 + i).to_dense(), atol=0.2)
+    with LiveServer(sender, Access(port=0)) as server:
+        for name, data in (("1", second), ("1.touch", file_of(opening, second)), ("opening", opening)):
+            with urlopen(f"http://{server.address}/live/{name}") as answer:
+                assert answer.read() == data
+        assert status_of(server.address, "/live/2.touch") == 404
+        with open_live(f"http://{server.address}/live.json") as live:
+            assert live.frames.stream_frame(0) == 5  # it begins with the newest
     message = sender.add(LiveSegment(10, 5, b"body", b"beside"))
     with TouchReader(io.BytesIO(file_of(opening, message))) as reader:
         assert (reader.read_segment(0), reader.read_vibration(0)) == (b"body", b"beside")

@@ -20,7 +20,7 @@ from touchfield.errors import SourceError, TouchfieldError
 from touchfield.job import EncodeSpec, encode
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.stream import server
-from touchfield.stream.access import Access
+from touchfield.stream.access import Access, Pages
 from touchfield.stream.server import application
 
 web = pytest.importorskip("aiohttp.web", reason="serving needs the extra broadcast")
@@ -320,10 +320,32 @@ def test_pages_elsewhere_read_only_where_they_may(folder: Path) -> None:
         assert asked(address, "POST /noise.touch", "Content-Length: 0").startswith("HTTP/1.1 405")
 
 
+def test_addresses_of_a_folder_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run(served: object, access: Access, ready: Callable[[str], None], until: object) -> None:
+        ready("[::1]:80")
+
+    monkeypatch.setattr(server, "run", run)
+    told: list[str] = []
+    server.serve(tmp_path, Access(), told.append)
+    assert told.pop() == f"{tmp_path} holds no .touch file yet"
+    for n in range(22):
+        (tmp_path / f"{n:02d} a.touch").touch()
+    server.serve(tmp_path, Access(token="a long word"), told.append, Pages("", ""))
+    assert told[:20] == [f"http://[::1]:80/{n:02d}%20a.touch?token=..." for n in range(20)]
+    assert told[20:] == ["in a browser: http://[::1]:80/view/00%20a.touch?token=...", "and 2 more"]
+
+
 def test_beyond_this_machine_only_with_a_token(folder: Path) -> None:
     with pytest.raises(TouchfieldError, match="--token"):
         Access("0.0.0.0")
-    assert Access("0.0.0.0", token="12345678") and Access("::", is_open=True)
+    assert Access("0.0.0.0", token="12345678") and Access("::", is_open=True) and Access("localhost", port=65535)
+    for port in (-1, 65536):
+        with pytest.raises(TouchfieldError, match="0 to 65535"):
+            Access(port=port)
+    with served(folder, Access(token="a long word")) as address:
+        for word, status in (("Bearer a long word", 206), ("Bearer a long", 401), ("", 401)):
+            answer = asked(address, "GET /noise.touch", f"Authorization: {word}", "Range: bytes=0-3")
+            assert answer.startswith(f"HTTP/1.1 {status}")
     with pytest.raises(TouchfieldError, match="8 or more"):
         Access(token="short")
     with pytest.raises(TouchfieldError, match="no folder"):

@@ -12,6 +12,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -310,6 +312,17 @@ def test_a_hand_on_a_device_is_shown_where_it_is(tmp_path: Path) -> None:
     with tf.open_stream(tmp_path / "rise.touch") as stream:
         expected = stream.medium.sample_n(np.array([[0.0, -0.03, 0.01]]), 0.5)[0]
     np.testing.assert_allclose(last[3:6], expected, atol=1e-5)
+
+
+def test_a_file_of_any_name_is_fetched_by_the_page_of_a_hand(tmp_path: Path) -> None:
+    path = tmp_path / "50 % {of} it.touch"
+    path.write_bytes(b"touch")
+    with Bridge(path, Access(port=0), PAGES) as bridge:
+        assert bridge.page.endswith("/view/50%20%25%20%7Bof%7D%20it.touch#hand")
+        with urlopen(bridge.page.partition("#")[0].replace("/view/", "/")) as answer:
+            assert answer.read() == b"touch" and answer.headers["Content-Type"] == "haptics/vnd.touchfield"
+        with pytest.raises(HTTPError, match="404"):
+            urlopen(f"http://{bridge.address}/other.touch")
 
 
 def test_play_has_its_hand_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

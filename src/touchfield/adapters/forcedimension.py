@@ -162,9 +162,7 @@ def quaternion_of_rows(
         (d - b, c + g, f + h, squares[3]),
     )
     row = rows[max(range(4), key=squares.__getitem__)]  # the greatest, so that nothing cancels
-    length = math.sqrt(sum(v * v for v in row))
-    if not length < math.inf:
-        return (math.nan,) * 4
+    length = math.hypot(*row)
     w, x, y, z = (v / length for v in row)
     return w, x, y, z
 

@@ -46,11 +46,13 @@ class Bridge(Background):
     def _application(self) -> web.Application:
         served = guarded(self._access)
         served.router.add_get("/hand", self._tell)
-        served.router.add_get(f"/{quote(self._stream.name)}", self._file)
         add_pages(served, "/{name:.*}", self._pages)
+        served.router.add_get("/{name:.*}", self._file)
         return served
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
+        if request.match_info["name"] != self._stream.name:
+            raise web.HTTPNotFound
         headers = {"Content-Type": MEDIA_TYPE, "X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache"}
         return web.FileResponse(self._stream, headers=headers)
 
