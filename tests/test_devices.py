@@ -120,6 +120,7 @@ def test_a_users_own_profile(tmp_path: Path) -> None:
     assert mine == device(str(path)) and hash(mine) == hash(device(path))
     assert mine.lattice == (1000, 800, 600) and mine.force_continuous_n is None
     assert mine.sources["rate_hz"] == "me"
+    assert device(written(tmp_path, POINT.replace("value = 1000\n", "value = 1e6\n"))).rate_hz == 1e6  # the most
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,15 @@ def test_the_whole_range_once_and_in_order(monkeypatch: pytest.MonkeyPatch, thre
         pieces = parallel.for_chunks(kernel, count, seen)
         assert (seen == 1).all()
         assert [p[0] for p in pieces[1:]] == [p[1] for p in pieces[:-1]]
+        assert len(parallel.for_chunks(kernel, count, seen, chunk=600)) == 1, "too little for two threads"
+
+
+def test_what_is_no_number_of_threads_is_all_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("TOUCHFIELD_THREADS", raising=False)
+    usual = parallel.worker_count()
+    for words in ("0", "", "-2", "many"):
+        monkeypatch.setenv("TOUCHFIELD_THREADS", words)
+        assert parallel.worker_count() == usual > 0
 
 
 def test_an_error_is_handed_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,6 +55,9 @@ def test_defaults_and_clamping(tmp_path: Path) -> None:
     made = read(tmp_path, loud, low)  # it is clamped before anything acts on it
     assert made.drives[5] == pytest.approx(0.5) and made.frequencies_hz is not None
     assert made.frequencies_hz[5] == pytest.approx(np.mean(SHARPNESS_HZ))
+    half = event("HapticContinuous", 0, 0.1, HapticIntensity=0.5)
+    for asked, drive in ((7, 0.5), (-7, 0)):  # nor does a control make more of it, or less than nothing
+        assert read(tmp_path, half, curve("HapticIntensityControl", 0, (0, asked))).drives.max() == drive
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 100.0, 1000.0])

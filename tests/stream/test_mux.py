@@ -94,8 +94,8 @@ def test_the_movie_is_decoded_as_before(folder: Path, tmp_path: Path) -> None:
     out, notes, shown = tmp_path / "both.mp4", list[tuple[int, int]](), list[list[bytes]]()
     mux(folder / "movie.mp4", folder / "noise.touch", out, 1.5, lambda *at: notes.append(at))  # beyond its end, too
     assert notes == [(1, 3), (2, 3), (3, 3)]
-    demux(out, tmp_path / "back.touch")
-    assert (tmp_path / "back.touch").read_bytes() == (folder / "noise.touch").read_bytes()
+    demux(out, tmp_path / "back.TOUCH")
+    assert (tmp_path / "back.TOUCH").read_bytes() == (folder / "noise.touch").read_bytes()
     for path in (folder / "movie.mp4", out):
         with av.open(str(path)) as movie:
             shown.append([f.to_ndarray(format="rgb24").tobytes() for f in movie.decode(video=0)])
