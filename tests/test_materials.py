@@ -16,6 +16,7 @@ from scipy.io import wavfile
 import touchfield as tf
 from signal_makers import RATE_HZ, Float64s, db, noise
 from touchfield.adapters.registry import point_device
+from touchfield.adapters.sim import SimHand
 from touchfield.cli.main import _exit_code
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument, SourceError
@@ -190,6 +191,8 @@ def test_the_limits_of_the_device_hold_and_the_spectrum_keeps_its_shape(scale: f
     )
     weaker = f"oak is weaker by up to {20 * np.log10(steepest / 300):.1f} dB"
     assert any(weaker in note and "300 N/s" in note for note in notes)
+    twice = replace(spec, force_scale=2.0)  # of the field's newtons the device's limit allows half
+    assert any("150 N/s" in n for n in run_offline(field(), STRONG, SimHand, twice, seconds=0.0).notes)
     rows = slide(field(), 0.12, spec)
     change = np.linalg.norm(np.diff(rows["force_n"].astype(np.float64), axis=0), axis=1) * RATE_HZ
     assert change.max() <= 300.0 * (1 + 1e-6)
@@ -253,6 +256,13 @@ def test_a_table_goes_through_its_file_and_a_stream_unharmed(tmp_path: Path) -> 
     again = read_materials(tmp_path / "t.json")
     assert materials_json(again) == materials_json(both) and again[1] == both[1]
     np.testing.assert_allclose(again[0].levels_n, both[0].levels_n, rtol=1e-3)
+    levels = tuple(0.1 * (n + 1) for n in range(32))  # as many as there may be of one, and of them
+    most = (Material("slate", speeds_m_s=levels, forces_n=(1.0,), texture_rms_n=((((0.001,) * 16),),) * 32),) * 64
+    write_table(tmp_path / "most.json", most)
+    assert len(read_materials(tmp_path / "most.json")) == 64
+    write_table(tmp_path / "more.json", (*most, Material("one more")))
+    with pytest.raises(SourceError, match="a list of at most 64"):
+        read_materials(tmp_path / "more.json")
     tf.encode(field(), tmp_path / "a.touch")
     before = (tmp_path / "a.touch").read_bytes()
     store_materials(tmp_path / "a.touch", again, tmp_path / "b.touch")

@@ -84,6 +84,7 @@ def test_every_frame_in_its_turn_and_all_off_at_the_end() -> None:
     assert steps == sorted(set(steps)) and set(steps) <= {float(np.float32(n / 10)) for n in range(1, 6)}
     assert len(steps) == told["sent"] - told["stalled"] == len(shown) - 1 - told["stalled"]
     assert len(steps) + told["skipped"] >= 5 and told["mean_rate_hz"] > 0
+    assert len(player.notes) == (told["stalled"] > 0)
 
 
 def test_the_mean_rate_is_that_of_the_intervals_between_frames() -> None:

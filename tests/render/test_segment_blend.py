@@ -218,7 +218,8 @@ def test_what_vibrates_is_not_touched() -> None:
 def test_a_rigid_body_has_nothing_to_blend_and_one_that_deforms_has() -> None:
     rigid = HapticObject("rigid", telling(1), PoseTrack.still(30))
     scene = HapticScene(SEGMENTED.grid, 1000.0, (rigid,), 4.0)
-    assert with_blends(scene) == (scene, ())
+    slow = replace(SEGMENTED, rate_hz=20.0)  # between whose frames 50 ms are interpolated
+    assert with_blends(scene) == (scene, ()) and with_blends(slow) == (slow, ())
     soft = HapticObject("soft", SEGMENTED, PoseTrack.still(30))
     both, blends = with_blends(replace(scene, objects=(rigid, soft)))
     assert isinstance(both, HapticScene) and both.objects[0] is not rigid and len(blends) == 1

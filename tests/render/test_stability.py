@@ -115,6 +115,22 @@ def test_a_wall_that_the_device_holds_by_itself_is_neither_damped_nor_softened()
     assert felt >= 0.9 * 2000
 
 
+def test_what_a_device_does_not_say_is_assumed_and_what_it_says_counts() -> None:
+    silent = replace(
+        STRONG, inertia_kg=None, damping_n_s_per_m=None, delay_ms=None, friction_n=None, resolution_mm=0.1
+    )
+
+    def coupling(**known: float | None) -> float:
+        return stability_of(replace(silent, **known), RenderSpec(), 0.0, 20_000.0).coupling_n_per_m  # type: ignore[arg-type]
+
+    assert coupling(friction_n=0.2) > coupling() > 0
+    smooth: dict[str, Any] = {"resolution_mm": None}
+    assert coupling(**smooth, inertia_kg=0.2) > coupling(**smooth) > coupling(**smooth, delay_ms=2.0) > 0
+    known = coupling(**smooth, inertia_kg=0.045, damping_n_s_per_m=0.0, delay_ms=1.0)
+    assert coupling(**smooth) == pytest.approx(known)
+    assert Bench(wall(300.0), device=replace(STRONG, delay_ms=30.0)).word(W.DELAY) == W.MOST_DELAY
+
+
 def test_what_is_asked_for_is_taken_and_nothing_is_nothing() -> None:
     device = told(0.3, 2, 2e-5)
     free = stability_of(device, RenderSpec(), 0.0, 2000.0)

@@ -41,7 +41,7 @@ def unit(*wxyz: float) -> Vector:
     return q / np.linalg.norm(q)
 
 
-def integral(sides: Vector, place: Vector, turn: Vector, law: Law, steps: int = 300) -> tuple[Vector, Vector]:
+def integral(sides: Vector, place: Vector, turn: Vector, law: Law, steps: int = 200) -> tuple[Vector, Vector]:
     """Force and torque of a box, by the midpoint rule on each face: dA max(0, -n F / |F|) F over a quarter of A."""
     force, torque, area = np.zeros(3), np.zeros(3), 0.0
     middles = (np.arange(steps) + 0.5) / steps - 0.5
@@ -111,10 +111,10 @@ class Held:
 def test_the_torque_of_a_box_in_the_field_of_a_ball_is_the_integral() -> None:
     sides = np.array([0.03, 0.02, 0.012])
     law = ball(0.05, 400.0)
-    fine = Grid((161, 161, 161), (0.001,) * 3, (-0.08,) * 3)
+    fine = Grid((131, 131, 131), (0.001,) * 3, (-0.065,) * 3)
     held = Held(box(*sides, 10_000), fine, law)
     rng, told = np.random.default_rng(7), []
-    for _ in range(12):
+    for _ in range(6):
         turn = rotation_matrices(unit(*rng.normal(size=4)))
         place = rng.normal(size=3)
         place *= 0.045 / np.linalg.norm(place)
@@ -125,7 +125,7 @@ def test_the_torque_of_a_box_in_the_field_of_a_ball_is_the_integral() -> None:
         assert error < 0.002 * most
         told.append(np.linalg.norm(about) > 0.05 * most)
         assert error < 0.01 * np.linalg.norm(about) or not told[-1], (torque, about)
-    assert sum(told) > 8  # the rest are forces through the middle, whose torque is next to nothing
+    assert sum(told) > 3  # the rest are forces through the middle, whose torque is next to nothing
 
 
 def test_the_sum_is_that_of_single_points_between_frames_and_of_bodies_that_move() -> None:
@@ -287,6 +287,7 @@ def test_a_device_without_torque_gets_none_and_the_user_is_told() -> None:
     assert "phantom-omni" in note
     grip.settled(0.0, 0.0, 0.0)
     assert not grip.torque.any() and grip.state(W.FIELD_TORQUE)[1] == pytest.approx(-0.1, rel=1e-6)
+    assert not any("torque" in text for text in Grip(UP, STICK).restart(RenderSpec()))
     with pytest.raises(InvalidArgument, match="peak_nm"):
         grip.restart(RenderSpec(peak_nm=0.1))
 
