@@ -131,7 +131,7 @@ class Haply(PointDevice):
 
     def close(self) -> None:
         """Send a force of zero, wait for its answer, as a sign that it arrived, and hang up."""
-        if self._socket is not None and self._command:
+        if self._command:
             end = time.monotonic() + self._answer_s
             with suppress(Exception):
                 self.put_force_n(0.0, 0.0, 0.0)

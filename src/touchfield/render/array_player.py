@@ -269,7 +269,6 @@ class ArrayPlayer:
         except BaseException as error:
             self.error = error
         finally:
-            self._ahead.stop()
             with suppress(Exception):  # a device that is gone cannot be told
                 self._device.put_drives(np.zeros(self._shape, np.float32), None, 1 / self.rate_hz)
             with suppress(Exception):
