@@ -216,7 +216,14 @@ def test_nothing_to_touch_is_nothing_measured():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"paths": 0}, {"duration_s": 0.1}, {"rate_hz": 500.0}, {"paths": 1025}, {"duration_s": 61.0}, {"rate_hz": 1.1e5}],
+    [
+        {"paths": 0},
+        {"duration_s": 0.1},
+        {"rate_hz": 500.0},
+        {"paths": 1025},
+        {"duration_s": 61.0},
+        {"rate_hz": 1.1e5},
+    ],
 )
 def test_a_wrong_spec_is_refused(wrong):
     assert SlideSpec(1024, 60.0, 1e5) and SlideSpec(1, 0.25, 1000.0)

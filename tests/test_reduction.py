@@ -122,15 +122,16 @@ def test_frames_that_were_not_learnt_from_are_told_with_what_they_cost() -> None
     energy = sum(float((medium[i].forces_n.astype(float) ** 2).sum()) for i in odd)
     caught = sum(float((learnt.coefficients(i)[:, : found.modes] ** 2).sum()) for i in odd)
     assert found.nmse_db == pytest.approx(10 * np.log10(1 - caught / energy), abs=1e-3)
-    assert held_out(medium, "global", -300.0).modes == 15  # a quarter of the frames, where no number would do
+    assert held_out(medium[:28], "global", -300.0).modes == 7  # a quarter of the frames, where no number would do
 
 
 def patchwork(frames: int = 20) -> tf.HapticMedium:
     """Eight bricks a frame, each of six patterns of falling size."""
     rng = np.random.default_rng(2)
     bricks = (rng.normal(size=(frames * 8, 6)) ** 3 * 0.5 ** np.arange(6)) @ rng.normal(size=(6, 1536))
-    dense = bricks.reshape(frames, 2, 2, 2, 8, 8, 8, 3).transpose(0, 1, 4, 2, 5, 3, 6, 7).reshape(frames, *[16] * 3, 3)
-    return tf.HapticMedium.from_array(dense.astype(np.float32), tf.Grid((16,) * 3, (STEP_M,) * 3, (0.0,) * 3))
+    dense = bricks.reshape(frames, 2, 2, 2, 8, 8, 8, 3).transpose(0, 1, 4, 2, 5, 3, 6, 7)
+    grid = tf.Grid((16,) * 3, (STEP_M,) * 3, (0.0,) * 3)
+    return tf.HapticMedium.from_array(dense.reshape(frames, *grid.shape, 3).astype(np.float32), grid)
 
 
 def test_of_bricks_the_greatest_coefficients_are_kept_with_their_places() -> None:
