@@ -14,6 +14,7 @@ from touchfield.perception.hand_motion import (
     MARGIN_S,
     BandSums,
     HandMotion,
+    Slide,
     SlideMeter,
     SlideSpec,
     SurfaceWalks,
@@ -126,6 +127,8 @@ def test_margin_names_the_worst_third():
     levels[4] *= 5
     assert margin_of(levels).db == pytest.approx(20 * np.log10(2)) and margin_of(levels).third_hz == THIRDS_HZ[4]
     assert margin_of(np.zeros(11)).db == np.inf
+    told = HandMotion((Slide(50.0, 1, 1.0, 1, 1, 1, 1, None, levels),), None, vibration_threshold()).summary()
+    assert told["threshold_margin_third_hz"] == THIRDS_HZ[4]
 
 
 def test_points_and_walks_lie_where_the_force_is_one_newton():

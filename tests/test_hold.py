@@ -87,7 +87,7 @@ def test_slow_frames_are_blended_as_the_receiver_does():
 
 
 def test_steps_of_the_source_are_its_own():
-    hold = held(np.zeros((30, 3)), source=lambda frame: ball(0.002 * (frame // 10)))
+    hold = held(np.zeros((30, 3)), source=lambda frame: ball(0.0003 * (frame // 10)))
     assert hold.step_mn == hold.step_source_mn > 50 and hold.still_step_mn <= 1
     assert hold.start_error_mn == hold.error_step_mn == 0
 

@@ -121,17 +121,17 @@ def test_a_field_goes_through_the_points_it_is_rebuilt_from() -> None:
 
 
 def test_points_by_error_are_those_of_every_try() -> None:
-    points = RNG(6).uniform(size=(30, 3))
+    points = RNG(6).uniform(size=(24, 3))
     forces, kernel = gradient(points), Kernel(0.3, 0.05)
     chosen: list[int] = []
-    for _ in range(6):
+    for _ in range(12):
         missed = {}
-        for one in set(range(30)) - set(chosen):
+        for one in set(range(24)) - set(chosen):
             some = [*chosen, one]
             back = CurlFree.through(points[some], forces[some], kernel.length_m, kernel.noise).forces_n(points)
             missed[one] = float(((back - forces) ** 2).sum())
         chosen.append(min(missed, key=missed.__getitem__))
-    assert error_points(points, forces, 6, kernel).tolist() == chosen
+    assert error_points(points, forces, 12, kernel).tolist() == chosen
 
 
 def test_no_point_is_chosen_twice_however_little_a_measurement_tells() -> None:

@@ -225,7 +225,7 @@ def test_the_strongest_frame_counts_and_frames_that_do_not_fit_together_are_look
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     own = floor(3, 0.003)
-    medium = tf.HapticMedium.from_frames([own[0].scaled(0.6), own[1], own[2]], 60.0)
+    medium = tf.HapticMedium.from_frames([own[0].scaled(0.9), own[1].scaled(0.6), own[2]], 60.0)
     whole = reach_of(medium, HAND)
     assert whole.stopped_n == pytest.approx(0.4 * 8) and not whole.samples.all()
     monkeypatch.setattr(reach, "_FRAMES_BYTES", 1)

@@ -157,8 +157,8 @@ def _names(archive: NpzArchive) -> list[str]:
     if kind != _FORMAT or not isinstance(names, list):
         raise SourceError(where, f"{str(kind)[:80]!r}", repr(_FORMAT))
     if (version, parts) != (DESCRIPTOR_VERSION, dict(PARTS)):
-        found, expected = f"version {str(version)[:20]} of {str(parts)[:200]}", f"{DESCRIPTOR_VERSION} of {dict(PARTS)}"
-        raise SourceError(where, f"descriptors of {found}", expected, "Describe the media anew.")
+        found = f"descriptors of version {str(version)[:20]} of {str(parts)[:200]}"
+        raise SourceError(where, found, f"{DESCRIPTOR_VERSION} of {dict(PARTS)}", "Describe the media anew.")
     return names
 
 
