@@ -17,7 +17,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.reduction import culled, reduce_medium
 from touchfield.job.spec import ReductionSpec
 from touchfield.measure.estimators import binary_entropy_bits
-from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach, reach_of, reduced
+from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach, reach_of, reduced, snapshots
 from touchfield.reduction.reach import _layers
 
 HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
@@ -125,8 +125,9 @@ def test_frames_that_were_not_learnt_from_are_told_with_what_they_cost() -> None
     assert held_out(medium[:28], "global", -300.0).modes == 7  # a quarter of the frames, where no number would do
 
 
-def patchwork(frames: int = 20) -> tf.HapticMedium:
-    """Eight bricks a frame, each of six patterns of falling size."""
+def patchwork() -> tf.HapticMedium:
+    """Eight bricks in each of 20 frames, each of six patterns of falling size."""
+    frames = 20
     rng = np.random.default_rng(2)
     bricks = (rng.normal(size=(frames * 8, 6)) ** 3 * 0.5 ** np.arange(6)) @ rng.normal(size=(6, 1536))
     dense = bricks.reshape(frames, 2, 2, 2, 8, 8, 8, 3).transpose(0, 1, 4, 2, 5, 3, 6, 7)
@@ -134,9 +135,12 @@ def patchwork(frames: int = 20) -> tf.HapticMedium:
     return tf.HapticMedium.from_array(dense.reshape(frames, *grid.shape, 3).astype(np.float32), grid)
 
 
-def test_of_bricks_the_greatest_coefficients_are_kept_with_their_places() -> None:
+def test_of_bricks_the_greatest_coefficients_are_kept_with_their_places(monkeypatch: pytest.MonkeyPatch) -> None:
     medium, odd = patchwork(), range(1, 20, 2)
-    found, learnt = held_out(medium, "bricks", -10.0), reduced(medium, "bricks", 8, step=2)
+    learnt, asked = reduced(medium, "bricks", 8, step=2), []
+    monkeypatch.setattr(snapshots, "reduced", lambda *given, step: asked.append((*given[1:], step)) or learnt)
+    found, every = (held_out(medium, "bricks", decibels) for decibels in (-10.0, -300.0))
+    assert asked == [("bricks", 8, 2)] * 2  # a mode for twenty bricks at most
     energy = error = kept = 0.0
     for i in odd:
         rows = learnt.coefficients(i)
@@ -149,8 +153,7 @@ def test_of_bricks_the_greatest_coefficients_are_kept_with_their_places() -> Non
     place_bits = 6 * binary_entropy_bits(found.numbers / 6)
     assert found.share_of_coefficients == pytest.approx((found.numbers + place_bits / 32) / 1536)
     assert found.share == pytest.approx(found.share_of_coefficients + 6 / 160)
-    half = held_out(patchwork(10), "bricks", -300.0)  # a mode for twenty bricks at most, and none of them does
-    assert half.modes == half.numbers == 4 and half.share_of_coefficients == pytest.approx(4 / 1536)
+    assert every.modes == every.numbers == 6 and every.share_of_coefficients == pytest.approx(6 / 1536)
 
 
 def test_degrees_of_freedom_are_those_that_were_put_in() -> None:
