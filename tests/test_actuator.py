@@ -100,6 +100,7 @@ def test_axes_and_claims() -> None:
     assert spline.claims(grid).reach == (5, 5, 0) and spline.claims(grid).dc_gain == 1.0
     assert spline.claims(grid).max_principle and not sinc.claims(grid).max_principle
     assert sinc.claims(grid).reach == (16, 16, 0)
+    assert sinc.claims(Grid((1, 40, 9), (0.001,) * 3, (0.0,) * 3)).reach == (0, 16, 0)
     one = ForceField.from_support(grid, [[20, 20, 4]], [[1.0, 2.0, 3.0]])
     made = sinc(one)
     assert set(made.positions()[:, 2].tolist()) == {4}

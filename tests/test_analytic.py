@@ -165,6 +165,8 @@ def test_a_thin_wall_is_found_in_a_fine_grid_without_visiting_all_of_it() -> Non
 def test_bounds() -> None:
     sphere, plane = Sphere((0.0, 0.0, 1.0), 0.5), Plane((0.0, 0.0, -2.0), (0.0, 0.0, 3.0))
     np.testing.assert_allclose(AnalyticScene([sphere]).bounds_m(), [[-0.5, -0.5, 0.5], [0.5, 0.5, 1.5]])
+    turned = AnalyticScene([sphere]).moved(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([2.0, 0, 0]))
+    np.testing.assert_allclose(turned.bounds_m(), [[1.5, -0.5, 0.5], [2.5, 0.5, 1.5]], atol=1e-12)
     alone = AnalyticScene([plane]).bounds_m()
     np.testing.assert_allclose(alone, [[-0.5, -0.5, -2.0], [0.5, 0.5, -2.0]], atol=1e-12)
     np.testing.assert_allclose(AnalyticScene([plane, sphere]).bounds_m(), [[-0.5, -0.5, -2.0], [0.5, 0.5, 1.5]])

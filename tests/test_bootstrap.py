@@ -277,6 +277,7 @@ FINE = np.ones((10, 2), np.int64)
 def test_intervals_that_cannot_be(counts: NDArray[np.float64], options: dict[str, float], words: str) -> None:
     with pytest.raises(InvalidArgument, match=words):
         interval(entropy_bits, counts, **options)  # type: ignore[arg-type]
+    assert "50 resamples" in interval(entropy_bits, FINE[:8], 50).method
 
 
 def test_a_statistic_must_be_finite() -> None:

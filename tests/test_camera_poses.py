@@ -85,3 +85,10 @@ def test_no_text_of_poses_raises_anything_else(text: str) -> None:
 def test_names_of_depth_go_before_those_of_colour() -> None:
     frame = {"file_path": "a/1.jpg", "depth_file_path": "b/2.png", "transform_matrix": np.eye(4).tolist()}
     assert poses.parse_poses(json.dumps({"frames": [frame]}), "a").names == ("b/2.png",)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
+def test_stamps_of_every_unit_are_seconds(unit: float) -> None:
+    for since_1970 in (1.1e8, 1.7e9, 9e10):  # 1973 to the year 4800
+        assert poses.seconds(np.array([0.0, since_1970 * unit])).tolist() == pytest.approx([0.0, since_1970])
+    assert poses.seconds(np.array([-2e20])).tolist() == [-2e20]

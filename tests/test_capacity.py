@@ -136,6 +136,10 @@ def test_an_overshooting_estimate_stops_at_the_codomain() -> None:
     assert found.capacity.value == 6 and any("overshoots" in n for n in found.notes)
     with pytest.raises(InvalidArgument, match=r"codomain_bits: found 6, below H\(M\(W\)\) = 7"):
         capacity(entropy(10), entropy(7), 6)
+    with pytest.raises(InvalidArgument, match="codomain_bits"):
+        capacity(entropy(10, estimator="exact"), entropy(7, estimator="exact"), 6)
+    cut = capacity(entropy(5, estimator="chao-wang-jost"), entropy(7, estimator="chao-wang-jost"), 4)
+    assert cut.capacity.value == 4 and not any("min() of eq. 1" in n for n in cut.notes)
 
 
 def test_a_medium_without_information_has_no_ratio() -> None:

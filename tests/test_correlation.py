@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def test_columns_are_those_of_the_dense_field(seed: int, axis: int, from_low: bo
     assert (off <= 0.51 * grid.spacing_m[axis]).all(), "the step at which the sample is the nearest"
 
 
-def test_rays_of_a_camera_meet_a_tilted_wall() -> None:
+def test_rays_of_a_camera_meet_a_tilted_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     """The distance to a plane along each ray, to within a sample."""
     grid = Grid.over_box((-0.1, -0.1, 0.1), (0.1, 0.1, 0.3), (64, 64, 64))
     x, y, z = (grid.axis_m(a) for a in range(3))
@@ -80,6 +81,9 @@ def test_rays_of_a_camera_meet_a_tilted_wall() -> None:
     assert met.amplitudes_n.shape == (7, 9)
     peak = contact_along_rays(ForceField.from_dense(grid, dense), (0.0, 0.0, 0.0), 0.3 * rays, "peak")
     assert peak.amplitudes_n == pytest.approx(2.0)
+    monkeypatch.setattr(sys.modules[Contact.__module__], "_RAYS", 8)  # at a time
+    again = contact_along_rays(ForceField.from_dense(grid, dense), (0.0, 0.0, 0.0), 0.3 * rays)
+    assert np.array_equal(again.distances_m, met.distances_m)
 
 
 def test_rays_beside_the_field_meet_nothing(wavy_field: ForceField) -> None:
@@ -88,13 +92,18 @@ def test_rays_beside_the_field_meet_nothing(wavy_field: ForceField) -> None:
     assert np.isnan(contact_along_axis(ForceField.empty(wavy_field.grid)).amplitudes_n).all()
 
 
-def test_rays_that_are_refused(wavy_field: ForceField) -> None:
+def test_rays_that_are_refused(wavy_field: ForceField, monkeypatch: pytest.MonkeyPatch) -> None:
     origin = (0.0, 0.0, 0.0)
     for starts, ends in ((origin, (0.0, math.nan, 0.0)), (np.zeros((2, 3)), np.zeros((4, 3))), (0.0, 1.0)):
         with pytest.raises(InvalidArgument, match="rays"):
             contact_along_rays(wavy_field, starts, ends)
     with pytest.raises(InvalidArgument, match="shorter rays"):
         contact_along_rays(wavy_field, origin, (0.0, 0.0, 1e9))
+    monkeypatch.setattr(sys.modules[Contact.__module__], "MOST_LOOKUPS", 30)
+    one = np.array([0.0, 0.0, 20 * min(wavy_field.grid.spacing_m) / 2])
+    assert contact_along_rays(wavy_field, origin, one).amplitudes_n.shape == ()
+    with pytest.raises(InvalidArgument, match="2 rays of 20 steps"):
+        contact_along_rays(wavy_field, origin, [one, one])
     with pytest.raises(InvalidArgument, match="first or peak"):
         contact_along_rays(wavy_field, origin, (0.0, 0.0, 1.0), "mean")
 
@@ -180,7 +189,7 @@ def test_unknown_pixels_are_left_out() -> None:
     assert found.share == pytest.approx(0.8**2, abs=0.05)
     assert found.mutual.samples == round(found.share * a.size)
     assert float(found.mutual) == pytest.approx(2, abs=0.1), "the same classes but at their borders"
-    assert found.blocks == 64
+    assert found.blocks == 64 and "64 blocks" in found.mutual.interval.method
 
 
 def test_seeded_and_summarised() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -24,7 +25,9 @@ from touchfield.measure.descriptors import (
     descriptor,
     icosahedral_directions,
     octree_levels,
+    thresholds_n,
 )
+from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.medium import ForceField, Grid, HapticMedium
 
 DEGREES = np.arange(1, 9)
@@ -142,8 +145,9 @@ def test_support_fraction_tells_the_dimension(shape: tuple[int, int, int], dimen
 
 
 def test_levels_finer_than_the_lattice_repeat() -> None:
-    fractions, _ = levels_of((8, 8, 1))
+    fractions, entropies = levels_of((8, 8, 1))
     assert fractions == pytest.approx([0.5, 0.25, 0.125, 0.125, 0.125])
+    assert entropies == pytest.approx([binary_entropy_bits(p) for p in fractions])
 
 
 # -- invariances of the whole ---------------------------------------------------------------------------------------
@@ -193,6 +197,16 @@ def test_amplitude_shares_are_of_all_voxels() -> None:
     d = descriptor(sheet())
     for part in ("amplitude", "directions"):
         assert (d[part] ** 2).sum() == pytest.approx(1)
+    between = math.sqrt(thresholds_n()[3] * thresholds_n()[4])
+    alike = descriptor(ForceField.from_support(GRID, [[4, 5, 6]], [[0.0, between, 0.0]]))["amplitude"]
+    assert alike == pytest.approx([math.sqrt(0.5) if n in (3, 4) else 0 for n in range(21)], abs=1e-3)
+
+
+def test_entropies_of_levels_are_over_the_most_of_all_classes_and_no_force() -> None:
+    held = sheet().support()
+    felt = held.amplitudes_n >= 0.05
+    entropies = octree_levels(GRID, held.positions[felt], held.amplitudes_n[felt], thresholds_n())[1]
+    assert descriptor(sheet())["level_entropy"] == pytest.approx(entropies / math.log2(22))
 
 
 # -- time -----------------------------------------------------------------------------------------------------------
@@ -211,6 +225,23 @@ def test_change_in_time() -> None:
     assert (opposite["change"][0], opposite["turnover"][0]) == (1, 0)
 
 
+def test_frames_count_together_and_their_changes_in_the_mean(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = sheet()
+    second = ForceField.from_dense(GRID, 2 * first.to_dense() * (np.arange(32) < 14)[:, None, None, None])
+    a, b, both, step = (
+        descriptor(m) for m in (first, second, film([first, second, second], 30), film([first, second], 30))
+    )
+    counts = [int((np.linalg.norm(f.vectors_n().astype(float), axis=1) >= 0.05).sum()) for f in (first, second)]
+    assert both["amplitude"] ** 2 == pytest.approx(np.average([a["amplitude"] ** 2, b["amplitude"] ** 2], 0, counts))
+    assert both["support"] == pytest.approx((a["support"] + b["support"]) / 2)
+    for part in ("change", "turnover"):
+        assert step[part][0] > 0 and both[part][0] == pytest.approx(step[part][0] / 2)
+    back = descriptor(film([second, first], 30))
+    assert (back["change"], back["turnover"]) == (step["change"], step["turnover"])
+    monkeypatch.setattr(sys.modules[descriptor.__module__], "_BRICKS", 1)
+    assert descriptor(film([first, second], 30)).values == pytest.approx(step.values)
+
+
 def test_change_does_not_depend_on_the_rate() -> None:
     frames = [sheet(shift=s) for s in range(4)]
     slow, fast = film(frames, 30), film([f for f in frames for _ in range(2)], 60)
@@ -226,6 +257,10 @@ def test_few_frames_are_looked_at() -> None:
 
     descriptor(HapticMedium(GRID, 1000.0, 500, make), frames=3)
     assert asked == [0, 33, 233, 266, 466, 499]
+    for rate_hz, count, places in ((50.0, 9, [0, 2]), (1000.0, 4, [0, 3])):  # two of 20 ms; all where it is shorter
+        asked.clear()
+        descriptor(HapticMedium(GRID, rate_hz, count, make), frames=1)
+        assert asked == places
 
 
 # -- the record -----------------------------------------------------------------------------------------------------

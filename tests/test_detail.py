@@ -36,6 +36,7 @@ def test_a_level_has_half_the_samples_and_twice_the_cell(shape: tuple[int, int, 
     coarse = halved(grid)
     for axis in range(3):
         assert np.allclose(coarse.axis_m(axis), grid.axis_m(axis)[::2], rtol=0, atol=1e-12)
+        assert coarse.spacing_m[axis] == grid.spacing_m[axis] * (2 if shape[axis] > 1 else 1)
     for _ in range(most_levels(grid)):
         assert grid.shape != (1, 1, 1)
         grid = halved(grid)

@@ -144,6 +144,18 @@ def test_a_range_of_force_is_where_the_field_has_it() -> None:
         ForceRange(0.5).holds(POINTS)
 
 
+def test_what_lies_on_the_edge_is_within() -> None:
+    box, ball, half = Box((0, 0, 0), (1, 1, 1)), Ball((0, 0, 0), 0.5), HalfSpace((0, 0, 2), (0, 0, 1))
+    assert box.holds(np.array([[0.0, 0, 0], [1, 1, 1], [1, 1, 1.01]])).tolist() == [True, True, False]
+    assert ball.holds(np.array([[0.5, 0, 0], [0.51, 0, 0]])).tolist() == [True, False]
+    assert half.holds(np.array([[7.0, 7, 1], [7, 7, 0.99]])).tolist() == [True, False]
+    at = [[1, 1, 1], [2, 2, 2], [3, 3, 3]]
+    field = ForceField.from_support(GRID, at, [[0.5, 0, 0], [0, 1.0, 0], [0, 0, 1.5]])
+    for low, high, held in ((0.5, 1.5, [1, 1, 1]), (0.5, 1.4, [1, 1, 0]), (1.0, 1.0, [0, 1, 0])):
+        assert ForceRange(low, high).on(field).holds(GRID.to_m(np.array(at))).tolist() == held
+    assert (~ball | Voxels(GRID, [[0, 0, 0], [0, 0, 0]])).words == "(not (ball (0, 0, 0) radius 0.5 m)) or (1 voxels)"
+
+
 coordinate = st.floats(-0.05, 0.05)
 triple = st.tuples(coordinate, coordinate, coordinate)
 shapes = st.one_of(
@@ -181,6 +193,8 @@ def test_what_is_no_region() -> None:
         HalfSpace((0, 0, 0), (0, 0, 0))
     with pytest.raises(InvalidArgument, match="outside the grid"):
         Voxels(GRID, [[0, 0, 12]])
+    with pytest.raises(InvalidArgument, match="outside the grid"):
+        Voxels(GRID, [[0, -1, 0]])
     with pytest.raises(InvalidArgument, match="whole numbers"):
         Voxels(GRID, [[0.5, 0, 0]])
     with pytest.raises(InvalidArgument, match="force range"):
@@ -214,6 +228,7 @@ def test_whole_steps_and_quarter_turns_are_exact() -> None:
     mirrored = Moved(RigidMotion.mirror((0, 1, 0), centre))(field).to_dense()
     assert np.array_equal(mirrored, dense[:, ::-1] * np.float32([1, -1, 1]))
     assert Moved(RigidMotion())(field) == field
+    assert RigidMotion.turn((0, 0, 1), 90.0).matrix == ((0, -1, 0), (1, 0, 0), (0, 0, 1))
 
 
 @given(triple.filter(lambda t: math.hypot(*t) > 1e-6), st.floats(-360, 360), triple, triple)
@@ -249,6 +264,11 @@ def test_what_is_no_operator() -> None:
     for matrix in (np.ones((3, 3)), np.full((3, 3), np.nan), np.eye(2)):
         with pytest.raises(InvalidArgument, match="orthogonal"):
             RigidMotion(matrix)  # type: ignore[arg-type]
+    for bad in (math.nan, math.inf):
+        with pytest.raises(InvalidArgument, match="offset_m"):
+            RigidMotion(offset_m=(0.0, bad, 0.0))
+        with pytest.raises(InvalidArgument, match="mirror normal"):
+            RigidMotion.mirror((0.0, bad, 0.0))
     for feather_m in (-1.0, math.nan, math.inf):
         with pytest.raises(InvalidArgument, match="feather_m"):
             edited(FIELD, Everywhere(), Erased(), feather_m)

@@ -331,7 +331,8 @@ def test_what_does_not_match() -> None:
     with pytest.raises(InvalidArgument, match="frame 0: found a ndarray"):
         field_entropy([np.zeros(3)])  # type: ignore[list-item]
     with pytest.raises(InvalidArgument, match="8 or more"):
-        field_entropy(f, blocks=3)
+        field_entropy(f, blocks=7)
+    assert field_entropy(f, blocks=8).samples == f.voxel_count
     empty = FieldSymbols.from_dense(grid, np.zeros(grid.shape, np.int32), K, "a Q")
     assert float(field_entropy(empty)) == 0
     for empties in (lambda: field_entropy(empty, "object"), lambda: info.entropy(joint(empty, empty, "object"))):

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy import ndimage, signal
 
 from touchfield.errors import InvalidArgument
-from touchfield.filters.fir import ANCHORS, FirFilter, fir_filter
+from touchfield.filters.fir import ANCHORS, FirFilter, fir_filter, frequency_response
 from touchfield.filters.separable import BOUNDARIES, SCIPY_MODES
 from touchfield.medium import ForceField, Grid
 
@@ -96,6 +96,7 @@ def test_the_type_of_the_signal_is_kept() -> None:
         (np.ones((1, 1, 1)), {}, "3 axes for a signal"),
         (np.array([1, np.nan, 1]), {}, "not finite"),
         (np.array([]), {}, "at least one tap"),
+        (np.array(2.0), {}, "at least one tap"),
         (np.ones(3), {"anchor": "left"}, "centred or causal"),
         (np.ones(3), {"boundary": "mirror"}, "zero, nearest, reflect, wrap"),
     ],
@@ -206,6 +207,9 @@ def test_claims_of_a_smoothing_and_a_high_pass() -> None:
     high = FirFilter("3x1x1:-1/2/-1", normalise=False)
     assert smooth.claims(grid).reach == (1, 1, 1) and smooth.claims(grid).dc_gain == pytest.approx(1)
     assert smooth.claims(grid).keeps_mean and smooth.claims(grid).max_principle
+    assert FirFilter("-100/201/-100").claims(grid).dc_gain == pytest.approx(1)  # a small sum is none that is zero
+    with pytest.raises(InvalidArgument, match="found 0 frequencies"):
+        frequency_response(1.0)
     assert high.claims(grid).dc_gain == 0 and not high.claims(grid).keeps_mean
     field = ForceField.from_support(grid, [[20, 20, 20]], [[1.0, 2.0, 3.0]])
     assert smooth(field).vectors_n().sum(axis=0) == pytest.approx([1, 2, 3], rel=1e-6)
@@ -217,6 +221,7 @@ def test_a_constant_is_multiplied_by_the_gain() -> None:
     field = ForceField.from_dense(grid, np.ones((12, 12, 12, 3)))
     for filt in (FirFilter("1/2/4"), FirFilter("1/2/4", normalise=False)):
         gain = filt.claims(grid).dc_gain
+        assert filt.claims(grid).keeps_mean == filt.normalise
         assert gain == pytest.approx(1 if filt.normalise else 343)
         assert filt(field).to_dense()[1:-1, 1:-1, 1:-1] == pytest.approx(np.full((10, 10, 10, 3), gain), rel=1e-6)
 
@@ -270,6 +275,8 @@ def test_a_kernel_larger_than_the_field_is_refused() -> None:
     field = random_field((20, 20, 4), 1, 0.1)
     with pytest.raises(InvalidArgument, match="along z: found 5 taps along an axis of 4 samples"):
         FirFilter("1/1/1/1/1")(field)
+    with pytest.raises(InvalidArgument, match="along z: found 3 taps along an axis of 2 samples"):
+        FirFilter("1/2/1").claims(Grid((20, 20, 2), (0.001,) * 3, (0.0,) * 3))
     with pytest.raises(InvalidArgument, match="along z"):
         filter_of_array(np.random.default_rng(0).normal(size=(1, 1, 5))).claims(field.grid)
 

@@ -233,6 +233,9 @@ def test_other_arguments_out_of_range_are_refused() -> None:
         gaussian(np.ones(100), 1.0, boundary="mirror")
     with pytest.raises(InvalidArgument, match="one for each leading axis"):
         gaussian(np.ones(100), (1.0, 1.0))
+    assert len(gaussian_taps(2.0**13)) == 2 * 2**15 + 1
+    with pytest.raises(InvalidArgument, match="a radius of up to 32768"):
+        gaussian_taps(2.0**13 + 0.125)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

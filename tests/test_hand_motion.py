@@ -1,5 +1,7 @@
 """A hand that slides: known sines through the band, walks along a ball, and errors whose vibration is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +13,8 @@ from touchfield.perception import hand_motion
 from touchfield.perception.hand_motion import (
     MARGIN_S,
     BandSums,
+    HandMotion,
+    Slide,
     SlideMeter,
     SlideSpec,
     SurfaceWalks,
@@ -56,7 +60,7 @@ def test_signals_together_count_as_one_by_one():
     signals = np.random.default_rng(1).normal(0, 0.01, (700, 3, 3))
     together, apart = BandSums(1), BandSums(1)
     together.add(0, signals, RATE_HZ, 700)
-    for n in range(3):
+    for n in (2, 0, 1):  # the one with the greatest peak first
         apart.add(0, signals[:, n : n + 1], RATE_HZ, 700)
     assert together.samples == apart.samples == [3 * (700 - 2 * round(MARGIN_S * RATE_HZ))]
     assert together.mn(0) == pytest.approx(apart.mn(0))
@@ -123,6 +127,8 @@ def test_margin_names_the_worst_third():
     levels[4] *= 5
     assert margin_of(levels).db == pytest.approx(20 * np.log10(2)) and margin_of(levels).third_hz == THIRDS_HZ[4]
     assert margin_of(np.zeros(11)).db == np.inf
+    told = HandMotion((Slide(50.0, 1, 1.0, 1, 1, 1, 1, None, levels),), None, vibration_threshold()).summary()
+    assert told["threshold_margin_third_hz"] == THIRDS_HZ[4]
 
 
 def test_points_and_walks_lie_where_the_force_is_one_newton():
@@ -149,6 +155,8 @@ def test_each_hand_slides_along_its_own_walk_those_of_one_length_together():
         at = 0.1 * np.arange(len(paths))[:, None, None] / RATE_HZ
         np.testing.assert_allclose(paths, at * own, atol=1e-12)
     assert (len(short), len(long)) == (400, 1000)
+    fewest = SurfaceWalks(points, np.array([15, 16, 15]), 0.001)  # of four knots is one of them
+    assert [paths.shape[1] for paths in slide_m(fewest, 0.1, 5.0, RATE_HZ)] == [1]
 
 
 def test_half_of_the_largest_force_is_the_level_of_a_weak_field():
@@ -182,7 +190,7 @@ def test_the_lattice_alone_is_told_where_the_field_is_known():
         return STIFFNESS * np.maximum(RADIUS_M - r, 0) * points / r
 
     known = slides(ball(), ball(), QUICK, exact)
-    assert all(0 < s.lattice_mn < 5 for s in known)
+    assert all(0 < s.lattice_mn < 5 and not s.error_thirds_mn.any() for s in known)
     assert all(s.lattice_mn is None for s in slides(ball(), ball(), QUICK))
     itself = slides(ball(), ball(), QUICK, lambda points: ball().sample_n(points).astype(float))
     assert all(s.lattice_mn == 0 for s in itself)
@@ -196,6 +204,9 @@ def test_the_same_seed_gives_the_same_figures_and_frames_add_up():
     for _ in range(2):
         meter.add(ball(), ball().sample_n, ball().scaled(1.01).sample_n)
     assert [s.paths for s in meter.slides()] == [8, 8, 8]
+    twice = slides(ball(), ball().scaled(1.01), replace(QUICK, rate_hz=2000.0))
+    for slide in (*one, *twice):  # from knot to knot, 0.2 s of margins less
+        assert slide.seconds == pytest.approx(4 * 0.3)
 
 
 def test_nothing_to_touch_is_nothing_measured():
@@ -203,10 +214,22 @@ def test_nothing_to_touch_is_nothing_measured():
     assert [s.paths for s in slides(empty, empty, QUICK)] == [0, 0, 0]
     single = ForceField.from_support(GRID, [[9, 9, 9]], [[0.0, 0.0, 1e-30]])
     assert [s.paths for s in slides(single, empty, QUICK)] == [0, 0, 0]
+    assert HandMotion(slides(empty, empty, QUICK), None, vibration_threshold()).summary()["hand_vibration_mn"] is None
 
 
-@pytest.mark.parametrize("wrong", [{"paths": 0}, {"duration_s": 0.1}, {"rate_hz": 500.0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"paths": 0},
+        {"duration_s": 0.1},
+        {"rate_hz": 500.0},
+        {"paths": 1025},
+        {"duration_s": 61.0},
+        {"rate_hz": 1.1e5},
+    ],
+)
 def test_a_wrong_spec_is_refused(wrong):
+    assert SlideSpec(1024, 60.0, 1e5) and SlideSpec(1, 0.25, 1000.0)
     with pytest.raises(InvalidArgument, match=next(iter(wrong))):
         SlideSpec(**wrong)
 

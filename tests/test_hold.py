@@ -56,6 +56,7 @@ def test_a_single_step_is_found_wherever_it_is(at):
     hold = held(errors, starts=(0, at))
     assert hold.step_mn == hold.start_step_mn == pytest.approx(120, rel=1e-4)
     assert hold.step_source_mn == 0 and hold.error_step_mn == 0
+    assert hold.start_error_mn == pytest.approx(120, rel=1e-4)
     assert hold.still_step_mn == pytest.approx(120, rel=1e-4)
     # the mask at the level of 1 N is 0.1 N
     assert hold.still_step_ratio == pytest.approx(1.2, rel=0.03)
@@ -86,8 +87,8 @@ def test_slow_frames_are_blended_as_the_receiver_does():
 
 
 def test_steps_of_the_source_are_its_own():
-    hold = held(np.zeros((30, 3)), source=lambda frame: ball(0.002 * (frame // 10)))
-    assert hold.step_mn == hold.step_source_mn > 50
+    hold = held(np.zeros((30, 3)), source=lambda frame: ball(0.0003 * (frame // 10)))
+    assert hold.step_mn == hold.step_source_mn > 50 and hold.still_step_mn <= 1
     assert hold.start_error_mn == hold.error_step_mn == 0
 
 

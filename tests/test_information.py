@@ -109,6 +109,11 @@ def test_distance_of_samples_of_any_two_sizes(x: Symbols, y: Symbols) -> None:
     assert float(info.jensen_shannon_distance(Counts.of(x), Counts.of(y), **PLAIN)) == float(found)
 
 
+def test_distance_of_counts_in_other_blocks_has_no_interval_and_says_so() -> None:
+    apart = info.jensen_shannon_distance(*(Counts.of(np.arange(400) % 4, blocks=n) for n in (8, 9)))
+    assert apart.interval is None and "no interval: blocks of one do not match those of the other" in apart.notes
+
+
 @given(st.integers(1, 40).flatmap(lambda n: st.tuples(symbols(n, 3), symbols(n, 3), symbols(n, 1))))
 def test_identities_and_metrics(samples: tuple[Symbols, Symbols, Symbols]) -> None:
     x, y, z = samples

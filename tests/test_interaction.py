@@ -187,6 +187,12 @@ def test_frames_are_felt_while_they_last() -> None:
     assert found.samples == 60 and any("20 of 80" in n for n in found.notes)
 
 
+def test_a_time_that_is_rounded_down_is_of_the_frame_that_begins_there() -> None:
+    frames = [FieldSymbols.from_dense(GRID, np.full(GRID.shape, n), 3, "given") for n in (1, 2)]
+    trace = Trace(np.array([0.03333333, 0.05]), GRID.to_m(np.array([[1, 1, 1], [1, 1, 1]])))
+    assert quiet(trace, frames, rate_hz=30.0, interval=False).value == 0
+
+
 def test_outside_in_time_and_outside_the_box_are_counted_apart() -> None:
     frames = [symbols_of(n) for n in range(6)]
     positions = walk(100).positions_m.copy()

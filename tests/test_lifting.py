@@ -19,11 +19,13 @@ from touchfield.filters.lifting import (
     FCC,
     QUINCUNX,
     Chain,
+    MultiresolutionFilter,
     fcc_forward,
     fcc_inverse,
     quincunx_forward,
     quincunx_inverse,
 )
+from touchfield.medium import Grid
 
 INTEGERS = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.int64, np.uint64)
 
@@ -175,7 +177,7 @@ def test_a_number_of_stages_that_is_none(stages: Any) -> None:
     "wrong",
     [
         np.zeros(4), np.zeros((0, 4)), np.zeros((4, 4), complex), np.array([["a"]]), np.array([[np.nan]]),
-        np.array([[np.inf]]), np.array([[3e38]], np.float32), np.array([[None]]),
+        np.array([[np.inf]]), np.array([[3e38]], np.float32), np.array([[-3e38]], np.float32), np.array([[None]]),
     ],
 )  # fmt: skip
 def test_an_image_that_is_none(wrong: NDArray[Any]) -> None:
@@ -183,6 +185,11 @@ def test_an_image_that_is_none(wrong: NDArray[Any]) -> None:
         quincunx_forward(wrong, 1)
     with pytest.raises(InvalidArgument, match="coefficients"):
         quincunx_inverse(wrong, 1)
+
+
+def test_a_filter_reaches_along_an_axis_as_far_as_its_stages_have_sites_there() -> None:
+    reaches = MultiresolutionFilter(6).claims(Grid((40, 40, 2), (0.001,) * 3, (0.0,) * 3)).reach
+    assert reaches == (3 * (1 + 1 + 1 + 2 + 2 + 2), 3 * (1 + 1 + 1 + 2 + 2 + 2), 3 * (1 + 1))
 
 
 def test_a_volume_that_is_none() -> None:

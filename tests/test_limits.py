@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,7 +33,18 @@ def test_the_limits_of_a_medium(wavy_field: ForceField) -> None:
     for context in found.contexts:
         alone = context_entropy(frames, context.neighbourhood, previous_frame=context.previous_frame)
         assert alone == context and context.per_voxel.value <= found.voxel_entropy.value
-    json.loads(json.dumps(found.summary(), allow_nan=False))
+    told = json.loads(json.dumps(found.summary(), allow_nan=False))
+    held = np.count_nonzero(dense)
+    assert told["supported_voxels"] == held and told["object_entropy_bits"] == found.object_entropy.value
+    each = told["voxel_entropy"]
+    assert each["bits_per_frame"] == pytest.approx(each["bits_per_voxel"] * dense.size / 2)
+    assert each["bits_per_supported_voxel"] == pytest.approx(each["bits_per_voxel"] * dense.size / held)
+    before = np.pad(dense, [(0, 0)] * 3 + [(1, 0)])[..., :-1]
+    times = np.unique(np.stack([dense, before], axis=-1).reshape(-1, 2), axis=0, return_counts=True)[1]
+    previous = found.context("previous")
+    assert (previous.cells, previous.once) == (len(times), np.count_nonzero(times == 1))
+    assert not replace(previous, informed=10 * previous.cells).is_diluted
+    assert coding_limits(fields_of(np.ones((1, 4, 4, 4), int), 2)).voxel_entropy.symbols == 1  # none is empty
     with pytest.raises(KeyError):
         found.context("none")
 

@@ -16,6 +16,7 @@ from touchfield.medium import ForceField, Grid
 from touchfield.perception.mask import (
     SpatialMasking,
     mask_n,
+    site_radius_m,
     violations,
 )
 
@@ -133,7 +134,7 @@ def test_the_mask_scales_with_the_forces() -> None:
 def test_the_same_bits_for_any_number_of_threads_and_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     from touchfield.medium import field as module
 
-    field = noise(Grid((64, 64, 64), (0.001,) * 3, (0.0, 0.0, 0.0)), 5, 0.01)
+    field = noise(Grid((40, 40, 40), (0.001,) * 3, (0.0, 0.0, 0.0)), 5, 0.01)
     masking, made = SpatialMasking(0.1, 0.0, 0.5, 0.01), []
     for threads, pieces in (("1", 1 << 21), ("3", 1 << 21), ("2", 37 << 14)):
         monkeypatch.setenv("TOUCHFIELD_THREADS", threads)
@@ -172,6 +173,11 @@ def test_a_radius_that_does_not_fit_the_lattice() -> None:
     masking = SpatialMasking(0.1, beta=0.1, radius_m=0.005)
     with pytest.raises(InvalidArgument, match=r"at least the distance between neighbours, 0\.01 m"):
         masking.field_mask_n(column)
+    with pytest.raises(InvalidArgument, match=r"between neighbours, 0\.01 m"):
+        masking.field_mask_n(noise(Grid((9, 1, 9), (0.02, 0.001, 0.01), (0.0, 0.0, 0.0)), 1, 0.9))
+    row = noise(Grid((9, 1, 1), (0.001,) * 3, (0.0, 0.0, 0.0)), 1, 0.9)
+    assert SpatialMasking(0.1, beta=0.1, radius_m=0.064).field_mask_n(row).any()
+    assert SpatialMasking(0.1).radius_m == 0.0025 and site_radius_m("palm") == 0.01
 
 
 @pytest.mark.parametrize("radius_m", [0.0001, 0.005, 1.0])

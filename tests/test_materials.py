@@ -86,6 +86,8 @@ def test_recordings_are_read_from_sound_and_from_text(tmp_path: Path) -> None:
         ("a.wav", b"RIFF nothing", "a.wav: found what is no sound"),
         ("a.wav", b"", "a.wav: found what is no sound"),
         ("a.csv", b"", "a.csv: found 0 lines"),
+        ("a.csv", b"t_s,a_m_s2\n0,1\n", "a.csv: found 2 lines"),
+        ("a.csv", b"t_s,a_m_s2,ax_m_s2,ay_m_s2,az_m_s2\n" + 3 * b"0,1,1,1,1\n", "a.csv line 1: found 't_s,a_m_s2,ax"),
         ("a.csv", b"\xff\xfe\x00", "a.csv: found bytes that are no text"),
         ("a.csv", b"t_s,ax_g\n0,1\n1,2\n", "a.csv line 1: found 't_s,ax_g'"),
         ("a.csv", b"t_s,a_m_s2\n0,1\n1,nan\n2,1\n", "a.csv line 3: found '1,nan'; expected finite numbers"),
@@ -178,6 +180,11 @@ def test_what_the_loop_cannot_show_is_left_out_and_told() -> None:
     assert any("398 Hz" in note for note in run.notes) and "materials: oak" in run.notes
     high = np.abs(np.fft.rfft(np.hanning(600) * run.log["force_n"][350:950, 2]))[np.fft.rfftfreq(600, 1e-3) > 460]
     assert high.max() < 0.01
+    slow = replace(spec, slew_n_per_s=2.0)  # for what is shown alone
+    notes = run_offline(field(), STRONG, point_device("sim", trace).opener, slow, seconds=0.01).notes
+    turns = 2 * np.pi * np.array(BANDS_HZ)[:12] * oak().levels_n[..., :12]
+    weaker = 20 * np.log10(MATERIAL_CREST * np.sqrt((turns**2).sum(axis=-1)).max() / 2)
+    assert any(f"up to {weaker:.1f} dB" in note for note in notes)
 
 
 @pytest.mark.parametrize("scale", [3.0, 100.0])

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchfield.codec.segment import BitAccount, compression_ratio
+from touchfield.errors import InvalidArgument
 from touchfield.measure.counts import SymbolCounter
 from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
 from touchfield.measure.fidelity import FidelityMeter
@@ -52,6 +53,14 @@ def test_no_error_has_no_decibels(wavy_field: ForceField) -> None:
     meter = FidelityMeter(k=0.1, f0_n=0.05)
     meter.add(wavy_field, wavy_field)
     assert meter.nmse_db is None and meter.mask_violations == 0 and meter.worst_mask_ratio == 0
+
+
+def test_a_mask_that_is_none_and_a_field_of_another_shape_are_refused() -> None:
+    x, y = (ForceField.empty(Grid(shape, (1, 1, 1), (0, 0, 0))) for shape in ((8, 9, 10), (9, 8, 10)))
+    with pytest.raises(InvalidArgument, match="F_0 > 0"):
+        FidelityMeter(0.1, 0.0)
+    with pytest.raises(InvalidArgument, match="decoded field: found shape"):
+        FidelityMeter(0.0, 0.05).add(x, y)
 
 
 def test_rate() -> None:

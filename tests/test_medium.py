@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.medium.budget import zero_forces
+from touchfield.medium.budget import memory_budget_bytes, require_memory, zero_forces
 from touchfield.medium.medium import Segments, VibrationFrame
 
 shapes = st.tuples(*[st.integers(1, 21)] * 3)
@@ -190,6 +190,9 @@ def test_bad_vibrations_are_refused(change: dict[str, np.ndarray], said: str) ->
 def test_a_field_stays_within_the_memory_budget(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.001")
     assert zero_forces(100).shape == (100, 8, 8, 8, 3)
+    require_memory("a field", "bytes", memory_budget_bytes())
+    with pytest.raises(InvalidArgument, match="a field"):
+        require_memory("a field", "bytes", memory_budget_bytes() + 1)
     with pytest.raises(InvalidArgument, match="TOUCHFIELD_MEMORY_GIB"):
         zero_forces(200)
 

@@ -100,6 +100,8 @@ def test_each_box_fills_the_device() -> None:
         np.testing.assert_allclose(np.subtract(*reversed(grid.box_m)), extent)
     summary = made.summary()
     assert sum(summary["boxes_by_depth"].values()) == summary["boxes"] == len(made.boxes)
+    assert summary["lost_bits_per_frame"] == made.lost_bits < summary["cost_bits"] == made.cost_bits
+    assert summary["device_shape"] == [4, 2, 5]
 
 
 def test_of_equal_partitions_the_fewer_boxes() -> None:
@@ -214,5 +216,14 @@ def test_what_is_no_partition() -> None:
     symbols = [FieldSymbols.from_dense(lat.lattice(d), np.zeros(lat.lattice(d).shape, int), 2, "q") for d in range(2)]
     with pytest.raises(InvalidArgument, match="dyadic lattice"):
         BoxLosses(lat).add(symbols[::-1])
+    symbols = [
+        [FieldSymbols.from_dense(s.grid, s.to_dense(), *q) for s in symbols] for q in ((2, "p"), (1 << 30, "q"))
+    ]
+    losses = BoxLosses(lat)
+    losses.add(symbols[0])
+    with pytest.raises(InvalidArgument, match="several quantisers"):
+        losses.add([FieldSymbols.from_dense(s.grid, s.to_dense(), 2, "q") for s in symbols[0]])
+    with pytest.raises(InvalidArgument, match="coarser quantiser"):
+        BoxLosses(lat).add(symbols[1])
     with pytest.raises(InvalidArgument, match="distinct"):
         partition_workspace(corner_medium(1), (8, 8, 8), 1.0, "distinct")

@@ -259,6 +259,8 @@ def test_a_sheet_has_squares_and_no_curl() -> None:
     assert found.points == 0 and math.isnan(found.rms_curl_n_per_m) and math.isnan(found.relative_curl)
     assert found.squares == 11 * 11 and found.rms_square_j == pytest.approx(2 * 50 * 1e-4, rel=1e-4)
     assert any("too thin (axis z has 1 samples)" in n for n in found.notes)
+    pair = passivity(rotation(np.array([0, 0, 50.0]), Grid((6, 6, 2), (0.01,) * 3, (0, 0, 0))))
+    assert any("too thin (axis z has 2 samples)" in n for n in pair.notes)
 
 
 def test_one_force_alone() -> None:

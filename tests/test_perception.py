@@ -67,11 +67,14 @@ def test_a_force_where_nothing_is_allowed_has_no_finite_ratio():
     assert violations(original, decoded, 0.1, 1e-5).count == 0
 
 
-def test_a_violation_in_the_last_of_many_pieces_is_found():
+@pytest.mark.parametrize("place", [0, -1])
+def test_a_violation_in_the_first_and_in_the_last_of_many_pieces_is_found(place):
     original = along_x(np.ones(200_000))
     decoded = original.copy()
-    decoded[-1, 1] = 0.5
+    decoded[place, 1] = 0.5
     assert violations(original, decoded, 0.1) == (1, 1 / 200_000, pytest.approx(5.0))
+    original[place] = 0.0
+    assert violations(original, decoded, 0.1) == (1, 1 / 200_000, None)
 
 
 @pytest.mark.parametrize(("k", "f0"), [(-0.1, 0.0), (np.nan, 0.0), (0.1, -1.0), (0.1, np.inf)])
@@ -97,6 +100,7 @@ def test_eq_6_with_a_step_of_k_x_is_the_identity(k):
 
 def test_eq_6_with_a_step_of_k_x_is_a_gain_and_no_quantiser():
     assert jnd_gain(0.3) == pytest.approx(0.9)  # 0.3 floor(3.83)
+    assert jnd_gain(0.4) == pytest.approx(1.2)  # 0.4 floor(3)
 
 
 def test_a_fixed_step_keeps_half_a_step_and_the_mask_only_above_its_limit():
@@ -167,6 +171,7 @@ def test_a_ladder_is_refused_where_it_would_be_endless():
         WeberLadder.spanning(0.1, 0.03, np.inf)
     with pytest.raises(InvalidArgument, match="criterion"):
         WeberLadder(0.1, 0.03, 3, "other")
+    assert WeberLadder(1e-4, 0.03, 65535).force_max_n < 1e30
 
 
 # -- the deadband ---------------------------------------------------------------------------------------------
@@ -284,7 +289,8 @@ def test_the_deadband_refuses_what_it_cannot_use():
             gate(vectors, k)
     with pytest.raises(InvalidArgument, match="float32"):
         gate(vectors.astype(np.float64), 0.1)
-    with pytest.raises(InvalidArgument, match="decoded"):
-        gate(vectors, 0.1, "closed", vectors[:1])
-    with pytest.raises(InvalidArgument, match="reference"):
-        gate_in_time(vectors, vectors[:1], 0.1)
+    for other in (vectors[:1], along_x([1.0, 2.0, 3.0])):
+        with pytest.raises(InvalidArgument, match="decoded"):
+            gate(vectors, 0.1, "closed", other)
+        with pytest.raises(InvalidArgument, match="reference"):
+            gate_in_time(vectors, other, 0.1)

@@ -244,6 +244,10 @@ def test_a_posed_body_does_not_fall_between_its_frames(fall: Make, tmp_path: Pat
     plate = '[[body]]\nkind = "box"\nname = "plate"\nhalf_extents_m = [0.1, 0.1, 0.01]\nposes = "still.csv"'
     ball, _ = fall("rate_hz = 20", body="position_m = [0, 0, 0.13]", more=plate).bodies()
     assert np.ptp(ball.track.positions_m[:, 2]) < 0.002
+    (tmp_path / "still.csv").write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,0.1,1,0,0,0\n1,0,0,0.3,1,0,0,0\n")
+    rides = "position_m = [0, 0, 0.13]\nvelocity_m_s = [0, 0, 0.2]"  # with a plate that rises from the first frame on
+    ball, lift = fall("rate_hz = 20\nrestitution = 0", body=rides, more=plate).bodies()
+    assert np.ptp((ball.track.positions_m - lift.track.positions_m)[:, 2]) < 0.002
 
 
 @needs_mujoco

@@ -14,7 +14,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.job.reduction import fewest_points, next_points
 from touchfield.medium.trace import read_contacts
 from touchfield.reduction.kernel_points import Kernel, best_kernel, error_points, variance_points
-from touchfield.reduction.modes import ModePoints, mode_points, pod
+from touchfield.reduction.modes import ModePoints, Modes, mode_points, pod
 from touchfield.sources.contact_trace import CurlFree, covariances
 from touchfield.sources.registry import open_source
 
@@ -60,11 +60,29 @@ def test_more_points_and_chosen_ones_have_a_smaller_bound() -> None:
     assert mode_points(modes, 100).bound == pytest.approx(1.0)
 
 
+def test_a_point_counts_the_less_the_more_its_modes_miss() -> None:
+    rows = few_modes(12, 0.01)
+    modes, missed = pod(rows, 6), RNG(7).uniform(0.1, 4, 100)
+    chosen = mode_points(modes, 20, missed)
+    own = np.repeat(1 / np.sqrt(missed / missed.mean() + 0.1), 3)[chosen.rows]
+    expected = np.linalg.lstsq(own[:, None] * modes.basis[chosen.rows], own * rows[0, chosen.rows], rcond=None)[0]
+    np.testing.assert_allclose(chosen.coefficients(rows[:1, chosen.rows])[0], expected, atol=1e-9)
+
+
+def test_a_point_whose_other_rows_are_weak_is_not_chosen_again() -> None:
+    basis = np.zeros((393, 2))
+    basis[[0, 1], [0, 1]] = 1.0, 0.09
+    basis[3:, 1] = np.sqrt((1 - 0.09**2) / 390)
+    assert len(set(mode_points(Modes(basis, np.ones(2), 2), 2).points.tolist())) == 2
+
+
 def test_points_that_cannot_be_are_refused() -> None:
     modes = pod(few_modes(7), 7)
     for count in (0, 2, 101):
         with pytest.raises(InvalidArgument, match="3 to 100"):
             mode_points(modes, count)
+    with pytest.raises(InvalidArgument, match="1 to 6"):
+        variance_points(RNG(2).uniform(size=(10, 3)), 7, KERNEL, 4)
     with pytest.raises(InvalidArgument, match="three for each point"):
         mode_points(pod(few_modes(4)[:, :299], 4), 5)
 
@@ -100,6 +118,20 @@ def test_a_field_goes_through_the_points_it_is_rebuilt_from() -> None:
     chosen = error_points(points, forces, 40, Kernel(0.3, 1e-10))
     field = CurlFree.through(points[chosen], forces[chosen], 0.3, 1e-10)
     assert np.abs(field.forces_n(points[chosen]) - forces[chosen]).max() < 1e-5
+
+
+def test_points_by_error_are_those_of_every_try() -> None:
+    points = RNG(6).uniform(size=(24, 3))
+    forces, kernel = gradient(points), Kernel(0.3, 0.05)
+    chosen: list[int] = []
+    for _ in range(12):
+        missed = {}
+        for one in set(range(24)) - set(chosen):
+            some = [*chosen, one]
+            back = CurlFree.through(points[some], forces[some], kernel.length_m, kernel.noise).forces_n(points)
+            missed[one] = float(((back - forces) ** 2).sum())
+        chosen.append(min(missed, key=missed.__getitem__))
+    assert error_points(points, forces, 12, kernel).tolist() == chosen
 
 
 def test_no_point_is_chosen_twice_however_little_a_measurement_tells() -> None:

@@ -67,6 +67,13 @@ def test_velocities_of_a_screw_motion_are_exact(velocity: np.ndarray, spin: floa
     np.testing.assert_allclose(turning, np.tile(spin * axis, (6, 1)), atol=1e-7 * rate_hz)
 
 
+def test_at_both_ends_a_velocity_is_that_of_one_step() -> None:
+    turns = wxyz(Rotation.from_rotvec(np.outer([0.0, 0.1, 0.4, 0.9], [0, 0, 1])))
+    velocity, turning = PoseTrack(turns, np.outer([0.0, 0.1, 0.4, 0.9], [1, 0, 0])).velocities(10.0)
+    for found in (velocity[:, 0], turning[:, 2]):
+        np.testing.assert_allclose(found, [1, 2, 4, 5], atol=1e-9)
+
+
 def test_a_single_pose_and_a_still_one_do_not_move() -> None:
     for track in (PoseTrack.still(1), PoseTrack.still(4, (1.0, 2.0, 3.0))):
         velocity, turning = track.velocities(30.0)
@@ -96,6 +103,8 @@ def test_a_part_of_a_track() -> None:
     assert part != track and track == PoseTrack(track.quaternions, track.positions_m)
     with pytest.raises(InvalidArgument, match="0:5"):
         track.between(2, 6)
+    with pytest.raises(InvalidArgument, match="2:2"):
+        track.between(2, 2)
 
 
 @pytest.mark.parametrize(

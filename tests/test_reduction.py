@@ -16,7 +16,8 @@ from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
 from touchfield.job.reduction import culled, reduce_medium
 from touchfield.job.spec import ReductionSpec
-from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach_of, reduced
+from touchfield.measure.estimators import binary_entropy_bits
+from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach, reach_of, reduced, snapshots
 from touchfield.reduction.reach import _layers
 
 HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
@@ -70,6 +71,10 @@ def test_short_snapshots_give_the_same_modes() -> None:
     short = klt([snapshots.T[:100], snapshots.T[100:]])
     assert np.allclose(short.values[:5], whole.values[:5], rtol=1e-9)
     assert np.allclose(np.linalg.svd(snapshots, compute_uv=False)[:5], whole.values[:5], rtol=1e-9)
+    assert whole.count == len(whole.values) == len(short.values) == 24 and short.count == 700
+    few, tall = klt([snapshots.T[:4], snapshots.T[4:9]]), pod(snapshots.T[:40])
+    assert (len(few.values), few.count, len(tall.values), tall.count) == (9, 9, 24, 40)
+    assert pod(snapshots, 20).rank == pod(snapshots).rank == 8  # more are noise
 
 
 @pytest.mark.parametrize(
@@ -78,12 +83,14 @@ def test_short_snapshots_give_the_same_modes() -> None:
         lambda: pod(np.zeros((0, 3))),
         lambda: pod(np.full((2, 3), np.nan)),
         lambda: pod(np.ones((2, 3)), rank=3),
+        lambda: pod(np.ones((2, 3), complex)),
         lambda: klt([]),
         lambda: klt([np.ones((2, 3)), np.ones((2, 4))]),
         lambda: pod(np.eye(3)).coefficients(np.ones((2, 4))),
         lambda: pod(np.eye(3)).rebuild(np.ones((2, 4))),
         lambda: reduced(floor(), "columns"),
         lambda: held_out(floor(), "global"),
+        lambda: held_out(tf.HapticMedium.from_frames([floor()[0], tf.ForceField.empty(GRID)], 30.0), "global"),
         lambda: Hand(-1.0, 0.1, 0.2),
         lambda: ReductionSpec(nmse_db=3.0),
     ],
@@ -95,7 +102,7 @@ def test_what_makes_no_sense_is_refused(wrong: Any) -> None:
 
 @pytest.mark.parametrize("kind", ["global", "bricks"])
 def test_a_medium_comes_back_from_its_modes(kind: str) -> None:
-    medium = floor(8)
+    medium = floor(3)
     found = reduced(medium, kind)
     energy = error = 0.0
     for i in range(len(medium)):
@@ -115,6 +122,38 @@ def test_frames_that_were_not_learnt_from_are_told_with_what_they_cost() -> None
     energy = sum(float((medium[i].forces_n.astype(float) ** 2).sum()) for i in odd)
     caught = sum(float((learnt.coefficients(i)[:, : found.modes] ** 2).sum()) for i in odd)
     assert found.nmse_db == pytest.approx(10 * np.log10(1 - caught / energy), abs=1e-3)
+    assert held_out(medium[:28], "global", -300.0).modes == 7  # a quarter of the frames, where no number would do
+
+
+def patchwork() -> tf.HapticMedium:
+    """Eight bricks in each of 20 frames, each of six patterns of falling size."""
+    frames = 20
+    rng = np.random.default_rng(2)
+    bricks = (rng.normal(size=(frames * 8, 6)) ** 3 * 0.5 ** np.arange(6)) @ rng.normal(size=(6, 1536))
+    dense = bricks.reshape(frames, 2, 2, 2, 8, 8, 8, 3).transpose(0, 1, 4, 2, 5, 3, 6, 7)
+    grid = tf.Grid((16,) * 3, (STEP_M,) * 3, (0.0,) * 3)
+    return tf.HapticMedium.from_array(dense.reshape(frames, *grid.shape, 3).astype(np.float32), grid)
+
+
+def test_of_bricks_the_greatest_coefficients_are_kept_with_their_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    medium, odd = patchwork(), range(1, 20, 2)
+    learnt, asked = reduced(medium, "bricks", 8, step=2), []
+    monkeypatch.setattr(snapshots, "reduced", lambda *given, step: asked.append((*given[1:], step)) or learnt)
+    found, every = (held_out(medium, "bricks", decibels) for decibels in (-10.0, -300.0))
+    assert asked == [("bricks", 8, 2)] * 2  # a mode for twenty bricks at most
+    energy = error = kept = 0.0
+    for i in odd:
+        rows = learnt.coefficients(i)
+        rows[np.abs(rows) < found.least_n * (1 - 1e-9)] = 0.0
+        kept += np.count_nonzero(rows)
+        own = medium[i].forces_n.reshape(8, -1).astype(float)
+        energy, error = energy + (own**2).sum(), error + ((own - learnt.modes.rebuild(rows)) ** 2).sum()
+    assert found.nmse_db == pytest.approx(10 * np.log10(error / energy), abs=1e-3) and found.nmse_db <= -10.0
+    assert found.modes == 6 and found.numbers == pytest.approx(kept / 80)
+    place_bits = 6 * binary_entropy_bits(found.numbers / 6)
+    assert found.share_of_coefficients == pytest.approx((found.numbers + place_bits / 32) / 1536)
+    assert found.share == pytest.approx(found.share_of_coefficients + 6 / 160)
+    assert every.modes == every.numbers == 6 and every.share_of_coefficients == pytest.approx(6 / 1536)
 
 
 def test_degrees_of_freedom_are_those_that_were_put_in() -> None:
@@ -125,6 +164,8 @@ def test_degrees_of_freedom_are_those_that_were_put_in() -> None:
     told = freedom(reduced(medium, "global"), 0.05)
     assert 1.98 < told.effective < 2.0 and told.modes == 2
     assert told.bits == pytest.approx(1.0, abs=1e-9)  # heads or tails
+    held = sum(field.support_count for field in medium)
+    assert told.step_n == pytest.approx(0.05 * np.sqrt(12 * held / (32 * 2)))
 
 
 # -- what no hand reaches ------------------------------------------------------------------------------------------
@@ -177,6 +218,22 @@ def test_a_hand_that_is_stronger_than_the_field_reaches_all() -> None:
     assert reach_of(medium, Hand(1.0, 0.1, 5.0)).samples.all()
     shallow = np.where(floor()[0].to_dense()[..., 2:] > 6, 0, floor()[0].to_dense())  # a skin, and nothing behind
     assert reach_of(tf.HapticMedium.from_array(shallow, GRID), HAND).samples.all()
+    flat, full = floor()[0].to_dense()[None, :, :1], np.full((1, *GRID.shape, 3), 4.0)
+    for forces in (flat, full):  # of one sample along y; and no place to begin at
+        grid = tf.Grid(forces.shape[1:4], GRID.spacing_m, GRID.origin_m)
+        assert reach_of(tf.HapticMedium.from_array(forces, grid), HAND).samples.all()
+
+
+def test_the_strongest_frame_counts_and_frames_that_do_not_fit_together_are_looked_at_in_turn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    own = floor(3, 0.003)
+    deep = np.pad(own[1].to_dense()[:, :, 6:], [(0, 0), (0, 0), (0, 6), (0, 0)])  # the floor of a frame is lower
+    medium = tf.HapticMedium.from_frames([own[0].scaled(0.9), tf.ForceField.from_dense(GRID, deep), own[2]], 60.0)
+    whole = reach_of(medium, HAND)
+    assert whole.stopped_n == pytest.approx(0.4 * 8) and not whole.samples.all()
+    monkeypatch.setattr(reach, "_FRAMES_BYTES", 1)
+    np.testing.assert_array_equal(reach_of(medium, HAND).samples, whole.samples)
 
 
 def test_a_faster_hand_reaches_farther_and_more_friction_stops_no_less() -> None:
@@ -193,6 +250,7 @@ def test_a_layer_turns_a_hand_by_the_rule_at_the_head_of_the_module(hand: Hand) 
         double_energy = hand.mass_kg * hand.speed_m_s**2
         least = hand.push_n + double_energy / layer.start_m + double_energy / (2 * (layer.depth_m - layer.start_m))
         assert least <= layer.need_n <= 2 * least
+    assert len(_layers(floor(), Hand(0.4 * 8.0 / 1.05, 0.01, 0.01), 8.0)) == 1  # nothing to spare in the weaker one
 
 
 # -- the command ---------------------------------------------------------------------------------------------------
@@ -232,4 +290,5 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     empty = tmp_path / "empty.npz"
     tf.write_field(empty, tf.HapticMedium.from_array(np.zeros((2, *GRID.shape, 3)), GRID))
     assert _exit_code(["reduce", str(empty)]) in (1, 2)
+    assert "no frame with a force" in capsys.readouterr().err
     assert reduce_medium(field, spec=ReductionSpec(rank=1)).shown["rank"] == 1

@@ -219,3 +219,9 @@ def test_fields_that_cannot_be_resampled() -> None:
         resample(field, Grid.over_box((0, 0, 0), (1, 1, 1), (1 << 14,) * 3))
     with pytest.raises(InvalidArgument, match="coarser source"):
         axis_weights((8, 0.1, 0.0), (8, 0.1, 0.0), low_pass("spline"), 1e-9)
+    with pytest.raises(InvalidArgument, match="to each of 8388608"):
+        axis_weights((8, 0.1, 0.0), (1 << 23, 0.1, 0.0), low_pass("spline"), 5.0)
+    flat = Grid((8, 8, 1), (0.1, 0.1, 0.1), (0.0, 0.0, 0.0))
+    assert resample(random_field(flat, 1, 1.0), flat).support_count > 0
+    beside = Grid((8, 8, 1), (0.1, 0.1, 0.1), (0.0, 0.0, 1.0))
+    assert resample(random_field(flat, 1, 1.0), beside).support_count == 0

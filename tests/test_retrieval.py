@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +20,8 @@ from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.filters.smoothing import GaussianFilter
-from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, PARTS, Descriptor, descriptor
+from touchfield.measure import retrieval
+from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, DESCRIPTOR_VERSION, PARTS, Descriptor, descriptor
 from touchfield.measure.retrieval import (
     ANY_POSE,
     MediumIndex,
@@ -63,6 +66,16 @@ def test_the_same_descriptor_is_at_0_and_the_first_of_equals_comes_first() -> No
     assert [(m.name, m.distance) for m in found] == [("m2", 0.0), ("twin", 0.0)]
 
 
+def test_media_are_looked_at_in_turn_and_so_many_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    entries = drawn(8, 5)
+    whole = index_of(entries).query(entries["m3"])
+    monkeypatch.setattr(retrieval, "_BLOCK", 2)
+    assert index_of(entries).query(entries["m3"]) == whole
+    monkeypatch.setattr(retrieval, "MOST_MEDIA", 4)
+    with pytest.raises(InvalidArgument, match="4 media; expected fewer than 4"):
+        index_of(entries)
+
+
 def test_what_is_added_later_is_found() -> None:
     entries = drawn(4, 3)
     index = index_of({"m0": entries["m0"]})
@@ -78,7 +91,8 @@ def test_refusals() -> None:
     with pytest.raises(InvalidArgument, match="no medium"):
         index.query(entry)
     index.add("a", entry)
-    for name in ("a", "", "x" * 2000):
+    index.add("x" * 1000, entry)
+    for name in ("a", "", "x" * 1001):
         with pytest.raises(InvalidArgument, match="name"):
             index.add(name, entry)
     with pytest.raises(InvalidArgument, match="medium of the index"):
@@ -128,17 +142,36 @@ def test_a_damaged_file_is_one_error_or_does_not_matter(
 
 
 def test_other_archives_are_told_apart(tmp_path: Path) -> None:
-    head = np.frombuffer(b'{"format": "touchfield medium index", "names": []}', np.uint8)
-    wrong = {
-        "no head": {"values": np.zeros((0, DESCRIPTOR_LENGTH))},
-        "a short head": {"head": head, "values": np.zeros((0, DESCRIPTOR_LENGTH))},
-        "numbers for a head": {"head": np.zeros(4)},
-    }
-    for name, arrays in wrong.items():
+    own = {
+        "format": "touchfield medium index", "descriptor_version": DESCRIPTOR_VERSION, "parts": dict(PARTS),
+        "names": ["a"],
+    }  # fmt: skip
+    one = np.zeros((1, DESCRIPTOR_LENGTH))
+
+    def written(values: Any = one, **changes: Any) -> Path:
+        head = np.frombuffer(json.dumps(own | changes).encode(), np.uint8)
+        np.savez(tmp_path / "x.npz", head=head, values=values)
+        return tmp_path / "x.npz"
+
+    assert MediumIndex.load(written()).names == ("a",)
+    wrong: list[tuple[str, Any, dict[str, Any]]] = [
+        ("head: found 'a table'", one, {"format": "a table"}),
+        ("expected 'touchfield medium index'", one, {"names": "a"}),
+        ("descriptors of version 0 of", one, {"descriptor_version": 0}),
+        ("'amplitude': 20", one, {"parts": {**PARTS, "amplitude": 20, "change": 2}}),
+        (r"values: found float32 \[1, 83\]", one.astype(np.float32), {}),
+        (r"values: found float64 \[1, 82\]; expected float64 \[1, 83\]", one[:, 1:], {}),
+        (r"x\.npz, name: found 'a'", np.zeros((2, DESCRIPTOR_LENGTH)), {"names": ["a", "a"]}),
+        (r"x\.npz, descriptor: found a number below 0", one - 1, {}),
+    ]
+    for told, values, changes in wrong:
+        with pytest.raises(SourceError, match=told):
+            MediumIndex.load(written(values, **changes))
+    short = np.frombuffer(b'{"format": "touchfield medium index", "names": []}', np.uint8)
+    for arrays in ({"values": one}, {"head": short, "values": one}, {"head": np.zeros(4)}):
         np.savez(tmp_path / "x.npz", **arrays)
         with pytest.raises(SourceError):
             MediumIndex.load(tmp_path / "x.npz")
-        assert name
     with pytest.raises(SourceError, match=r"absent\.npz: found no such file"):
         MediumIndex.load(tmp_path / "absent.npz")
 

@@ -116,6 +116,13 @@ def test_surfaces_are_what_a_flood_fill_finds(seed: int, step: float, noise: flo
     assert ((labels == 0) == (depth == 0)).all()
 
 
+@pytest.mark.parametrize(("step", "noise"), [(0.25, 0.0), (0.0, 0.2)])
+def test_a_step_of_just_so_much_is_within_a_surface(step: float, noise: float) -> None:
+    depth = np.float32([[1.0, 1.25]])
+    assert surfaces(depth, step, noise)[1] == surfaces(depth.T, step, noise)[1] == 1
+    assert surfaces(np.float32([[1.0, 1.2501]]), step, noise)[1] == 2
+
+
 def test_noise_of_the_sensor_does_not_tear_a_far_wall() -> None:
     far = np.where(np.arange(WIDTH) % 2 == 0, 8.0, 8.4) + np.zeros((HEIGHT, 1))  # 1/8 - 1/8.4 is 0.006
     assert surfaces(far.astype(np.float32), 0.03, STEP_PER_M)[1] == WIDTH

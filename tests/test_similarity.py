@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -183,6 +184,14 @@ def test_packed_bytes_are_of_the_symbols_and_not_of_their_storage(seed: int, k: 
     assert packed(Frames(sparse, "a")) != packed(Frames(field(other, SMALL, k), "b"))
 
 
-def test_too_many_symbols_to_pack_are_refused() -> None:
+def test_too_many_symbols_to_pack_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = field(np.ones(SMALL.shape, np.int64))
+    size = len(packed(Frames(one, "a")))
+    assert len(packed(Frames(one, "a"), size)) == size
     with pytest.raises(InvalidArgument, match="fewer frames"):
-        packed(Frames(noise(7), "a"), 1000)
+        packed(Frames(one, "a"), size - 1)
+    monkeypatch.setattr(sys.modules[similarity.__module__], "MOST_BYTES", 2 * size)  # of both together
+    assert compression_distance(one, one).samples == 2 * SMALL.voxel_count
+    monkeypatch.setattr(sys.modules[similarity.__module__], "MOST_BYTES", 2 * size - 1)
+    with pytest.raises(InvalidArgument, match="fewer frames"):
+        compression_distance(one, one)

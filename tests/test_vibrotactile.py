@@ -56,6 +56,9 @@ def test_a_crossover_is_of_linear_phase_without_delay_and_6_db_down() -> None:
     low, high = own.split(slow + fast)
     inner = slice(400, -400)
     assert np.abs(low - slow)[inner].max() < 0.003 and np.abs(high - fast)[inner].max() < 0.003
+    short = noise(300).cumsum()
+    longer = own.split(np.pad(short, 400, "edge"))[0]
+    np.testing.assert_allclose(own.split(short)[0], longer[400:-400], atol=1e-12)
 
 
 # -- DFT321 and spectra --------------------------------------------------------------------------------------------
@@ -104,14 +107,19 @@ def test_a_level_is_that_of_the_band_and_of_no_other() -> None:
     share = np.array(BANDS_HZ) * (10**0.05 - 10**-0.05) / (RATE_HZ / 2)
     assert np.abs(10 * np.log10(white / share)).max() < 0.6
     assert band_rms(noise(2000), 1000.0)[12:].max() == 0  # 501 Hz and above do not fit into 1 kHz
+    at_once = band_rms(np.cos(np.pi * np.arange(4500)), 2000 * 10**0.05)  # the last band ends at half the rate
+    assert at_once[15] == pytest.approx(1.0, rel=1e-3) and at_once[:15].max() < 1e-3
+    assert not band_rms(np.zeros(1000), 2000.0).any()  # half a second does
 
 
 def test_a_handle_is_shaken_by_the_force_as_it_was_recorded() -> None:
     hand, w = vibration_threshold(), 2 * np.pi * 200
     t = np.arange(4000) / 2000
     force = handle_force_n(7 * np.cos(w * t), 2000.0)
-    n_per_m = abs(hand.stiffness_n_per_m - hand.mass_kg * w**2 + 1j * hand.damping_n_s_per_m * w)
-    assert np.sqrt((force**2).mean()) == pytest.approx(7 / np.sqrt(2) / w**2 * n_per_m, rel=1e-9)
+    kg = hand.mass_kg + hand.damping_n_s_per_m / (1j * w) - hand.stiffness_n_per_m / w**2
+    np.testing.assert_allclose(force, (7 * kg * np.exp(1j * w * t)).real, atol=1e-9)
+    slow, felt = (np.abs(handle_force_n(np.cos(2 * np.pi * hz * t), 2000.0)).max() for hz in (28.0, 28.5))
+    assert slow < 1e-9 < felt  # the lowest band begins at 28.2 Hz
 
 
 # -- what must be sent ---------------------------------------------------------------------------------------------
@@ -192,6 +200,7 @@ CALLS = {
     "dft321 shape": (lambda: dft321(np.zeros(5)), r"shape \(5,\); expected \[n, 3\]"),
     "dft321 nan": (lambda: dft321(NAN), "found nan"),
     "dft321 words": (lambda: dft321([["a"] * 3]), "no array of numbers"),  # type: ignore[list-item]
+    "stft without samples": (lambda: Stft(0), "length: found 0"),
     "stft length": (lambda: Stft(6), "length: found 6; expected samples, a multiple of 4"),
     "reduced shape": (lambda: reduced(np.zeros((9, 3)), 2000.0), "dft321 makes one axis of three"),
     "reduced nan": (lambda: reduced(NAN[:, 0], 2000.0), "vibration_n: found nan"),

@@ -9,6 +9,7 @@ from touchfield.cli.main import run
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.job import EncodeSpec, compare, encode, prepare
 from touchfield.medium import HapticMedium, PoseTrack
+from touchfield.perception.hand_motion import margin_of
 from touchfield.sources.analytic_scene import AnalyticScene
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.scene import Body
@@ -33,6 +34,8 @@ def test_the_loudest_slide_is_told(ball):
     loudest = max(found["slides"], key=lambda s: s["error_mn"])
     assert found["hand_vibration_mn"] == loudest["error_mn"]
     assert found["hand_vibration_lattice_mn"] == loudest["lattice_mn"]
+    least = min(margin_of(np.array(s["error_thirds_mn"])) for s in found["slides"])
+    assert (found["threshold_margin_db"], found["threshold_margin_third_hz"]) == least
 
 
 def test_the_lattice_of_a_ball_is_all_that_its_source_vibrates(ball):

@@ -145,7 +145,9 @@ def test_vibration_of_a_file_of_objects_is_read(tmp_path: Path) -> None:
     """None is written by `encode`, but the format has room for it: on the grid of the head."""
     path, scene, asked = tmp_path / "a.touch", moving_scene(3), PaperSpec(segment_frames=3)
     encoder = ObjectsEncoder(scene, asked, F0_N)
-    hums = [VibrationRule().of(field, 1.0) for field in scene.voxelise()]
+    hums = [
+        VibrationRule(low_hz=hz, high_hz=hz).of(field, 1.0) for hz, field in zip((40, 400, 150), scene.voxelise())
+    ]
     with TouchWriter(path) as writer:
         writer.write_head(head_of(scene, encoder, asked), {})
         for one in encoder.objects():
@@ -156,7 +158,9 @@ def test_vibration_of_a_file_of_objects_is_read(tmp_path: Path) -> None:
     for found, expected in zip(frames_of(path), hums, strict=True):
         assert_near(found, expected)
     with job.open_stream(path) as opened:
-        assert opened.summary()["vibration_samples"] == sum(map(len, hums))
+        told = opened.summary()
+        assert told["vibration_samples"] == sum(map(len, hums))
+        assert (told["vibration_lowest_hz"], told["vibration_highest_hz"]) == (40, 400)  # not those of the last frame
     again = job.prepare(path)  # and told where it cannot be kept
     assert again.medium.vibration is None and any("vibration" in note for note in again.notes)
     kept = job.prepare(path, EncodeSpec(representation="voxel"))

@@ -138,7 +138,7 @@ def chao_wang_jost(t: Tally) -> float:
 
     n, once, twice = t.samples, t.seen(1), t.seen(2)
     seen = float((t.times * t.counts * (digamma(n) - digamma(t.counts))).sum()) / n
-    if once == 0 or n == 1:
+    if once == 0:
         return seen
     if twice:
         a = 2 * twice / ((n - 1) * once + 2 * twice)

@@ -156,10 +156,9 @@ def _names(archive: NpzArchive) -> list[str]:
         raise SourceError(where, f"text that cannot be read ({error})", "the head of a medium index") from None
     if kind != _FORMAT or not isinstance(names, list):
         raise SourceError(where, f"{str(kind)[:80]!r}", repr(_FORMAT))
-    if version != DESCRIPTOR_VERSION or parts != dict(PARTS):
-        raise SourceError(
-            where, f"descriptors of version {str(version)[:20]}", f"{DESCRIPTOR_VERSION}", "Describe the media anew."
-        )
+    if (version, parts) != (DESCRIPTOR_VERSION, dict(PARTS)):
+        found = f"descriptors of version {str(version)[:20]} of {str(parts)[:200]}"
+        raise SourceError(where, found, f"{DESCRIPTOR_VERSION} of {dict(PARTS)}", "Describe the media anew.")
     return names
 
 

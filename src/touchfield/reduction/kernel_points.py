@@ -14,7 +14,6 @@ times points chosen, and no matrix of all candidates is made.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final
@@ -146,5 +145,4 @@ def best_kernel(points_m: Float64s, forces_n: Float64s, count: int) -> Kernel:
         chosen = error_points(points, forces, min(count, len(points)), kernel, _PILOT // 2)
         back = CurlFree.through(points[chosen], forces[chosen], kernel.length_m, kernel.noise).forces_n(points)
         tried.append((float(((back - forces) ** 2).sum()), kernel))
-    best = min(tried, key=itemgetter(0))
-    return best[1] if math.isfinite(best[0]) else Kernel(extent, 1.0)
+    return min(tried, key=itemgetter(0))[1]

@@ -105,7 +105,7 @@ def pod(snapshots: ArrayLike, rank: int | None = None) -> Modes:
     squares, left, kept = _decomposed(gram, rank)
     weights = left[:, :kept] / np.sqrt(squares[:kept])
     basis = np.concatenate([given[:, p].astype(np.float64).T @ weights for p in _pieces(given)])
-    for _ in range(2 if kept else 0):  # against those before, as small ones hardly are: Cholesky's QR, twice
+    if kept:  # against those before, as small ones hardly are: Cholesky's QR
         corner = scipy.linalg.cholesky(basis.T @ basis)
         basis = scipy.linalg.solve_triangular(corner, basis.T, trans="T", overwrite_b=True).T
     return Modes(frozen(basis), frozen(np.sqrt(squares[: min(given.shape)])), len(given))

@@ -220,7 +220,7 @@ class _Flood:
             places = cells[left], high[tuple(cells[left].T)], edges, layer.retreat_m, self.beyond
             hold = self.step_m, self.need_n, self.turn_nm, self.medium.friction
             for_chunks(kernels.weak_cells, len(left), *places, part, *hold, found, chunk=256)
-            weak[left[found]] = True
+            weak[left] = found
         nodes = np.zeros(self.began.shape, bool)
         for corner in np.ndindex(2, 2, 2):
             nodes[tuple((cells[weak] + corner).T)] = True
