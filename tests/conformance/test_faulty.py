@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+import shutil
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
-from second import CONFORMANCE, FAULTY, decoder, reading
+from second import CONFORMANCE, FAULTY, GOLDEN, decoder, reading
 
 from touchfield import errors
 from touchfield.job import open_stream
@@ -16,6 +20,16 @@ FOLDER = CONFORMANCE / "faulty"
 
 def test_the_list_is_that_of_the_folder() -> None:
     assert {path.stem for path in FOLDER.glob("*.touch")} == FAULTY.keys()
+
+
+def test_the_files_are_those_that_are_made(tmp_path: Path) -> None:
+    faults: Any = importlib.import_module("make_faulty")
+    for path in FOLDER.glob("older-*"):
+        shutil.copy(path, tmp_path)
+    (tmp_path / "stale.touch").write_bytes(b"")
+    faults.write_faulty(GOLDEN[0].parent, tmp_path)
+    made, stored = ({path.name: path.read_bytes() for path in folder.iterdir()} for folder in (tmp_path, FOLDER))
+    assert made == stored
 
 
 @pytest.mark.parametrize("name", FAULTY)
