@@ -86,8 +86,7 @@ def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], worst: W
     if lattice is not None:
         parts.append(lattice.to_bytes())
     if worst is not None:
-        ratio = min(_RATIOS, math.ceil(worst.ratio * _RATIOS))
-        parts += [struct.pack("<H", ratio), *map(write_varint, (worst.frame, *worst.voxel))]
+        parts += [struct.pack("<H", math.ceil(worst.ratio * _RATIOS)), *map(write_varint, (worst.frame, *worst.voxel))]
     return b"".join([*parts, *(record.to_bytes() for record in records)])
 
 
