@@ -86,7 +86,8 @@ def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], worst: W
     if lattice is not None:
         parts.append(lattice.to_bytes())
     if worst is not None:
-        parts += [struct.pack("<H", math.ceil(worst.ratio * _RATIOS)), *map(write_varint, (worst.frame, *worst.voxel))]
+        ratio = math.ceil(worst.ratio * _RATIOS)
+        parts += [struct.pack("<H", ratio), *map(write_varint, (worst.frame, *worst.voxel))]
     return b"".join([*parts, *(record.to_bytes() for record in records)])
 
 
