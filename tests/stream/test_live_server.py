@@ -68,7 +68,7 @@ def test_segments_of_a_world_that_stands_begin_with_the_same_forces() -> None:
     world = field(5).to_dense() * rng.uniform(0.2, 1, (16, 16, 16, 1)).astype(np.float32)
     near = [world * (1 + rng.normal(0, 3e-4, world.shape).astype(np.float32)) for _ in range(6)]
     made = [ForceField.from_dense(GRID, dense) for dense in (*near, 0.5 * world)]
-    prepared, sender = opened_sender(HapticMedium.from_frames(made, 50.0, HEAD.axes), EncodeSpec())
+    prepared, _ = opened_sender(HapticMedium.from_frames(made, 50.0, HEAD.axes), EncodeSpec())
     now, bodies = [0.0], list[bytes]()
 
     def pause(seconds: float) -> None:
