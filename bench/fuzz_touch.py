@@ -115,7 +115,7 @@ def encoded(name: str, frames: list[ForceField], spec: TouchSpec) -> Good:
     if spec.mode not in ("mask", "mask-direction"):
         return good
     reader = BodyReader(good.body, GRID, exact=False)
-    records = list(reader.records(len(frames)))
+    records = reader.records(len(frames))
     records[-1] = replace(records[-1], exceptions=records[-1].exceptions or bytes([1, 1, 1, 2]) + bytes(12))
     return replace(good, body=write_body(reader.lattice, records, reader.worst))
 
@@ -183,7 +183,7 @@ def case_of(pool: list[Good], seed: int, number: int) -> Good:
             body = damaged(body, rng, others)
     else:
         reader = BodyReader(body, grid, exact=good.name.startswith("lossless"))
-        records = list(reader.records(frames))
+        records = reader.records(frames)
         at = int(rng.integers(len(records)))
         records[at] = damaged_record(records[at], rng, others)
         lattice = reader.lattice

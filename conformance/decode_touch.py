@@ -45,17 +45,18 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
         c.number("H")
         worst = [c.varint(n) for n in (1 << 16, *shape)]
         need(worst[0] < frame_count, "a worst frame behind the last")
-    known: Any = None
-    memory, previous = Memory(Models(), {}), Units([], {})
+    frames = []
     for i in range(frame_count):
         how, support, amplitude = c.numbers("3B")
         need(how <= (1 if exact else 7) and support + amplitude <= 255, "the first bytes of a frame")
-        inter = how & 1
-        need(i or not inter, "a first frame that needs the one before")
-        guess = c.chunk() if how & 2 else None
-        payload = c.chunk()
-        apart = c.chunk() if how & 4 else None
-        need(guess != b"" and apart != b"", "an empty chunk")
+        need(i or not how & 1, "a first frame that needs the one before")
+        chunks = [c.chunk() if is_there else None for is_there in (how & 2, True, how & 4)]
+        need(chunks[0] != b"" and chunks[2] != b"", "an empty chunk")
+        frames.append((how & 1, *chunks))
+    c.end()
+    known: Any = None
+    memory, previous = Memory(Models(), {}), Units([], {})
+    for inter, guess, payload, apart in frames:
         if lattice is None:
             known = exact_mode.decode_exact(payload, shape, known if inter else None)
             yield in_bricks(known.forces)
@@ -69,7 +70,6 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
         made = {at: v.astype(np.float32) * np.float32(lattice.unit_n) for at, v in previous.vectors.items()}
         put_apart(made, apart or b"", shape)
         yield in_bricks(made)
-    c.end()
 
 
 def read_lattice(c: Cursor) -> Lattice:

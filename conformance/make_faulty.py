@@ -60,9 +60,9 @@ def assembled(records: list[Record], late: Record | None = None, shift: int = 0)
 
 
 def with_body(data: bytes, tag: bytes, change: Callable[[bytes], bytes]) -> bytes:
-    """A file of which the last body of a tag is another."""
+    """A file of which the first body of a tag is another: decoders that are slow meet the fault at once."""
     records = records_of(data)
-    at = max(i for i, record in enumerate(records) if record.tag == tag)
+    at = next(i for i, record in enumerate(records) if record.tag == tag)
     payload = records[at].payload
     records[at] = records[at]._replace(payload=payload[:6] + change(payload[6:]))
     return assembled(records)
@@ -117,7 +117,7 @@ def refusal(path: Path) -> str:
             for i, frame in enumerate(opened.medium):
                 assert frame.grid == opened.grid
                 if opened.medium.vibration is not None:
-                    opened.medium.vibration[i]
+                    opened.medium.vibration(i)
     except TouchfieldError as error:
         return type(error).__name__
     return ""

@@ -128,6 +128,13 @@ def test_a_log_is_a_trajectory(stream: Path, tmp_path: Path, capsys: Capture) ->
         np.testing.assert_allclose(two[name][: count - 1], one[name][: count - 1], atol=1e-6)
 
 
+@pytest.mark.parametrize("option", ["--log", "--plot"])
+def test_a_result_is_never_written_over_the_stream(stream: Path, capsys: Capture, option: str) -> None:
+    before = stream.read_bytes()
+    assert _exit_code(["play", str(stream), "--offline", "--seconds", "0.1", option, str(stream)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1 and stream.read_bytes() == before
+
+
 def test_the_clutch_is_millimetres_of_the_field(stream: Path, tmp_path: Path, capsys: Capture) -> None:
     places, log, path = [], tmp_path / "log.csv", tmp_path / "still.csv"
     path.write_text("t_s,x_m,y_m,z_m\n0,0.001,0.002,0.003\n0.05,0.001,0.002,0.003\n")

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import importlib
+import io
+import shutil
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
-from second import CONFORMANCE, FAULTY, decoder, reading
+from second import CONFORMANCE, FAULTY, GOLDEN, decoder, reading
 
 from touchfield import errors
+from touchfield.container import TouchReader
 from touchfield.job import open_stream
+from touchfield.stream.opened import opened
 
 FOLDER = CONFORMANCE / "faulty"
 
@@ -18,14 +25,25 @@ def test_the_list_is_that_of_the_folder() -> None:
     assert {path.stem for path in FOLDER.glob("*.touch")} == FAULTY.keys()
 
 
+def test_the_files_are_those_that_are_made(tmp_path: Path) -> None:
+    faults: Any = importlib.import_module("make_faulty")
+    for path in FOLDER.glob("older-*"):
+        shutil.copy(path, tmp_path)
+    (tmp_path / "stale.touch").write_bytes(b"")
+    faults.write_faulty(GOLDEN[0].parent, tmp_path)
+    made, stored = ({path.name: path.read_bytes() for path in folder.iterdir()} for folder in (tmp_path, FOLDER))
+    made["touch-lossless-flipped.touch"] = stored["touch-lossless-flipped.touch"]  # refused alike by three
+    assert made == stored
+
+
 @pytest.mark.parametrize("name", FAULTY)
 def test_ours(name: str) -> None:
     kind = getattr(errors, FAULTY[name])
-    with pytest.raises(kind) as caught, open_stream(FOLDER / f"{name}.touch") as opened:  # noqa: PT012
-        for i, frame in enumerate(opened.medium):
+    with pytest.raises(kind) as caught, open_stream(FOLDER / f"{name}.touch") as stream:  # noqa: PT012
+        for i, frame in enumerate(stream.medium):
             frame.to_dense()
-            if opened.medium.vibration is not None:
-                opened.medium.vibration(i)
+            if stream.medium.vibration is not None:
+                stream.medium.vibration(i)
     assert type(caught.value) is kind and "\n" not in str(caught.value)
 
 
@@ -34,6 +52,29 @@ def test_second(name: str) -> None:
     with pytest.raises(reading.FaultyFile) as caught:
         decoder.decode(FOLDER / f"{name}.touch")
     assert type(caught.value).__name__ == FAULTY[name], str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("tag", "back", "code", "value"),
+    [
+        ("HEAD", 20, "I", 2), ("HEAD", 20, "I", 4), ("HEAD", 16, "d", -1.0), ("HEAD", 16, "d", float("nan")),
+        ("HEAD", 8, "d", -1e-9), ("HEAD", 8, "d", float("inf")),
+        ("OBJT", 0, "b", -41), ("OBJT", 0, "b", 1), ("OBJT", -1, "b", -31), ("OBJT", -1, "b", -1),
+        ("OBJT", -2, "b", 0),
+    ],
+)  # fmt: skip
+def test_both_refuse_bounds_of_objects(tag: str, back: int, code: str, value: float) -> None:
+    """A number of HEAD's parameters, or of the steps of a body that deforms, is out of bounds; or it has a field."""
+    faults: Any = importlib.import_module("make_faulty")
+    records = faults.records_of((CONFORMANCE / "v1" / "objects-deforming.touch").read_bytes())
+    at = max(i for i, record in enumerate(records) if record.tag == tag.encode())
+    place = len(records[at].payload) - (back if tag == "HEAD" else 2 + back)
+    records[at] = records[at].changed(place, code, value)
+    data = faults.assembled(records)
+    with pytest.raises(errors.CorruptFile), TouchReader(io.BytesIO(data)) as reader:
+        next(iter(opened(reader).medium))
+    with pytest.raises(reading.CorruptFile):
+        next(decoder.frames_of(decoder.read_file(data)))
 
 
 @pytest.mark.parametrize("name", [name for name in FAULTY if name.startswith("older")])

@@ -370,6 +370,8 @@ def test_the_commands_as_their_user_meets_them(
     volume = sum(float(np.prod(np.subtract(box["high_mm"], box["low_mm"]))) for box in boxes)
     assert volume == pytest.approx(80.0**3)
     assert told(capsys, "partition", stream, "--depth", "1", "--penalty-bits", "1e9")["box_count"] == 1
+    whole = told(capsys, "partition", stream, "--depth", "0")
+    assert whole["box_count"] == 1 and whole["boxes"][0]["lost_bits"] == 0  # type: ignore[index]
     assert _exit_code(["partition", str(stream)]) == 0
     capsys.readouterr()
     for bad in (

@@ -11,6 +11,7 @@ import pytest
 
 from touchfield import job
 from touchfield.errors import InvalidArgument
+from touchfield.filters.resample import low_pass
 from touchfield.job import EncodeSpec
 from touchfield.medium import PoseTrack
 from touchfield.sources.analytic_scene import AnalyticScene
@@ -49,6 +50,22 @@ def test_bodies_in_motion_are_objects_unless_voxels_are_asked_for() -> None:
     assert job.prepare(still, SPEC).scene is None
     asked = job.prepare(still, replace(SPEC, representation="object")).scene
     assert asked is not None and [one.name for one in asked.objects] == ["scene"]
+
+
+def test_a_body_that_turns_has_a_lattice_of_cubes_and_one_that_slides_the_device_s() -> None:
+    """Spacings are 3/4 of the device's; around the body is what the low-pass reaches, and two samples."""
+    box, ball = falling().bodies()
+    sliding = replace(box, track=PoseTrack(np.tile([1.0, 0, 0, 0], (FRAMES, 1)), box.track.positions_m))
+    for moving in (box, sliding):
+        prepared = job.prepare(BodyScene((moving, ball), 1000.0), SPEC)
+        assert prepared.scene is not None
+        grid, device_m = prepared.scene.objects[0].medium.grid, np.array(prepared.scene.grid.spacing_m)
+        usual = 0.75 * (device_m if moving is sliding else np.full(3, device_m.prod() ** (1 / 3)))
+        assert grid.spacing_m == pytest.approx(usual)
+        half_m = prepared.placement.scale * np.array([0.03, 0.02, 0.01])
+        room = (np.abs(np.stack(grid.box_m)) - half_m) / usual - 0.5
+        least = 2 * low_pass("spline").half_width + 2
+        assert (room >= least - 1e-9).all() and (room < least + 1).all()
 
 
 def test_what_cannot_be_represented_so_is_refused(tmp_path: Path) -> None:

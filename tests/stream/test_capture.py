@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 import os
 import shutil
+import socket
 import struct
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 
@@ -18,10 +20,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from live_makers import medium
+from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.job import EncodeSpec
 from touchfield.job.live import LiveSpec, broadcast, opened_sender
 from touchfield.medium import Grid
+from touchfield.medium.npz import write_npz
 from touchfield.sources import capture
 from touchfield.sources.camera import CodedSequence, DepthCode
 from touchfield.sources.capture import CapturedSequence, CaptureEnd, GrowingFolder, PipedPictures, captured
@@ -30,7 +35,7 @@ from touchfield.sources.fused_scene import FusedScene
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.stream import live
-from touchfield.stream.live import LiveSegment, messages, write_message
+from touchfield.stream.live import LiveReceiver, LiveSegment, messages, write_message
 
 OPTIONS = SourceOptions(intrinsics="60,60,31.5,23.5", depth_scale=1000.0, source_rate_hz=50.0, world="causal")
 
@@ -245,3 +250,35 @@ def test_one_process_feels_what_another_sends_through_a_pipe() -> None:
     out, told = hand.communicate(timeout=120)
     assert sender.wait(60) == 0 and "frames_used" in out and "the sender has ended the stream" in out, told
     assert hand.returncode == ("this has failed" in out)  # a busy machine, whose frames come too late, is told
+
+
+def test_a_pipe_gets_the_opening_the_segments_and_the_end(
+    tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_npz(tmp_path / "m.npz", medium()[:10])
+    out = io.TextIOWrapper(io.BytesIO())
+    monkeypatch.setattr(sys, "stdout", out)
+    assert _exit_code(["live", str(tmp_path / "m.npz"), "-", "--segment-s", "0.1", "--nw", "4"]) == 0
+    receiver, events = LiveReceiver(), list[live.Event]()
+    for message in messages(io.BytesIO(out.buffer.getvalue()), "-"):  # type: ignore[attr-defined]
+        events += receiver.receive(message)
+    told = [type(event).__name__ for event in events]
+    assert told[0] == "Opened" and told[-1] == "Ended" and 1 <= told.count("LiveSegment") <= 2
+    assert b"10 frames" in capfdbinary.readouterr().err
+
+
+def test_datagrams_go_out_beside_the_server(tmp_path: Path) -> None:
+    write_npz(tmp_path / "m.npz", medium()[:10])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.setblocking(False)
+        to = f"127.0.0.1:{receiver.getsockname()[1]}"
+        words = ["live", str(tmp_path / "m.npz"), "--port", "0", "--udp", to, "--segment-s", "0.1", "--nw", "4"]
+        assert _exit_code(words) == 0
+        sizes = dict[int, int]()  # of messages, by their numbers
+        with suppress(BlockingIOError):
+            while True:
+                number, size = struct.unpack_from("<II", receiver.recv(1 << 16), 6)
+                sizes[number] = size
+    opening, *segments, end = (sizes[number] for number in range(len(sizes)))
+    assert opening > 600 and 1 <= len(segments) <= 2 and min(segments) > 100 and end == 1

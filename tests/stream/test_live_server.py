@@ -20,6 +20,7 @@ import pytest
 
 from live_makers import GRID, HEAD, field, medium, segment, sender_of
 from touchfield.cli.main import _exit_code
+from touchfield.codec.touch.body import BodyReader
 from touchfield.container import TouchReader
 from touchfield.errors import FormatError, InvalidArgument, SourceError, reason
 from touchfield.job import EncodeSpec, encode
@@ -62,6 +63,30 @@ def test_frames_go_on_the_air_in_time() -> None:
     assert sent.frames + sent.left_out == 150 and sent.segments == len(took) >= 3
     assert all(one.first_frame % 5 == 0 for _, one in took)
     assert all(at - one.stop / 50 >= -1e-9 for at, one in took)  # nothing before its time
+
+
+def test_segments_of_a_world_that_stands_begin_with_the_same_forces() -> None:
+    rng = np.random.default_rng(1)
+    world = field(5).to_dense() * rng.uniform(0.2, 1, (16, 16, 16, 1)).astype(np.float32)
+    near = [world * (1 + rng.normal(0, 3e-4, world.shape).astype(np.float32)) for _ in range(6)]
+    made = [ForceField.from_dense(GRID, dense) for dense in (*near, 0.5 * world)]
+    prepared, _ = opened_sender(HapticMedium.from_frames(made, 50.0, HEAD.axes), EncodeSpec())
+    now, bodies = [0.0], list[bytes]()
+
+    def pause(seconds: float) -> None:
+        for _ in range(1000):  # for the coder's thread, of which nothing is to be left out
+            if len(bodies) >= int(now[0] * 50 + 0.5) // 2:
+                break
+            time.sleep(0.005)
+        now[0] += seconds
+
+    def send(one: LiveSegment) -> None:
+        bodies.append(one.body)
+
+    broadcast(prepared, send, LiveSpec(0.04), clock_s=lambda: now[0], pause=pause)
+    readers = [BodyReader(body, prepared.medium.grid, exact=False) for body in bodies]
+    firsts = [reader.records(count)[0].payload for reader, count in zip(readers, (2, 2, 2, 1), strict=True)]
+    assert firsts[0] == firsts[1] == firsts[2] != firsts[3]
 
 
 def test_an_interrupt_ends_a_broadcast_in_order() -> None:

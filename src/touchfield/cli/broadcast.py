@@ -82,7 +82,7 @@ def live(
         write_message(pipe, sender.opening)
         sent = broadcast(prepared, lambda segment: write_message(pipe, sender.add(segment)), spec, say)
         write_message(pipe, END)
-        say(", ".join(f"{round(value, 4):,} {name}" for name, value in sent.summary().items()))
+        say(", ".join(f"{value:,} {name}" for name, value in sent.summary().items()))
         return None
     layer = coarse_layer(source, prepared) if coarse else None
     under = layer[1] if layer else None

@@ -22,14 +22,14 @@ from typing import Any, Final, NamedTuple
 
 from touchfield._version import __version__
 from touchfield.codec.objects.encoder import ObjectsEncoder
-from touchfield.codec.registry import AnchoringEncoder, FieldEncoder, coder, field_encoder
+from touchfield.codec.registry import AnchoringEncoder, FieldEncoder, field_encoder
 from touchfield.codec.vibration import encode_vibration
 from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
 from touchfield.job.executors import in_order
 from touchfield.job.prepare import Prepared, prepare
 from touchfield.job.spec import EncodeSpec
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.medium import VibrationFrame
 from touchfield.parallel import Report
 
@@ -310,21 +310,15 @@ class _Parts:
                 pass
 
     def read(self, stretch: Stretch) -> Iterator[Coded]:
-        """The segments of a part, whose checksums and promises hold; CorruptFile if one does not."""
-        (path, head, story), kind = self.part(stretch), coder(self._head.coder)
-        grid = Grid(self._head.grid_shape, self._head.spacing_m, self._head.origin_m)
+        """The segments of a part, whose checksums hold; CorruptFile if one does not."""
+        path, head, story = self.part(stretch)
         with TouchReader(path) as reader:
             if reader.head != head or not story.items() <= reader.provenance.items():
                 raise CorruptFile(str(path), "another part, or one of another job", "this one", "Delete it.")
-            decoder = kind.decoder_class(grid, reader.head.coder_parameters, str(path))
             sums = [int(reader.provenance[name]) for name in _SUMS]
             for i, entry in enumerate(reader.segments):
-                body = reader.read_segment(i)
-                worst = decoder.worst(body) if kind.has_promise else None
-                if worst is not None and worst.ratio > 1:
-                    found = f"a promise that is broken ({worst.ratio:g})"
-                    raise CorruptFile(f"{path} segment {i}", found, "at most 1")
-                yield Coded(body, reader.read_vibration(i), entry.frame_count, *(sums if i == 0 else ()))
+                counts = sums if i == 0 else ()
+                yield Coded(reader.read_segment(i), reader.read_vibration(i), entry.frame_count, *counts)
 
     def join(self, out: Path, every: list[Stretch], provenance: Mapping[str, str]) -> list[int]:
         """All parts as one file; of all of them the `_SUMS`."""

@@ -14,10 +14,13 @@ import numpy as np
 import pytest
 
 from object_makers import F0_N, head_of, moving_scene, tumbling
-from touchfield.codec.objects.decoder import PoseSteps, decode_poses
+from touchfield.codec.kernels import code_numbers, end_of, fresh, writer
+from touchfield.codec.objects.decoder import MODELS, PoseSteps, decode_poses
 from touchfield.codec.objects.encoder import ObjectsEncoder, encode_poses
 from touchfield.codec.paper.spec import PaperSpec
+from touchfield.codec.support import padded
 from touchfield.container import TouchReader, TouchWriter
+from touchfield.errors import CorruptFile
 from touchfield.medium import PoseTrack
 from touchfield.stream.objects import SceneStream, write_objects
 
@@ -103,3 +106,14 @@ def test_faulty_poses_are_refused(second: Any) -> None:
     for wrong, one in ((data + bytes(8), 512), (data[:-8], 512), (b"", 512), (data, 256)):
         with pytest.raises(ValueError, match=r"predictor|quaternion|limit|end|behind"):
             second.pose_numbers(wrong, 9, one)
+    for order, turn, words in ((4, 512, "predictor"), (0, 500, "not unit"), (0, 600, "limit"), (0, 512, "")):
+        bits = writer(400, fresh(*MODELS))
+        code_numbers(bits, 0, 0, np.array([order, *[0] * 9, turn, 0, 0, 0], np.int64))
+        crafted = padded(end_of(bits), 0)
+        if words:
+            with pytest.raises(ValueError, match=words):
+                second.pose_numbers(crafted, 1, 512)
+            with pytest.raises(CorruptFile):
+                decode_poses(crafted, 1, PoseSteps(2.0**-12, 2.0**-9))
+        else:
+            assert second.pose_numbers(crafted, 1, 512).tolist() == [[0, 0, 0, 512, 0, 0, 0]]

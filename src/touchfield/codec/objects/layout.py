@@ -79,7 +79,7 @@ class SegmentParts(NamedTuple):
     def to_bytes(self) -> bytes:
         """The worst voxel, its ratio rounded up to 1/65535, and each object's chunks."""
         ratio, frame, voxel = self.worst or (0.0, 0, (0, 0, 0))
-        numbers = [1 + min(math.ceil(ratio * _RATIOS), _RATIOS), frame, *voxel] if self.worst else [0]
+        numbers = [1 + math.ceil(ratio * _RATIOS), frame, *voxel] if self.worst else [0]
         chunks = [chunk(data) for part in self.objects for data in part if data is not None]
         return b"".join([*map(write_varint, numbers), *chunks])
 

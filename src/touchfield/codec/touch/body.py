@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -86,7 +86,7 @@ def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], worst: W
     if lattice is not None:
         parts.append(lattice.to_bytes())
     if worst is not None:
-        ratio = min(_RATIOS, math.ceil(worst.ratio * _RATIOS))
+        ratio = math.ceil(worst.ratio * _RATIOS)
         parts += [struct.pack("<H", ratio), *map(write_varint, (worst.frame, *worst.voxel))]
     return b"".join([*parts, *(record.to_bytes() for record in records)])
 
@@ -107,11 +107,11 @@ class BodyReader:
             x, y, z = (self._parts.varint("worst voxel", n) for n in grid.shape)
             self.worst = Worst(ratio / _RATIOS, frame, (x, y, z))
 
-    def records(self, frame_count: int) -> Iterator[FrameRecord]:
-        """The frames in turn, not decoded; the last one must end the body."""
+    def records(self, frame_count: int) -> list[FrameRecord]:
+        """The frames, not decoded; the last one must end the body."""
         if self.worst is not None and self.worst.frame >= frame_count:
             raise CorruptFile(f"{_WHERE} worst frame", str(self.worst.frame), f"below {frame_count}")
-        where = f"{_WHERE} frame"
+        where, told = f"{_WHERE} frame", list[FrameRecord]()
         for i in range(frame_count):
             how, support, amplitude = self._parts.take(3, "frame")
             if how > (_INTER if self._exact else _INTER | _GUESS | _EXCEPTIONS):
@@ -123,8 +123,9 @@ class BodyReader:
             guess = self._parts.chunk("guess", 1) if how & _GUESS else b""
             payload = self._parts.chunk("payload")
             exceptions = self._parts.chunk("exceptions", 1) if how & _EXCEPTIONS else b""
-            yield FrameRecord(bool(how & _INTER), guess, payload, (support, amplitude), exceptions)
+            told.append(FrameRecord(bool(how & _INTER), guess, payload, (support, amplitude), exceptions))
         self._parts.check_end()
+        return told
 
 
 def write_parameters(spec: TouchSpec) -> bytes:
