@@ -123,6 +123,15 @@ def refusal(path: Path) -> str:
     return ""
 
 
+def is_in_order(path: Path) -> bool:
+    """True if the lengths within all bodies hold: decoders tell of one that does not at other times."""
+    try:
+        with open_stream(path) as opened:
+            return bool(opened.summary())
+    except TouchfieldError:
+        return False
+
+
 def write_body_faults(golden: Path, folder: Path) -> Iterator[str]:
     """Damaged bodies of every coder: cut, longer, and with the first flipped bit that cannot go unseen."""
     for name in ("paper-closed-loop", "touch-mask", "touch-lossless", "objects-rigid", "vibration"):
@@ -134,7 +143,7 @@ def write_body_faults(golden: Path, folder: Path) -> Iterator[str]:
         path = folder / f"{name}-flipped.touch"
         for place in range(4000):
             path.write_bytes(with_body(data, tag, lambda body, n=place: flipped(body, n)))  # type: ignore[misc]
-            if refusal(path) == "CorruptFile":
+            if refusal(path) == "CorruptFile" and (tag == b"VIBR" or is_in_order(path)):
                 yield path.stem
                 break
 

@@ -32,7 +32,6 @@ def test_the_files_are_those_that_are_made(tmp_path: Path) -> None:
     (tmp_path / "stale.touch").write_bytes(b"")
     faults.write_faulty(GOLDEN[0].parent, tmp_path)
     made, stored = ({path.name: path.read_bytes() for path in folder.iterdir()} for folder in (tmp_path, FOLDER))
-    made["touch-lossless-flipped.touch"] = stored["touch-lossless-flipped.touch"]  # refused alike by three
     assert made == stored
 
 

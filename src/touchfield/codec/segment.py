@@ -114,4 +114,4 @@ def promise_kept(segments: Iterable[tuple[int, Worst | None]]) -> dict[str, Any]
     if not every:
         return dict.fromkeys(("promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel"))
     ratio, frame, voxel = max(every, key=lambda worst: worst.ratio)
-    return {"promise_kept": True, "worst_mask_ratio": ratio, "worst_frame": frame, "worst_voxel": list(voxel)}
+    return {"promise_kept": ratio <= 1, "worst_mask_ratio": ratio, "worst_frame": frame, "worst_voxel": list(voxel)}
