@@ -111,7 +111,7 @@ class BodyReader:
         """The frames, not decoded; the last one must end the body."""
         if self.worst is not None and self.worst.frame >= frame_count:
             raise CorruptFile(f"{_WHERE} worst frame", str(self.worst.frame), f"below {frame_count}")
-        where, told = f"{_WHERE} frame", list[FrameRecord]()
+        where, records = f"{_WHERE} frame", list[FrameRecord]()
         for i in range(frame_count):
             how, support, amplitude = self._parts.take(3, "frame")
             if how > (_INTER if self._exact else _INTER | _GUESS | _EXCEPTIONS):
@@ -123,9 +123,9 @@ class BodyReader:
             guess = self._parts.chunk("guess", 1) if how & _GUESS else b""
             payload = self._parts.chunk("payload")
             exceptions = self._parts.chunk("exceptions", 1) if how & _EXCEPTIONS else b""
-            told.append(FrameRecord(bool(how & _INTER), guess, payload, (support, amplitude), exceptions))
+            records.append(FrameRecord(bool(how & _INTER), guess, payload, (support, amplitude), exceptions))
         self._parts.check_end()
-        return told
+        return records
 
 
 def write_parameters(spec: TouchSpec) -> bytes:
