@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test bench lint gallery site reproduction golden core web browser-tests clean
+.PHONY: demo test test-all bench lint gallery site reproduction golden core web browser-tests clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -12,9 +12,14 @@ demo: .venv/ready
 HERE := $(wildcard tests/test_*.py) tests/adapters/ tests/integrations/ tests/viewer/
 test: .venv/ready
 	@export OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=; told=$$(mktemp); \
-	$(BIN)/python -m pytest -p no:cacheprovider $(filter-out $(HERE),$(wildcard tests/*/)) > $$told 2>&1 & \
-	beside=$$!; $(BIN)/python -m pytest $(HERE); here=$$?; wait $$beside; there=$$?; cat $$told; rm $$told; \
+	$(BIN)/python -m pytest -m "not thorough" -p no:cacheprovider $(filter-out $(HERE),$(wildcard tests/*/)) > $$told 2>&1 & \
+	beside=$$!; $(BIN)/python -m pytest -m "not thorough" $(HERE); here=$$?; wait $$beside; there=$$?; cat $$told; rm $$told; \
 	test $$here -eq 0 && test $$there -eq 0
+
+# What `make test` leaves out: long searches for faults, and every benchmark with its smallest settings.
+test-all: .venv/ready
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m thorough tests
+	$(BIN)/python bench/run_all.py --quick
 
 bench: .venv/ready
 	$(BIN)/python bench/run_all.py
