@@ -21,13 +21,12 @@ NEW_DEVICE = (ROOT / "docs" / "how-to" / "new-device.md").read_text()
 def test_the_five_lines_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("matplotlib", reason="sample:terrain comes with matplotlib")
     monkeypatch.chdir(tmp_path)
     (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     exec(compile(code, "README.md", "exec"), {})
     said = capsys.readouterr().out
     assert "newtons" in said and "dB" in said
-    assert (tmp_path / "terrain.touch").exists()
+    assert (tmp_path / "shapes.touch").exists()
 
 
 def test_the_page_on_scenes_that_move_runs(
