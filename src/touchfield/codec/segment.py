@@ -100,12 +100,26 @@ class CodedSegment:
     frames: tuple[FrameStats, ...]
 
 
+RATIO_STEPS: Final = 65535
+"""A file states the largest ratio of a segment in whole steps of 1/65535, rounded up."""
+
+
 class Worst(NamedTuple):
     """The voxel of a segment whose error is the largest share of what is allowed, 0 to 1: share, frame and index."""
 
     ratio: float
     frame: int
     voxel: tuple[int, int, int]
+
+    @property
+    def rounded_up(self) -> int:
+        """The ratio in steps of 1 / `RATIO_STEPS`; AssertionError if it proves no bound, as NaN or one above 1.
+
+        It is the guarantee itself and no statistic: to saturate it would state a bound that is not kept.
+        """
+        if not 0.0 <= self.ratio <= 1.0:
+            raise AssertionError(f"a segment whose largest error is {self.ratio!r} of what is allowed")
+        return math.ceil(self.ratio * RATIO_STEPS)
 
 
 def promise_kept(segments: Iterable[tuple[int, Worst | None]]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from touchfield.codec.registry import Coder
-from touchfield.codec.segment import Worst
+from touchfield.codec.segment import RATIO_STEPS, Worst
 from touchfield.codec.varint import Parts, chunk, write_varint
 from touchfield.errors import CorruptFile
 from touchfield.medium import Grid
@@ -21,7 +21,6 @@ MAX_OBJECTS: Final = 4096  # objects of a scene
 MAX_POSES: Final = 1 << 24
 _PARAMETERS: Final = struct.Struct("<Idd")
 _WHERE: Final = "HEAD.coder_parameters"
-_RATIOS: Final = 65535
 _MOST_SAMPLES: Final = 1 << 20
 
 
@@ -78,8 +77,8 @@ class SegmentParts(NamedTuple):
 
     def to_bytes(self) -> bytes:
         """The worst voxel, its ratio rounded up to 1/65535, and each object's chunks."""
-        ratio, frame, voxel = self.worst or (0.0, 0, (0, 0, 0))
-        numbers = [1 + math.ceil(ratio * _RATIOS), frame, *voxel] if self.worst else [0]
+        _, frame, voxel = self.worst or (0.0, 0, (0, 0, 0))
+        numbers = [1 + self.worst.rounded_up, frame, *voxel] if self.worst else [0]
         chunks = [chunk(data) for part in self.objects for data in part if data is not None]
         return b"".join([*map(write_varint, numbers), *chunks])
 
@@ -90,10 +89,10 @@ class SegmentParts(NamedTuple):
         TruncatedFile or CorruptFile if the bytes end too early, or some are left over.
         """
         read, worst = Parts(body), None
-        if ratio := read.varint("worst ratio", _RATIOS + 2):
+        if ratio := read.varint("worst ratio", RATIO_STEPS + 2):
             frame = read.varint("worst frame", 1 << 16)
             x, y, z = (read.varint("worst voxel", _MOST_SAMPLES) for _ in range(3))
-            worst = Worst((ratio - 1) / _RATIOS, frame, (x, y, z))
+            worst = Worst((ratio - 1) / RATIO_STEPS, frame, (x, y, z))
         parts = []
         for i, deforms in enumerate(is_deforming):
             poses = read.chunk(f"poses of object {i}")
