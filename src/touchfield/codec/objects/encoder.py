@@ -137,6 +137,10 @@ PLACE_TOLERANCE_M: Final = 1e-5
 _RIGID_SEGMENT_FRAMES: Final = 2048
 _SHARE_STEP: Final = 0.93
 _LEAST_SHARE: Final = 1 / 64
+# Of bodies with exact samples: half the mask leaves few samples beyond it. Of 0.12 to 1 it takes the fewest bytes, or
+# nearly so, in 14 scenes of solids that pass through each other; with all of the mask, up to 2.4 times as many.
+_SHARE_BESIDE_EXACT: Final = 0.5
+_MAX_SHARE_STEPS: Final = 100
 _LEAST_K: Final = 0.001
 _DAMPING_SHARE: Final = 0.25  # of F_0, for the velocity of a moving surface
 _FINE: Final = 0.001  # of that where nothing but k |F| is allowed, and |F| may be small
@@ -249,6 +253,7 @@ class ObjectsEncoder:
             return coded, [None] * len(self._ranges)
         rule = ComposedRule(self._scene, spec.k, spec.f0_n)
         suspects: set[int] = set()  # frames that were beyond: looked at first
+        amended: set[int] = set()  # bodies with exact samples, which another share would lose
         while True:
             results = [self._found(rule, coded, sorted(suspects))] if suspects else []
             if not results or results[0].beyond == 0:
@@ -260,9 +265,11 @@ class ObjectsEncoder:
                 return coded, [w._replace(frame=max(w.frame - i, 0)) for w, i in zip(worst, starts, strict=True)]
             if self._all_rigid:
                 suspects |= {int(frame) for one in results for frame in one.places[one.ratios > 1, 0]}
-            finer = {i: self._finer(shares[i], ratios[i]) for i in np.flatnonzero(ratios > 1).tolist()}
+            violating = np.flatnonzero(ratios > 1).tolist()
+            finer = {i: None if i in amended else self._finer(shares[i], ratios[i]) for i in violating}
             if not any(finer.values()):
-                coded = self._with_exact_samples(rule, coded)
+                before, coded = coded, self._with_exact_samples(rule, coded)
+                amended |= {i for i, (old, new) in enumerate(zip(before, coded, strict=True)) if new is not old}
             for i, share in finer.items():
                 if share is not None:
                     shares[i] = share
@@ -270,10 +277,14 @@ class ObjectsEncoder:
 
     def _finer(self, share: float, ratio: float) -> float | None:
         """A smaller share of the mask for a body whose error is `ratio` of it; None where no share would do."""
-        if self._spec.mode != "mask" or self._spec.f0_n == 0:
+        if self._spec.mode != "mask":
             return None
-        finer = float(share * _SHARE_STEP ** max(1, int(np.log(ratio) / -np.log(_SHARE_STEP) / 2)))
-        return finer if finer >= _LEAST_SHARE else None
+        is_mendable = self._spec.f0_n > 0 and ratio * _LEAST_SHARE <= 1
+        least = _LEAST_SHARE if is_mendable else _SHARE_BESIDE_EXACT
+        if share <= least:
+            return None
+        steps = max(1, int(min(np.log(ratio) / -np.log(_SHARE_STEP) / 2, _MAX_SHARE_STEPS)))
+        return max(float(share * _SHARE_STEP**steps), least)
 
     def _with_exact_samples(self, rule: ComposedRule, coded: list[_Fields]) -> list[_Fields]:
         """The fields with every sample exact that a voxel beyond the mask lies between.
@@ -302,6 +313,8 @@ class ObjectsEncoder:
                 segment = fields.encoder.with_exact_samples(segment, sources, own)
             segments.append(segment)
             at += count
+        if not any(map(len, wanted)):
+            return fields
         return _fields_of(one, fields.encoder, fields.decoder, segments)
 
     def _violating(
