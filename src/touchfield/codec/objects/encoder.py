@@ -36,7 +36,14 @@ from touchfield.codec.objects.decoder import (
 )
 from touchfield.codec.objects.layout import MAX_OBJECTS, MAX_POSES, CodedObject
 from touchfield.codec.objects.promise import ComposedRule, Found, Moves, Pair, displacement_m, reach_m
-from touchfield.codec.registry import FieldDecoder, FieldEncoder, coder_of_spec, field_decoder, field_encoder
+from touchfield.codec.registry import (
+    AmendingEncoder,
+    FieldDecoder,
+    FieldEncoder,
+    coder_of_spec,
+    field_decoder,
+    field_encoder,
+)
 from touchfield.codec.segment import CodedSegment, Worst, segment_length
 from touchfield.errors import InvalidArgument
 from touchfield.medium import HapticObject, HapticScene, PoseTrack
@@ -196,7 +203,7 @@ class ObjectsEncoder:
     @property
     def is_bounded(self) -> bool:
         """True where every segment states the largest error of the composed field."""
-        return coder_of_spec(self._spec).has_promise and self._spec.mode in ("mask", "lossless")
+        return coder_of_spec(self._spec).has_promise and self._spec.mode in layout.BOUNDED_MODES
 
     @property
     def _damping_limit_n(self) -> float:
@@ -309,6 +316,7 @@ class ObjectsEncoder:
             count = len(segment.frames)
             own = wanted[at : at + count]
             if any(map(len, own)):
+                assert isinstance(fields.encoder, AmendingEncoder)  # or nothing would be guaranteed of it
                 sources = [one.field(i) for i in range(at, at + count)]
                 segment = fields.encoder.with_exact_samples(segment, sources, own)
             segments.append(segment)
@@ -345,7 +353,7 @@ class ObjectsEncoder:
         return total
 
     def _pairs(self, coded: list[_Fields], frames: Sequence[int]) -> Iterator[tuple[list[Pair], Sequence[int]]]:
-        """The fields of all bodies, and frames in which they are these: of a segment, one by one, where one deforms."""
+        """The fields of all bodies, and the frames they serve: one by one, of a segment, where any deforms."""
         pairs = [fields.pair for fields in coded]
         if self._all_rigid:
             yield [pair for pair in pairs if pair], frames

@@ -56,7 +56,9 @@ class Bodies(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """|error| <= max(f0_n, k |F|), f0_n 0 or more; a body's own force up to `floor_n` is none, sums are cut to `limit_n`.
+    """|error| <= max(f0_n, k |F|), of which f0_n may be 0.
+
+    A body's own force up to `floor_n` is none; sums are cut to `limit_n`.
     """
 
     k: float

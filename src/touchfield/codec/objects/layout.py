@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from touchfield.codec.registry import Coder
-from touchfield.codec.segment import RATIO_STEPS, Worst
+from touchfield.codec.segment import RATIO_STEPS, BoundRule, Worst
 from touchfield.codec.varint import Parts, chunk, write_varint
 from touchfield.errors import CorruptFile
 from touchfield.medium import Grid
@@ -99,6 +99,24 @@ class SegmentParts(NamedTuple):
             parts.append(ObjectPart(poses, read.chunk(f"fields of object {i}") if deforms else None))
         read.check_end("object")
         return cls(worst, parts)
+
+
+BOUNDED_MODES: Final = ("mask", "lossless")
+"""Modes of the fields in which the largest error of the composed field is known."""
+
+
+def composed_rule(modes: Iterable[str], masked: BoundRule, parameters: Parameters) -> BoundRule:
+    """What is guaranteed of the composed field, its fields being coded in these modes.
+
+    `masked` is the rule of the mask by the k and F_0 of the file.
+    """
+    every = set(modes)
+    for mode in sorted(every - set(BOUNDED_MODES)):
+        mend = "take --mode mask or --representation voxel"
+        return BoundRule(None, f"mode {mode} bounds no force that several bodies have together; {mend}")
+    exact = every == {"lossless"} and not parameters.surface_damping_n_s_per_m
+    own = "every force of every body bit for bit" if exact else masked.text
+    return BoundRule(f"{own}, with every body within {1e6 * parameters.place_tolerance_m:g} um of its place")
 
 
 _PLACE = "touchfield.codec.objects"

@@ -149,7 +149,8 @@ class TouchEncoder:
         worst = Worst(min(results[frame].worst, 1.0), frame, results[frame].voxel)
         costs = (record.cost for record in records)
         stats = (FrameStats(c.kind, c.bits, f.decoded, f.decoded) for c, f in zip(costs, results, strict=True))
-        return CodedSegment(write_body(lattice, records, None if self._spec.mode == "nmse" else worst), tuple(stats))
+        known = None if self._spec.mode == "nmse" else worst
+        return CodedSegment(write_body(lattice, records, known), tuple(stats), known)
 
 
 _Shares = tuple[float, float, float]
