@@ -112,7 +112,7 @@ def composed_rule(modes: Iterable[str], masked: BoundRule, parameters: Parameter
     """
     every = set(modes)
     for mode in sorted(every - set(BOUNDED_MODES)):
-        mend = "take --mode mask or --representation voxel"
+        mend = "take --mode mask" + (" or --representation voxel" if mode != "nmse" else "")
         return BoundRule(None, f"mode {mode} bounds no force that several bodies have together; {mend}")
     exact = every == {"lossless"} and not parameters.surface_damping_n_s_per_m
     own = "every force of every body bit for bit" if exact else masked.text
