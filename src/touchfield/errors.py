@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import copyreg
 import math
+import warnings
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
@@ -94,6 +95,16 @@ class CorruptFile(FormatError):
 
 class UnsupportedVersion(FormatError):
     """The file is of another version of the format, or needs a part that this one has not."""
+
+
+class UnboundedError(UserWarning):
+    """Warning of a file or an array whose error no bound is proved of."""
+
+
+def warn_unbounded(note: str | None) -> None:
+    """Warn with `UnboundedError` if there is a note on a bound that is not proved."""
+    if note:
+        warnings.warn(note, UnboundedError, stacklevel=3)
 
 
 def import_extra(module: str, purpose: str, library: str, extra: str) -> Any:

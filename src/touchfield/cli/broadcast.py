@@ -82,7 +82,10 @@ def live(
         write_message(pipe, sender.opening)
         sent = broadcast(prepared, lambda segment: write_message(pipe, sender.add(segment)), spec, say)
         write_message(pipe, END)
-        say(", ".join(f"{value:,} {name}" for name, value in sent.summary().items()))
+        say(_counts(sent.summary()))
+        bound = sent.error_bound(prepared)
+        if bound["error_bound"]:
+            say(f"error bound: {bound['error_bound']}; largest error {sent.worst_mask_ratio:.3f} of it")
         return None
     layer = coarse_layer(source, prepared) if coarse else None
     under = layer[1] if layer else None
@@ -104,8 +107,13 @@ def live(
             sent = broadcast(prepared, send, spec, say, coarse=also, ready=tell_addresses)
         finally:
             server.end()
-    sums = {**sent.summary(), "most_receivers": server.most_receivers, "skipped": server.skipped, "left": server.left}
+    counts = {**sent.summary(), **sent.error_bound(prepared)}
+    sums = {**counts, "most_receivers": server.most_receivers, "skipped": server.skipped, "left": server.left}
     return Answer(sums, source, prepared.notes)
+
+
+def _counts(summary: dict[str, Any]) -> str:
+    return ", ".join(f"{value:,} {name}" for name, value in summary.items() if isinstance(value, int))
 
 
 def _sending(

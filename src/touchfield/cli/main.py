@@ -12,7 +12,9 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from copy import copy
 from functools import wraps
 from importlib import import_module
@@ -21,7 +23,7 @@ from typing import Annotated, Any, Final
 import typer
 
 from touchfield._version import __version__
-from touchfield.errors import InvalidArgument, TouchfieldError
+from touchfield.errors import InvalidArgument, TouchfieldError, UnboundedError
 from touchfield.sources.samples import SAMPLES
 
 app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
@@ -58,14 +60,15 @@ def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Ca
             if options:  # as on the command line; what is not there follows
                 given["asked"] = {key.rstrip("_"): given.pop(key) for key in context.params if key in names}
             try:
-                answer = function(**given)
+                with _warnings_shown() as shown:
+                    answer = function(**given)
             except InvalidArgument as error:  # a job names a field; here it is an option
                 typed = {p.name: p.opts[0] for p in context.command.params if p.param_type_name == "option"}
                 if error.where not in typed:
                     raise
                 raise InvalidArgument(typed[error.where], error.found, error.expected, error.mend) from error
             if answer is not None:
-                answer.show(as_json)
+                answer.show(as_json, shown)
 
         made: Any = wraps(function)(call)
         made.__signature__ = inspect.Signature([*own, *options])
@@ -73,6 +76,25 @@ def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Ca
         return app.command(name=name, rich_help_panel=panel, epilog=epilog)(made)
 
     return register
+
+
+@contextmanager
+def _warnings_shown() -> Iterator[list[str]]:
+    """Print warnings of bounds that are not proved to stderr as they come, each once; yields their texts."""
+    texts: list[str] = []
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show(message: Any, category: type[Warning], *place: Any, **more: Any) -> None:
+            if not issubclass(category, UnboundedError):
+                usual(message, category, *place, **more)
+            elif str(message) not in texts:
+                texts.append(str(message))
+                sys.stderr.write(f"warning: {message}\n")
+
+        warnings.showwarning = show
+        warnings.simplefilter("always", UnboundedError)
+        yield texts
 
 
 BY_NAME: Final = inspect.Parameter.KEYWORD_ONLY

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from touchfield.cli.main import Stream, command
 from touchfield.cli.show import Answer, progress
-from touchfield.errors import CorruptFile
+from touchfield.errors import CorruptFile, warn_unbounded
 from touchfield.files import keep_sources
 
 
@@ -22,6 +22,7 @@ def info(
 
     with open_stream(stream) as opened:
         shown = opened.summary()
+        warn_unbounded(shown.get("error_bound_note"))
         if voxels:
             with progress("decode") as report:
                 shown |= opened.bits_of_voxels(opened.supported_voxels(report))

@@ -56,10 +56,11 @@ class Answer:
     tables: Mapping[str, str] = field(default_factory=dict)
     people: Callable[[], None] | None = None
 
-    def show(self, as_json: bool = False) -> None:
-        """Print it as one JSON object, or for people."""
+    def show(self, as_json: bool = False, warnings: Sequence[str] = ()) -> None:
+        """Print it as one JSON object, with `warnings` if there are any, or for people, who have seen those."""
         if as_json:
-            answer = _unsigned_zeros({**self.values, "notes": list(self.notes)})
+            warned = {"warnings": list(warnings)} if warnings else {}
+            answer = _unsigned_zeros({**self.values, "notes": list(self.notes), **warned})
             sys.stdout.write(json.dumps(answer, default=_plain, allow_nan=False) + "\n")
         elif self.people is not None:
             self.people()

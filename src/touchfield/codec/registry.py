@@ -11,9 +11,11 @@ from dataclasses import dataclass, field
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
+from touchfield.codec.segment import BoundRule
 from touchfield.errors import InvalidArgument, UnsupportedVersion
 
 if TYPE_CHECKING:
+    from touchfield.arrays import Int64s
     from touchfield.codec.segment import CodedSegment, FrameCost
     from touchfield.medium import ForceField, Grid
 
@@ -52,6 +54,16 @@ class AnchoringEncoder(FieldEncoder, Protocol):
         """Code one independent group of frames, with an anchor in place of the first."""
 
 
+@runtime_checkable
+class AmendingEncoder(FieldEncoder, Protocol):
+    """One that can send single samples exactly, in a segment that is coded already."""
+
+    def with_exact_samples(
+        self, segment: CodedSegment, frames: Sequence[ForceField], samples: Sequence[Int64s]
+    ) -> CodedSegment:
+        """The segment with these samples exact; numbers 512 key of the brick + sample, int64 [m] of each frame."""
+
+
 class FieldDecoder(Protocol):
     """Decoder of segments whose frames are fields on one lattice."""
 
@@ -86,8 +98,17 @@ class Coder:
     resolve: Callable[[Any, bool], Any] = lambda spec, is_array: spec
     # ``summary(spec)``: what the summary of an encoded file tells of it
     summary: Callable[[Any], dict[str, Any]] = lambda spec: {}
+    # ``bound(spec)``: the `BoundRule` of a spec; by default of a coder that guarantees nothing
+    bound: Callable[[Any], BoundRule] | None = None
     has_promise: bool = False  # the decoder's ``worst(body)`` is the worst voxel of a segment
     has_codewords: bool = False  # decoded forces are codewords: measures may take each vector as a symbol
+
+    def bound_rule(self, spec: object) -> BoundRule:
+        """What is guaranteed of each voxel under a spec."""
+        if self.bound is None:
+            other = next(iter(ENTRIES))
+            return BoundRule(None, f"coder {self.name} bounds the error of no voxel; take --coder {other}")
+        return self.bound(spec)
 
     @property
     def encoder_class(self) -> Any:

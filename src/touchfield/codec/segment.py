@@ -8,7 +8,7 @@ the support, the code tables and the headers; CR full counts every bit of the fi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, Final, NamedTuple
@@ -92,12 +92,20 @@ class FrameStats(FrameCost):
     sent: int
 
 
+PROMISE_KEYS: Final = ("promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
+
+
 @dataclass(frozen=True)
 class CodedSegment:
-    """The bytes of a segment, and what each of its frames cost."""
+    """The bytes of a segment, what each of its frames cost, and its worst voxel; None where none is known."""
 
     body: bytes
     frames: tuple[FrameStats, ...]
+    worst: Worst | None = None
+
+
+RATIO_STEPS: Final = 65535
+"""A file states the largest ratio of a segment in whole steps of 1/65535, rounded up."""
 
 
 class Worst(NamedTuple):
@@ -107,11 +115,58 @@ class Worst(NamedTuple):
     frame: int
     voxel: tuple[int, int, int]
 
+    @property
+    def rounded_up(self) -> int:
+        """The ratio in steps of 1 / `RATIO_STEPS`; AssertionError if it proves no bound, as NaN or one above 1.
+
+        It is the guarantee itself and no statistic: to saturate it would state a bound that is not kept.
+        """
+        if not 0.0 <= self.ratio <= 1.0:
+            raise AssertionError(f"a segment whose largest error is {self.ratio!r} of what is allowed")
+        return math.ceil(self.ratio * RATIO_STEPS)
+
 
 def promise_kept(segments: Iterable[tuple[int, Worst | None]]) -> dict[str, Any]:
-    """Keys of the promise of a file, of first frames and worst voxels of its segments; None where there is none."""
-    every = [worst._replace(frame=first + worst.frame) for first, worst in segments if worst is not None]
-    if not every:
-        return dict.fromkeys(("promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel"))
-    ratio, frame, voxel = max(every, key=lambda worst: worst.ratio)
+    """Keys of the promise of a file, of first frames and worst voxels of its segments.
+
+    All are None where any segment states none: what is not known of one is not known of the file.
+    """
+    every = [worst and worst._replace(frame=first + worst.frame) for first, worst in segments]
+    known = [worst for worst in every if worst is not None]
+    if not known or len(known) < len(every):
+        return dict.fromkeys(PROMISE_KEYS)
+    ratio, frame, voxel = max(known, key=lambda worst: worst.ratio)
     return {"promise_kept": ratio <= 1, "worst_mask_ratio": ratio, "worst_frame": frame, "worst_voxel": list(voxel)}
+
+
+class BoundRule(NamedTuple):
+    """What a coder guarantees of each voxel under its options; `text` is None where it guarantees nothing.
+
+    `reason` says then why, and which options do.
+    """
+
+    text: str | None
+    reason: str = ""
+
+
+def mask_text(k: float, f0_n: float, hidden: str = "") -> str:
+    """The mask max(F_0, k |F|) in words; `hidden`: what else is allowed beside k |F|."""
+    largest = f"{k:g} |F|{hidden}"
+    allowed = f"max({f0_n:g} N, {largest})" if f0_n else largest
+    return f"|error| <= {allowed} at every voxel of every frame"
+
+
+BOUND_KEYS: Final = ("error_bound", "error_bound_note", *PROMISE_KEYS)
+"""Keys with which a command reports a bound."""
+
+
+def bound_keys(rule: BoundRule, promise: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys of the error bound that is proved, of a coder's rule and the keys of `promise_kept`.
+
+    ``error_bound`` is the rule in words, or None; then ``error_bound_note`` says why, which commands print as a
+    warning.
+    """
+    if rule.text is not None and promise.get("promise_kept"):
+        return {"error_bound": rule.text}
+    reason = rule.reason or "a segment states no largest error: it was not written by touchfield, or it was changed"
+    return {"error_bound": None, "error_bound_note": f"no error bound is proved: {reason}"}

@@ -7,8 +7,9 @@ know beside it is the codec's configuration. Found by zarr through the entry poi
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
@@ -18,14 +19,36 @@ from zarr.abc.codec import ArrayBytesCodec
 
 from touchfield.codec.touch.body import write_parameters
 from touchfield.codec.touch.decoder import TouchDecoder
-from touchfield.codec.touch.spec import TouchSpec
-from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.codec.touch.spec import CODER, TouchSpec
+from touchfield.errors import CorruptFile, InvalidArgument, warn_unbounded
 from touchfield.medium import ForceField, Grid
 from touchfield.parallel import worker_count
 
 NAME: Final = "touchfield.touch"
 _OPTIONS: Final = ("k", "f0_n", "mode", "effort")
 _MOST_SAMPLES: Final = 1 << 25
+
+
+_recorded: list[list[float | None]] = []
+
+
+@contextmanager
+def recorded_ratios() -> Iterator[list[float | None]]:
+    """Largest errors, in units of the bound, of all chunks that are coded within the block; None of one without any.
+
+    Chunks are coded in threads of zarr's, so a block has those of all threads.
+    """
+    ratios: list[float | None] = []
+    _recorded.append(ratios)
+    try:
+        yield ratios
+    finally:
+        _recorded.remove(ratios)
+
+
+def _unbounded_note(spec: TouchSpec) -> str | None:
+    rule = CODER.bound_rule(spec)
+    return None if rule.text else f"no error bound is proved: {rule.reason}"
 
 
 @cache
@@ -100,8 +123,12 @@ class TouchCodec(ArrayBytesCodec):
         from touchfield.codec.touch.encoder import TouchEncoder
 
         grid = self._grid(dense.shape)
+        warn_unbounded(_unbounded_note(self.spec))
         frames = [ForceField.from_dense(grid, one) for one in dense]
-        return TouchEncoder(grid, self.spec).encode_segment(frames).body
+        segment = TouchEncoder(grid, self.spec).encode_segment(frames)
+        for ratios in _recorded:
+            ratios.append(segment.worst.ratio if segment.worst else None)
+        return segment.body
 
     def decode_chunk(self, body: bytes, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
         """Newtons float32 [t, x, y, z, 3]; CorruptFile if they are not in these bytes."""

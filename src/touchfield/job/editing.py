@@ -180,14 +180,16 @@ def _write(
     keep_sources(out, *sources)
     require_ending(out, "OUT.touch", "FIELD.npz", "FIELD.vti")
     notes: tuple[str, ...] = ()
+    bound: Mapping[str, Any] = {}
     if out.suffix.lower() != ".touch":
         out = write_field(out, medium, report, like.placement)
     else:
         made = replace(like, medium=medium, scene=None, exact=None, source=None, reference=FILTERED, notes=())
         history = {key: medium.provenance[key][:_MOST_TOLD] for key in _TOLD if key in medium.provenance}
-        notes = encode_prepared(made, out, {**provenance_of(sources[0], made), **history}, report).notes
+        done = encode_prepared(made, out, {**provenance_of(sources[0], made), **history}, report)
+        notes, bound = done.notes, done.bound
     figures = {"file": str(out), "frames": len(medium), "rate_hz": medium.rate_hz}
-    figures |= {"grid_shape": list(medium.grid.shape), **shown, "file_bytes": out.stat().st_size}
+    figures |= {"grid_shape": list(medium.grid.shape), **shown, **bound, "file_bytes": out.stat().st_size}
     return Written(figures, notes, path=out, medium=medium)
 
 

@@ -20,7 +20,7 @@ from touchfield.codec.registry import coder, field_encoder
 from touchfield.codec.segment import compression_ratio
 from touchfield.container import TouchWriter
 from touchfield.container.remote import is_remote, sender
-from touchfield.errors import InvalidArgument, require_ending
+from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
 from touchfield.job.coding import (
     coded_segments,
     groups_of,
@@ -36,14 +36,15 @@ from touchfield.job.spec import DEFAULT_F0_N, EncodeSpec
 from touchfield.medium import Grid
 from touchfield.parallel import Report, silent
 from touchfield.stream.objects import write_objects
-from touchfield.stream.opened import FILTERED
+from touchfield.stream.opened import FILTERED, open_stream
 
 
 @dataclass(frozen=True)
 class Encoded:
     """The result of `encode`; of objects, the supported voxels are the samples of their own fields, coded once each.
 
-    `told` are notes about the coding, and `search` what `encode_to_target` adds to the summary.
+    `told` are notes about the coding, and `search` what `encode_to_target` adds to the summary. `bound` tells the
+    error bound that the written file states (`OpenStream.error_bound`).
     """
 
     prepared: Prepared
@@ -52,6 +53,7 @@ class Encoded:
     supported_voxels: int
     told: tuple[str, ...] = ()
     search: Mapping[str, Any] = field(default_factory=dict)
+    bound: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<Encoded: {self.file_bytes:,} bytes by coder {self.prepared.spec.coder} of {self.prepared.medium!r}>"
@@ -74,6 +76,7 @@ class Encoded:
             **({"promise_against": self.prepared.reference} if coder(spec.coder).has_promise else {}),
             "k": spec.k,
             "f0_n": spec.f0_n,
+            **self.bound,
             "file_bytes": self.file_bytes,
             "supported_voxels": self.supported_voxels,
             "bits_per_supported_voxel": bits / self.supported_voxels if self.supported_voxels else None,
@@ -117,7 +120,7 @@ def encode(
             done = replace(done, told=("Objects take one process: no worker was asked",))
     else:
         supported, notes = spread_voxels(here, path_of(source), prepared, story, executor, report)
-        done = Encoded(prepared, here.stat().st_size, 0.0, supported, notes)
+        done = Encoded(prepared, here.stat().st_size, 0.0, supported, notes, bound=bound_of(here))
     done = replace(done, encode_s=time.perf_counter() - began)
     if send is not None:
         send(here)
@@ -158,7 +161,19 @@ def encode_prepared(
                 done, supported, lost = done + one.frames, supported + one.supported, lost + one.lost
                 tell(ready)
     size, notes = Path(out).stat().st_size, lost_notes(prepared, lost)
-    return Encoded(prepared, size, time.perf_counter() - began, supported, notes)
+    bound = bound_of(out)
+    return Encoded(prepared, size, time.perf_counter() - began, supported, notes, bound=bound)
+
+
+def bound_of(path: str | Path) -> dict[str, Any]:
+    """Keys of the error bound that a file states (`OpenStream.error_bound`); nothing is decoded.
+
+    Warns with `UnboundedError` if it states none.
+    """
+    with open_stream(path) as opened:
+        bound = opened.error_bound()
+    warn_unbounded(bound.get("error_bound_note"))
+    return bound
 
 
 def provenance_of(source: Source, prepared: Prepared) -> dict[str, str]:

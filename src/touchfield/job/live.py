@@ -18,9 +18,11 @@ from queue import SimpleQueue
 from typing import Any, Final
 
 from touchfield.codec.registry import field_encoder
+from touchfield.codec.segment import Worst, bound_keys
 from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import CODER
 from touchfield.codec.vibration import encode_vibration
-from touchfield.errors import InvalidArgument, require_between, require_kinds, require_one_of
+from touchfield.errors import InvalidArgument, require_between, require_kinds, require_one_of, warn_unbounded
 from touchfield.filters.resample import pyramid, rebuilt
 from touchfield.job.coding import head_of
 from touchfield.job.editing import detail_level
@@ -62,7 +64,8 @@ class LiveSpec:
 class Sent:
     """Counts of a broadcast; `left_out` are frames that came too late to be made or coded.
 
-    All but `coarse_bytes` are without a coarse layer.
+    All but `coarse_bytes` are without a coarse layer. `worst_mask_ratio` is the largest error of all voxels sent, in
+    units of the error bound; None where the mode has none, or nothing was sent.
     """
 
     frames: int = 0
@@ -70,6 +73,14 @@ class Sent:
     sent_bytes: int = 0
     left_out: int = 0
     coarse_bytes: int = 0
+    worst_mask_ratio: float | None = None
+
+    def add(self, segment: LiveSegment, worst: Worst | None) -> None:
+        """Count a segment that was sent."""
+        self.sent_bytes += len(segment.body) + len(segment.vibration or b"")
+        self.segments, self.frames = self.segments + 1, self.frames + segment.frame_count
+        if worst is not None:
+            self.worst_mask_ratio = max(worst.ratio, self.worst_mask_ratio or 0.0)
 
     def leave_out(self, frames: int, why: str, tell: Callable[[str], None]) -> None:
         """Count frames that are left out, and tell each time that they have become twice as many."""
@@ -81,6 +92,14 @@ class Sent:
         """Stable keys for people and programs."""
         return dict(self.__dict__)
 
+    def error_bound(self, prepared: Prepared) -> dict[str, Any]:
+        """Keys of the error bound that was proved of what was sent."""
+        is_known = self.worst_mask_ratio is not None
+        keys = bound_keys(CODER.bound_rule(prepared.coding), {"promise_kept": is_known})
+        if not self.segments:
+            keys = {"error_bound": None, "error_bound_note": "no error bound is proved: no segment was sent"}
+        return {**keys, "promise_kept": True if is_known else None}
+
 
 def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSender]:
     """A source that is prepared as voxels, and a sender that has its opening; InvalidArgument for another coder."""
@@ -88,6 +107,8 @@ def opened_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSende
     # what is live has no time for a search
     spec = replace(spec, representation="voxel", touch=replace(spec.touch, effort="fast"))
     prepared = prepare(captured(source, spec.source) or as_source(source, spec.device), spec)
+    rule = CODER.bound_rule(prepared.coding)
+    warn_unbounded(None if rule.text else f"no error bound is proved: {rule.reason}")
     return prepared, _sender(source, prepared)
 
 
@@ -224,8 +245,7 @@ class _Lane:
         count, beside, sent = len(coded.frames), encode_vibration(band) if band else None, self.sent
         segment = LiveSegment(first, count, coded.body, beside)
         self._send(segment)
-        sent.sent_bytes += len(segment.body) + len(segment.vibration or b"")
-        sent.segments, sent.frames = sent.segments + 1, sent.frames + count
+        sent.add(segment, coded.worst)
 
     def close(self) -> None:
         """Wait for what is under way; raises what has failed."""

@@ -19,6 +19,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import KDTree
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s, lengths_of
+from touchfield.codec.segment import BOUND_KEYS
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_between
 from touchfield.filters.registry import noted
@@ -109,6 +110,7 @@ def reduce_medium(
     if cull is not None:
         done = _write(prepared, [source], culled(medium, felt), cull, report)
         shown |= {"culled_file": str(done.path), "culled_file_bytes": done.path.stat().st_size}
+        shown |= {f"culled_{name}": value for name, value in done.shown.items() if name in BOUND_KEYS}
         notes += done.notes
         if prepared.spec.coder != "touch" or prepared.spec.touch.mode != "lossless":
             notes += ("what is left was coded again: --mode lossless keeps its bits",)
@@ -117,6 +119,7 @@ def reduce_medium(
         rebuilt = replace(medium, make_frame=approximation.field, segments=None, provenance=words)
         done = _write(prepared, [source], rebuilt, out, report)
         shown |= {"file": str(done.path), "file_bytes": done.path.stat().st_size}
+        shown |= {name: value for name, value in done.shown.items() if name in BOUND_KEYS}
         notes += done.notes
     return Result(shown, notes)
 

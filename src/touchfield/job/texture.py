@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from touchfield.container import TouchReader, TouchWriter
-from touchfield.errors import InvalidArgument, require_ending
+from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
 from touchfield.perception.vibrotactile import band_rms, dft321, handle_force_n
 from touchfield.render.material import KEY, Material, stored_json
 from touchfield.sources.recording import Recording
+from touchfield.stream.opened import opened
 
 
 def texture_of(
@@ -55,6 +56,7 @@ def store_materials(stream: str | Path, materials: Sequence[Material], out: str 
     require_ending(out, "OUT.touch")
     text = stored_json(materials)
     with TouchReader(stream) as reader, TouchWriter(out) as writer:
+        warn_unbounded(opened(reader).error_bound().get("error_bound_note"))
         writer.write_head(reader.head, {**reader.provenance, KEY: text})
         for n in range(reader.object_count):
             writer.write_object(reader.read_object(n))

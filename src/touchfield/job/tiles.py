@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import product
@@ -19,7 +20,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield._version import __version__
-from touchfield.errors import InvalidArgument, require_ending
+from touchfield.codec.segment import bound_keys
+from touchfield.codec.touch.spec import CODER, TouchSpec
+from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
 from touchfield.job.coding import ALONE, name_of, path_of, prepared_here
 from touchfield.job.encode import Encoded
 from touchfield.job.executors import in_order
@@ -52,7 +55,7 @@ class Tile(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Tiled(Encoded):
-    """The result of `encode_tiles`."""
+    """The result of `encode_tiles`; of its bound no voxel is named, as chunks are coded by zarr."""
 
     tiles: int = 0
 
@@ -60,7 +63,7 @@ class Tiled(Encoded):
         """Stable keys for people and programs."""
         told = {"coder": "touch, a codec of zarr", "k": self.prepared.spec.k, "f0_n": self.prepared.spec.f0_n}
         names = ("tiles", "file_bytes", "supported_voxels", "encode_s")
-        return {**self.prepared.summary(), **told, **{name: getattr(self, name) for name in names}}
+        return {**self.prepared.summary(), **told, **self.bound, **{name: getattr(self, name) for name in names}}
 
 
 def encode_tiles(
@@ -102,44 +105,75 @@ def encode_tiles(
         root, places = str(store.resolve()), product(range(len(medium)), parts)
         every = (Tile(job, path, asked, root, frame, *part) for frame, part in places)
         left = [tile for tile in every if tile.place not in finished.counts]
-        counts = map(make_tile, left) if executor is None else in_order(make_tile, left, executor=executor)
-        for tile, count in zip(left, counts, strict=True):
-            finished.add(tile.place, count)
+        made = map(make_tile, left) if executor is None else in_order(make_tile, left, executor=executor)
+        for tile, (count, ratio) in zip(left, made, strict=True):
+            finished.add(tile.place, count, ratio)
             report(len(finished.counts) * len(medium) // total, len(medium))
-        supported = sum(finished.counts.values())
+        supported, ratios = sum(finished.counts.values()), list(finished.ratios.values())
         finished.forget()
+    bound = _bound(spec.touch, ratios)
+    warn_unbounded(bound.get("error_bound_note"))
     notes = (f"{before} of {total} tiles were there from an earlier run",) if before else ()
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
-    return Tiled(prepared, size, time.perf_counter() - began, supported, notes, tiles=total)
+    return Tiled(prepared, size, time.perf_counter() - began, supported, notes, bound=bound, tiles=total)
+
+
+def _bound(spec: TouchSpec, ratios: Sequence[float | None]) -> dict[str, Any]:
+    """Keys of the error bound of a store, of the largest ratio of each tile."""
+    known = [ratio for ratio in ratios if ratio is not None]
+    largest = max(known, default=0.0) if len(known) == len(ratios) else None
+    promise = {"promise_kept": None if largest is None else largest <= 1, "worst_mask_ratio": largest}
+    return {**bound_keys(CODER.bound_rule(spec), promise), **promise}
 
 
 class _Finished:
-    """Tiles that are written, a line each in a file, and their samples with a force; those of another job go."""
+    """Tiles that are written, a line each in a file; those of another job go.
+
+    A line has the place, the samples with a force, and the largest error in units of the bound; "-" if not known.
+    """
 
     def __init__(self, store: Path, job: str) -> None:
         self._file = store.with_name(f"{store.name}.txt")
         self.counts: dict[str, int] = {}
+        self.ratios: dict[str, float | None] = {}
         text = self._file.read_text("utf-8") if self._file.is_file() and store.is_dir() else ""
         *lines, _ = text.split("\n")  # the last line of a run that was killed may be cut
         for line in lines[1:] if lines[:1] == [job] else ():
-            place, _, count = line.partition(" ")
-            if count.isdigit():
-                self.counts[place] = int(count)
+            place, *figures = line.split(" ")
+            if len(figures) == 2 and figures[0].isdigit():  # of two figures a cut line has one
+                self.counts[place], self.ratios[place] = int(figures[0]), _ratio(figures[1])
         if not self.counts:
             shutil.rmtree(store, ignore_errors=True)
-        self._file.write_text("".join(f"{line}\n" for line in (job, *(f"{p} {n}" for p, n in self.counts.items()))))
+        self._file.write_text("".join(f"{line}\n" for line in (job, *map(self._line, self.counts))))
 
-    def add(self, place: str, count: int) -> None:
-        self.counts[place] = count
+    def add(self, place: str, count: int, ratio: float | None) -> None:
+        self.counts[place], self.ratios[place] = count, ratio
         with self._file.open("a", encoding="utf-8") as stream:
-            stream.write(f"{place} {count}\n")
+            stream.write(f"{self._line(place)}\n")
+
+    def _line(self, place: str) -> str:
+        ratio = self.ratios[place]
+        return f"{place} {self.counts[place]} {'-' if ratio is None else repr(ratio)}"
 
     def forget(self) -> None:
         self._file.unlink()
 
 
-def make_tile(tile: Tile) -> int:
-    """Make, code and write a tile, in whichever process this is; how many of its samples hold a force."""
+def _ratio(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def make_tile(tile: Tile) -> tuple[int, float | None]:
+    """Make, code and write a tile, in whichever process this is.
+
+    Returns how many of its samples hold a force, and the largest error in units of the bound; None where none is
+    known. A tile without a force, of which nothing is written, has no error.
+    """
+    from touchfield.codec.zarr_codec import recorded_ratios  # needs zarr
+
     with ALONE:
         prepared = prepared_here(tile.job, tile.source, tile.spec, tile.version)
         scene, mapping = prepared.source, prepared.mapping
@@ -153,5 +187,8 @@ def make_tile(tile: Tile) -> int:
             if field.support_count:
                 forces[tuple(slice(a, a + n) for a, n in zip(first, shape))] = field.to_dense()
                 supported += field.support_count
-        write_box(tile.store, tile.frame, tile.low, forces)
-        return supported
+        with recorded_ratios() as ratios:
+            write_box(tile.store, tile.frame, tile.low, forces)
+        if None in ratios or (supported and not ratios):
+            return supported, None
+        return supported, max((ratio for ratio in ratios if ratio is not None), default=0.0)

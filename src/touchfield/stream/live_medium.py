@@ -386,5 +386,13 @@ class LiveStream(OpenStream):
     def bits(self) -> BitAccount:
         raise SourceError(self.reader.name, "a live stream", "a file, whose bits and symbols can be counted")
 
+    @property
+    def bound_rule(self) -> Any:
+        return self.bits
+
+    @property
+    def promise(self) -> Any:
+        return self.bits
+
     def _coder(self) -> Any:
         return self.bits

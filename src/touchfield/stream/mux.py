@@ -29,11 +29,20 @@ from touchfield.container import SegmentEntry, TouchReader
 from touchfield.container.records import MAGIC, OBJECTS_CODER, Segment
 from touchfield.container.wire import CRC_SIZE, OPENING_SIZE, ByteSource, read_opening, read_record, records_between
 from touchfield.container.writer import index_and_end
-from touchfield.errors import CorruptFile, InvalidArgument, SourceError, import_extra, reason, require_ending
+from touchfield.errors import (
+    CorruptFile,
+    InvalidArgument,
+    SourceError,
+    import_extra,
+    reason,
+    require_ending,
+    warn_unbounded,
+)
 from touchfield.files import keep_sources, readable
 from touchfield.medium.atomic import atomic_path
 from touchfield.parallel import Report, silent
 from touchfield.stream.live import MEDIA_TYPE
+from touchfield.stream.opened import opened
 
 BEGINS: Final = "urn:touchfield:begins-s"
 _CLOCK: Final = Fraction(1, 90000)
@@ -88,6 +97,7 @@ def mux(movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.
     keep_sources(out, movie, stream)
     kind = out.suffix.lower()
     with TouchReader(stream) as reader, _opened(movie) as source:
+        warn_unbounded(opened(reader).error_bound().get("error_bound_note"))
         seconds = reader.head.frame_count / reader.head.rate_hz
         if kind == ".mpd":
             names = _write_dash(source, Path(stream), out, at_s, 8 * reader.size / seconds)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.codec.objects.decoder import ObjectsDecoder
-from touchfield.codec.objects.layout import MAX_POSES, CodedObject
-from touchfield.codec.registry import field_decoder
-from touchfield.codec.segment import BitAccount, promise_kept
+from touchfield.codec.objects.layout import MAX_POSES, CodedObject, Parameters, composed_rule
+from touchfield.codec.registry import coder, field_decoder
+from touchfield.codec.segment import BitAccount, BoundRule, mask_text, promise_kept
 from touchfield.container import ObjectRecord, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
@@ -121,14 +121,33 @@ class SceneStream(OpenStream):
             "bits_fields": self.bits.total - self.bits.poses,
             "frame_kinds": {"object": self.reader.head.frame_count},
         }
-        described = [decoder.describe() for decoder in self.decoder.field_decoders]
-        modes = {one["mode"] for one in described if "mode" in one}
-        if not modes:  # nothing is promised of the composed field
+        if not self._modes:  # nothing is promised of the composed field
             return keys
-        segments = enumerate(self.reader.segments)
-        worst = promise_kept((entry.first_frame, self.decoder.parts(self._body(i)).worst) for i, entry in segments)
         tolerance_um = 1e6 * self.decoder.place_tolerance_m
-        return {**keys, "mode": ", ".join(sorted(modes)), **worst, "place_tolerance_um": tolerance_um}
+        return {**keys, "mode": ", ".join(sorted(self._modes)), "place_tolerance_um": tolerance_um}
+
+    @cached_property
+    def _modes(self) -> frozenset[str]:
+        """Modes of the fields that have one."""
+        described = [decoder.describe() for decoder in self.decoder.field_decoders]
+        return frozenset(one["mode"] for one in described if "mode" in one)
+
+    @property
+    def bound_rule(self) -> BoundRule:
+        """That of the composed field, by the k and F_0 of HEAD: each field keeps a share of them."""
+        head = self.reader.head
+        for one in self.decoder.objects:
+            if not coder(one.field_coder).has_promise:
+                return coder(one.field_coder).bound_rule(None)
+        masked = BoundRule(mask_text(head.weber_fraction, head.force_threshold_n))
+        return composed_rule(self._modes, masked, Parameters.from_bytes(head.coder_parameters))
+
+    @property
+    def promise(self) -> dict[str, Any]:
+        if not self._modes:
+            return {}
+        segments = enumerate(self.reader.segments)
+        return promise_kept((entry.first_frame, self.decoder.parts(self._body(i)).worst) for i, entry in segments)
 
     def _medium(self, index: int, one: CodedObject) -> HapticMedium:
         """The fields of one object."""

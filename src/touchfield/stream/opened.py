@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.codec.registry import coder
-from touchfield.codec.segment import BitAccount, compression_ratio, promise_kept
+from touchfield.codec.segment import BitAccount, BoundRule, bound_keys, compression_ratio, promise_kept
 from touchfield.container import TouchReader
 from touchfield.container.remote import is_live
 from touchfield.errors import InvalidArgument
@@ -104,6 +104,21 @@ class OpenStream(ABC):
     def bits(self) -> BitAccount:
         """Bits by what they tell; those of the file's frame are not counted."""
 
+    @property
+    @abstractmethod
+    def bound_rule(self) -> BoundRule:
+        """What its coder guarantees of each voxel, if its segments state that they keep it."""
+
+    @property
+    @abstractmethod
+    def promise(self) -> dict[str, Any]:
+        """Keys of `codec.segment.promise_kept`; nothing is decoded. Empty of a coder that has no promise."""
+
+    def error_bound(self) -> dict[str, Any]:
+        """The bound that is proved and the largest error in units of it: keys of `bound_keys` and `promise`."""
+        promise = self.promise
+        return {**bound_keys(self.bound_rule, promise), **promise}
+
     @abstractmethod
     def _coder(self) -> dict[str, Any]:
         """Keys of the summary that only its coder knows."""
@@ -129,7 +144,7 @@ class OpenStream(ABC):
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs; those of the vibration only where there is one."""
         head = self.reader.head
-        size, bits, keys = self.file_bytes, self.bits, self._coder()
+        size, bits, keys = self.file_bytes, self.bits, self._coder() | self.error_bound()
         keys |= {f"bits_{name}": getattr(bits, name) for name in ("support", "amplitude", "direction", "models")}
         keys["bits_side"] = 8 * size - (bits.total - bits.side)
         band = {} if self._vibration is None else self._vibration.summary()
@@ -222,9 +237,19 @@ class VoxelStream(OpenStream):
             return keys
         keys["guesses"] = sum(cost.bits.models > 0 for cost in self.costs)
         keys["bits_guesses"] = sum(cost.bits.models for cost in self.costs)
+        return keys
+
+    @property
+    def bound_rule(self) -> BoundRule:
+        return coder(self.reader.head.coder).bound_rule(getattr(self.decoder, "spec", None))
+
+    @property
+    def promise(self) -> dict[str, Any]:
+        if not coder(self.reader.head.coder).has_promise:
+            return {}
         segments = enumerate(self.reader.segments)
         worst = ((s.first_frame, self.decoder.worst(self.reader.read_segment(i))) for i, s in segments)
-        return keys | promise_kept(worst)
+        return promise_kept(worst)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from independent_bound import mask_ratio
 from object_makers import F0_N, ball, head_of, moving_scene, tumbling
 from touchfield import job
 from touchfield.codec.objects.encoder import PLACE_TOLERANCE_M, ObjectsEncoder
@@ -149,15 +150,51 @@ def test_fields_that_keep_their_own_mask_are_coded_finer_where_they_overlap(tmp_
     assert sizes["together"] > sizes["alone"]
 
 
-def test_forces_that_no_field_can_keep_are_refused(tmp_path: Path) -> None:
-    """Two fields of 400 N that cancel: their sum is none, and errors of a thousandth of them are felt."""
-    field = ball(OWN, 0.005, 400.0)
+def cancelling(strength_n: float, damping: float = 0.0) -> HapticScene:
+    """Two fields that cancel: their sum is none, and errors of a thousandth of 400 N are felt."""
+    field = ball(OWN, 0.005, strength_n)
     against = ForceField.from_dense(OWN, -field.to_dense())
     tracks = [PoseTrack.still(3, (0.0003, 0.0, 0.0)), PoseTrack.still(3, (0.0003, 0.0, 0.0))]
     bodies = [HapticObject(n, still_field(f), t) for n, f, t in zip("ab", (field, against), tracks, strict=True)]
-    scene = HapticScene(WORLD, 1000.0, tuple(bodies), 1000.0)
-    with pytest.raises(InvalidArgument, match=r"object a: found forces that cancel those of another body.*voxel"):
-        list(ObjectsEncoder(scene, SPEC, F0_N).objects())
+    return HapticScene(WORLD, 1000.0, tuple(bodies), 1000.0, damping)
+
+
+@pytest.mark.parametrize("f0_n", [0.0, 1e-9, F0_N])
+def test_forces_that_cancel_are_sent_exactly(tmp_path: Path, f0_n: float) -> None:
+    scene = cancelling(400.0)
+    stream = written(tmp_path / "a.touch", scene, replace(SPEC, f0_n=f0_n))
+    told = stream.summary()
+    assert told["promise_kept"] and told["worst_mask_ratio"] <= 1
+    assert all(not frame.support_count for frame in stream.scene.voxelise())
+
+
+@pytest.mark.parametrize("deforming", [False, True])
+@pytest.mark.parametrize("k", [0.001, 0.1, 0.9])
+def test_a_file_without_f0_keeps_its_promise(tmp_path: Path, k: float, deforming: bool) -> None:
+    """Where nothing but k |F| is allowed: bodies that meet, and cells in which the force vanishes."""
+    scene = moving_scene(5, deforming)
+    scene = replace(scene, objects=(*scene.objects, *crossing(5).objects))
+    stream = written(tmp_path / "a.touch", scene, replace(SPEC, k=k, f0_n=0.0))
+    moved = tuple(replace(a, track=b.track) for a, b in zip(scene.objects, stream.scene.objects, strict=True))
+    source, decoded = replace(scene, objects=moved).voxelise(), stream.scene.voxelise()
+    ratio = max(mask_ratio(a.to_dense(), b.to_dense(), k, 0.0) for a, b in zip(source, decoded, strict=True))
+    assert 0.5 < ratio <= 1 + 1e-4 and ratio == pytest.approx(stream.summary()["worst_mask_ratio"], abs=1e-4)
+
+
+def test_a_damping_without_f0_is_kept(tmp_path: Path) -> None:
+    stream = written(tmp_path / "a.touch", moving_scene(5, False, 2.0), replace(SPEC, f0_n=0.0))
+    assert stream.summary()["promise_kept"]
+
+
+def test_the_reason_of_a_refusal_names_what_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is left when every sample is exact comes from the poses."""
+    encoder = ObjectsEncoder(moving_scene(5, False, 2.0), replace(SPEC, f0_n=0.0), F0_N)
+    monkeypatch.setattr(Pair, "inexact_corners", lambda self, marks: np.zeros(0, np.int64))
+    monkeypatch.setattr(ComposedRule, "check", lambda self, pairs, *_: Found(
+        np.full(len(pairs), 2.0), np.zeros((len(pairs), 4), np.int64), 1
+    ))  # fmt: skip
+    with pytest.raises(InvalidArgument, match=r"damping of 2 N s/m with an F_0 of 0 N.*--f0-n.*voxel"):
+        list(encoder.objects())
 
 
 def test_the_paper_coder_promises_nothing(tmp_path: Path) -> None:

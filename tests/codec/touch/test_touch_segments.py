@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from touchfield.codec.registry import coder, field_decoder
 from touchfield.codec.segment import FrameKind, Worst, promise_kept
-from touchfield.codec.touch.body import BodyReader, exceptions_of, shares_of, with_exceptions, write_body
+from touchfield.codec.touch.body import BodyReader, FrameRecord, exceptions_of, shares_of, with_exceptions, write_body
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.lattice import Lattice
@@ -224,7 +225,6 @@ def test_the_worst_voxel_of_a_file_is_in_its_frame() -> None:
     worsts = [
         (0, Worst(0.5, 2, (1, 2, 3))),
         (8, Worst(0.75, 1, (4, 5, 6))),
-        (16, None),
         (24, Worst(0.75, 0, (0, 0, 0))),
     ]
     told = {"promise_kept": True, "worst_mask_ratio": 0.75, "worst_frame": 9, "worst_voxel": [4, 5, 6]}
@@ -247,3 +247,24 @@ def test_shares_are_of_255() -> None:
     for bits in rng.random((100, 3)):
         support, amplitude = shares_of((bits[0], bits[1], bits[2]))
         assert support >= 0 and amplitude >= 0 and support + amplitude <= 255
+
+
+@pytest.mark.parametrize(
+    ("bits", "shares"),
+    [
+        ((-8.0, 10.0, 6.0), (0, 255)),  # less than nothing for one, as prices are estimates
+        ((20.0, -3.0, -9.0), (255, 0)),
+        ((3.0, -5.0, 10.0), (96, 0)),
+        ((-1e9, 1e9, 1.0), (0, 255)),
+        ((math.inf, 1.0, 1.0), (255, 0)),
+        ((math.nan, 1.0, 1.0), (255, 0)),
+        ((-5.0, 2.0, 1.0), (255, 0)),
+    ],
+)
+def test_shares_saturate_and_never_stop_an_encoding(
+    bits: tuple[float, float, float], shares: tuple[int, int]
+) -> None:
+    assert shares_of(bits) == shares
+    record = FrameRecord(False, b"", b"payload", shares)
+    parts = write_body(None, [record], None)
+    assert BodyReader(parts, GRID, exact=True).records(1)[0].shares == shares

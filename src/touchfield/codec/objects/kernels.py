@@ -32,11 +32,15 @@ from touchfield.medium.kernels.placed import (
 
 _COLUMNS = 33
 _SLACK = 1 + 1e-6
+_ROUNDING = 2.0**-22  # of a force: two roundings to float32, and those of the sums
 _NOWHERE = 1 << 40
 
 
 class Bodies(NamedTuple):
-    """Both fields of all bodies (`CellPool`), `bounds` float32 [n, 512] of their cells, and `tops` [n] of these."""
+    """Both fields of all bodies (`CellPool`), `bounds` float32 [n, 512] of their cells, and `tops` [n] of these.
+
+    `marks` uint8 [n, 512] takes 1 for each cell that has a part in a voxel beyond the rule; [0, 512] takes none.
+    """
 
     lattices: Float64s
     boxes: Int64s
@@ -48,10 +52,14 @@ class Bodies(NamedTuple):
     decoded: Float32s
     bounds: Float32s
     tops: Float32s
+    marks: NDArray[np.uint8]
 
 
 class Rule(NamedTuple):
-    """|error| <= max(f0_n, k |F|); a body's own force up to `floor_n` is none, sums are cut to `limit_n`."""
+    """|error| <= max(f0_n, k |F|), of which f0_n may be 0.
+
+    A body's own force up to `floor_n` is none; sums are cut to `limit_n`.
+    """
 
     k: float
     f0_n: float
@@ -78,7 +86,8 @@ def bound_cells(begin, end, source, decoded, rule, bounds):
     """Into `bounds` [n, 512], for bricks of cells: the most that |error| / mask can be within each cell.
 
     The error of a trilinear cell is at most that of its worst corner, and its force along the mean direction no less
-    than that of the corner where this is least.
+    than that of the corner where this is least. Where the force may vanish within a cell that is not exact, and f0_n
+    is 0, there is no bound. A force may be cut off by `floor_n` in one field only, and is rounded to float32 in both.
     """
     corners, mean = np.empty((8, 3)), np.empty(3)
     for s in range(begin, end):
@@ -96,11 +105,16 @@ def bound_cells(begin, end, source, decoded, rule, bounds):
                 error2 = max(error2, own2)
             if error2 == 0.0:
                 continue
-            length, least = np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2), rule.limit_n
+            length, least, most = np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2), rule.limit_n, 0.0
             for e in range(8):
                 along = corners[e, 0] * mean[0] + corners[e, 1] * mean[1] + corners[e, 2] * mean[2]
                 least = min(least, along / max(length, 1e-300))
-            bounds[s, cell] = _SLACK * np.sqrt(error2) / max(rule.f0_n, rule.k * least)
+                most = max(most, corners[e, 0] ** 2 + corners[e, 1] ** 2 + corners[e, 2] ** 2)
+            error, allowed = np.sqrt(error2), max(rule.f0_n, rule.k * least)
+            if least - error <= 2.0 * rule.floor_n:
+                error += 2.0 * rule.floor_n
+            error += _ROUNDING * min(np.sqrt(most), rule.limit_n)
+            bounds[s, cell] = _SLACK * error / allowed if allowed > 0.0 else np.inf
 
 
 @lean(forceinline=True)
@@ -176,6 +190,17 @@ def _meets(bodies, row_of, px, py, pz, found):
 
 
 @lean(forceinline=True)
+def _mark(bodies, row_of, count, px, py, pz, found):
+    """Mark the cells of the bodies `found.here[:count]` that a voxel lies in."""
+    for m in range(count):
+        body, slot = found.here[m]
+        row = row_of[body]
+        x, y, z = own(row, px - row[T], py - row[T + 1], pz - row[T + 2])
+        i, j, l = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))  # noqa: E741
+        bodies.marks[slot, (i & 7) * 64 + (j & 7) * 8 + (l & 7)] = 1
+
+
+@lean(forceinline=True)
 def _compare_voxel(bodies, rows, rule, count, px, py, pz, found):
     """Compare at one voxel, of the bodies and slots `found.here[:count]`; whether it is beyond the rule."""
     sums, least = found.sums, rule.floor_n * rule.floor_n
@@ -192,7 +217,10 @@ def _compare_voxel(bodies, rows, rule, count, px, py, pz, found):
     x, y, z = np.float64(np.float32(x)), np.float64(np.float32(y)), np.float64(np.float32(z))
     u, v, w = np.float64(np.float32(u)), np.float64(np.float32(v)), np.float64(np.float32(w))
     error = np.sqrt((u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2)
-    ratio = error / max(rule.f0_n, rule.k * np.sqrt(x * x + y * y + z * z))
+    allowed = max(rule.f0_n, rule.k * np.sqrt(x * x + y * y + z * z))
+    ratio = error / allowed if allowed > 0.0 else (np.inf if error > 0.0 else 0.0)
+    if ratio > 1.0 and bodies.marks.shape[0]:
+        _mark(bodies, rows[0], count, px, py, pz, found)
     for m in range(count):
         body = found.here[m, 0]
         if ratio > found.worst[body]:

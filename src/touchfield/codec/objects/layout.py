@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from touchfield.codec.registry import Coder
-from touchfield.codec.segment import Worst
+from touchfield.codec.segment import RATIO_STEPS, BoundRule, Worst
 from touchfield.codec.varint import Parts, chunk, write_varint
 from touchfield.errors import CorruptFile
 from touchfield.medium import Grid
@@ -21,7 +21,6 @@ MAX_OBJECTS: Final = 4096  # objects of a scene
 MAX_POSES: Final = 1 << 24
 _PARAMETERS: Final = struct.Struct("<Idd")
 _WHERE: Final = "HEAD.coder_parameters"
-_RATIOS: Final = 65535
 _MOST_SAMPLES: Final = 1 << 20
 
 
@@ -78,8 +77,8 @@ class SegmentParts(NamedTuple):
 
     def to_bytes(self) -> bytes:
         """The worst voxel, its ratio rounded up to 1/65535, and each object's chunks."""
-        ratio, frame, voxel = self.worst or (0.0, 0, (0, 0, 0))
-        numbers = [1 + math.ceil(ratio * _RATIOS), frame, *voxel] if self.worst else [0]
+        _, frame, voxel = self.worst or (0.0, 0, (0, 0, 0))
+        numbers = [1 + self.worst.rounded_up, frame, *voxel] if self.worst else [0]
         chunks = [chunk(data) for part in self.objects for data in part if data is not None]
         return b"".join([*map(write_varint, numbers), *chunks])
 
@@ -90,16 +89,34 @@ class SegmentParts(NamedTuple):
         TruncatedFile or CorruptFile if the bytes end too early, or some are left over.
         """
         read, worst = Parts(body), None
-        if ratio := read.varint("worst ratio", _RATIOS + 2):
+        if ratio := read.varint("worst ratio", RATIO_STEPS + 2):
             frame = read.varint("worst frame", 1 << 16)
             x, y, z = (read.varint("worst voxel", _MOST_SAMPLES) for _ in range(3))
-            worst = Worst((ratio - 1) / _RATIOS, frame, (x, y, z))
+            worst = Worst((ratio - 1) / RATIO_STEPS, frame, (x, y, z))
         parts = []
         for i, deforms in enumerate(is_deforming):
             poses = read.chunk(f"poses of object {i}")
             parts.append(ObjectPart(poses, read.chunk(f"fields of object {i}") if deforms else None))
         read.check_end("object")
         return cls(worst, parts)
+
+
+BOUNDED_MODES: Final = ("mask", "lossless")
+"""Modes of the fields in which the largest error of the composed field is known."""
+
+
+def composed_rule(modes: Iterable[str], masked: BoundRule, parameters: Parameters) -> BoundRule:
+    """What is guaranteed of the composed field, its fields being coded in these modes.
+
+    `masked` is the rule of the mask by the k and F_0 of the file.
+    """
+    every = set(modes)
+    for mode in sorted(every - set(BOUNDED_MODES)):
+        mend = "take --mode mask" + (" or --representation voxel" if mode != "nmse" else "")
+        return BoundRule(None, f"mode {mode} bounds no force that several bodies have together; {mend}")
+    exact = every == {"lossless"} and not parameters.surface_damping_n_s_per_m
+    own = "every force of every body bit for bit" if exact else masked.text
+    return BoundRule(f"{own}, with every body within {1e6 * parameters.place_tolerance_m:g} um of its place")
 
 
 _PLACE = "touchfield.codec.objects"

@@ -14,10 +14,12 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
+from touchfield.medium.field import brick_keys
 from touchfield.parallel import for_chunks
 
 _FLOOR_SHARE: Final = 1e-9  # of F_max: a body's own force below it is the rounding of a place, as the receiver has it
@@ -63,6 +65,29 @@ class Pair:
         """Both as cells, in one order."""
         return CellPool.of(self.source, self.decoded), CellPool.of(self.decoded, self.source)
 
+    def inexact_corners(self, marks: NDArray[np.uint8]) -> Int64s:
+        """Corners of marked cells at which the decoded force is not the source's.
+
+        `marks` uint8 [bricks of the pools, 512]. Returns numbers of samples, int64 [m], ascending: 512 times the key
+        of the brick (`field.brick_keys`), plus the sample within it.
+        """
+        pool, grid = self.pools[0], self.source.grid
+        slots, cells = np.nonzero(marks)
+        corner_m = pool.lattices[0, 3:]
+        first = np.rint((corner_m - grid.origin_m) / grid.spacing_m).astype(np.int64)
+        low = first + 8 * pool.bricks[slots].astype(np.int64) + np.stack(np.unravel_index(cells, (8, 8, 8)), axis=-1)
+        samples = (low[:, None] + np.array(list(np.ndindex(2, 2, 2)))).reshape(-1, 3)
+        samples = samples[((samples >= 0) & (samples < grid.shape)).all(axis=1)]
+        bricks, local = samples >> 3, samples & 7
+        within = (local[:, 0] * 8 + local[:, 1]) * 8 + local[:, 2]
+        numbers = np.unique(512 * brick_keys(grid, bricks) + within)
+        keys, place = np.unique(numbers >> 9, return_inverse=True), numbers & 511
+        ours, theirs = (
+            field.forces_at(keys[0]).reshape(-1, 512, 3)[keys[1], place] for field in (self.source, self.decoded)
+        )
+        inexact: Int64s = numbers[(ours != theirs).any(axis=1)]
+        return inexact
+
 
 class Moves(NamedTuple):
     """Decoded poses float64 [frames, bodies, 7], and b (v, omega) of the source and the decoded tracks [..., 6]."""
@@ -88,7 +113,7 @@ class Moves(NamedTuple):
 
 @dataclass(frozen=True)
 class ComposedRule:
-    """The rule for the composed field of a scene: `f0_n` in newtons, above 0."""
+    """The rule for the composed field of a scene: `f0_n` in newtons, 0 or more."""
 
     scene: HapticScene
     k: float
@@ -96,6 +121,22 @@ class ComposedRule:
 
     def check(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> Found:
         """Compare frames of the scene, whose bodies have these fields and moves."""
+        return self._compare(pairs, moves, frames, is_marking=False)[0]
+
+    def violating_samples(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> list[Int64s]:
+        """Samples of each body that are not exact and have a part in a voxel beyond the rule.
+
+        Numbers as of `Pair.inexact_corners`. With these sent exactly no error is left there but that of the motion,
+        which a surface damping turns into a force.
+        """
+        marks = self._compare(pairs, moves, frames, is_marking=True)[1]
+        starts = np.cumsum([0, *(len(pair.pools[0].bricks) for pair in pairs)])
+        return [pair.inexact_corners(marks[a:b]) for pair, a, b in zip(pairs, starts[:-1], starts[1:], strict=True)]
+
+    def _compare(
+        self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int], *, is_marking: bool
+    ) -> tuple[Found, NDArray[np.uint8]]:
+        """What `check` finds; and cells that have a part in a violation, uint8 [bricks of all bodies, 512]."""
         from touchfield.codec.objects import kernels
 
         grid, limit_n = self.scene.grid, self.scene.force_max_n
@@ -106,9 +147,10 @@ class ComposedRule:
         bounds = np.full((count, 512), np.inf if is_damped else 0.0, np.float32)
         if not is_damped:
             for_chunks(kernels.bound_cells, count, source.cells, decoded.cells, rule, bounds, chunk=64)
+        marks = np.zeros((count if is_marking else 0, 512), np.uint8)
         bodies = kernels.Bodies(
             source.lattices, source.boxes, source.starts, source.bricks, source.tables, source.held | decoded.held,
-            source.cells, decoded.cells, bounds, bounds.max(axis=1, initial=0.0),
+            source.cells, decoded.cells, bounds, bounds.max(axis=1, initial=0.0), marks,
         )  # fmt: skip
         own = np.asarray(frames)
         here = Moves(*(column[own] for column in moves))
@@ -119,13 +161,13 @@ class ComposedRule:
         for found in for_chunks(kernels.compare_frames, len(own), *beside, chunk=_FRAMES_AT_ONCE):
             total = total.joined(Found(*found))
         total.places[:, 0] = np.where(total.places[:, 0] >= 0, own[total.places[:, 0]], -1)
-        return total
+        return total, marks
 
 
 def compare_scenes(source: HapticScene, decoded: HapticScene, k: float, f0_n: float) -> tuple[Found, float]:
     """How a decoded scene keeps the rule in all its frames, and how far a point of a body is from its place, metres.
 
-    `source` and `decoded`: of the same objects on the same lattices. `f0_n`: newtons, above 0.
+    `source` and `decoded`: of the same objects on the same lattices. `f0_n`: newtons, 0 or more.
     """
     rule, moves = ComposedRule(source, k, f0_n), Moves.of(source, [one.track for one in decoded.objects])
     bodies = list(zip(source.objects, decoded.objects, strict=True))

@@ -21,6 +21,7 @@ from touchfield.codec.paper import quantisers
 from touchfield.codec.paper.body import (
     INTER_SET,
     INTRA_SET,
+    MOST_NEWTONS,
     RUN_SYMBOLS,
     BitStream,
     FrameSymbols,
@@ -64,8 +65,14 @@ class PaperEncoder:
         return (self._spec.directions if self._spec.stage == "none" else self._spec.stage).encode("ascii")
 
     def encode_segment(self, frames: Sequence[ForceField]) -> CodedSegment:
-        """Code one independent group of frames, at least one."""
+        """Code one independent group of frames, at least one.
+
+        InvalidArgument if a force is not finite, or (of no stage) an amplitude is beyond the 10^6 N that a file may
+        hold.
+        """
         spec = self._spec
+        for i, frame in enumerate(frames):
+            _check_range(frame, i, MOST_NEWTONS if spec.stage == "none" else float(np.finfo(np.float32).max))
         if spec.stage != "none":
             return encode_staged(frames, spec.stage, spec.step_n)
         trained_on = frames[:1] if spec.interframe == "open" else frames
@@ -74,6 +81,15 @@ class PaperEncoder:
         coder = _Coder(self._grid, spec, frames, {INTRA_SET: intra})
         count = len(Codebook.get(spec.directions))
         return write_body(count, coder.levels, coder.coded, single_holds=not spec.hold_runs)
+
+
+def _check_range(frame: ForceField, index: int, most_n: float) -> None:
+    with np.errstate(over="ignore"):  # beyond float32 is beyond all limits
+        largest_n = float(amplitudes_n(frame.forces_n.reshape(-1, 3)).max(initial=0.0))
+    if not largest_n <= most_n:  # NaN is not, either
+        raise InvalidArgument(
+            f"frame {index}", f"a force of {largest_n:.3g} N", f"finite newtons, {most_n:g} at most"
+        )
 
 
 class _Coder:
@@ -260,6 +276,9 @@ def write_body(
             streams = packed[id(symbols)] = pack_runs(symbols.sent, symbols.levels, len(chosen), single=single_holds)
             amplitude_counts += np.bincount(streams[0], minlength=len(amplitude_counts))
             direction_counts += np.bincount(symbols.directions, minlength=direction_count)
+        if chosen.levels_n.max(initial=0.0) > MOST_NEWTONS:  # of differences, which are up to twice a force
+            found = f"a change of {chosen.levels_n.max():.3g} N from frame to frame"
+            raise InvalidArgument("frames", found, f"{MOST_NEWTONS:g} N at most")
         made = sets[kind] = TableSet(chosen, fitted_code(amplitude_counts), fitted_code(direction_counts))
         kinds |= kind
         tables += chunk(chosen.levels_n.astype("<f4").tobytes())

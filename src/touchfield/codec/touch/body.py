@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.segment import BitAccount, FrameCost, FrameKind, Worst
+from touchfield.codec.segment import RATIO_STEPS, BitAccount, FrameCost, FrameKind, Worst
 from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.spec import EFFORTS, MODES, SUPPORTS, TouchSpec
 from touchfield.codec.varint import Parts, chunk, write_varint
@@ -29,7 +29,6 @@ _VERSION: Final = 1  # of the parameters
 _SAMPLES: Final = 512
 _VECTOR: Final = 12
 _WORST_FLAG: Final = 1
-_RATIOS: Final = 65535
 _INTER, _GUESS, _EXCEPTIONS = 1, 2, 4
 _MASK: Final = ("k", "f0_n")
 _NUMBERS: Final = {
@@ -72,12 +71,16 @@ class FrameRecord:
 
 
 def shares_of(bits: tuple[float, float, float]) -> tuple[int, int]:
-    """Support and amplitude of the bits of support, amplitude and direction, 1/255."""
+    """Support and amplitude of the bits of support, amplitude and direction, 1/255.
+
+    For people only, so nothing is refused: prices are estimates, and in a payload of a few bytes they may add up to
+    more bits than it has, which leaves less than none for one of the three.
+    """
     total = sum(bits)
-    if not total > 0:
+    if not 0 < total < math.inf:
         return 255, 0
-    support = round(255 * bits[0] / total)
-    return support, min(round(255 * bits[1] / total), 255 - support)
+    support = min(max(round(255 * bits[0] / total), 0), 255)
+    return support, min(max(round(255 * bits[1] / total), 0), 255 - support)
 
 
 def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], worst: Worst | None) -> bytes:
@@ -86,8 +89,7 @@ def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], worst: W
     if lattice is not None:
         parts.append(lattice.to_bytes())
     if worst is not None:
-        ratio = math.ceil(worst.ratio * _RATIOS)
-        parts += [struct.pack("<H", ratio), *map(write_varint, (worst.frame, *worst.voxel))]
+        parts += [struct.pack("<H", worst.rounded_up), *map(write_varint, (worst.frame, *worst.voxel))]
     return b"".join([*parts, *(record.to_bytes() for record in records)])
 
 
@@ -105,7 +107,7 @@ class BodyReader:
             (ratio,) = struct.unpack("<H", self._parts.take(2, "worst ratio"))
             frame = self._parts.varint("worst frame", 1 << 16)
             x, y, z = (self._parts.varint("worst voxel", n) for n in grid.shape)
-            self.worst = Worst(ratio / _RATIOS, frame, (x, y, z))
+            self.worst = Worst(ratio / RATIO_STEPS, frame, (x, y, z))
 
     def records(self, frame_count: int) -> list[FrameRecord]:
         """The frames, not decoded; the last one must end the body."""
@@ -174,22 +176,19 @@ def exceptions_of(original: ForceField, keys: Int64s, places: Int64s) -> bytes:
     return b"".join(parts)
 
 
+def exception_numbers(grid: Grid, data: bytes) -> Int64s:
+    """Numbers of the samples of `exceptions_of`, int64 [m], ascending: 512 key + place."""
+    keys, places, _ = _read_exceptions(grid, data)
+    return 512 * np.array(keys, np.int64) + np.array(places, np.int64)
+
+
 def with_exceptions(field: ForceField, data: bytes) -> ForceField:
     """A field with the forces of `exceptions_of` in place of its own; bricks without any force are left out.
 
     CorruptFile or TruncatedFile where the bytes are not what that writes.
     """
-    grid, keys, places = field.grid, list[int](), list[int]()
-    parts, forces, key, place = Parts(data, _APART), bytearray(), 0, -1
-    while not parts.is_ended:
-        gap = parts.varint("brick", math.prod(grid.brick_shape) - key)
-        coded = parts.varint("sample", 2 * _SAMPLES)
-        if keys and gap == 0 and coded >> 1 <= place:
-            raise CorruptFile(_APART, f"sample {coded >> 1} after sample {place}", "ascending samples")
-        key, place = key + gap, coded >> 1
-        keys.append(key)
-        places.append(place)
-        forces += bytes(_VECTOR) if coded & 1 else parts.take(_VECTOR, "force")
+    grid = field.grid
+    keys, places, forces = _read_exceptions(grid, data)
     vectors = np.frombuffer(forces, "<f4").reshape(-1, 3)
     if not np.isfinite(vectors).all():
         raise CorruptFile(_APART, "a force that is not finite", "finite newtons")
@@ -200,3 +199,19 @@ def with_exceptions(field: ForceField, data: bytes) -> ForceField:
     own = field.forces_at(every)
     own.reshape(-1, _SAMPLES, 3)[np.searchsorted(every, keys), places] = vectors
     return field_that_holds(grid, bricks_of(grid, every), own)
+
+
+def _read_exceptions(grid: Grid, data: bytes) -> tuple[list[int], list[int], bytes]:
+    """Keys of bricks, samples within them, and forces of `exceptions_of`; CorruptFile or TruncatedFile."""
+    keys, places = list[int](), list[int]()
+    parts, forces, key, place = Parts(data, _APART), bytearray(), 0, -1
+    while not parts.is_ended:
+        gap = parts.varint("brick", math.prod(grid.brick_shape) - key)
+        coded = parts.varint("sample", 2 * _SAMPLES)
+        if keys and gap == 0 and coded >> 1 <= place:
+            raise CorruptFile(_APART, f"sample {coded >> 1} after sample {place}", "ascending samples")
+        key, place = key + gap, coded >> 1
+        keys.append(key)
+        places.append(place)
+        forces += bytes(_VECTOR) if coded & 1 else parts.take(_VECTOR, "force")
+    return keys, places, bytes(forces)

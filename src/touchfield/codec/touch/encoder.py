@@ -20,7 +20,15 @@ from touchfield.codec.kernels import end_of, writer
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.segment import CodedSegment, FrameStats, Worst
 from touchfield.codec.support import code_bricks, padded
-from touchfield.codec.touch.body import FrameRecord, exceptions_of, shares_of, write_body, write_parameters
+from touchfield.codec.touch.body import (
+    BodyReader,
+    FrameRecord,
+    exception_numbers,
+    exceptions_of,
+    shares_of,
+    write_body,
+    write_parameters,
+)
 from touchfield.codec.touch.decoder import NAME, TouchDecoder
 from touchfield.codec.touch.frame import AS_THEY_ARE, BRICK_COUNTS, Palette, Told, components, frame_of, models_after
 from touchfield.codec.touch.frame_encoder import Chooser, lattice_for
@@ -86,6 +94,25 @@ class TouchEncoder:
         # a decoder makes what was compared, bit for bit
         return self._sealed(came, lattice, records, seen if is_known else None)
 
+    def with_exact_samples(
+        self, segment: CodedSegment, frames: Sequence[ForceField], samples: Sequence[Int64s]
+    ) -> CodedSegment:
+        """A segment in which some samples of each frame are exact, whatever else it lost there.
+
+        `frames` are those that were coded. `samples`: numbers of each frame's, int64 [m], 512 times the key of the
+        brick plus the sample within it. They are sent as the outliers of the frames, which predict nothing, so that
+        all else decodes as before. InvalidArgument in mode "lossless", in which every sample is exact.
+        """
+        if self._spec.mode == "lossless":
+            raise InvalidArgument("exact samples", "them in mode lossless", "a mode that loses something")
+        reader = BodyReader(segment.body, self._grid, exact=False)
+        records = []
+        for record, frame, wanted in zip(reader.records(len(frames)), frames, samples, strict=True):
+            numbers = np.union1d(exception_numbers(self._grid, record.exceptions), wanted).astype(np.int64)
+            sent = exceptions_of(frame, numbers >> 9, numbers & 511)
+            records.append(replace(record, exceptions=sent))
+        return self._sealed(frames, reader.lattice, records, None)
+
     def anchor(self, frame: ForceField, before: ForceField | None) -> ForceField:
         """The anchor before, where no force differs by more than a small share of the mask, or else this frame."""
         if before is None or self._spec.mode not in ("mask", "mask-direction") or frame.grid != before.grid:
@@ -122,7 +149,8 @@ class TouchEncoder:
         worst = Worst(min(results[frame].worst, 1.0), frame, results[frame].voxel)
         costs = (record.cost for record in records)
         stats = (FrameStats(c.kind, c.bits, f.decoded, f.decoded) for c, f in zip(costs, results, strict=True))
-        return CodedSegment(write_body(lattice, records, None if self._spec.mode == "nmse" else worst), tuple(stats))
+        known = None if self._spec.mode == "nmse" else worst
+        return CodedSegment(write_body(lattice, records, known), tuple(stats), known)
 
 
 _Shares = tuple[float, float, float]

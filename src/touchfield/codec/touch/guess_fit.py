@@ -133,6 +133,7 @@ _EMPTY: Final = 0.3  # weight of samples without a force
 _ROUGHNESS: Final = 1e-3
 _TURNS, _ROUNDS = 60, 4
 _SETTLED: Final = 0.03  # of what is asked
+_DIVERGED: Final = 1e15  # units: squares of float32 end at 1e38, and no force has more than 2^17
 _EYE: Final = np.eye(3, dtype=np.float32)
 
 
@@ -253,6 +254,8 @@ def _coefficients(samples: _Samples, k: float, f0: float, growth: float) -> Any:
     c = samples.solved(rows, np.einsum("...ij,...j->...i", rows, goal), np.zeros(samples.bending.shape[0]))
     weight = np.where(length > 0, 1 / tolerance, np.float32(_EMPTY**0.5 / f0))
     for _ in range(_ROUNDS):
+        if not (np.abs(c) < _DIVERGED).all():
+            return np.zeros_like(c)  # a spline that no field is coded after
         f = samples.seen_of(c)
         steep = lengths_of(f[..., 1:])
         slow, size = np.maximum(steep, stiffness / 2), np.clip(f[..., 0], 0, np.float32(TOP))
@@ -264,7 +267,7 @@ def _coefficients(samples: _Samples, k: float, f0: float, growth: float) -> Any:
         grows = ((f[..., 0] > 0) & (f[..., 0] < TOP))[..., None]
         ways = [(grows * direction)[..., None], (size / slow)[..., None, None] * (along - _EYE)]
         c = samples.solved(w[..., None] * np.concatenate(ways, axis=-1), w * missing, c)
-    return c
+    return np.nan_to_num(c)
 
 
 # the share of voxels at which a guess worth a trial keeps the rule; in mode "nmse" any is worth one

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from touchfield.asked import option
 from touchfield.codec.registry import Coder
+from touchfield.codec.segment import BoundRule, mask_text
 from touchfield.errors import InvalidArgument, require_kinds
 
 MODES: Final = ("mask", "mask-direction", "nmse", "lossless")
@@ -107,6 +108,22 @@ def _summary(spec: TouchSpec) -> dict[str, Any]:
     return {"mode": spec.mode, "effort": spec.effort, **more}
 
 
+def _bound(spec: TouchSpec) -> BoundRule:
+    """The guarantee of a mode, in words."""
+    floor, share = f"{spec.f0_n:g} N", f"{spec.k:g} |F|"
+    if spec.mode == "lossless":
+        return BoundRule("every force bit for bit")
+    if spec.mode == "mask":
+        around = f" + {spec.masking:g} of the mean force within {1e3 * spec.masking_radius_m:g} mm"
+        return BoundRule(mask_text(spec.k, spec.f0_n, around if spec.masking else ""))
+    if spec.mode == "mask-direction":
+        angle = f"{spec.direction_jnd_deg:g} degrees"
+        length = f"the length within max({floor}, {share}) and the direction within {angle}"
+        return BoundRule(f"{length} where |F| > {floor} / sin({angle}), elsewhere |error| <= {floor}")
+    reason = f"mode {spec.mode} keeps a mean squared error, which bounds no single voxel; take --mode mask"
+    return BoundRule(None, reason)
+
+
 _OPTIONS: Final = (
     "k", "segment_frames", "f0_n", "mode", "direction_jnd_deg", "step_n", "support", "effort", "masking", "body_site",
     "lossless_quantised", "interframe",
@@ -125,5 +142,6 @@ CODER = Coder(
     },
     hints=("target_nmse_db",),
     summary=_summary,
+    bound=_bound,
     has_promise=True,
 )
