@@ -1,8 +1,8 @@
 """Force, gradient and vibration at a point: `c/touch.h`, the package and the format's own words say the same.
 
 The third answer is written here from docs/format, in float64: trilinear samples of what the second decoder finds.
-Points lie where mistakes hide: on samples, faces and edges of cells, at the borders of bricks and of the lattice, next
-to samples without a force, where a sum of forces is cut, and where no number is.
+Points lie where mistakes hide: on samples, faces and edges of cells, at the borders of bricks and of the lattice,
+beside samples without a force, where a sum of forces is cut, and where no number is.
 """
 
 from __future__ import annotations
