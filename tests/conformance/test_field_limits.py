@@ -189,6 +189,37 @@ def values_of(tag: str, payload: bytes) -> list[Any]:
     return [row.kind.decode(cursor, "") for row in rows_of(RECORD_OF[tag].kind.layout)]
 
 
+def story_cases() -> Iterator[Case]:
+    """PROV: pairs, keys and values at and beyond their limits."""
+    records = split(voxels())
+
+    def story(*pairs: tuple[int, int]) -> bytes:
+        texts = [(f"{n:{size}}"[-size:] if size else "", "b" * length) for n, (size, length) in enumerate(pairs)]
+        coded = [struct.pack("<H", len(text)) + text.encode() for pair in texts for text in pair]
+        return struct.pack("<H", len(pairs)) + b"".join(coded)
+
+    for name, pairs, is_right in (
+        ("no pair", [], True), ("64 pairs", [(2, 1)] * 64, True), ("65 pairs", [(2, 1)] * 65, False),
+        ("long key", [(64, 1)], True), ("longer key", [(65, 1)], False), ("no key", [(0, 1)], False),
+        ("long value", [(1, 4096)], True), ("longer value", [(1, 4097)], False), ("no value", [(1, 0)], True),
+    ):  # fmt: skip
+        yield Case(f"PROV {name}", joined([records[0], ("PROV", story(*pairs)), *records[1:]]), is_right)
+    twice = struct.pack("<H", 2) + 2 * (struct.pack("<H", 1) + b"a" + struct.pack("<H", 0))
+    yield Case("PROV a key twice", joined([records[0], ("PROV", twice), *records[1:]]), is_right=False)
+
+
+def object_count_cases() -> Iterator[Case]:
+    """1 to 4096 OBJT beside the coder `objects`, and none beside another."""
+    records = split(scene_file())
+    own = [record for record in records if record[0] == "OBJT"]
+    others = [record for record in records[1:] if record[0] != "OBJT"]
+    small = ("OBJT", own[0][1][: 2 + len("first block") + 60] + b"\0" + struct.pack("<H", 1) + b"a" + bytes(8))
+    for count, is_right in ((1, True), (4096, True), (4097, False), (0, False)):
+        yield Case(f"{count} OBJT", joined([records[0], *[small] * count, *others]), is_right)
+    plain = split(voxels())
+    yield Case("OBJT beside voxels", joined([plain[0], small, *plain[1:]]), is_right=False)
+
+
 def end_cases() -> Iterator[Case]:
     """Each number of INDX and TEND, off by one either way, behind CRCs that hold."""
     data = voxels(frames=3)
@@ -212,7 +243,7 @@ def end_cases() -> Iterator[Case]:
 def test_readers_of_the_container_have_the_same_limits(tmp_path: Path) -> None:
     folder = CONFORMANCE.parent / "c"
     program = built(tmp_path, "open", "-O1", f"-I{folder}", source=HERE / "open.c")
-    cases = [*record_cases(), *end_cases()]
+    cases = [*record_cases(), *story_cases(), *object_count_cases(), *end_cases()]
     paths = [tmp_path / f"{n}.touch" for n in range(len(cases))]
     for path, case in zip(paths, cases, strict=True):
         path.write_bytes(case.data)
