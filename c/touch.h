@@ -108,7 +108,7 @@ int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame);
 void touch_force(const touch_frame *frame, double x, double y, double z, double newtons[3]);
 /* dF_i/dx_j, N/m, row by row. */
 void touch_gradient(const touch_frame *frame, double x, double y, double z, double n_per_m[9]);
-/* Amplitude, N, and frequency, Hz. */
+/* Amplitude, N, and frequency, Hz, as docs/format/vibration.md has them at a point. */
 void touch_vibration(const touch_frame *frame, double x, double y, double z, double both[2]);
 
 #ifdef __cplusplus
@@ -2238,6 +2238,10 @@ static void touch_field_put(const touch_field *f, uint32_t *table, uint64_t key,
     table[2 * at] = number, table[2 * at + 1] = slot;
 }
 
+/* Samples: a point so near to a plane of the lattice lies on it, in the cell towards greater indices, whatever the
+   rounding of its metres says. */
+#define TOUCH_ON_PLANE 1e-9
+
 /* The eight samples about a point, and where it lies between them; 0: nothing is there. */
 static int touch_corners_at(const touch_field *f, const double p[3], float c[8][3], double part[3]) {
     int64_t low[3], brick[3], last = -2;
@@ -2245,8 +2249,9 @@ static int touch_corners_at(const touch_field *f, const double p[3], float c[8][
     int any = 0;
     for (int n = 0; n < 3; n++) {
         double at = (p[n] - f->grid.origin_m[n]) / f->grid.spacing_m[n];
-        if (!(at > -1 && at < f->grid.shape[n])) return 0;
-        low[n] = (int64_t)floor(at), part[n] = at - (double)low[n];
+        if (!(at > -1 - TOUCH_ON_PLANE && at < f->grid.shape[n])) return 0;
+        low[n] = (int64_t)floor(at + TOUCH_ON_PLANE), part[n] = at - (double)low[n];
+        if (!(part[n] > TOUCH_ON_PLANE)) part[n] = 0;
     }
     for (int n = 0; n < 8; n++) {
         int64_t at[3];
@@ -2354,15 +2359,18 @@ void touch_gradient(const touch_frame *frame, double x, double y, double z, doub
     }
 }
 
+/* An amplitude exceeds the largest before it by a millionth: rounding never decides between equals. */
+static int touch_adds_more(double amplitude, double largest) { return amplitude > largest * (1 + 1e-6); }
+
 void touch_vibration(const touch_frame *frame, double x, double y, double z, double both[2]) {
     float c[8][3];
-    double p[3], t[3], best = -1;
+    double p[3], t[3], largest = 0;
     both[0] = both[1] = 0, p[0] = x, p[1] = y, p[2] = z;
     if (!frame->vibration || !touch_corners_at(frame->vibration, p, c, t)) return;
-    for (int n = 0; n < 8; n++) { /* amplitudes between samples; the frequency of the sample that weighs most */
+    for (int n = 0; n < 8; n++) { /* amplitudes between samples; the frequency of the sample that adds most to them */
         double w = (n & 4 ? t[0] : 1 - t[0]) * (n & 2 ? t[1] : 1 - t[1]) * (n & 1 ? t[2] : 1 - t[2]) * c[n][0];
         both[0] += w;
-        if (w > best && c[n][0] > 0) best = w, both[1] = c[n][1];
+        if (touch_adds_more(w, largest)) largest = w, both[1] = c[n][1];
     }
 }
 

@@ -258,6 +258,40 @@ def test_pins_show_the_height_that_is_met_first(axes: str, wall_m: float) -> Non
     )
 
 
+def plain(height_m: float, axes: str) -> Formula:
+    """Solid land of one height over the lattice's far end, 0 to 0.03 m."""
+    sign = -1.0 if axes == CAMERA_AXES else 1.0
+
+    def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
+        is_solid = sign * points[..., 2] < height_m - 0.015
+        return np.where(is_solid, 3.3, 0.0)[..., None] * np.array([0.0, 0.0, sign])
+
+    return Formula(forces, axes)
+
+
+@pytest.mark.parametrize("axes", [UP_Z_AXES, CAMERA_AXES])
+@pytest.mark.parametrize("wall_m", [math.inf, 0.0066])
+@pytest.mark.parametrize("is_stored", [False, True])
+def test_on_average_pins_are_as_high_as_the_land(axes: str, wall_m: float, is_stored: bool) -> None:
+    """A height is known to a sample; over heights that sweep one, the errors must cancel, not shift all pins."""
+    law, errors = profile_of(LawSpec(), wall_m), []
+    room_m = 0.0 if math.isinf(wall_m) else wall_m
+    mapping = DeviceFilter(PINS, device_grid(PINS, depth_m=0.03 + 2 * room_m), Placement())
+    step = 1 / 128  # of the heights
+    fine = Grid((210, 15, 90), (0.0005, 0.0005, 0.0005), (-0.05225, -0.0035, -0.02225))
+    z = np.sort((-1.0 if axes == CAMERA_AXES else 1.0) * fine.axis_m(2))
+    for n in range(16):
+        height_m = 0.0121 + (n * 0.00083 if is_stored else n / 16 * 0.03 * step)
+        scene = plain(height_m, axes)
+        if is_stored:
+            scene = Stored(HapticMedium.from_frames([scene.field(0, fine, law)], 30.0, axes))
+            scene.axes = axes
+            height_m = z[np.searchsorted(z, height_m - 0.015)] + 0.015  # linear, it ends at the first sample of zeros
+        shown = mapping.frames(scene, law)(0).to_dense()[21, 1, 0, 2]
+        errors.append(shown / 3.3 - height_m / 0.03)
+    assert np.abs(errors).max() <= 0.6 * step and abs(np.mean(errors)) < 0.2 * step
+
+
 def test_a_plain_that_ends_is_as_high_at_its_edge() -> None:
     def forces(points: NDArray[np.float64], profile: ForceProfile) -> NDArray[np.float64]:
         place = points[..., 0] / PINS.pitch_mm * 1e3

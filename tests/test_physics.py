@@ -8,16 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from touchfield.errors import MissingExtra, SourceError
+from touchfield.medium import PoseTrack
 from touchfield.sources.body_scene import BodyScene
 from touchfield.sources.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.physics import open_physics
+from touchfield.sources.physics import open_physics, read_physics
 from touchfield.sources.registry import kinds, open_source
 from touchfield.sources.samples import sample
 from touchfield.sources.scene import Body
 from touchfield.sources.shapes import Box, Plane
+from touchfield.sources.simulation import _driven, model_of
 
 needs_mujoco = pytest.mark.skipif(
     __import__("importlib.util").util.find_spec("mujoco") is None,
@@ -248,6 +251,49 @@ def test_a_posed_body_does_not_fall_between_its_frames(fall: Make, tmp_path: Pat
     rides = "position_m = [0, 0, 0.13]\nvelocity_m_s = [0, 0, 0.2]"  # with a plate that rises from the first frame on
     ball, lift = fall("rate_hz = 20\nrestitution = 0", body=rides, more=plate).bodies()
     assert np.ptp((ball.track.positions_m - lift.track.positions_m)[:, 2]) < 0.002
+
+
+@needs_mujoco
+@pytest.mark.parametrize("tilt_deg", [0.0, 60.0, -90.0, 135.0])
+def test_a_posed_body_turns_between_its_frames_as_its_poses_do(fall: Make, tmp_path: Path, tilt_deg: float) -> None:
+    """MuJoCo's own step of a body, with the velocities that it is given, ends at the next pose."""
+    import mujoco
+
+    turn, tilt = Rotation.from_rotvec, Rotation.from_euler("xy", [tilt_deg, 20.0], degrees=True)
+    t = np.arange(11) / 20
+    poses = [turn([0, 0, 3.0 * now]) * tilt for now in t]  # about the scene's z, whatever the tilt
+    track = PoseTrack(
+        np.array([one.as_quat(scalar_first=True) for one in poses]), np.stack([t, 0.5 * t, 0.2 * t], axis=1)
+    )
+    plate = '[[body]]\nkind = "box"\nname = "plate"\nhalf_extents_m = [0.1, 0.05, 0.01]\nposes = "turn.csv"'
+    (tmp_path / "turn.csv").write_text("t_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n1,0,0,0,1,0,0,0\n")
+    fall(more=plate)
+    table = read_physics(tmp_path / "scene.toml")
+    model, ids, _ = model_of(mujoco, table, {"plate": track}, "here")
+    place, motion, states, velocities = _driven(model, ids[1], track, 20.0)
+    for frame in range(1, 9):
+        state, velocity = np.zeros(model.nq), np.zeros(model.nv)
+        state[3] = 1.0
+        state[place], velocity[motion] = states[frame], velocities[frame]
+        mujoco.mj_integratePos(model, state, velocity, 1 / 20)
+        np.testing.assert_allclose(state[place][:3], track.positions_m[frame + 1], atol=1e-9)
+        assert abs(state[place][3:] @ track.quaternions[frame + 1]) == pytest.approx(1.0, abs=1e-7)
+
+
+@needs_mujoco
+@pytest.mark.parametrize("turns_deg", [(0, 0, 0), (30, 0, 0), (0, 90, 0), (20, -40, 70), (180, 10, 0)])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_spin_is_about_the_axes_of_the_scene_however_a_body_lies(
+    fall: Make, turns_deg: tuple[int, int, int], axis: int
+) -> None:
+    spin_deg_s = [90.0 * (n == axis) for n in range(3)]
+    body = f"position_m = [0, 0, 0.5]\nrotation_deg = {list(turns_deg)}\nspin_deg_s = {spin_deg_s}"
+    (ball,) = fall(body=body).bodies()
+    first, last = (Rotation.from_quat(ball.track.quaternions[n], scalar_first=True) for n in (0, 100))
+    np.testing.assert_allclose((last * first.inv()).as_rotvec(degrees=True), 0.1 * np.array(spin_deg_s), atol=1e-6)
+    x, y, z = turns_deg  # about x, then y, then z of the scene
+    expected = Rotation.from_euler("xyz", [x, y, z], degrees=True)
+    assert (first * expected.inv()).magnitude() < 1e-9
 
 
 @needs_mujoco

@@ -158,6 +158,16 @@ def test_what_is_lost_stays_below_the_threshold_in_every_third(kind: str, newton
         assert sent.symbols.any() and np.abs(error).max() > 0
 
 
+@pytest.mark.parametrize("margin_db", [0.0, 3.0, 6.0, 12.0])
+@pytest.mark.parametrize("kind", ["white", "tone"])
+def test_what_is_lost_is_as_far_below_the_threshold_as_asked_and_no_farther(kind: str, margin_db: float) -> None:
+    signal = 0.1 * (noise(6000) if kind == "white" else np.sin(2 * np.pi * 97 * np.arange(6000) / 2000))
+    sent = reduced(signal, 2000.0, margin_db=margin_db)
+    assert -1.0 < worst_margin_db(signal - sent.decoded(), 2000.0) - margin_db < 1.5  # windows of another form
+    if margin_db == 3.0:  # the one that is taken where none is asked for
+        np.testing.assert_array_equal(reduced(signal, 2000.0).symbols, sent.symbols)
+
+
 def test_nothing_is_sent_of_what_nobody_feels_and_a_margin_costs_bits() -> None:
     assert not reduced(1e-5 * noise(4000), 2000.0).symbols.any()
     costs = [reduced(0.1 * noise(4000), 2000.0, margin_db=m).bits for m in (0.0, 3.0, 12.0)]

@@ -354,7 +354,7 @@ EXPORT(feel) const double *feel(double x, double y, double z) {
     touch_vibration(frame + first, x, y, z, out + 3);
     if (share > 0) {
         touch_vibration(frame + second, x, y, z, late);
-        if (out[4] == 0 || (share > 0.5 && late[1] > 0)) out[4] = late[1];
+        if (touch_adds_more(share * late[0], (1 - share) * out[3])) out[4] = late[1];
         out[3] += share * (late[0] - out[3]);
     }
     return out;

@@ -12,6 +12,8 @@ CONFORMANCE = Path(__file__).resolve().parents[2] / "conformance"
 sys.path.append(str(CONFORMANCE))  # where the second decoder looks for its parts
 
 decoder: Any = importlib.import_module("decoder")
+decode_objects: Any = importlib.import_module("decode_objects")
+make_golden: Any = importlib.import_module("make_golden")
 reading: Any = importlib.import_module("reading")
 
 GOLDEN = sorted((CONFORMANCE / "v1").glob("*.touch"))

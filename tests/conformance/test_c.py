@@ -26,10 +26,10 @@ def is_paper(stream: Path) -> bool:
     return b"\x05\x00paper" in stream.read_bytes()
 
 
-def built(folder: Path, name: str, *options: str) -> Path:
-    """A program of the folder c."""
+def built(folder: Path, name: str, *options: str, source: Path | None = None) -> Path:
+    """A program of the folder c, or of another source."""
     out = folder / name
-    command = [str(COMPILER), *STRICT, *options, "-o", str(out), str(C / f"{name}.c"), "-lm"]
+    command = [str(COMPILER), *STRICT, *options, "-o", str(out), str(source or C / f"{name}.c"), "-lm"]
     made = subprocess.run(command, capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr
     return out
@@ -43,7 +43,12 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(program: Path, stream: Path, out: Path) -> tuple[int, str]:
     """Its code and its words."""
-    done = subprocess.run([program, stream, out], capture_output=True, text=True, check=False)
+    return run_with(program, stream, out)
+
+
+def run_with(program: Path, *paths: Path) -> tuple[int, str]:
+    """The code and the words of a program with any files."""
+    done = subprocess.run([program, *paths], capture_output=True, text=True, check=False)
     return done.returncode, done.stdout.strip()
 
 

@@ -123,7 +123,7 @@ def test_no_place_gives_no_force(bad: float, axis: int, turned: bool) -> None:
     assert vibration_at(*block.memory.views, frame, *point) == (0.0, 0.0)
 
 
-def test_vibration_is_interpolated_in_amplitude_and_nearest_in_frequency() -> None:
+def test_vibration_has_the_frequency_of_the_corner_that_adds_most() -> None:
     grid, block = Grid((4, 4, 4), (0.01, 0.01, 0.02), (0.0, 0.0, 0.0)), Block()
     band = VibrationFrame(
         grid,
@@ -137,6 +137,10 @@ def test_vibration_is_interpolated_in_amplitude_and_nearest_in_frequency() -> No
     assert vibration_at(*views, frame, 0.01, 0.01, 0.035) == pytest.approx((2.5, 250.0))
     assert vibration_at(*views, frame, 0.018, 0.01, 0.029) == pytest.approx((1.0 * 0.11 + 3 * 0.09 + 2 * 0.44, 120.0))
     assert vibration_at(*views, frame, 0.001, 0.01, 0.02) == pytest.approx((0.1, 80.0))
+    nearer = vibration_at(*views, frame, 0.01, 0.01, 0.026)  # 0.7 N of the near one, 0.9 N of the far one
+    assert nearer == pytest.approx((1.6, 250.0))
+    equal = vibration_at(*views, frame, 0.01 + 0.01 / 3, 0.01, 0.02)  # 2/3 N of both: the first in raster order
+    assert equal == pytest.approx((4 / 3, 80.0))
     assert vibration_at(*views, frame, 0.0, 0.0, 0.0) == (0.0, 0.0)
     assert vibration_at(*views, block.frame([]), 0.01, 0.01, 0.02) == (0.0, 0.0)
 

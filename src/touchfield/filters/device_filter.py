@@ -192,9 +192,12 @@ class DeviceFilter:
         return dense[:nx, :ny]
 
     def _relief(self, rise: Float64s, fine: Grid, law: ForceProfile) -> Float64s:
-        """Newtons of pins whose columns have their first force `rise` samples from the far end; NaN without any."""
+        """Newtons of pins whose columns have their first force `rise` samples from the far end; NaN without any.
+
+        Samples are the middles of cells: the surface lies about where the last cell with a force ends.
+        """
         down_m, up_m = relief_m(fine, law)
-        share = np.clip(((rise - 0.5) * fine.spacing_m[2] - down_m) / (up_m - down_m), 0.0, 1.0)
+        share = np.clip((rise * fine.spacing_m[2] - down_m) / (up_m - down_m), 0.0, 1.0)
         return np.where(rise > 0, self.device.force_max_n * share, np.nan)
 
     def _array_lattice(self, scene: Scene, profile_hand: ForceProfile) -> Grid:

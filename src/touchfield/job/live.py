@@ -133,6 +133,7 @@ def coarse_layer(source: Source, prepared: Prepared) -> tuple[Prepared, LiveSend
     spec = replace(spec, touch=replace(spec.touch, k=k, f0_n=f0_n, mode="mask"))
     coarse = replace(prepared, medium=detail_level(fine, 1), spec=spec, scene=None, exact=None, source=None)
     layer = f"half of {fine.grid.words}; NMSE of the first frame {meter.nmse_db:.1f} dB"
+    layer += "; the vibration is left out" if fine.vibration is not None else ""
     return coarse, _sender(source, coarse, layer=layer)
 
 

@@ -341,7 +341,7 @@ def gradient_at(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z, force):
 
 @kernel(_nrt=False)
 def vibration_at(i8, u8, f8, f4, frame, x, y, z):
-    """Amplitude, newtons, interpolated, and frequency, Hz, of the nearest corner that vibrates; zeros for none."""
+    """Amplitude, newtons, interpolated, and frequency, Hz, of the corner that adds most to it; zeros for none."""
     field = i8[np.uint64(frame + W.FRAME_VIBRATION)]
     if field == 0:
         return 0.0, 0.0
@@ -351,28 +351,32 @@ def vibration_at(i8, u8, f8, f4, frame, x, y, z):
     amplitude = between(f4, o, *f)
     if not amplitude > 0.0:
         return 0.0, 0.0
-    h = three(f8, field + W.FIELD_INVERSE)
-    nearest, frequency = np.inf, 0.0
+    largest, frequency = 0.0, 0.0
     for c in range(8):
         i, j, k = c >> 2, (c >> 1) & 1, c & 1
         corner = o + np.uint64(243 * i + 27 * j + 3 * k)
-        if f4[corner] > 0.0:
-            d = (f[0] - i) / h[0], (f[1] - j) / h[1], (f[2] - k) / h[2]
-            if dot(d, d) < nearest:
-                nearest, frequency = dot(d, d), np.float64(f4[corner + _1])
+        weight = (f[0] if i else 1.0 - f[0]) * (f[1] if j else 1.0 - f[1]) * (f[2] if k else 1.0 - f[2])
+        if adds_more(weight * f4[corner], largest):
+            largest, frequency = weight * f4[corner], np.float64(f4[corner + _1])
     return amplitude, frequency
+
+
+@uncounted(forceinline=True)
+def adds_more(amplitude, largest):
+    """True if an amplitude exceeds the largest before it by a millionth: rounding never decides between equals."""
+    return amplitude > largest * (1.0 + 1e-6)
 
 
 @kernel(_nrt=False)
 def vibration_between(i8, u8, f8, f4, frame_a, frame_b, blend, x, y, z):
-    """Between two frames: the amplitude linear in time, the frequency that of the frame that says more."""
+    """Between two frames: the amplitude linear in time, the frequency that of the frame that adds most to it."""
     frame_a, frame_b, blend = ends(frame_a, frame_b, blend)
     if warp_of(i8, frame_a) > 0:
         x, y, z = plus((x, y, z), bent(i8, f8, frame_a, frame_b, blend, (x, y, z))[0])
     amplitude, frequency = vibration_at(i8, u8, f8, f4, frame_a, x, y, z)
     if blend > 0.0:
         later_n, later_hz = vibration_at(i8, u8, f8, f4, frame_b, x, y, z)
-        if blend * later_n > (1.0 - blend) * amplitude:
+        if adds_more(blend * later_n, (1.0 - blend) * amplitude):
             frequency = later_hz
         amplitude += blend * (later_n - amplitude)
     return amplitude, frequency

@@ -1,0 +1,266 @@
+"""Force, gradient and vibration at a point: `c/touch.h`, the package and the format's own words say the same.
+
+The third answer is written here from docs/format, in float64: trilinear samples of what the second decoder finds.
+Points lie where mistakes hide: on samples, faces and edges of cells, at the borders of bricks and of the lattice,
+beside samples without a force, where a sum of forces is cut, and where no number is.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from second import CONFORMANCE, decode_objects, decoder, make_golden
+from test_c import COMPILER, built, run_with
+
+import touchfield as tf
+from object_makers import moving_scene
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.render.sampler import FieldSampler
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
+
+HERE = Path(__file__).parent
+V1 = CONFORMANCE / "v1"
+CORNERS = list(itertools.product((0, 1), repeat=3))
+ON_PLANE = 1e-9  # samples: a point so near to a plane of a lattice lies on it
+POINTS = 1500
+
+
+class Answers(NamedTuple):
+    """Newtons [..., 3], newtons a metre [..., 3, 3], amplitude and hertz [..., 2], for frames and points."""
+
+    force: np.ndarray
+    gradient: np.ndarray
+    vibration: np.ndarray
+
+
+# -- the format's own words ------------------------------------------------------------------------------------------
+
+
+class Lattice:
+    """Samples of a field [nx, ny, nz, c], and zeros around them."""
+
+    def __init__(self, samples: np.ndarray, told: dict[str, Any]) -> None:
+        self.samples = np.pad(samples.astype(np.float64), [(1, 2)] * 3 + [(0, 0)])
+        self.origin_m, self.spacing_m = np.array(told["origin_m"]), np.array(told["spacing_m"])
+        self.shape = np.array(told["grid_shape"])
+
+    def cells(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Corners [8, n, c] of the cell about each point, zeros where there is none, and its place in it [n, 3]."""
+        index = (points_m - self.origin_m) / self.spacing_m
+        low = np.floor(index + ON_PLANE).astype(int)
+        inside = ((low >= -1) & (low < self.shape)).all(axis=1)
+        low, index = np.where(inside[:, None], low, 0), np.where(inside[:, None], index, 0.0)
+        x, y, z = low.T + 1
+        corners = np.array([self.samples[x + i, y + j, z + k] for i, j, k in CORNERS])
+        part = index - low
+        return corners * inside[:, None], np.where(part > ON_PLANE, part, 0.0)
+
+    def at(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values [n, c] and their slopes [n, c, 3]."""
+        corners, part = self.cells(points_m)
+        value, slopes = 0.0, np.zeros((*corners.shape[1:], 3))
+        for corner, samples in zip(CORNERS, corners, strict=True):
+            weight = np.where(corner, part, 1 - part)
+            value = value + weight.prod(axis=1)[:, None] * samples
+            for axis in range(3):
+                others = np.delete(weight, axis, axis=1).prod(axis=1)
+                sign = 1 if corner[axis] else -1
+                slopes[..., axis] += sign * (others / self.spacing_m[axis])[:, None] * samples
+        return np.asarray(value), slopes
+
+    def vibration(self, points_m: np.ndarray) -> np.ndarray:
+        """Amplitude and frequency [n, 2]: the code block of docs/format/vibration.md."""
+        corners, part = self.cells(points_m)
+        out = np.zeros((len(points_m), 2))
+        for n in range(len(points_m)):
+            largest = 0.0
+            for corner, (amplitude, hertz) in zip(CORNERS, corners[:, n], strict=True):
+                added = np.where(corner, part[n], 1 - part[n]).prod() * amplitude
+                out[n, 0] += added
+                if added > (1 + 1e-6) * largest:
+                    largest, out[n, 1] = added, hertz
+        return out
+
+
+def by_the_format(path: Path, points: np.ndarray) -> Answers:
+    """The answers of the second decoder's fields."""
+    file = decoder.read_file(path.read_bytes())
+    head, found = file.head, decoder.decode(path)
+    if head["coder"] == "objects":
+        scene = decode_objects.decode_scene(head, file.objects, file.segments)
+        both = [objects_at(scene, frame, points) for frame in range(head["frame_count"])]
+    else:
+        both = [Lattice(frame, head).at(points) for frame in found["forces_n"]]
+    vibration = np.zeros((len(both), len(points), 2))
+    if "amplitudes_n" in found:
+        pairs = np.stack([found["amplitudes_n"], found["frequencies_hz"]], axis=-1)
+        vibration = np.stack([Lattice(frame, head).vibration(points) for frame in pairs])
+    forces, gradients = zip(*both, strict=True)
+    return Answers(np.stack(forces), np.stack(gradients), vibration)
+
+
+def objects_at(scene: Any, frame: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces and slopes of a composed scene: the sum over its bodies, cut in length."""
+    total, slopes, most = np.zeros((len(points), 3)), np.zeros((len(points), 3, 3)), scene.head["force_max_n"]
+    for body in scene.bodies:
+        rotation = decode_objects.rotation_of(body.quaternions[frame])
+        arm = points - body.positions_m[frame]
+        samples = body.forces_n[frame if body.told["is_deforming"] else 0]
+        own, own_slopes = Lattice(samples, body.told).at(arm @ rotation)
+        total += own @ rotation.T
+        slopes += rotation @ own_slopes @ rotation.T
+        if scene.surface_damping > 0:
+            velocity, (x, y, z) = decode_objects.motion(body, frame, scene.head["rate_hz"])
+            touched = (np.linalg.norm(own, axis=1) > 1e-9 * most)[:, None]
+            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            total += touched * scene.surface_damping * (velocity + arm @ cross.T)
+            slopes += touched[..., None] * scene.surface_damping * cross
+    size = np.linalg.norm(total, axis=1)[:, None]
+    is_cut = size > most
+    size = np.where(is_cut, size, 1.0)
+    way = total / size
+    across = slopes - way[:, :, None] * np.einsum("ni,nij->nj", way, slopes)[:, None, :]
+    return np.where(is_cut, most * way, total), np.where(is_cut[..., None], (most / size)[..., None] * across, slopes)
+
+
+# -- the other two ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`query`, with every warning an error."""
+    folder = CONFORMANCE.parent / "c"
+    return built(tmp_path_factory.mktemp("c"), "query", "-O1", f"-I{folder}", source=HERE / "query.c")
+
+
+def by_c(program: Path, path: Path, points: np.ndarray, folder: Path) -> Answers:
+    """The answers of `touch.h`."""
+    points.tofile(folder / "points")
+    assert run_with(program, path, folder / "points", folder / "answers") == (0, "")
+    rows = np.fromfile(folder / "answers").reshape(-1, len(points), 14)
+    return Answers(rows[..., :3], rows[..., 3:12].reshape(*rows.shape[:2], 3, 3), rows[..., 12:])
+
+
+def by_the_package(path: Path, points: np.ndarray) -> Answers:
+    """The answers of `FieldSampler`; what is no number is not for it."""
+    with tf.open_stream(path) as stream:
+        medium = stream.medium if stream.scene is None else stream.scene
+        sampler = FieldSampler(medium)
+        times = np.arange(len(stream.medium)) / medium.rate_hz
+        force = np.stack([sampler.force_n(t, points) for t in times])
+        gradient = np.stack([sampler.gradient_n_per_m(t, points) for t in times])
+        vibration = np.stack([np.stack(sampler.vibration(t, points), axis=-1) for t in times])
+    return Answers(force, gradient, vibration)
+
+
+# -- points ----------------------------------------------------------------------------------------------------------
+
+
+def lattices_of(path: Path) -> list[tuple[dict[str, Any], np.ndarray, np.ndarray]]:
+    """Lattices of a file, each with a rotation and a place in the scene: HEAD's, and those of bodies at the start."""
+    file = decoder.read_file(path.read_bytes())
+    out = [(file.head, np.eye(3), np.zeros(3))]
+    if file.objects:
+        scene = decode_objects.decode_scene(file.head, file.objects, file.segments)
+        for body in scene.bodies:
+            out.append((body.told, decode_objects.rotation_of(body.quaternions[0]), body.positions_m[0]))
+    return out
+
+
+def hidden_places(shape: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
+    """Places [count, 3] in samples of a lattice, from one sample before the first to one behind the last."""
+    whole = rng.integers(-1, shape + 1, (count, 3)).astype(float)
+    bricks = 8.0 * rng.integers(0, shape // 8 + 1, (count, 3)) - rng.integers(0, 2, (count, 3))
+    parts = rng.choice([0.0, 0.0, 0.5, 0.25, 1e-4, 1 - 1e-4], (count, 3))
+    parts = np.where(rng.random((count, 3)) < 0.4, rng.random((count, 3)), parts)
+    return np.where(rng.random((count, 3)) < 0.3, bricks, whole) + parts
+
+
+def points_of(path: Path) -> np.ndarray:
+    """Points, float64 [n, 3], metres."""
+    rng = np.random.default_rng(5)
+    every = []
+    for told, rotation, position in lattices_of(path):
+        shape, spacing = np.array(told["grid_shape"]), np.array(told["spacing_m"])
+        places = hidden_places(shape, rng, POINTS)
+        places[: POINTS // 3] = rng.uniform(-1.5, shape + 0.5, (POINTS // 3, 3))
+        every.append((np.array(told["origin_m"]) + places * spacing) @ rotation.T + position)
+    return np.concatenate(every)
+
+
+def is_plain(path: Path, points: np.ndarray) -> np.ndarray:
+    """Where a slope is one number: away from the planes of lattices that lie turned, and from where forces begin.
+
+    On such a plane the rounding of a rotation decides which cell a point is in. Lattices that lie straight have no
+    such rounding, and a rule: the cell towards greater indices.
+    """
+    file = decoder.read_file(path.read_bytes())
+    if not file.objects:
+        return np.ones((file.head["frame_count"], len(points)), bool)
+    scene = decode_objects.decode_scene(file.head, file.objects, file.segments)
+    out = np.ones((file.head["frame_count"], len(points)), bool)
+    for frame, body in itertools.product(range(len(out)), scene.bodies):
+        rotation = decode_objects.rotation_of(body.quaternions[frame])
+        places = (points - body.positions_m[frame]) @ rotation - body.told["origin_m"]
+        places = places / np.array(body.told["spacing_m"])
+        out[frame] &= (np.abs(places - np.round(places)) > 1e-4).all(axis=1)
+    return out
+
+
+@cache
+def clipped_scene(folder: Path) -> Path:
+    """Bodies that meet, tumble, deform and are damped, at a device that is much weaker than they are."""
+    path = folder / "clipped.touch"
+    make_golden.write_scene(
+        path, replace(moving_scene(5, surface_damping=0.5), force_max_n=0.3), TouchSpec(segment_frames=3)
+    )
+    return path
+
+
+NAMES = ("touch-mask", "touch-lossless", "vibration-touch", "objects-touch", "objects-touch-deforming", "clipped")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("streams")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_three_say_the_same_at_points(name: str, program: Path, folder: Path, tmp_path: Path) -> None:
+    path = clipped_scene(folder) if name == "clipped" else V1 / f"{name}.touch"
+    points = points_of(path)
+    expected = by_the_format(path, points)
+    largest, steepest = np.abs(expected.force).max(), np.abs(expected.gradient).max()
+    is_slope = is_plain(path, points)
+    for found in (by_c(program, path, points, tmp_path), by_the_package(path, points)):
+        np.testing.assert_allclose(found.force, expected.force, rtol=0, atol=2e-6 * largest)
+        slopes, expected_slopes = found.gradient[is_slope], expected.gradient[is_slope]
+        np.testing.assert_allclose(slopes, expected_slopes, rtol=0, atol=2e-5 * steepest)
+        np.testing.assert_allclose(found.vibration[..., 0], expected.vibration[..., 0], rtol=1e-5, atol=1e-9)
+        np.testing.assert_array_equal(found.vibration[..., 1], expected.vibration[..., 1])
+    # the points are worth their while
+    size = np.linalg.norm(expected.force, axis=-1)
+    assert (size > 0).mean() > 0.02 and (size == 0).mean() > 0.05
+    if name == "clipped":
+        is_cut = (size > 0.3 - 1e-9) & is_slope & (np.abs(expected.gradient).max(axis=(-2, -1)) > 1)
+        assert is_cut.sum() > 500
+    if name.startswith("vibration"):
+        assert (np.unique(expected.vibration[..., 1]).size > 20) and (expected.vibration[..., 0] == 0).mean() > 0.1
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300, -1e300])
+@pytest.mark.parametrize("name", ["vibration-touch", "objects-touch"])
+def test_no_place_has_no_answer_in_c(name: str, bad: float, program: Path, tmp_path: Path) -> None:
+    path = V1 / f"{name}.touch"
+    inside = np.array(lattices_of(path)[0][0]["origin_m"])
+    points = np.tile(inside, (3, 1))
+    points[np.arange(3), np.arange(3)] = bad
+    for answer in by_c(program, path, points, tmp_path):
+        assert not answer.any()

@@ -1,0 +1,204 @@
+"""The recorded error ratio of a segment is the true one, from both sides: never less, and attained to rounding.
+
+The truth is computed here in float64 over every sample of every frame, by code that shares nothing with the package,
+from what three decoders find. Frames are such that all errors are in the first, a middle or the last of them.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from second import decoder
+from test_c import COMPILER, Raw, built, run
+
+import touchfield as tf
+from live_makers import HEAD
+from touchfield.codec.touch import encoder as encoder_module
+from touchfield.codec.touch.body import BodyReader
+from touchfield.codec.touch.decoder import TouchDecoder
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.container import TouchWriter
+from touchfield.medium import ForceField, Grid
+
+GRID = Grid((12, 9, 10), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
+STEP = 1 / 65535
+EMPTY = ForceField.empty(GRID)
+FRAMES = 4
+
+RULES = {
+    "mask": TouchSpec(k=0.1, f0_n=0.05),
+    "no F_0": TouchSpec(k=0.02, f0_n=0.0),
+    "exact support": TouchSpec(k=0.1, f0_n=0.05, support="exact"),
+    "directions": TouchSpec(k=0.1, f0_n=0.05, mode="mask-direction", direction_jnd_deg=18.0),
+    "lossless": TouchSpec(mode="lossless"),
+}
+SLOW = ("mask", "directions", "lossless")
+KINDS = ("dense", "full", "huge", "threshold")  # "huge", 60 decades, leaves samples that are sent apart
+
+
+def field_of(kind: str, seed: int) -> ForceField:
+    """Forces of a kind, the same every time."""
+    rng = np.random.default_rng(seed)
+    normal, sizes = rng.normal(size=(*GRID.shape, 3)), rng.random(GRID.shape)
+    if kind == "dense":
+        x, y, z = np.indices(GRID.shape)
+        return ForceField.from_dense(
+            GRID, np.stack([np.sin(x / 5 + seed), np.cos(y / 4), 1 + z / 9], -1).astype(np.float32)
+        )
+    if kind == "full":
+        return ForceField.from_dense(GRID, normal * 10 ** (4 * sizes[..., None] - 3))
+    is_there = rng.random(GRID.shape) < 0.05
+    if kind == "huge":
+        return ForceField.from_dense(GRID, is_there[..., None] * normal * 10 ** (60 * sizes[..., None] - 30))
+    near_f0 = np.float32(0.05) + np.float32(2.0**-28) * rng.integers(-3, 4, GRID.shape)
+    forces = np.zeros((*GRID.shape, 3), np.float32)
+    forces[..., 2] = is_there * near_f0
+    forces[0, 0, 0] = 2.0
+    return ForceField.from_dense(GRID, forces)
+
+
+def contents(kind: str) -> Iterator[tuple[str, list[ForceField]]]:
+    """Frames by which of them have errors."""
+    field = field_of(kind, 7)
+    for name, index in (("first", 0), ("middle", 1), ("last", FRAMES - 1)):
+        yield name, [field if i == index else EMPTY for i in range(FRAMES)]
+    yield "all", [field_of(kind, seed) for seed in range(FRAMES)]
+    yield "alone", [field]
+
+
+def ratios_of(source: np.ndarray, decoded: np.ndarray, spec: TouchSpec) -> np.ndarray:
+    """Error by what is allowed, float64 [frames, x, y, z], of forces [frames, x, y, z, 3] (docs/format/touch.md)."""
+    force, other = source.astype(np.float64), decoded.astype(np.float64)
+    if spec.mode == "lossless":
+        return np.where((source.view(np.uint32) == decoded.view(np.uint32)).all(-1), 0.0, np.inf)
+    size = np.sqrt((force**2).sum(-1))
+    allowed = np.maximum(spec.f0_n, spec.k * size)
+    error = np.sqrt(((other - force) ** 2).sum(-1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(error > 0, error / allowed, 0.0)
+        if spec.mode == "mask-direction":
+            jnd = math.radians(spec.direction_jnd_deg)
+            radial = np.abs(np.sqrt((other**2).sum(-1)) - size) / allowed
+            unit = [v / np.sqrt((v**2).sum(-1, keepdims=True)) for v in (force, other)]
+            sine = np.sqrt((np.cross(*unit) ** 2).sum(-1))
+            turn = np.arctan2(sine, (unit[0] * unit[1]).sum(-1)) / jnd
+            by_parts = np.maximum(radial, np.nan_to_num(turn))
+            is_strong = size * math.sin(jnd) > spec.f0_n
+            ratio = np.where(error > 0, np.where(is_strong, by_parts, error / spec.f0_n), 0.0)
+    if spec.support == "exact":
+        ratio = np.where(force.any(-1) != other.any(-1), np.inf, ratio)
+    return np.asarray(ratio)
+
+
+def dense(frames: list[ForceField]) -> np.ndarray:
+    return np.stack([frame.to_dense() for frame in frames])
+
+
+def assert_recorded(body: bytes, parameters: bytes, ratios: np.ndarray, count: int) -> None:
+    """The recorded ratio, frame and voxel against the true ones."""
+    worst = TouchDecoder(GRID, parameters).worst(body)
+    assert worst is not None
+    true = ratios.max()
+    assert true <= worst.ratio <= true + STEP * (1 + 1e-9) + 1e-9 and worst.ratio <= 1
+    x, y, z = worst.voxel
+    assert ratios[worst.frame, x, y, z] == pytest.approx(true, rel=1e-9, abs=1e-12)
+    assert worst.frame < count
+
+
+@pytest.mark.parametrize("effort", ["fast", "default"])
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_recorded_ratio_is_the_true_one(kind: str, rule: str, effort: str) -> None:
+    spec = replace(RULES[rule], effort=effort)
+    encoder, apart = TouchEncoder(GRID, spec), 0
+    for name, frames in contents(kind):
+        body = encoder.encode_segment(frames).body
+        decoded = list(TouchDecoder(GRID, encoder.parameters).frames(body, len(frames)))
+        ratios = ratios_of(dense(frames), dense(decoded), spec)
+        assert_recorded(body, encoder.parameters, ratios, len(frames))
+        if spec.mode != "lossless" and kind == "dense" and name in ("first", "middle", "last"):
+            is_there = np.array([frame.support_count > 0 for frame in frames])
+            assert ratios[is_there].max() > 0.5 and not ratios[~is_there].any()  # the errors are where they are due
+        records = BodyReader(body, GRID, exact=spec.mode == "lossless").records(len(frames))
+        apart += sum(bool(record.exceptions) for record in records)
+    assert apart > 0 if (kind, rule) == ("huge", "no F_0") else True
+
+
+@pytest.mark.parametrize("effort", ["fast", "default"])
+def test_a_ratio_beside_outliers_is_that_of_the_samples_that_are_left(effort: str) -> None:
+    """Samples sent apart have no error: what they had before must not be recorded."""
+    spec = TouchSpec(k=0.1, f0_n=0.0, effort=effort)
+    dense_n = np.zeros((*GRID.shape, 3), np.float32)
+    dense_n[2, 3, 4], dense_n[9, 8, 9] = (1e20, 0, 0), (1e-20, 0, 0)  # the second is below the step of the first
+    frames = [EMPTY, ForceField.from_dense(GRID, dense_n)]
+    encoder = TouchEncoder(GRID, spec)
+    body = encoder.encode_segment(frames).body
+    assert BodyReader(body, GRID, exact=False).records(2)[1].exceptions
+    decoded = list(TouchDecoder(GRID, encoder.parameters).frames(body, 2))
+    ratios = ratios_of(dense(frames), dense(decoded), spec)
+    assert ratios.max() < 0.99
+    assert_recorded(body, encoder.parameters, ratios, 2)
+
+
+@pytest.mark.parametrize("index", range(FRAMES))
+@pytest.mark.parametrize("effort", ["fast", "default"])
+@pytest.mark.parametrize("mode", ["mask", "lossless"])
+def test_a_body_that_decodes_to_something_else_is_not_written(
+    mode: str, effort: str, index: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The check of the finished body fires, whichever frame is wrong (effort fast: where samples are sent apart)."""
+
+    class Wrong(TouchDecoder):
+        def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
+            for i, frame in enumerate(super().frames(body, frame_count)):
+                yield frame.scaled(1.5) if i == index else frame
+
+    frames = [field_of("huge", seed) for seed in range(FRAMES)]
+    encoder = TouchEncoder(GRID, TouchSpec(mode=mode, k=0.02, f0_n=0.0, effort=effort))
+    encoder.encode_segment(frames)
+    monkeypatch.setattr(encoder_module, "TouchDecoder", Wrong)
+    with pytest.raises(AssertionError, match="does not keep the promise"):
+        encoder.encode_segment(frames)
+
+
+@pytest.mark.parametrize("rule", ["no F_0", *(pytest.param(rule, marks=pytest.mark.thorough) for rule in SLOW)])
+def test_other_decoders_find_the_same_ratio(rule: str, tmp_path: Path) -> None:
+    """A file of several segments; the second decoder and C are measured by the same ruler."""
+    spec = replace(RULES[rule], effort="fast")
+    encoder, path = TouchEncoder(GRID, spec), tmp_path / "a.touch"
+    segments = [[EMPTY, field_of("full", 1)], [field_of("huge", 2), EMPTY], [field_of("full", 3)]]
+    file = io.BytesIO()
+    head = replace(HEAD, grid_shape=GRID.shape, spacing_m=GRID.spacing_m, frame_count=5)
+    bodies = [encoder.encode_segment(frames).body for frames in segments]
+    with TouchWriter(file) as writer:
+        writer.write_head(replace(head, coder_parameters=encoder.parameters))
+        for first, frames, body in zip((0, 2, 4), segments, bodies, strict=True):
+            writer.write_segment(first, len(frames), body)
+    path.write_bytes(file.getvalue())
+    source = dense([frame for frames in segments for frame in frames])
+    for decoded in decoded_by_all(path, tmp_path):
+        ratios = ratios_of(source, decoded, spec)
+        for first, frames, body in zip((0, 2, 4), segments, bodies, strict=True):
+            assert_recorded(body, encoder.parameters, ratios[first : first + len(frames)], len(frames))
+    with tf.open_stream(path) as stream:
+        assert 0 <= stream.summary()["worst_mask_ratio"] - ratios.max() <= STEP * (1 + 1e-9)
+
+
+def decoded_by_all(path: Path, folder: Path) -> Iterator[np.ndarray]:
+    """Forces [frames, x, y, z, 3] by the second decoder and, where there is a compiler, by `c/touch_decode`."""
+    yield decoder.decode(path)["forces_n"]
+    if COMPILER is not None:
+        program = built(folder, "touch_decode", "-O1")
+        assert run(program, path, folder / "raw") == (0, "0")
+        raw, fields = Raw((folder / "raw").read_bytes(), GRID.shape), []
+        for _ in range(5):
+            fields.append(raw.field())
+            assert not raw.bricks()  # of a vibration
+        yield np.stack(fields)
