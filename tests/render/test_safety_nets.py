@@ -192,6 +192,14 @@ def test_force_and_torque_push_before_and_are_zero_behind(name: str) -> None:
         assert (steps <= float(memory.f8[slew]) * times_s * (1 + 1e-9) + 1e-9).all(), "no faster than the slew limit"
 
 
+@pytest.mark.parametrize("slow", [{"slew_n_per_s": 4.0}, {"slew_nm_per_s": 0.1}])
+def test_an_end_waits_for_the_slower_of_force_and_torque(slow: dict[str, float]) -> None:
+    hand, _ = served(NETS["stop"], replace(SPEC, ramp_s=1e-3, **slow))  # type: ignore[arg-type]
+    before, last = hand.wrenches[FIRES - 1], hand.wrenches[-1]
+    assert any(before[:3]) and any(before[3:]) and not any(last)
+    assert len(hand.wrenches) > FIRES + 20, "slowly, and to the end"
+
+
 @pytest.mark.parametrize("name", ["force", "torque"])
 def test_heat_and_peak_limit_force_and_torque_from_both_sides(name: str) -> None:
     """As much as the peak at first, and in the long run the continuous limit, no more and hardly less."""
