@@ -61,6 +61,7 @@ def test_the_chapters_are_there_and_named() -> None:
     readme = (FOLDER / "README.md").read_text(encoding="utf-8")
     for name in CHAPTERS:
         assert f"]({name})" in readme
+    assert CHAPTERS and set(CHAPTERS) <= {path.name for path in FOLDER.glob("*.md")}
     for path in FOLDER.glob("*.md"):
         for link in re.findall(r"\]\((?!http)([^)#]+)", path.read_text(encoding="utf-8")):
             assert (path.parent / link).exists() or link in CHAPTERS, f"{path.name}: {link}"

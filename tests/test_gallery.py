@@ -52,6 +52,7 @@ def test_a_page_is_what_its_script_makes(name: str, tmp_path: Path, monkeypatch:
 
 def test_the_index_names_every_page() -> None:
     index = (GALLERY / "README.md").read_text()
+    assert BUILD.SCRIPTS
     for name in BUILD.SCRIPTS:
         assert f"({name}.md)" in index and f"({name}.png)" in index
         assert (GALLERY / f"{name}.md").exists() and (GALLERY / f"{name}.png").exists()

@@ -246,7 +246,9 @@ def test_any_field_is_measured_without_a_fault(shape, seed, size_n, share):
     grid = Grid(shape, (0.001, 0.002, 0.0015), (0.0, 0.1, -0.2))
     forces = size_n * rng.normal(size=(*shape, 3)) * (rng.random((*shape, 1)) < share)
     field = ForceField.from_dense(grid, forces)
-    for slide in slides(field, field.scaled(0.95), QUICK):
+    found = slides(field, field.scaled(0.95), QUICK)
+    assert len(found) == len(slides(field, field, QUICK))
+    for slide in found:
         assert np.isfinite([slide.error_mn, slide.error_peak_mn, slide.source_mn]).all()
         assert slide.error_mn == pytest.approx(0.05 * slide.source_mn, rel=1e-3)
         assert 0 <= slide.paths <= QUICK.paths

@@ -85,7 +85,9 @@ def test_query_and_voxels_are_the_definition(scene: HapticScene, seed: int) -> N
 @settings(max_examples=30)
 @given(scenes())
 def test_no_force_is_longer_than_the_limit(scene: HapticScene) -> None:
-    for field in scene.voxelise():
+    fields = list(scene.voxelise())
+    assert len(fields) == scene.frame_count
+    for field in fields:
         assert (np.linalg.norm(field.vectors_n().astype(np.float64), axis=1) <= scene.force_max_n).all()
 
 

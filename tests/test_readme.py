@@ -61,14 +61,18 @@ def test_the_device_in_one_file_plays(
 
 
 def test_the_commands_exist(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in set(re.findall(r"^touchfield (\w+)", README + DEVICES, re.MULTILINE)):
+    commands = set(re.findall(r"^touchfield (\w+)", README + DEVICES, re.MULTILINE))
+    assert len(commands) > 5
+    for command in commands:
         assert _exit_code([command, "--help"]) == 0
         assert capsys.readouterr().out
 
 
 def test_links_lead_somewhere() -> None:
     for text, folder in ((README, ROOT), (DEVICES, ROOT / "docs")):
-        for target in re.findall(r"\]\(([^)#]+)\)", text):
+        targets = re.findall(r"\]\(([^)#]+)\)", text)
+        assert targets
+        for target in targets:
             assert (folder / target).exists(), target
 
 

@@ -188,7 +188,9 @@ def test_runs_are_of_consecutive_frames() -> None:
 
 def test_what_stands_still_needs_no_bits(wavy_field: ForceField) -> None:
     q = {"Q": six_and_twelve(F_MAX)}
-    for one in later_frames(lambda i: wavy_field, [range(4)], q, 0.1).values():
+    found = later_frames(lambda i: wavy_field, [range(4)], q, 0.1)
+    assert {name for _, name in found} == set(q)
+    for one in found.values():
         assert (one.voxel_bits, one.object_bits, one.held_share, one.frames) == (0.0, 0.0, 1.0, 3)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from touchfield.adapters.forcedimension import ForceDimension, quaternion_of_row
 from touchfield.adapters.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.medium.pose_track import rotation_matrices
+from touchfield.render.servo import _zero
 
 VARIABLE = "TOUCHFIELD_FORCEDIMENSION_LIBRARY"
 
@@ -67,6 +69,29 @@ def test_a_wrist_tells_how_it_is_turned_and_gets_the_torque_and_zero_in_the_end(
     device.close()
     assert fake.forces.tolist() == [[0, 0, 0], [1, 2, 3], [1, 0, 0], [0, 0, 0.5], [0, 0, 0]]
     assert torques(fake).tolist() == [[0, 0, 0], [0, 0, 0.05], [0, 0, 0], [0, 0.1, 0], [0, 0, 0]]
+
+
+def test_a_fresh_connection_ends_the_torque_of_a_process_that_was_killed(fake) -> None:
+    fake.library.fake_wrist(1)
+    killed = ForceDimension()
+    killed.open()
+    killed.put_wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.05)
+    fake.library.dhdEnableForce(0, 0)
+    fake.library.dhdClose(0)  # as the system does; the torque is put still
+    answers: list[str] = []
+    _zero(ForceDimension, SimpleNamespace(send=answers.append))
+    assert answers == [""] and not fake.faults
+    assert not torques(fake)[-1].any() and not fake.forces[-1].any()
+
+
+def test_a_torque_that_cannot_be_zeroed_leaves_the_force_zero_and_the_motors_off(fake) -> None:
+    fake.library.fake_wrist(1)
+    device = ForceDimension()
+    device.open()
+    device.put_wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.05)
+    fake.fail("dhdSetForceAndTorqueAndGripperForce", 0)
+    device.close()
+    assert fake.forces[-1].tolist() == [0, 0, 0] and fake.log.endswith("eC") and not fake.faults
 
 
 def test_a_device_without_a_wrist_is_not_asked_for_it(fake) -> None:

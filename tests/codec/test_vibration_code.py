@@ -134,7 +134,9 @@ def test_changed_bytes_are_refused_or_are_a_frame(changes: list[tuple[int, int]]
     for place, value in changes:
         damaged[place] = value
     with suppress(FormatError):
-        for frame in decode_vibration(bytes(damaged[: len(damaged) - cut]), GRID, 3):
+        frames = decode_vibration(bytes(damaged[: len(damaged) - cut]), GRID, 3)
+        assert len(frames) == 3
+        for frame in frames:
             assert len(frame) <= GRID.voxel_count  # VibrationFrame has checked the rest
 
 

@@ -128,9 +128,11 @@ class ForceDimension(PointDevice):
         device, self._device = self._device, None
         if device is not None:
             with suppress(Exception):
-                if self._has_torque:
-                    self._library.dhdSetForceAndTorqueAndGripperForce(*(7 * (0.0,)), device)
-                else:
+                # a torque may act that an earlier process has put; a wrist without motors refuses one
+                is_zero = False
+                if self._has_wrist:
+                    is_zero = self._library.dhdSetForceAndTorqueAndGripperForce(*(7 * (0.0,)), device) >= 0
+                if not is_zero:
                     self._library.dhdSetForce(0.0, 0.0, 0.0, device)
                 self._library.dhdEnableForce(0, device)
                 self._library.dhdClose(device)

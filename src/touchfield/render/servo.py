@@ -277,7 +277,7 @@ def _zero(opener: Opener, pipe: Connection) -> None:
         try:
             device.open()
             if not device.is_driven:
-                device.put_force_n(0.0, 0.0, 0.0)
+                device.put_wrench(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         finally:
             device.close()
         pipe.send("")

@@ -1,0 +1,259 @@
+"""Every option of every command reaches its task, with the value that was given, and touches nothing else.
+
+The commands run with the functions behind them replaced by recorders. One run has the defaults, the other one option
+more; what differs between the two records must be the leaf that `option_tables.EXPECTED` names, and it alone: an
+option that is ignored, swapped with another or converted to another unit differs elsewhere.
+"""
+
+from __future__ import annotations
+
+import inspect
+import io
+from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import fields, is_dataclass
+from importlib import import_module
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+import typer.main
+
+from option_tables import ARGUMENTS, CALLED, EXPECTED, MISSING, STUB, Case
+from touchfield.cli.main import _exit_code, open_rooms
+from touchfield.cli.show import Answer
+
+GROUP: Any = typer.main.get_command(open_rooms())
+
+
+class Stub(MagicMock):
+    """What a task returns: takes every call, is printed as words."""
+
+    tolist = property(lambda self: self.no_such_attribute_here)
+
+
+def leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """The parts of a value with their paths: fields of dataclasses, items of mappings and of tuples of them."""
+    if isinstance(value, Path):
+        value = str(value)
+    if isinstance(value, MagicMock | np.ndarray):
+        yield path, str(value.tolist()) if isinstance(value, np.ndarray) else STUB
+    elif is_dataclass(value):
+        for one in fields(value):
+            yield from leaves(getattr(value, one.name), f"{path}.{one.name}")
+    elif isinstance(value, dict):
+        for key, own in value.items():
+            yield from leaves(own, f"{path}.{key}")
+    elif isinstance(value, tuple | list) and "<Stub" in repr(value):
+        yield path, STUB
+    elif isinstance(value, tuple | list) and any(is_dataclass(one) for one in value):
+        for place, own in enumerate(value):
+            yield from leaves(own, f"{path}.{place}")
+    else:
+        yield path, tuple(value) if isinstance(value, list) else value
+
+
+class Recorder:
+    """The calls of a run: of each function by its name its arguments, and what was asked of its result."""
+
+    METHODS = ("draw", "save", "open", "write_log", "write_text", "follow", "supported_voxels", "show")
+
+    def __init__(self) -> None:
+        self.arguments: dict[str, dict[str, Any]] = {}
+        self.results: dict[str, Any] = {}
+
+    def replacement(self, original: Any, name: str, result: Any = None) -> Any:
+        signature = inspect.signature(original)
+
+        def recorded(*given: Any, **named: Any) -> Any:
+            bound = signature.bind(*given, **named)
+            bound.apply_defaults()
+            self.arguments[name] = dict(bound.arguments)
+            self.results[name] = Stub() if result is None else result
+            if isinstance(self.results[name], Stub):
+                self.results[name].summary.return_value = {}
+                self.results[name].notes = ()
+            return self.results[name]
+
+        return recorded
+
+    def record(self) -> dict[str, Any]:
+        """All leaves by their paths; functions that are passed on are left out."""
+        found: dict[str, Any] = {}
+        for name, arguments in self.arguments.items():
+            found[name] = CALLED
+            for key, value in arguments.items():
+                is_told_on = callable(value) and not isinstance(value, MagicMock)
+                if not (is_told_on or isinstance(value, Answer)):
+                    found.update(leaves(value, f"{name}.{key}"))
+            for call in getattr(self.results[name], "mock_calls", ()):
+                method = call[0].rpartition(".")[2]
+                if method in self.METHODS:
+                    for place, value in enumerate(call[1]):
+                        found.update(leaves(value, f"{name}().{method}.{place}"))
+                    found.setdefault(f"{name}().{method}", CALLED)
+        return found
+
+
+def changes(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
+    """The leaves that differ, with their new values."""
+    both = {key: (before.get(key, MISSING), after.get(key, MISSING)) for key in {**before, **after}}
+    return {key: new for key, (old, new) in both.items() if repr(old) != repr(new)}
+
+
+def is_at(path: str, leaf: str) -> bool:
+    return path == leaf or path.endswith(leaf if leaf.startswith(".") else f".{leaf}")
+
+
+def is_explained(path: str, expected: dict[str, Any]) -> bool:
+    """True for a leaf that `expected` names, or that belongs to a call which came or went as it says."""
+    parents = [name for name, value in expected.items() if value in (CALLED, MISSING)]
+    return any(is_at(path, leaf) for leaf in expected) or any(path.startswith(f"{name}.") for name in parents)
+
+
+TASKS = {
+    "encode": ("job:encode", "job:encode_to_target", "cli.make:computing", "cli.make:executor_of"),
+    "filter": ("job:encode", "job:prepare", "job:write_field", "job:filter_report", "cli.make:executor_of"),
+    "field": ("job:prepare", "job:draw_preview", "job:write_field", "cli.make:computing"),
+    "plan": ("job:plan", "cli.make:executor_of"),
+    "decode": ("stream.opened:open_stream", "stream.opened:write_field"),
+    "export": ("job.exchange:export",),
+    "import": ("job.exchange:import_effect",),
+    "edit": ("job.editing:edit",),
+    "splice": ("job.editing:splice",),
+    "resample": ("job.editing:resample_file",),
+    "lod": ("job.editing:levels_of_detail",),
+    "partition": ("job.editing:read_medium", "job.mapping:partition_workspace"),
+    "texture": (
+        "sources.recording:read_recording", "job.texture:texture_of", "job.texture:merged",
+        "job.texture:store_materials", "render.material:write_table", "viewer.plots:draw_textures",
+    ),
+    "deform": ("job.deformation:tracks_of",),
+    "info": ("stream.opened:open_stream",),
+    "view": ("job.view:view",),
+    "compare": ("job:compare",),
+    "play": (
+        "job.play:play", "job.play:check_play", "stream.bridge:Bridge", "cli.feel:read_materials",
+        "cli.feel:read_deformation",
+    ),
+    "serve": ("stream.server:serve",),
+    "live": (
+        "job.live:opened_sender", "job.live:broadcast", "job.live:coarse_layer", "stream.live_server:LiveServer",
+        "stream.udp:UdpSender", "stream.live:write_message",
+    ),
+    "mux": ("stream.mux:mux",),
+    "demux": ("stream.mux:demux",),
+    "measure": ("job:measure_medium",),
+    "reduce": ("job.reduction:reduce_medium",),
+    "index": ("job.library:index_folder", "cli.library:executor_of"),
+    "search": ("job.library:search",),
+    "similar": ("job.library:similar",),
+    "correlate": ("job.library:correlate",),
+    "points": ("job.reduction:fewest_points", "job.reduction:next_points"),
+    "demo": ("cli.demo:run_demo",),
+    "doctor": ("job.setup:examine",),
+}  # fmt: skip
+"""Of each command the functions behind it that are recorded; "module:name"."""
+
+RESULTS: dict[str, Any] = {
+    "play": Stub(is_starved=False, error=None),
+    "read_medium": SimpleNamespace(medium=SimpleNamespace(grid=SimpleNamespace(shape=(64, 32, 16)))),
+    "opened_sender": (Stub(name="fine"), Stub(name="fine sender")),
+    "coarse_layer": (Stub(name="coarse"), Stub(name="coarse sender")),
+    "check_play": {"can_play": True},
+    "examine": {},
+}
+
+
+def run(
+    command: str, words: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch, code: int = 0
+) -> dict[str, Any]:
+    """The record of a command, which must end with this code."""
+    recorder = Recorder()
+    for result in RESULTS.values():
+        if isinstance(result, MagicMock):
+            result.reset_mock()
+    with monkeypatch.context() as patch:
+        for task in TASKS.get(command, ()):
+            module, _, name = task.partition(":")
+            holder = import_module(f"touchfield.{module}")
+            patch.setattr(holder, name, recorder.replacement(getattr(holder, name), name, RESULTS.get(name)))
+        patch.setattr(Answer, "show", recorder.replacement(Answer.show, "show"))
+        patch.chdir(folder)
+        assert _exit_code([command, *words]) == code, (command, words)
+    return recorder.record()
+
+
+def output(command: str, words: list[str], code: int = 0) -> str:
+    """All that a command prints, which must end with this code."""
+    text = io.StringIO()
+    with redirect_stdout(text), redirect_stderr(text):
+        assert _exit_code([command, *words]) == code
+    return text.getvalue()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The folder that the arguments name, with what some commands look for before their task."""
+    (tmp_path / "in.touch").write_bytes(b"")
+    for name in ("out.json", "new.json"):
+        (tmp_path / name).write_text("{}")
+    return tmp_path
+
+
+def options_of(command: Any) -> dict[str, Any]:
+    """The options of a command by their names, without --help."""
+    options = [one for one in command.params if one.param_type_name == "option" and one.name != "help"]
+    return {one.opts[-1].removeprefix("--"): one for one in options}
+
+
+def test_the_table_names_every_option_of_every_command() -> None:
+    there = {name: set(options_of(command)) for name, command in GROUP.commands.items()}
+    assert there == {name: set(cases) for name, cases in EXPECTED.items()}
+    assert sum(map(len, there.values())) > 600
+    assert {*TASKS, "devices", "sources", "warmup"} == set(there)
+
+
+@pytest.mark.parametrize("command", [name for name, cases in EXPECTED.items() if cases])
+def test_every_option_reaches_its_task(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usual: dict[str, dict[str, Any]] = {}
+    faults = [check(command, name, one, usual, folder, monkeypatch) for name, one in EXPECTED[command].items()]
+    assert not [fault for fault in faults if fault], "\n".join(filter(None, faults))
+
+
+def check(
+    command: str,
+    name: str,
+    one: Case,
+    usual: dict[str, dict[str, Any]],
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> str:
+    """What is wrong with an option, or nothing: its run against that without it, which `usual` keeps."""
+
+    def filled(value: Any) -> Any:
+        return value.format(tmp=folder) if isinstance(value, str) else value
+
+    base = filled(f"{ARGUMENTS[command]} {one.beside}").split()
+    words = [*base, f"--{name}", *([] if one.text is None else [filled(one.text)])]
+    if (one.text is None) != options_of(GROUP.commands[command])[name].is_flag:
+        return f"{command} --{name}: a flag has no value, all others have one"
+    if one.refused:
+        return "" if one.refused in output(command, words, 2) else f"{command} --{name} is taken"
+    if one.printed:
+        return (
+            ""
+            if one.printed in output(command, words) and one.printed not in output(command, base)
+            else f"{command} --{name}"
+        )
+    if one.beside not in usual:
+        usual[one.beside] = run(command, base, folder, monkeypatch)
+    changed = changes(usual[one.beside], run(command, words, folder, monkeypatch))
+    for leaf, value in one.leaves.items():
+        if [new for path, new in changed.items() if is_at(path, leaf)] != [filled(value)]:
+            return f"{command} --{name}: {leaf} is not {value!r}, but {changed}"
+    stray = {path: new for path, new in changed.items() if not is_explained(path, one.leaves)}
+    return f"{command} --{name} changes more than {one.leaves}: {stray}" if stray else ""

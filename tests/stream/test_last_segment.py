@@ -1,0 +1,138 @@
+"""The end of a live stream, seen from both ends: whoever lags still gets the newest segment, and then the end."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import numpy as np
+import pytest
+
+from live_makers import field, segment, sender_of
+from touchfield.stream.access import Access
+from touchfield.stream.live import END, KEPT, Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
+from touchfield.stream.live_client import open_live
+from touchfield.stream.live_server import LiveServer
+
+aiohttp = pytest.importorskip("aiohttp")
+
+COUNT = 12
+
+
+def taken(sender: LiveSender, receiver: Any) -> list[bytes]:
+    """All messages that there are for a receiver now."""
+    messages = []
+    while (message := sender.next(receiver)) is not None:
+        messages.append(message)
+    return messages
+
+
+@pytest.mark.parametrize("read", range(COUNT + 1))
+def test_a_receiver_that_has_read_so_many_gets_the_last_segment_and_the_end(read: int) -> None:
+    sender, _ = sender_of(0)
+    slow = sender.joined()
+    early = [sender.next(slow)]
+    for number in range(COUNT):
+        sender.add(segment(5 * number))
+        early += [sender.next(slow)] if number < read else []
+    sender.end()
+    behind = taken(sender, slow)
+    assert behind[-1] == END and behind.count(END) == 1 and taken(sender, slow) == []
+    receiver = LiveReceiver()
+    events = [event for message in (*early, *behind) if message is not None for event in receiver.receive(message)]
+    assert (
+        isinstance(events[0], Opened) and events[-2:] == [segment(5 * (COUNT - 1)), Ended()] if read < COUNT else True
+    )
+    got = [event.first_frame // 5 for event in events if isinstance(event, LiveSegment)]
+    left = COUNT - read
+    kept = list(range(read, COUNT)) if left <= KEPT else [COUNT - 1]
+    assert got == [*range(read), *kept], "all that is kept, or the newest alone"
+    lost = sum(event.frame_count for event in events if isinstance(event, Lost))
+    assert lost == (0 if left <= KEPT or not read else 5 * (left - 1)), "a receiver that had none knows of none"
+    assert slow.skipped == (0 if left <= KEPT else left - 1)
+
+
+def test_who_joins_behind_the_end_gets_the_last_segment_and_the_end() -> None:
+    sender, (opening, *_, newest) = sender_of(COUNT)
+    sender.end()
+    assert taken(sender, sender.joined()) == [opening, newest, END]
+
+
+def large(number: int) -> LiveSegment:
+    """A segment that fills the buffers of a connection."""
+    return LiveSegment(5 * number, 5, bytes([number]) * (1 << 20))
+
+
+def test_a_socket_that_was_not_read_for_a_while_ends_with_the_last_segment_and_the_end() -> None:
+    sender, _ = sender_of(0)
+
+    async def received(address: str) -> list[bytes]:
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(f"ws://{address}/live", max_msg_size=1 << 26) as socket,
+        ):
+            messages = [(await socket.receive()).data]
+            socket._response.connection.transport.pause_reading()
+            for number in range(40):
+                server.add(large(number))
+                await asyncio.sleep(0.002)
+            server.end()
+            await asyncio.sleep(0.2)
+            socket._response.connection.transport.resume_reading()
+            async for message in socket:
+                messages.append(message.data)
+            return messages
+
+    with LiveServer(sender, Access(port=0)) as server:
+        opening, *segments, end = asyncio.run(received(server.address))
+    receiver = LiveReceiver()
+    events = [event for message in (opening, *segments) for event in receiver.receive(message)]
+    assert end == END and events[-1] == large(39)
+    assert any(isinstance(event, Lost) for event in events) and server.skipped, "it did lag"
+
+
+def test_a_manifest_that_is_read_behind_the_end_still_has_the_last_segments() -> None:
+    sender, _ = sender_of(0)
+
+    async def asked(address: str, path: str) -> Any:
+        async with aiohttp.ClientSession() as session, session.get(f"http://{address}/{path}") as answer:
+            return await (answer.json() if path.endswith(".json") else answer.read())
+
+    with LiveServer(sender, Access(port=0)) as server:
+        messages = [server.add(segment(5 * number)) for number in range(COUNT)]
+        server.end()
+        manifest = asyncio.run(asked(server.address, "live.json"))
+        numbers = [one["number"] for one in manifest["segments"]]
+        assert manifest["is_ended"] and numbers == list(range(COUNT - KEPT, COUNT))
+        assert asyncio.run(asked(server.address, f"live/{COUNT - 1}")) == messages[-1]
+
+
+@pytest.mark.parametrize("form", ["ws", "http"])
+def test_the_client_hands_over_the_last_segment_of_a_stream_that_has_ended(form: str) -> None:
+    sender, _ = sender_of(COUNT)
+    url = {"ws": "ws://{}/live", "http": "http://{}/live.json"}[form]
+    with LiveServer(sender, Access(port=0)) as server:
+        server.end()
+        with open_live(url.format(server.address)) as stream:
+            frames = stream.medium.make_frame
+            for i in range(5):
+                number = frames.stream_frame(i)  # type: ignore[attr-defined]
+                assert number == 5 * (COUNT - 1) + i
+                np.testing.assert_allclose(stream.medium[i].to_dense(), field(number).to_dense(), atol=0.2)
+
+
+@pytest.mark.parametrize("origins", [(), ("https://a.example",), ("*",)])
+def test_pages_elsewhere_read_what_is_live_only_where_they_may(origins: tuple[str, ...]) -> None:
+    sender, _ = sender_of(2)
+
+    async def allowed(address: str) -> list[str | None]:
+        found = []
+        async with aiohttp.ClientSession() as session:
+            for path in ("live.json", "live/opening", "live/1"):
+                headers = {"Origin": "https://a.example"}
+                async with session.get(f"http://{address}/{path}", headers=headers) as answer:
+                    found.append(answer.headers.get("Access-Control-Allow-Origin"))
+        return found
+
+    with LiveServer(sender, Access(port=0, origins=origins)) as server:
+        assert asyncio.run(allowed(server.address)) == ["https://a.example" if origins else None] * 3
