@@ -1,4 +1,4 @@
-"""The part of the second decoder for coder `touch` that makes guesses: docs/format/touch-guess.md, step by step."""
+"""The part of the second decoder for base layers of coder `touch`: docs/format/touch-base-layer.md, step by step."""
 
 from itertools import combinations, product
 from math import isqrt

@@ -1,6 +1,6 @@
 """A field that is guessed of a frame before its voxels are told: by a spline, or column by column.
 
-The spline is a smooth field from one potential (docs/format/touch-guess.md). Paper figure 4 lets "source models"
+The spline is a smooth field from one potential (docs/format/touch-base-layer.md). Paper figure 4 lets "source models"
 compete with plain samples. Of a penalty field F = min(K d, F_max) n the depth d grows against the normal n: all of it
 follows from the potential f = K d, which is smooth through the surface and below zero outside. So f is told by the
 coefficients of a cubic B-spline on a coarse lattice of nodes, and
