@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 from zlib import crc32
 
-import llvmlite
+import llvmlite  # type: ignore[import-untyped]
 import numba
 from numba import njit
 from numba.core import caching, compiler, types
@@ -118,7 +118,7 @@ class _KernelCache(_CACHING.FunctionCache):  # type: ignore[misc]
 
 def _fields_of(arguments: Iterable[Any]) -> tuple[Any, ...]:
     """Names of the fields of named tuples, in order: numba compares the types of fields, but not their names."""
-    tuples = [argument for argument in arguments if isinstance(argument, types.BaseTuple)]
+    tuples: list[Any] = [argument for argument in arguments if isinstance(argument, types.BaseTuple)]
     return tuple((getattr(argument, "fields", ()), _fields_of(argument.types)) for argument in tuples)
 
 
