@@ -10,19 +10,18 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from numba import int64, njit
-from numba.core.caching import IndexDataCacheFile
+from numba import njit
 from numba.np import arraymath, linalg
 
 import touchfield.lean
-from touchfield.lean import inner
+from touchfield.lean import KernelFiles, inner
 
 HOUSE = Path(__file__).parents[1]
 DECORATORS = {"njit", "kernel", "inner", "uncounted", "entry", "lean", "inlined"}
 
 
 def test_two_variants_of_a_function_that_are_saved_at_once_do_not_share_a_file(tmp_path: Path) -> None:
-    first, second, later = (IndexDataCacheFile(str(tmp_path), "kernel-1.py311", "of one source") for _ in range(3))
+    first, second, later = (KernelFiles(str(tmp_path), "kernel-1.py311", "of one source") for _ in range(3))
     second._load_index = dict  # as it was before the first wrote it
     write = first._save_data
 
@@ -80,17 +79,19 @@ def inner_functions_that_python_names(tree: ast.Module, module: str = "") -> lis
     return out
 
 
-def test_one_variant_serves_all_whole_numbers() -> None:
+def test_a_constant_of_a_caller_is_one_in_an_inner_function() -> None:
+    """The compiler needs the strides of loops to turn them into vector code."""
+
     @inner
     def shifted(n, by):
         return n + by
 
     @njit
     def outer(n):
-        return shifted(n, 0) + shifted(n, 1) + shifted(1, n)
+        return shifted(n, 3) + shifted(n, n)
 
-    assert outer(7) == 7 + 8 + 8
-    assert shifted.signatures == [(int64, int64)]
+    assert outer(7) == 10 + 14
+    assert sorted(map(str, shifted.signatures)) == ["(int64, Literal[int](3))", "(int64, int64)"]
 
 
 @pytest.mark.parametrize("folder", ["src", "tests", "bench", "reproduction"])

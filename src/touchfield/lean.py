@@ -1,34 +1,140 @@
-"""How kernels are compiled: by who calls them, and without what they do not need; kept where processes that compile
-at once do not get in each other's way.
+"""How kernels are compiled: by who calls them, and without what they do not need; and where they are stored.
+
+Constants stay constants: numba compiles a function once more for each whole number that a caller writes out, such as
+the stride of a loop. The compiler needs them to turn loops into vector code (see decision 20).
 """
 
 from __future__ import annotations
 
 import importlib
-from functools import partial
+from collections.abc import Iterable
+from contextlib import suppress
+from functools import cache, cached_property, partial
+from pathlib import Path
 from typing import Any, Final
 from zlib import crc32
 
+import llvmlite  # type: ignore[import-untyped]
 import numba
-from numba import int64, njit
-from numba.core import caching, compiler
-from numba.core.types import IntegerLiteral
+from numba import njit
+from numba.core import caching, compiler, types
 from numba.np import linalg
+
+from touchfield.kernel_sources import PACKAGE, SourceState, kernel_sources, open_folder
 
 _CONFIG: Any = numba.config
 _COMPILER: Any = compiler.CompilerBase
 _PASSES: Any = compiler.DefaultPassBuilder
-_FILES: Any = caching.IndexDataCacheFile
-_save: Any = _FILES.save
+_CACHING: Any = caching
+_VERSIONS: Final = f"numba {numba.__version__}, llvmlite {llvmlite.__version__}"
+_SOURCES: Final = SourceState(kernel_sources(), _VERSIONS)
 
 
-def _save_named(files: Any, key: Any, data: Any) -> None:
-    """Save a variant by its own name: two processes that compile two at once might take one number for both."""
-    files._data_name_pattern = f"{files._index_name[:-4]}.{crc32(repr(key).encode()):08x}.{{number}}.nbc"
-    _save(files, key, data)
+@cache
+def kernel_folder() -> Path | None:
+    """The folder of compiled kernels of these sources, created when first needed; None where none can be.
+
+    It lies where numba would keep this file's kernels: in NUMBA_CACHE_DIR, else beside the package, else in the
+    user's cache.
+    """
+    try:
+        root = _CACHING.CompileResultCacheImpl(kernel_folder.__wrapped__).locator.get_cache_path()
+        return open_folder(Path(root), _SOURCES.digest)
+    except (OSError, RuntimeError):  # RuntimeError: numba finds no folder it may write to
+        return None
 
 
-_FILES.save = _save_named
+class _Locator(_CACHING.InTreeCacheLocator):  # type: ignore[misc]
+    """The place of one function's files in the folder of these sources."""
+
+    def __init__(self, function: Any, file: str) -> None:
+        super().__init__(function, file)
+        parent = Path(file).parent
+        is_ours = parent.is_relative_to(PACKAGE)
+        name = ".".join(parent.relative_to(PACKAGE).parts) if is_ours else self.get_suitable_cache_subpath(file)
+        self._cache_path = str((kernel_folder() or PACKAGE) / name)
+
+    @classmethod
+    def from_function(cls, function: Any, file: str) -> Any:
+        """numba writes and removes a file here, for each function that is imported."""
+        return cls(function, file)
+
+
+class _Functions(_CACHING.CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes: Final = (_Locator,)
+
+
+class KernelFiles(_CACHING.IndexDataCacheFile):  # type: ignore[misc]
+    """The files of one function, one for each variant that is compiled."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Save a variant by its own name: two processes that compile two at once might take one number for both."""
+        self._data_name_pattern = f"{self._index_name[:-4]}.{crc32(repr(key).encode()):08x}.{{number}}.nbc"
+        super().save(key, data)
+
+
+class _KernelCache(_CACHING.FunctionCache):  # type: ignore[misc]
+    """numba's cache of one function, in a folder that only these sources have.
+
+    It looks for the folder when a kernel is first called, not when it is imported. A failure to read or write is no
+    failure of the kernel, which is compiled again: another process may remove the folder at any time.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self._py_func, self._name = function, repr(function)
+        self.enable()
+
+    @cached_property
+    def _impl(self) -> Any:
+        return _Functions(self._py_func)
+
+    @cached_property
+    def _cache_path(self) -> str:
+        return str(self._impl.locator.get_cache_path())
+
+    @cached_property
+    def _cache_file(self) -> KernelFiles:
+        return KernelFiles(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
+
+    def _is_usable(self) -> bool:
+        return kernel_folder() is not None and _SOURCES.is_current()
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """The compiled variant, or None."""
+        with suppress(OSError):
+            return super().load_overload(signature, context) if self._is_usable() else None
+        return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Store a compiled variant, if that is possible."""
+        with suppress(OSError):
+            if self._is_usable():
+                super().save_overload(signature, result)
+
+    def _index_key(self, signature: Any, codegen: Any) -> Any:
+        arguments = signature if isinstance(signature, tuple) else signature.args
+        return (*super()._index_key(signature, codegen), _fields_of(arguments))
+
+
+def _fields_of(arguments: Iterable[Any]) -> tuple[Any, ...]:
+    """Names of the fields of named tuples, in order: numba compares the types of fields, but not their names."""
+    tuples: list[Any] = [argument for argument in arguments if isinstance(argument, types.BaseTuple)]
+    return tuple((getattr(argument, "fields", ()), _fields_of(argument.types)) for argument in tuples)
+
+
+def _cached(function: Any = None, **options: Any) -> Any:
+    """Compile a function, and store the machine code on disk."""
+    if function is None:
+        return partial(_cached, **options)
+    compiled = njit(function, **options)
+    if not hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT
+        return compiled
+    if _SOURCES.files:
+        compiled._cache = _KernelCache(function)
+    else:  # within an archive, as a whole a single file that numba compares
+        compiled.enable_caching()
+    return compiled
+
 
 _LINALG: Any = linalg
 _ensure_blas = _LINALG.ensure_blas
@@ -59,25 +165,10 @@ class _Quick(_COMPILER):  # type: ignore[misc]
             _CONFIG.OPT = level
 
 
-kernel: Any = partial(njit, cache=True, nogil=True, no_cfunc_wrapper=True)
+kernel: Any = partial(_cached, nogil=True, no_cfunc_wrapper=True)
 """Of a function that Python calls."""
 
-
-def _numbers_alike(function: Any = None, **options: Any) -> Any:
-    """Compile a function once for all whole numbers: numba makes a variant of it for each constant otherwise."""
-    if function is None:
-        return partial(_numbers_alike, **options)
-    made = njit(function, **options)
-    template = made.get_call_template
-
-    def by_type(types: Any, names: Any) -> Any:
-        return template(tuple(int64 if isinstance(one, IntegerLiteral) else one for one in types), names)
-
-    made.get_call_template = by_type
-    return made
-
-
-inner: Any = partial(_numbers_alike, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+inner: Any = partial(njit, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """Of one that only kernels call: to unpack its arguments for Python takes as long to compile as most do themselves.
 It is kept within those who call it, not by itself."""
 
@@ -92,7 +183,7 @@ zero is not looked for; no divisor of these kernels can be zero."""
 entry: Any = partial(kernel, **_LEAN)
 """Of one that Python calls."""
 
-lean: Any = partial(inner, **_LEAN, cache=True)
+lean: Any = partial(_cached, no_cpython_wrapper=True, no_cfunc_wrapper=True, **_LEAN)
 """Of one that only kernels call."""
 
 inlined: Any = partial(inner, **_LEAN, inline="always")

@@ -37,7 +37,7 @@ def started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Started:
 
 def compiled_passes(cache: Path) -> list[Path]:
     """The files of what the group `passes` compiles last but one."""
-    return list(cache.glob("*/encode_pass.encode_bricks*.nbc"))
+    return list(cache.rglob("encode_pass.encode_bricks*.nbc"))
 
 
 def test_helpers_start_with_the_first_kernel_to_be_compiled_and_end_with_the_job(
@@ -96,7 +96,7 @@ def test_a_helper_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=there) as parent:
         assert parent.stdout is not None
         helper = Path("/proc") / parent.stdout.readline().decode().strip() / "stat"
-        while not list(tmp_path.glob("*/*.nbc")):  # it is at work
+        while not list(tmp_path.rglob("*.nbc")):  # it is at work
             assert helper.exists()
             time.sleep(0.05)
         parent.send_signal(signal.SIGKILL)
