@@ -140,10 +140,11 @@ def percentiles(us: Floats) -> dict[str, float]:
 
 def compiled(sampler: FieldSampler, time_s: float, points_m: Floats) -> dict[str, float]:
     """One query in compiled code; what it takes to read the counter is taken off."""
-    block, a, b, blend = sampler.frames_at(time_s)
+    first, second, blend = sampler._instant(time_s)
+    pair = sampler._take(first, second)
     counts, forces = np.zeros((len(points_m), 2), np.int64), np.zeros(points_m.shape)
     for _ in range(2):
-        one_by_one(points_m, *block.views, a, b, blend, counts, forces)
+        one_by_one(points_m, *pair.memory.views, pair.first, pair.second, blend, counts, forces)
     return percentiles((counts[:, 0] - np.median(counts[:, 1])) * counter_ns() / 1e3)
 
 
