@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -180,12 +179,12 @@ def compare(sequence: Room, n: int) -> Figures:
 
 def measure(large: int) -> Figures:
     """The tables of both lattices, and the large one."""
-    sequence, before = Room(), round(os.getloadavg()[0], 2)
+    sequence = Room()
     figures: dict[str, Any] = {f"{n}^3": compare(sequence, n) for n in (128, 256)}
     program = f"import json, bench_depth; print(json.dumps(bench_depth.by_itself({large})))"
     said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, cwd=Path(__file__).parent)
     figures[f"{large}^3"] = json.loads(said.stdout)
-    return figures | {"load": [before, round(os.getloadavg()[0], 2)]}  # other work on the machine slows all of it
+    return figures
 
 
 def bars(figures: Figures) -> list[Bar]:

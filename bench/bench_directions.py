@@ -20,12 +20,12 @@ from touchfield.perception.weber import READINGS, gate, gate_in_time
 
 def best_ms(job: Callable[[], Any], runs: int) -> float:
     """Milliseconds of the fastest run."""
-    return round(timed(job, runs)["min_ms"], 2)
+    return timed(job, runs)["min_ms"]
 
 
 def rate_m(job: Callable[[], Any], count: int, runs: int = 15) -> float:
     """Millions of items a second."""
-    return round(count / timed(job, runs)["min_ms"] / 1e3, 1)
+    return count / timed(job, runs)["min_ms"] / 1e3
 
 
 def directions(random: np.ndarray, smooth: np.ndarray) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def deadbands(smooth: np.ndarray) -> dict[str, Any]:
     for reading in READINGS:
         sent = gate(scan, 0.1, reading)
         found[reading] = {
-            "sent": round(float(sent.mean()), 3),
+            "sent": float(sent.mean()),
             "m_per_s": rate_m(lambda r=reading: gate(scan, 0.1, r), len(scan)),
         }
     found["in time"] = {"m_per_s": rate_m(lambda: gate_in_time(scan, smooth, 0.1), len(scan))}

@@ -26,8 +26,8 @@ LEFT_OUT = 77
 """Exit status of a benchmark that lacks what it needs."""
 ABOUT = ("machine", "run", "code", "bars")
 """Of a stored result: what is no figure."""
-QUICK = "quick"
-"""The result that has the exact figures of all quick runs."""
+QUICK = Path(__file__).parent / "reference" / "quick.json"
+"""The exact figures of all quick runs, by benchmark and path."""
 STORE_QUICK = "TOUCHFIELD_BENCH_STORE_QUICK"
 EXACT = ("*bytes*", "*voxels*", "*support*", "*bricks*", "*triangles*", "*tiles*", "*cases*", "*db", "*ratio*", "*worst*")
 """Patterns of figures that no run changes."""
@@ -256,10 +256,15 @@ def _numbers(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
         yield path, float(value)
 
 
+def stored_quick() -> dict[str, dict[str, float]]:
+    """The exact figures of each quick run; none if none are stored."""
+    return dict(json.loads(QUICK.read_text())) if QUICK.exists() else {}
+
+
 def quick_differences(name: str, figures: Figures, without: Iterable[str] = ()) -> list[str]:
     """The exact figures of a quick run that are not those stored, a line each."""
     found, lines = exact_figures(figures, without), []
-    for path, before in stored(QUICK).get(name, {}).items():
+    for path, before in stored_quick().get(name, {}).items():
         now = found.get(path)
         if now is None or abs(now - before) > SAME * abs(before):
             lines.append(f"{path}: {text(now)} (stored {text(before)})")
@@ -272,11 +277,12 @@ def check_quick(name: str, figures: Figures, without: Iterable[str] = ()) -> Non
     SystemExit, with the figures, where any differs.
     """
     if os.environ.get(STORE_QUICK):
-        write(QUICK, dict(sorted({**stored(QUICK), name: exact_figures(figures, without)}.items())))
+        every = {**stored_quick(), name: exact_figures(figures, without)}
+        QUICK.write_text(json.dumps(every, indent=1, sort_keys=True) + "\n")
         return
     if lines := quick_differences(name, figures, without):
         hint = "If the change is meant, store them anew: bench/run_all.py --store-quick"
-        sys.exit("\n".join(["exact figures differ from results/quick.json:", *lines, hint]))
+        sys.exit("\n".join(["exact figures differ from bench/reference/quick.json:", *lines, hint]))
 
 
 # -- a benchmark ----------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@
 Two comparisons of one frame, and of five in one segment: the bytes at the NMSE of coder `paper` (n_q 6, 258
 directions, no deadband), and the bytes under the promise |e| <= max(F_0, k |F|), k = 0.1 and F_0 = 0.05 N, which
 every peer keeps too; among the peers is the source itself, coded (`rate_source`). Then the speed of each effort on
-two cores, and falling bodies as objects. At the end the bars, against the figures of ``results/rate_before.json``,
+two cores, and falling bodies as objects. At the end the bars, against the figures of ``reference/rate_before.json``,
 and the range of the best peer over ours. `--quick` takes one field at n_w 6. A peer that is not installed is
 named and left out. The speed is measured first, alone, and anew in every run; then every core has a process. With
 `--keep` the other figures are kept in a folder, and a run that was interrupted, or is repeated after a change of some
@@ -54,7 +54,7 @@ TITLES = {
     ("NMSE", 5): "3. Five frames in a segment at the NMSE of coder paper: bytes of all",
     ("promise", 5): "4. Five frames in a segment at the promise: bytes of all",
 }
-BEFORE = json.loads((RESULTS / "rate_before.json").read_text())
+BEFORE = json.loads((Path(__file__).parent / "reference" / "rate_before.json").read_text())
 
 
 def best(sizes: Figures) -> tuple[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from time import perf_counter, process_time
 from typing import Any
 
@@ -20,17 +20,22 @@ def timed(call: Callable[[], Any], runs: int = 9, warm: int = 1) -> dict[str, fl
     return {"min_ms": times[0], "median_ms": times[len(times) // 2]}
 
 
-def interleaved_cpu_ms(calls: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
-    """Minimum processor milliseconds of each call, the calls taking turns after one round without a clock.
+def paired_cpu_ms(ours: Callable[[], Any], reference: Callable[[], Any], rounds: int) -> list[tuple[float, float]]:
+    """Processor milliseconds of ours and of the reference, which run in turn: one pair a round.
 
-    Other processes then slow all calls alike, and the minimum is free of most of what they take.
+    The reference's is the mean of the runs before and after ours, so that a processor that changes its speed, and
+    other processes that come and go, change both.
     """
-    for call in calls.values():
-        call()
-    best = dict.fromkeys(calls, float("inf"))
+    pairs, before = [], _cpu_ms(reference)
     for _ in range(rounds):
-        for name, call in calls.items():
-            start = process_time()
-            call()
-            best[name] = min(best[name], 1e3 * (process_time() - start))
-    return best
+        own = _cpu_ms(ours)
+        after = _cpu_ms(reference)
+        pairs.append((own, (before + after) / 2))
+        before = after
+    return pairs
+
+
+def _cpu_ms(call: Callable[[], Any]) -> float:
+    start = process_time()
+    call()
+    return 1e3 * (process_time() - start)

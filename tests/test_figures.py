@@ -67,8 +67,8 @@ def test_figures_are_those_of_the_benchmark(make: Any) -> None:
 
 
 def kept() -> list[str]:
-    """Names of the results that a script keeps; the figures that rate.py is held against are not one."""
-    return sorted(path.stem for path in (ROOT / "bench" / "results").glob("*.json") if path.stem != "rate_before")
+    """Names of the results that a script keeps."""
+    return sorted(path.stem for path in (ROOT / "bench" / "results").glob("*.json"))
 
 
 @pytest.mark.parametrize("name", kept())
