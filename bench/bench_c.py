@@ -35,9 +35,19 @@ def build_core(folder: Path) -> None:
     headers = Path(sysconfig.get_path("include"))
     if which("cc") is None or not (headers / "Python.h").is_file():
         leave_out("no C compiler (cc), or no headers of Python")
-    options = ["-O3", "-std=c99", "-shared", "-fPIC", "-DPy_LIMITED_API=0x030b0000", f"-I{headers}", f"-I{ROOT / 'c'}"]
+    options = [
+        "-O3",
+        "-std=c99",
+        "-shared",
+        "-fPIC",
+        "-DPy_LIMITED_API=0x030b0000",
+        f"-I{headers}",
+        f"-I{ROOT / 'c'}",
+    ]
     source = ROOT / "core" / "touchfield_core.c"
-    subprocess.run(["cc", *options, "-o", str(folder / "touchfield_core.abi3.so"), str(source)], check=True)
+    subprocess.run(
+        ["cc", *options, f"-I{ROOT / 'c'}", "-o", str(folder / "touchfield_core.abi3.so"), str(source)], check=True
+    )
     sys.path.insert(0, str(folder))
     os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
 

@@ -1,4 +1,4 @@
-"""No kernel gets slower unnoticed: processor time of each over a frozen loop of the same kind, beside the stored ratio.
+"""No kernel gets slower unnoticed: its processor time over a frozen loop's of the same kind, beside the stored ratio.
 
     python bench/bench_guard.py [--quick] [--only NAME,NAME] [--store]
 
@@ -17,6 +17,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from math import inf
 from statistics import median
 from typing import Any, NamedTuple
 
@@ -72,9 +73,7 @@ def depth_pairs() -> dict[str, Pair]:
         "depth, planes": Pair(
             lambda: DepthScene(sequence, step_per_m=step_per_m).planes(0), lambda: frozen.image_planes(image, planes)
         ),
-        "depth, forces": Pair(
-            lambda: scene_.field(0, grid, profile), lambda: frozen.projected_forces(planes, dense)
-        ),
+        "depth, forces": Pair(lambda: scene_.field(0, grid, profile), lambda: frozen.projected_forces(planes, dense)),
     }
 
 
@@ -191,8 +190,8 @@ def measure(only: str, store: bool, rounds: int) -> Figures:
     for group in only.split(",") if only else GROUPS:
         for name, pair in GROUPS[group]().items():
             held = before.get(name, {}).get("stored_ratio")
-            row = ratio_of(pair, rounds, 0.0 if store or held is None else MARGIN * held)
             is_new = store or held is None
+            row = ratio_of(pair, rounds, inf if is_new else MARGIN * held)
             rows[name] = {**row, "stored_ratio": row["ratio"] if is_new else held}
             rows[name]["over_stored"] = row["ratio"] / rows[name]["stored_ratio"]
     return {"rows": rows}
@@ -200,7 +199,8 @@ def measure(only: str, store: bool, rounds: int) -> Figures:
 
 def bars(figures: Figures) -> list[Bar]:
     """No ratio a fifth above the stored one."""
-    return [at_most(f"{name}, over the stored ratio", row["over_stored"], MARGIN) for name, row in figures["rows"].items()]
+    rows = figures["rows"].items()
+    return [at_most(f"{name}, over the stored ratio", row["over_stored"], MARGIN) for name, row in rows]
 
 
 def main() -> None:

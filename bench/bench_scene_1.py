@@ -55,6 +55,7 @@ def difference(objects: Path, frames: int) -> dict[str, float]:
     with open_stream(objects) as stream:
         for i in np.linspace(0, frames - 1, LOOKED_AT).astype(int):
             meter.add(voxels[int(i)], stream.medium[int(i)])
+        assert stream.scene is not None
         poses = np.concatenate([np.hstack([o.track.quaternions, o.track.positions_m]) for o in stream.scene.objects])
         bits = stream.bits
         told = stream.summary()

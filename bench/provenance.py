@@ -2,7 +2,7 @@
 
 A result's code is every source file that the processes of its benchmark loaded, the files that come with a loaded
 package (profiles, the page) and those that the benchmark names itself (C that it compiles). A file counts by what it
-says to the machine: comments, docstrings and layout of Python, comments and layout of C and TypeScript change no hash.
+says to the machine: comments, docstrings and layout of Python, C and TypeScript change no hash.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ NOT_MEASURED: Final = frozenset(
 )
 """What runs, reports and stores; it takes no part in a measurement."""
 VARIABLE: Final = "TOUCHFIELD_BENCH_TRACE"
-_C_TOKENS: Final = re.compile(r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'|`(?:\\.|[^`\\])*`|//[^\n]*|/\*.*?\*/|\s+", re.S)
+_STRINGS: Final = r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'|`(?:\\.|[^`\\])*`"
+_C_TOKENS: Final = re.compile(rf"{_STRINGS}|//[^\n]*|/\*.*?\*/|\s+", re.DOTALL)
 
 
 # -- files and their hashes -----------------------------------------------------------------------------------
@@ -110,7 +111,7 @@ def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
             continue  # newer versions of Python have more fields, empty mostly
         parts.append(f" {name}=")
         if isinstance(value, list):
-            for one in _without_docstring(node, value) if name == "body" else value:
+            for one in _without_strings(value) if name == "body" else value:
                 if is_bench and isinstance(node, ast.Module) and getattr(one, "name", "") == "bars":
                     continue
                 if isinstance(one, ast.AST):
@@ -124,13 +125,13 @@ def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
     parts.append(")")
 
 
-def _without_docstring(node: ast.AST, body: list[Any]) -> list[Any]:
-    """The statements of a body; a string that stands alone anywhere among them says nothing to the machine."""
-    return [
-        one
-        for one in body
-        if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str))
-    ]
+def _without_strings(body: list[Any]) -> list[Any]:
+    """The statements of a body; a string that stands alone, as a docstring does, says nothing to the machine."""
+
+    def is_string(one: Any) -> bool:
+        return isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str)
+
+    return [one for one in body if not is_string(one)]
 
 
 def c_meaning(text: str) -> str:

@@ -24,6 +24,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,11 @@ def best(sizes: Figures) -> tuple[str, float]:
 def mean(ratios: Sequence[float]) -> float | None:
     """Geometric; None of nothing."""
     return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None
+
+
+def former_of(before: Figures, row: Figures) -> Any:
+    """The figure of the same field before; None if there is none."""
+    return before.get(row["field"])
 
 
 @dataclass
@@ -135,8 +141,8 @@ class Report:
             over = self._ratios(at, 1, lambda r: r["touch"].get(DEFAULT), self._former)
             told = f"{at}, one frame: bytes of {DEFAULT} over the former {DEFAULT}, {len(over)} fields"
             made.append(at_most(f"{told}, mean", mean(over), MEAN))
-            former = self.before[f"p_over_i, {at}"]
-            over = self._ratios(at, 5, lambda r: r["p_over_i"].get(DEFAULT), lambda r, f=former: f.get(r["field"]))
+            former = partial(former_of, self.before[f"p_over_i, {at}"])
+            over = self._ratios(at, 5, lambda r: r["p_over_i"].get(DEFAULT), former)
             told = f"{at}, five frames: P over I of {DEFAULT} over the former, {len(over)} fields, mean"
             made.append(at_most(told, mean(over), P_OVER_I))
         beyond = [row["beyond"] for row in self.sizes if row["at"] == "promise"]

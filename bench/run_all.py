@@ -4,8 +4,8 @@
     python bench/run_all.py --stale | --rerun-stale | --verdicts | --store-quick
 
 `--quick` runs each with its smallest settings, keeps nothing, and holds its exact figures (bytes, counts, errors)
-against ``reference/quick.json``, which `--store-quick` writes. `--stale` runs none: it lists the results whose code is
-not the code of today, and ends with status 1 if one of them can be measured here; `--rerun-stale` measures these.
+against ``reference/quick.json``, which `--store-quick` writes. `--stale` runs none: it lists the results whose
+code has changed since, and ends with status 1 if one of them can be measured here; `--rerun-stale` measures these.
 `--verdicts` runs none either: the bars are held against the figures that are kept, and written beside them.
 
 A benchmark that fails or exceeds its time is named at the end, and the others run. One that lacks what it needs (a

@@ -1,6 +1,6 @@
 """Frozen loops that serve as yardsticks: the time of a kernel of ours over theirs is stored and guarded.
 
-Each does the kind of work of one kernel of ours (which memory it reads, which arithmetic it does, how it branches), so
+Each does the kind of work of one kernel of ours (the memory it reads, its arithmetic, its branches), so
 that another processor, another load or another compiler changes both times alike. They import nothing of the package
 and are compiled by plain numba. Never change them: the stored ratios would mean nothing. Of another kind of work a
 new loop is added, and its ratio stored.
