@@ -224,4 +224,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("reduction", __doc__, measure, bars, frames=(100, 24), paths=(10_000, 300))
+    bench("reduction", __doc__, measure, bars, frames=(100, 8), paths=(10_000, 60))

@@ -1,6 +1,6 @@
 """Run every benchmark in turn; each prints its tables and keeps its last run in bench/results.
 
-    python bench/run_all.py [--quick] [--only NAME,NAME] [--limit-s SECONDS]
+    python bench/run_all.py [--quick] [--only NAME,NAME] [--jobs N] [--limit-s SECONDS]
     python bench/run_all.py --stale | --rerun-stale | --verdicts | --store-quick
 
 `--quick` runs each with its smallest settings, keeps nothing, and holds its exact figures (bytes, counts, errors)
@@ -16,22 +16,24 @@ from __future__ import annotations
 
 import argparse
 import os
-import resource
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from shutil import which
+from tempfile import TemporaryFile
 
 from machine import LEFT_OUT, RESULTS, STORE_QUICK, stale, stored, table, told, write
+from touchfield.parallel import worker_count
 
 HERE = Path(__file__).parent
 QUICK_LIMIT_S, LIMIT_S = 600.0, 3600.0
 """Seconds after which a script is ended."""
+GUARD = "guard"
 NEEDS = {"cuda": ("an NVIDIA GPU", ("nvidia-smi",)), "page": ("node and Chromium", ("node", "chromium"))}
 """What a benchmark needs that not every machine has, and the programs that show it."""
 
@@ -69,38 +71,52 @@ def selected(only: str | None) -> list[str]:
 # -- running --------------------------------------------------------------------------------------------------
 
 
-def run(name: str, is_quick: bool, limit_s: float) -> Outcome:
-    """One script in a process group of its own, ended with all its processes after `limit_s`."""
+def run(name: str, is_quick: bool, limit_s: float, is_shown: bool = True) -> Outcome:
+    """One script in a process group of its own, ended with all its processes after `limit_s`.
+
+    Its output appears at once if `is_shown`, and else when it has ended.
+    """
     script = HERE / f"{scripts()[name]}.py"
-    print(f"\n== {script.name}", flush=True)
-    start, before = time.monotonic(), _children_s()
-    with subprocess.Popen([sys.executable, script, *["--quick"] * is_quick], start_new_session=True) as process:
-        try:
-            status = process.wait(limit_s)
-            verdict = {0: "finished", LEFT_OUT: "left out"}.get(status, f"failed, status {status}")
-        except subprocess.TimeoutExpired:
-            verdict = f"exceeded {limit_s:.0f} s"
-        finally:
-            _end(process)
-    return Outcome(name, verdict, time.monotonic() - start, _children_s() - before)
+    command = [sys.executable, str(script), *["--quick"] * is_quick]
+    title, start = f"\n== {script.name}", time.monotonic()
+    with TemporaryFile() as output:
+        if is_shown:
+            print(title, flush=True)
+        where = {} if is_shown else {"stdout": output, "stderr": subprocess.STDOUT}
+        process = subprocess.Popen(command, start_new_session=True, **where)  # type: ignore[call-overload]
+        status, processor_s = _waited(process.pid, start + limit_s)
+        process.returncode = -signal.SIGKILL if status is None else status
+        if not is_shown:
+            output.seek(0)
+            print(title, output.read().decode(errors="replace"), sep="\n", flush=True)
+    verdict = {0: "finished", LEFT_OUT: "left out", None: f"exceeded {limit_s:.0f} s"}
+    return Outcome(name, verdict.get(status, f"failed, status {status}"), time.monotonic() - start, processor_s)
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a process that still runs, and those that it started."""
-    if process.poll() is None:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+def _waited(pid: int, until_s: float) -> tuple[int | None, float]:
+    """Exit status, and processor seconds with those of its own children; its group is killed at `until_s`: None."""
+    is_late = False
+    while True:
+        ended, status, used = os.wait4(pid, os.WNOHANG)
+        if ended:
+            seconds = used.ru_utime + used.ru_stime
+            return None if is_late else os.waitstatus_to_exitcode(status), seconds
+        if not is_late and time.monotonic() > until_s:
+            is_late = True
+            os.killpg(pid, signal.SIGKILL)
+        time.sleep(0.05)
 
 
-def _children_s() -> float:
-    """Processor seconds of all ended children and theirs."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> bool:
+    """Run them, `jobs` at once; a table of how each ended; whether none failed.
 
-
-def run_each(names: Iterable[str], is_quick: bool, limit_s: float) -> bool:
-    """Run them; a table of how each ended; whether none failed."""
-    outcomes = [run(name, is_quick, limit_s) for name in names]
+    What guards the speed runs first and alone.
+    """
+    alone = [name for name in names if jobs == 1 or name == GUARD]
+    outcomes = [run(name, is_quick, limit_s) for name in alone]
+    with ThreadPoolExecutor(jobs) as pool:
+        rest = [name for name in names if name not in alone]
+        outcomes += pool.map(lambda name: run(name, is_quick, limit_s, is_shown=False), rest)
     rows = [[one.name, one.verdict, f"{one.seconds:.1f}", f"{one.processor_s:.1f}"] for one in outcomes]
     total = ["all", "", *(f"{sum(values):.1f}" for values in zip(*((o.seconds, o.processor_s) for o in outcomes)))]
     print(table("benchmarks", ["", "verdict", "seconds", "processor s"], [*rows, total]))
@@ -155,6 +171,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="small settings; no result is kept")
     parser.add_argument("--only", metavar="NAME,NAME", help="these benchmarks")
+    parser.add_argument("--jobs", type=int, help="scripts at once: 1; quickly, where times do not count, one a core")
     parser.add_argument("--limit-s", type=float, help=f"for each script: {LIMIT_S:g}; quickly {QUICK_LIMIT_S:g}")
     group = parser.add_mutually_exclusive_group()
     group.add_argument("--stale", action="store_true", help="results older than the code that they measured")
@@ -174,7 +191,8 @@ def main() -> None:
         os.environ[STORE_QUICK] = "1"
     is_quick = options.quick or options.store_quick
     limit_s = options.limit_s or (QUICK_LIMIT_S if is_quick else LIMIT_S)
-    sys.exit(not run_each(names, is_quick, limit_s))
+    jobs = options.jobs or (worker_count() if is_quick and not options.store_quick else 1)
+    sys.exit(not run_each(names, is_quick, limit_s, jobs))
 
 
 if __name__ == "__main__":
