@@ -21,16 +21,16 @@ import math
 import os
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import provenance
 import rate_ours as ours
 import rate_peers as peers
-from machine import RESULTS, SHARED, Bar, Figures, at_least, at_most, keep, show, table, text
+from machine import RESULTS, SHARED, Bar, Figures, at_least, at_most, check_quick, keep, show, table, text
 from rate_fields import FRAMES, WALL_VOXELS, Case, cases
 from rate_pool import Job, Pool, fields_in, fingerprint, kept
 from rate_symbols import F0_N, K
@@ -124,6 +124,15 @@ class Report:
         """Bytes of the same field before, if they were measured at the same error."""
         old = self.before[row["at"]].get(row["field"], {})
         return old.get(DEFAULT) if abs(old.get("nmse_db", row["nmse_db"]) - row["nmse_db"]) < SAME_DB else None
+
+    def bytes(self) -> Figures:
+        """Bytes of every effort for each field."""
+        return {
+            f"{row['field']}, {row['at']}, {row['frames']} frames": {
+                f"{effort}_bytes": n for effort, n in row["touch"].items()
+            }
+            for row in self.sizes
+        }
 
     def ranges(self) -> dict[str, list[float]]:
         """How many times as large as ours the best peer is over all fields, at least and at most."""
@@ -254,7 +263,7 @@ def bars(figures: dict[str, Any]) -> list[Bar]:
 
 def main() -> None:
     """Print the tables and the bars, keep the figures, draw the picture."""
-    asked, began = arguments(), time.perf_counter()
+    asked, trace, run = arguments(), provenance.Trace(), provenance.Run()
     os.environ["TOUCHFIELD_THREADS"] = "1"  # a core has a segment, or a process, of its own
     chosen = list(cases(tuple(asked.nw), asked.fields and tuple(asked.fields)))
     where = "TUM desk and ICL living room" if SHARED.is_dir() else "the samples (../shared/data is not there)"
@@ -272,7 +281,10 @@ def main() -> None:
     figures |= {"best_peer_over_ours": report.ranges(), "speeds": report.speeds, "objects": report.objects}
     show(figures | {"failed": pool.failed})
     figures |= {"sizes": report.sizes, "curves": report.curves, "failed": pool.failed}
-    keep("rate", {**figures, "seconds": time.perf_counter() - began}, report.bars(), not asked.is_full)
+    code = provenance.code_of(trace.files())
+    keep("rate", figures, report.bars(), not asked.is_full, run.summary(), code)
+    if asked.quick:
+        check_quick("rate", report.bytes())
     sys.exit(bool(pool.failed))
 
 

@@ -4,7 +4,7 @@
     python bench/run_all.py --stale | --rerun-stale | --verdicts | --store-quick
 
 `--quick` runs each with its smallest settings, keeps nothing, and holds its exact figures (bytes, counts, errors)
-against ``reference/quick.json``, which `--store-quick` writes. `--stale` runs none: it lists the results whose
+against ``reference/quick``, which `--store-quick` writes. `--stale` runs none: it lists the results whose
 code has changed since, and ends with status 1 if one of them can be measured here; `--rerun-stale` measures these.
 `--verdicts` runs none either: the bars are held against the figures that are kept, and written beside them.
 
@@ -191,7 +191,7 @@ def main() -> None:
         os.environ[STORE_QUICK] = "1"
     is_quick = options.quick or options.store_quick
     limit_s = options.limit_s or (QUICK_LIMIT_S if is_quick else LIMIT_S)
-    jobs = options.jobs or (worker_count() if is_quick and not options.store_quick else 1)
+    jobs = options.jobs or (worker_count() if is_quick else 1)
     sys.exit(not run_each(names, is_quick, limit_s, jobs))
 
 
