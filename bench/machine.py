@@ -293,8 +293,8 @@ def check_quick(name: str, figures: Figures, without: Iterable[str] = ()) -> Non
     """
     if os.environ.get(STORE_QUICK):
         QUICK.mkdir(parents=True, exist_ok=True)
-        lines = json.dumps(exact_figures(figures, without), indent=1, sort_keys=True)
-        (QUICK / f"{name}.json").write_text(lines + "\n")
+        content = json.dumps(exact_figures(figures, without), indent=1, sort_keys=True)
+        (QUICK / f"{name}.json").write_text(content + "\n")
         return
     if lines := quick_differences(name, figures, without):
         hint = "If the change is meant, store them anew: bench/run_all.py --store-quick"
