@@ -1,6 +1,6 @@
 """The servo's loop on the wall clock: rate, jitter and lateness, underruns, by scheduling class and load.
 
-    python bench/bench_servo.py [--quick] [--seconds 600] [--others 120]
+    python bench/bench_servo.py [--quick] [--seconds 150] [--others 45]
 
 A turning body in 64^3 voxels at 30 frames a second is decoded ahead from a file (effort fast) and looped; the device
 only tells where it is, on a circle through the body. Each row is a run of its own. `jitter` is |dT - 1/rate|;
@@ -209,4 +209,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("servo", __doc__, measure, bars, seconds=(600.0, 2.0), others=(120.0, 1.0), offline=(20.0, 2.0))
+    bench("servo", __doc__, measure, bars, seconds=(150.0, 2.0), others=(45.0, 1.0), offline=(20.0, 2.0))
