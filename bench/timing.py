@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from time import perf_counter, process_time
+from types import ModuleType
 from typing import Any
 
 
@@ -20,22 +21,53 @@ def timed(call: Callable[[], Any], runs: int = 9, warm: int = 1) -> dict[str, fl
     return {"min_ms": times[0], "median_ms": times[len(times) // 2]}
 
 
-def paired_cpu_ms(ours: Callable[[], Any], reference: Callable[[], Any], rounds: int) -> list[tuple[float, float]]:
+Clock = Callable[[], float]
+"""A run of something, and the processor milliseconds that it took."""
+
+
+def whole(call: Callable[[], Any]) -> Clock:
+    """The clock of all that a call does."""
+
+    def run() -> float:
+        start = process_time()
+        call()
+        return 1e3 * (process_time() - start)
+
+    return run
+
+
+def inside(module: ModuleType, name: str, call: Callable[[], Any]) -> Clock:
+    """The clock of one function of a module, of all its runs within a call."""
+    function, spent = getattr(module, name), [0.0]
+
+    def timed_function(*values: Any) -> Any:
+        start = process_time()
+        result = function(*values)
+        spent[0] += 1e3 * (process_time() - start)
+        return result
+
+    def run() -> float:
+        spent[0] = 0.0
+        setattr(module, name, timed_function)
+        try:
+            call()
+        finally:
+            setattr(module, name, function)
+        return spent[0]
+
+    return run
+
+
+def paired_cpu_ms(ours: Clock, reference: Clock, rounds: int) -> list[tuple[float, float]]:
     """Processor milliseconds of ours and of the reference, which run in turn: one pair a round.
 
     The reference's is the mean of the runs before and after ours, so that a processor that changes its speed, and
     other processes that come and go, change both.
     """
-    pairs, before = [], _cpu_ms(reference)
+    pairs, before = [], reference()
     for _ in range(rounds):
-        own = _cpu_ms(ours)
-        after = _cpu_ms(reference)
+        own = ours()
+        after = reference()
         pairs.append((own, (before + after) / 2))
         before = after
     return pairs
-
-
-def _cpu_ms(call: Callable[[], Any]) -> float:
-    start = process_time()
-    call()
-    return 1e3 * (process_time() - start)
