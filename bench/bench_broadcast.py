@@ -139,7 +139,12 @@ def many(count: int, seconds: float, silent: int = 0) -> Figures:
     address, ready = here.recv(), threading.Event()
     host, port = address.split(":")
     crowd = [socket.create_connection((host, int(port))) for _ in range(silent)]
-    threading.Thread(target=lambda: (ready.wait(), here.send("go")), daemon=True).start()
+
+    def begin() -> None:
+        ready.wait()
+        here.send("go")
+
+    threading.Thread(target=begin, daemon=True).start()
     heard = asyncio.run(receive(address, count, ready))
     told: Figures = here.recv()
     process.join()

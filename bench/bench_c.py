@@ -1,6 +1,9 @@
 """`c/touch.h`: a frame decoded by one thread beside numba's, a query, and `touchfield decode` with nothing compiled.
 
-make core && python bench/bench_c.py [--quick]
+    python bench/bench_c.py [--quick]
+
+The module of Python is built for the run, with the options of `core/setup.py`; without a C compiler and Python's
+headers nothing is measured.
 """
 
 from __future__ import annotations
@@ -8,19 +11,45 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import sysconfig
 import tempfile
 from pathlib import Path
+from shutil import which
 from statistics import median
 from time import perf_counter, process_time
 from typing import Any
 
 import touchfield as tf
-from machine import Bar, Figures, at_least, at_most, bench, figure
+from machine import Bar, Figures, at_least, at_most, bench, figure, leave_out
 from touchfield.stream import native
-from touchfield.stream.opened import open_stream
+from touchfield.stream.opened import VoxelStream, open_stream
+
+ROOT = Path(__file__).resolve().parents[1]
 
 SOURCES = {"terrain": "sample:terrain", "motorcycle": "sample:motorcycle"}
 QUERIES = 1_000_000
+
+
+def build_core(folder: Path) -> None:
+    """Build the module `touchfield_core` into a folder that Python then looks into first, here and in processes."""
+    headers = Path(sysconfig.get_path("include"))
+    if which("cc") is None or not (headers / "Python.h").is_file():
+        leave_out("no C compiler (cc), or no headers of Python")
+    options = [
+        "-O3",
+        "-std=c99",
+        "-shared",
+        "-fPIC",
+        "-DPy_LIMITED_API=0x030b0000",
+        f"-I{headers}",
+        f"-I{ROOT / 'c'}",
+    ]
+    source = ROOT / "core" / "touchfield_core.c"
+    subprocess.run(
+        ["cc", *options, f"-I{ROOT / 'c'}", "-o", str(folder / "touchfield_core.abi3.so"), str(source)], check=True
+    )
+    sys.path.insert(0, str(folder))
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
 
 
 def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
@@ -28,6 +57,7 @@ def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
     best = 0.0
     for _ in range(runs):
         with open_stream(stream) as own:
+            assert isinstance(own, VoxelStream)
             segments, decoder = len(own.reader.segments), own.decoder
             core = native._core()
             began = process_time()
@@ -63,15 +93,15 @@ def cold_s(stream: Path, folder: Path, is_native: bool, runs: int) -> float:
 
 def query_us(stream: Path, folder: Path, runs: int) -> tuple[float, float]:
     """Median and 99.9th percentile of one query, the best of some runs."""
-    here = Path(__file__).parent
     program = folder / "c_query"
-    options = ["-O2", "-std=gnu99", f"-I{here.parent / 'c'}"]
-    subprocess.run(["cc", *options, "-o", str(program), str(here / "c_query.c"), "-lm"], check=True)
-    told = []
+    options = ["-O2", "-std=gnu99", f"-I{ROOT / 'c'}"]
+    subprocess.run(["cc", *options, "-o", str(program), str(ROOT / "bench" / "c_query.c"), "-lm"], check=True)
+    measured = []
     for _ in range(runs):
         line = subprocess.run([program, stream, str(QUERIES)], check=True, capture_output=True, text=True).stdout
-        told.append(tuple(float(n) / 1e3 for n in line.split()[:2]))
-    return min(told)
+        middle, late = (float(n) / 1e3 for n in line.split()[:2])
+        measured.append((middle, late))
+    return min(measured)
 
 
 def measure(runs: int) -> Figures:
@@ -79,6 +109,7 @@ def measure(runs: int) -> Figures:
     figures: dict[str, Any] = {"decode": {}}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
+        build_core(folder)
         for name, source in SOURCES.items():
             stream = folder / f"{name}.touch"
             tf.encode(source, stream)
@@ -103,4 +134,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("c", __doc__, measure, bars, runs=(5, 1))
+    bench("c", __doc__, measure, bars, runs=(5, 1), reads=("c/*.h", "core/*.c", "core/setup.py", "bench/*.c"))

@@ -12,6 +12,8 @@ there. Without a GPU nothing is measured but the processor, and the bars say so.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from importlib import import_module
 from time import perf_counter
 from typing import Any
 
@@ -36,7 +38,7 @@ def gpu() -> str | None:
     with cuda.computing("auto"):
         if not cuda.uses_gpu():
             return None
-    from numba import cuda as library
+    library: Any = import_module("numba.cuda")
 
     name = library.get_current_device().name
     return name.decode() if isinstance(name, bytes) else str(name)
@@ -44,7 +46,7 @@ def gpu() -> str | None:
 
 def settled(call: Callable[[], Any]) -> Callable[[], Any]:
     """A call and the wait until the GPU has done it."""
-    from numba import cuda as library
+    library: Any = import_module("numba.cuda")
 
     def both() -> Any:
         out = call()
@@ -58,7 +60,8 @@ def of_depth(is_there: bool, runs: int) -> Figures:
     """A frame on 1000^3 samples."""
     sequence = sample("motorcycle").sequence  # type: ignore[attr-defined]
     scene = DepthScene(sequence)
-    grid = Grid.over_box(*scene.bounds_m(), (NOMINAL,) * 3)
+    low_m, high_m = scene.bounds_m()
+    grid = Grid.over_box(low_m, high_m, (NOMINAL, NOMINAL, NOMINAL))
     query = query_of(scene.planes(0), np.eye(4), grid, penalty(LawSpec(), 4 * max(grid.spacing_m)))
     own = depth.brick_forces(force_bricks(query, grid), query)
     took = {
@@ -87,11 +90,11 @@ def of_queries(is_there: bool, points: int, runs: int) -> Figures:
         own = sampler.force_n(0.0, places)
         began = perf_counter()
         sampler.force_n(0.0, places)
-        row = {"processor_per_s": points / (perf_counter() - began)}
+        row: Figures = {"processor_per_s": points / (perf_counter() - began)}
         if is_there:
             device = DeviceSampler(medium)
             at = cuda.on_device(places)
-            took = timed(settled(lambda device=device, at=at: device.force_n(0.0, at)), runs)
+            took = timed(settled(partial(device.force_n, 0.0, at)), runs)
             row["gpu_per_s"] = 1e3 * points / took["median_ms"]
             row["difference_n"] = float(np.abs(own - cuda.on_host(device.force_n(0.0, at))).max())
             row["cupy_per_s"] = cupy_per_s(places, runs)

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bench_stability as hands
-from bench_stability import Bench, wall
 from machine import SHARED, Bar, Figures, at_most, bench
 from touchfield import EncodeSpec, encode, prepare
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -45,7 +44,7 @@ GIVE = 1.0  # compliance times stiffness
 MATRIX = np.array([[80.0, 30, -20], [30, 120, 10], [-20, 10, 60]])
 
 
-def db(error: Float64s, force: Float64s) -> float:
+def db(error: NDArray[Any], force: NDArray[Any]) -> float:
     """10 log10 of the energies; -300 where there is no error."""
     return float(10 * np.log10(max((error**2).sum() / (force**2).sum(), 1e-30)))
 
@@ -159,7 +158,8 @@ def loop_work(bent: Deformation) -> float:
         flat, share = bent.design(p)
         moved = p + np.einsum("nw,nwc->nc", share, u[flat])
         j = np.stack([slope(bent, p, a) for a in range(3)], axis=-1) + np.eye(3)
-        return np.einsum("nki,nk->ni", j, moved @ MATRIX)
+        bent_force: Float64s = np.einsum("nki,nk->ni", j, moved @ MATRIX)
+        return bent_force
 
     for _ in range(20):
         axes, low, high = rng.permutation(3)[:2], *np.sort(rng.uniform(0, 5, (2, 3)), axis=0)
@@ -192,7 +192,8 @@ def slope(bent: Deformation, p: Float64s, axis: int) -> Float64s:
     i, j, k = (cell[:, a, None] + np.arange(4) for a in range(3))
     flat = ((i[:, :, None, None] * shape[1] + j[:, None, :, None]) * shape[2] + k[:, None, None, :]).reshape(-1, 64)
     share = (w[0][:, :, None, None] * w[1][:, None, :, None] * w[2][:, None, None, :]).reshape(-1, 64)
-    return np.einsum("nw,nwc->nc", share, bent.displacement_m[0].reshape(-1, 3)[flat])
+    change: Float64s = np.einsum("nw,nwc->nc", share, bent.displacement_m[0].reshape(-1, 3)[flat])
+    return change
 
 
 def exact() -> Figures:
@@ -245,13 +246,15 @@ def pressed(every: int) -> Figures:
     rows = []
     for stiffness in hands.WALLS:
         soft = Deformation.at_rest((-0.07,) * 3, (0.07,) * 3, compliance_m_per_n=GIVE / stiffness, relax_s=0.05)
-        block = Bench(wall(stiffness, hands.MOST_N), device=hands.STRONG, grid=hands.GRID, deformation=soft)
+        block = hands.Bench(
+            hands.wall(stiffness, hands.MOST_N), device=hands.STRONG, grid=hands.GRID, deformation=soft
+        )
         cases = [*itertools.product(hands.DAMPINGS, hands.DELAYS, hands.RESOLUTIONS, hands.HANDS)][::every]
         for b, delay, resolution, (kg, k) in cases:
             hands.auto(block, stiffness, b, delay, resolution)
             depth = hands.PRESS_N * (1 / stiffness + 1 / k)
             step = hands.moved_by(hands.DEVICE_KG + kg, k, b)
-            told = hands.touched(*block.memory.views, block.frame, step, k, b, depth, delay, resolution)
+            told = hands.call(hands.touched, *block.memory.views, block.frame, step, k, b, depth, delay, resolution)
             rows.append((stiffness, b, delay, resolution, kg, k, *told))
     made = hands.told_of(np.array(rows))
     return {key: made[key] for key in ("cases", "cycles", "worst_rms_n", "drives", "gives", "worst_given_mj")}

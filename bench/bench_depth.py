@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -88,13 +88,12 @@ def with_numpy(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> np.
 
 def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Callable[[], np.ndarray]:
     """The same as one Warp kernel over the dense lattice, on the CPU; two pieces of profile."""
-    import warp as wp
-
+    wp: Any = import_module("warp")
     wp.config.quiet = True
     wp.init()
 
-    @wp.kernel
-    def forces(
+    @wp.kernel  # type: ignore[untyped-decorator]
+    def forces(  # type: ignore[no-untyped-def]
         planes: wp.array(dtype=wp.vec4),  # type: ignore[valid-type]
         camera: wp.vec4,
         size: wp.vec2i,
@@ -105,7 +104,7 @@ def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Ca
         front: float,
         behind: float,
         out: wp.array(dtype=wp.vec3, ndim=3),  # type: ignore[valid-type]
-    ):  # type: ignore[no-untyped-def]
+    ):
         i, j, k = wp.tid()
         p = wp.vec3(
             origin[0] + spacing[0] * float(i), origin[1] + spacing[1] * float(j), origin[2] + spacing[2] * float(k)
@@ -137,7 +136,7 @@ def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Ca
 
     def call() -> np.ndarray:
         wp.launch(forces, dim=grid.shape, inputs=given, device="cpu")
-        return out.numpy()
+        return np.asarray(out.numpy())
 
     return call
 
@@ -150,9 +149,10 @@ def differing(field: ForceField, dense: np.ndarray) -> float:
 def by_itself(n: int) -> Figures:
     """n^3 over the bounds of the scene; meant for a process of its own."""
     scene = DepthScene(Room())
-    grid = Grid.over_box(*scene.bounds_m(), (n, n, n))
+    low_m, high_m = scene.bounds_m()
+    grid = Grid.over_box(low_m, high_m, (n, n, n))
     profile = wall(grid)
-    scene.field(0, Grid.over_box(*scene.bounds_m(), (16, 16, 16)), profile)  # compiled code is loaded
+    scene.field(0, Grid.over_box(low_m, high_m, (16, 16, 16)), profile)  # compiled code is loaded
     start = perf_counter()
     field = DepthScene(scene.sequence).field(0, grid, profile)
     elapsed_ms = (perf_counter() - start) * 1e3
@@ -180,12 +180,12 @@ def compare(sequence: Room, n: int) -> Figures:
 
 def measure(large: int) -> Figures:
     """The tables of both lattices, and the large one."""
-    sequence, before = Room(), round(os.getloadavg()[0], 2)
+    sequence = Room()
     figures: dict[str, Any] = {f"{n}^3": compare(sequence, n) for n in (128, 256)}
     program = f"import json, bench_depth; print(json.dumps(bench_depth.by_itself({large})))"
     said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, cwd=Path(__file__).parent)
     figures[f"{large}^3"] = json.loads(said.stdout)
-    return figures | {"load": [before, round(os.getloadavg()[0], 2)]}  # other work on the machine slows all of it
+    return figures
 
 
 def bars(figures: Figures) -> list[Bar]:

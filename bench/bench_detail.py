@@ -12,6 +12,8 @@ peak or less is left. Peak: median over the columns of the peak that is left.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -37,9 +39,10 @@ def low_pass(field: ForceField) -> list[ForceField]:
     levels = [field]
     for _ in range(LEVELS):
         grid = levels[-1].grid
-        shape, spacing = (tuple(-(-n // 2) for n in grid.shape), tuple(2 * h for h in grid.spacing_m))
-        origin = tuple(o + h / 2 for o, h in zip(grid.origin_m, grid.spacing_m, strict=True))
-        levels.append(resample(levels[-1], Grid(shape, spacing, origin), "spline"))
+        origin, spacing = np.array(grid.origin_m), np.array(grid.spacing_m)
+        (nx, ny, nz), low = (-(-n // 2) for n in grid.shape), origin - spacing / 2
+        shape = nx, ny, nz
+        levels.append(resample(levels[-1], Grid.over_box(low, low + 2 * spacing * shape, shape), "spline"))
     return levels
 
 
@@ -86,7 +89,7 @@ def measure(nw: int) -> Figures:
         original = field.to_dense().astype(np.float64)
         ours, theirs = pyramid(field, LEVELS), low_pass(field)
         for level in range(1, LEVELS + 1):
-            ways = {
+            ways: dict[str, NDArray[Any]] = {
                 OURS: interpolated(ours[level], field.grid, border="cell").to_dense(),
                 LOW_PASS: interpolated(theirs[level], field.grid, border="cell").to_dense(),
                 SIGNED: signed(field, level),

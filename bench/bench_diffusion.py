@@ -52,18 +52,18 @@ def medpy_row(dense: Floats) -> Callable[[], object] | None:
 
 def measure(samples: int) -> Figures:
     """All filters, and the peers that are here."""
-    dense = np.random.default_rng(0).normal(size=(samples, samples, samples, 3)).astype(np.float32) / 5
+    normal = np.random.default_rng(0).normal(size=(samples, samples, samples, 3))
+    dense = normal.astype(np.float32) / np.float32(5)
     field = shell(samples, 0.3735, 0.4)
-    options = {"steps": STEPS, "kappa_n": KAPPA_N}
     jobs: dict[str, Callable[[], object] | None] = {
-        f"perona_malik, dense {samples}^3 x 3": lambda: perona_malik(dense, **options),
+        f"perona_malik, dense {samples}^3 x 3": lambda: perona_malik(dense, steps=STEPS, kappa_n=KAPPA_N),
         "peer: numpy, the same equation": lambda: in_numpy(dense),
         "peer: medpy, each component apart": medpy_row(dense),
         "perona-malik, wall": lambda: DiffusionFilter(KAPPA_N, STEPS)(field),
         "shading, wall, sigma 2 samples": lambda: ShadingFilter(2 / samples)(field),
         "shading, wall, sigma 4 samples": lambda: ShadingFilter(4 / samples)(field),
     }
-    error = float(np.abs(perona_malik(dense, **options) - in_numpy(dense)).max())
+    error = float(np.abs(perona_malik(dense, steps=STEPS, kappa_n=KAPPA_N) - in_numpy(dense)).max())
     rows = {name: timed(job, runs=3 if name.startswith("peer") else 9) for name, job in jobs.items() if job}
     share = field.support_count / field.grid.voxel_count
     told = {"bricks": len(field.bricks), "support_share": share, "threads": worker_count(), "differ_n": error}

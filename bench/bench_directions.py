@@ -8,6 +8,7 @@ Each figure is the best of several repetitions, after one that compiles and warm
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,12 +21,22 @@ from touchfield.perception.weber import READINGS, gate, gate_in_time
 
 def best_ms(job: Callable[[], Any], runs: int) -> float:
     """Milliseconds of the fastest run."""
-    return round(timed(job, runs)["min_ms"], 2)
+    return timed(job, runs)["min_ms"]
 
 
 def rate_m(job: Callable[[], Any], count: int, runs: int = 15) -> float:
     """Millions of items a second."""
-    return round(count / timed(job, runs)["min_ms"] / 1e3, 1)
+    return count / timed(job, runs)["min_ms"] / 1e3
+
+
+def brute_force(vertices: np.ndarray, forces: np.ndarray) -> Any:
+    """The nearest vertex by the largest product, in numpy."""
+    return (forces @ vertices.T).argmax(axis=1)
+
+
+def by_weber(k: float, values: np.ndarray) -> AmplitudeLevels:
+    """The levels of a ladder up to the largest value."""
+    return weber_levels(weber_ladder(k, float(values.max())))
 
 
 def directions(random: np.ndarray, smooth: np.ndarray) -> dict[str, Any]:
@@ -36,9 +47,9 @@ def directions(random: np.ndarray, smooth: np.ndarray) -> dict[str, Any]:
         vertices, few = codebook.vertices_float32, random[: 20_000_000 // len(codebook)]
         found[name] = {
             "vertices": len(codebook),
-            "random_m_per_s": rate_m(lambda c=codebook: c.nearest(random), len(random)),
-            "smooth_m_per_s": rate_m(lambda c=codebook: c.nearest(smooth), len(smooth)),
-            "brute_force_numpy_m_per_s": rate_m(lambda v=vertices, x=few: (x @ v.T).argmax(axis=1), len(few), 3),
+            "random_m_per_s": rate_m(partial(codebook.nearest, random), len(random)),
+            "smooth_m_per_s": rate_m(partial(codebook.nearest, smooth), len(smooth)),
+            "brute_force_numpy_m_per_s": rate_m(partial(brute_force, vertices, few), len(few), 3),
         }
     return found
 
@@ -47,18 +58,18 @@ def amplitudes(values: np.ndarray) -> dict[str, Any]:
     """Training, and quantising."""
     found = {}
     makers: dict[str, Callable[[np.ndarray], AmplitudeLevels]] = {
-        f"lloyd-max nq={nq}": lambda x, nq=nq: lloyd_max_levels(x, nq) for nq in (4, 6, 8, 12)
+        f"lloyd-max nq={nq}": partial(lloyd_max_levels, nq=nq) for nq in (4, 6, 8, 12)
     }
-    makers |= {f"weber k={k}": lambda x, k=k: weber_levels(weber_ladder(k, float(x.max()))) for k in (0.1, 0.01)}
+    makers |= {f"weber k={k}": partial(by_weber, k) for k in (0.1, 0.01)}
     for name, fitted in makers.items():
         table, few = fitted(values), values[:100_000]
         found[name] = {
             "levels": len(table),
-            "fit_100k_ms": best_ms(lambda f=fitted, x=few: f(x), 5),
-            "fit_all_ms": best_ms(lambda f=fitted: f(values), 3),
-            "encode_m_per_s": rate_m(lambda t=table: t.encode(values), len(values)),
+            "fit_100k_ms": best_ms(partial(fitted, few), 5),
+            "fit_all_ms": best_ms(partial(fitted, values), 3),
+            "encode_m_per_s": rate_m(partial(table.encode, values), len(values)),
             "searchsorted_m_per_s": rate_m(
-                lambda b=table.thresholds_n: np.searchsorted(b, values, "right"), len(values), 3
+                partial(np.searchsorted, table.thresholds_n, values, "right"), len(values), 3
             ),
         }
     return found
@@ -72,8 +83,8 @@ def deadbands(smooth: np.ndarray) -> dict[str, Any]:
     for reading in READINGS:
         sent = gate(scan, 0.1, reading)
         found[reading] = {
-            "sent": round(float(sent.mean()), 3),
-            "m_per_s": rate_m(lambda r=reading: gate(scan, 0.1, r), len(scan)),
+            "sent": float(sent.mean()),
+            "m_per_s": rate_m(partial(gate, scan, 0.1, reading), len(scan)),
         }
     found["in time"] = {"m_per_s": rate_m(lambda: gate_in_time(scan, smooth, 0.1), len(scan))}
     return found

@@ -12,7 +12,9 @@ import lzma
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +39,11 @@ def best_ms(job: Callable[[], object]) -> float:
 # -- Huffman ----------------------------------------------------------------------------------------------
 
 
+def fit(symbols: NDArray[np.uint16], count: int) -> Any:
+    """The code of the counts of symbols below `count`."""
+    return fitted_code(np.bincount(symbols, minlength=count))
+
+
 def plain_rates(count: int) -> dict[str, dict[str, float]]:
     """Msym/s of plain streams: alphabets like those of levels, of 258 directions, and of 4000."""
     rng = np.random.default_rng(1)
@@ -45,13 +52,13 @@ def plain_rates(count: int) -> dict[str, dict[str, float]]:
         symbols = np.minimum(np.abs(rng.normal(0, spread, count)), n - 1).astype(np.uint16)
         code = fitted_code(np.bincount(symbols, minlength=n))
         stream = encode_symbols(code, symbols)
-        decode_ms = best_ms(lambda c=code, d=stream, m=len(symbols), n=n: decode_symbols(c, d, m, n))
+        decode_ms = best_ms(partial(decode_symbols, code, stream, len(symbols), n))
         rows[f"huffman, {n} symbols"] = {
             "bits_a_symbol": stream.bit_length / len(symbols),
             "table_bytes": len(encode_numbers(code.lengths)),
-            "encode_msym_s": len(symbols) / 1e3 / best_ms(lambda c=code, s=symbols: encode_symbols(c, s)),
+            "encode_msym_s": len(symbols) / 1e3 / best_ms(partial(encode_symbols, code, symbols)),
             "decode_msym_s": len(symbols) / 1e3 / decode_ms,
-            "fit_ms": best_ms(lambda s=symbols, n=n: fitted_code(np.bincount(s[:100_000], minlength=n))),
+            "fit_ms": best_ms(partial(fit, symbols[:100_000], n)),
         }
     return rows
 
@@ -66,9 +73,9 @@ def run_rates(count: int) -> dict[str, dict[str, float]]:
         streams = pack_runs(sent, levels, 64, single=False)
         code = fitted_code(np.bincount(streams[0], minlength=64 + RUN_SYMBOLS))
         stream = encode_symbols(code, *streams)
-        pack_ms = best_ms(lambda s=sent, v=levels: pack_runs(s, v, 64, single=False))
-        write_ms = best_ms(lambda c=code, s=streams: encode_symbols(c, *s))
-        read_ms = best_ms(lambda c=code, d=stream, s=sent: decode_symbols(c, d, len(s), 64))
+        pack_ms = best_ms(partial(pack_runs, sent, levels, 64, single=False))
+        write_ms = best_ms(partial(encode_symbols, code, *streams))
+        read_ms = best_ms(partial(decode_symbols, code, stream, len(sent), 64))
         rows[f"runs, {share:.0%} sent"] = {
             "bits_a_sample": stream.bit_length / len(sent),
             "pack_msample_s": len(sent) / 1e3 / pack_ms,

@@ -9,6 +9,9 @@ components with the Gaussian of the same cut-off, then every second sample. Time
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -48,8 +51,8 @@ def measure(samples: int) -> Figures:
     field = shell(samples, 0.37 - 5 / samples, 0.37)
     half = resample(field, cube(samples // 2))
     dense = field.to_dense()
-    jobs = {
-        f"resample to {count}^3, {kernel}": lambda grid=cube(count), k=kernel: resample(field, grid, k)
+    jobs: dict[str, Callable[[], object]] = {
+        f"resample to {count}^3, {kernel}": partial(resample, field, cube(count), kernel)
         for count in (samples // 2, samples * 100 // 256, samples)
         for kernel in ("spline", "sinc")
     }

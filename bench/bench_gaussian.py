@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import repeat
 
 import numpy as np
@@ -94,7 +95,10 @@ def measure(samples: int) -> Figures:
     """Peers and ours, checked against each other and timed in turn."""
     dense = np.random.default_rng(0).normal(size=(samples, samples, samples, 3)).astype(np.float32)
     pool = ThreadPoolExecutor(worker_count())
-    peers = {"scipy.ndimage": (by_ndimage, "reflect"), "scipy.fft": (by_fft, "wrap")}
+    peers: dict[str, tuple[Callable[[Dense], Dense], str]] = {
+        "scipy.ndimage": (by_ndimage, "reflect"),
+        "scipy.fft": (by_fft, "wrap"),
+    }
     absent = []
     try:
         peers["OpenCV sepFilter2D"] = (by_opencv(pool), "reflect")
@@ -109,11 +113,11 @@ def measure(samples: int) -> Figures:
     for field in fields.values():
         apart.append(float(np.abs(smooth(field).to_dense() - gaussian(field.to_dense(), SIGMA)).max()))
 
-    jobs: dict[str, Callable[[], object]] = {name: lambda p=peer: p(dense) for name, (peer, _) in peers.items()}
+    jobs: dict[str, Callable[[], object]] = {name: partial(peer, dense) for name, (peer, _) in peers.items()}
     jobs["touchfield, dense, zero"] = lambda: gaussian(dense, SIGMA)
     jobs["touchfield, dense, reflect"] = lambda: gaussian(dense, SIGMA, boundary="reflect")
     for name, field in fields.items():
-        jobs[f"touchfield, {name}"] = lambda f=field: smooth(f)
+        jobs[f"touchfield, {name}"] = partial(smooth, field)
     rows = best_ms(jobs, ROUNDS)
     support = {name: field.support_count / samples**3 for name, field in fields.items()}
     told = {"samples": samples, "threads": worker_count(), "support": support, "largest_difference": max(apart)}

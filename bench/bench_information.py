@@ -9,6 +9,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,10 +59,15 @@ def others(count: int) -> dict[str, dict[str, float]]:
     small = rng.integers(0, 100, count // 10)
     wide = rng.integers(0, 2**40, count // 1000)[rng.integers(0, count // 1000, count // 10)]
     rows = {}
-    for name, x in {"uint8": small.astype(np.uint8), "int32": small.astype(np.int32), "int64, wide": wide}.items():
+    types: dict[str, NDArray[Any]] = {
+        "uint8": small.astype(np.uint8),
+        "int32": small.astype(np.int32),
+        "int64, wide": wide,
+    }
+    for name, x in types.items():
         rows[f"{name}"] = {
-            "histogram_ms": timed(lambda x=x: Counts.of(x), runs=3)["min_ms"],
-            "unique_ms": timed(lambda x=x: np.unique(x, return_counts=True), runs=1, warm=0)["min_ms"],
+            "histogram_ms": timed(partial(Counts.of, x), runs=3)["min_ms"],
+            "unique_ms": timed(partial(np.unique, x, return_counts=True), runs=1, warm=0)["min_ms"],
         }
     x, y = small.astype(np.int32), (small // 3).astype(np.int16)
     rows["pairs of int32 and int16"] = {

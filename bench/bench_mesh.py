@@ -156,7 +156,7 @@ def measure(samples: int) -> Figures:
         values = peer(vertices, faces, points)
         wrong = (values > 0) != (phi > 0)
         rows[name] = {
-            **timed(lambda p=peer: p(vertices, faces, points), runs=3, warm=0),
+            **timed(partial(peer, vertices, faces, points), runs=3, warm=0),
             "version": metadata.version(name.split(",")[0]),
             "largest_difference_voxels": float(np.abs(np.abs(values) - np.abs(phi)).max() / voxel),
             "signs_that_differ": int(wrong.sum()),

@@ -13,6 +13,7 @@ of the same commands.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,7 @@ def inside_ball(nw: int, touch: TouchSpec) -> Figures:
     for plane in rng.normal(size=(16, 3, 2)):
         one, other = np.linalg.qr(plane)[0].T
         points = radius_m * (np.cos(angle) * one + np.sin(angle) * other)
-        error = decoded.sample_n(points).astype(float) - source.sample_n(points)
+        error = decoded.sample_n(points).astype(np.float64) - source.sample_n(points).astype(np.float64)
         errors.append((in_band(error, rate_hz) ** 2).sum(axis=1))
     return {
         "field": "ball, inside", "nw": nw, "speed_mm_s": 1e3 * speed_m_s, "error_mn": 1e3 * np.sqrt(np.mean(errors)),
@@ -87,7 +88,7 @@ def slide_rows(name: str, nw: int, touch: TouchSpec) -> list[Figures]:
     return rows
 
 
-def hold_row(name: str, source: str, spec: EncodeSpec, before: dict[str, float]) -> Figures:
+def hold_row(name: str, source: str, spec: EncodeSpec, before: Mapping[str, float]) -> Figures:
     """The hold of a medium of many frames."""
     found, done = measured(source, spec, SlideSpec(paths=1, duration_s=0.25))
     assert found.hold is not None

@@ -9,6 +9,8 @@ within the box of each object's lattice. Forces are compared.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -67,7 +69,8 @@ class Scipy:
             own = [map_coordinates(c, where, np.float64, order=1, mode="grid-constant") for c in components]
             total[near] += np.stack(own, axis=1) @ one.track.rotation(frame).T
         length = np.linalg.norm(total, axis=1, keepdims=True)
-        return total * np.minimum(1.0, self.scene.force_max_n / np.maximum(length, 1e-300))
+        limited: Floats = total * np.minimum(1.0, self.scene.force_max_n / np.maximum(length, 1e-300))
+        return limited
 
     def frame(self, frame: int) -> ForceField:
         """The voxelised frame."""
@@ -103,9 +106,13 @@ def measure(queries: int) -> Figures:
         "10^6 queries": (lambda n: one.sample_n(1, points), 9, lambda n: peer.forces_n(1, points), 3),
     }  # fmt: skip
     rows: dict[str, dict[str, float]] = {}
+
+    def turned(job: Callable[[int], Any]) -> Any:
+        return job(next(turn) % FRAMES)
+
     for name, (ours, runs, theirs, fewer) in jobs.items():
-        rows[name] = timed(lambda job=ours: job(next(turn) % FRAMES), runs, warm=5)
-        rows[name]["scipy_ms"] = timed(lambda job=theirs: job(next(turn) % FRAMES), fewer)["min_ms"]
+        rows[name] = timed(partial(turned, ours), runs, warm=5)
+        rows[name]["scipy_ms"] = timed(partial(turned, theirs), fewer)["min_ms"]
         rows[name]["times"] = rows[name]["scipy_ms"] / rows[name]["min_ms"]
     pairs = [Pair(o.field(0), o.field(0).scaled(1.05)) for o in one.objects]
     rule, moves = ComposedRule(one, 0.1, 0.05), Moves.of(one, [o.track for o in one.objects])

@@ -13,8 +13,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 
-import numpy as np
-
 from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, text
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -55,8 +53,8 @@ def row_of(name: str, grid: Grid, frames: list[ForceField], spec: TouchSpec) -> 
     body = encoder.encode_segment(frames).body
     decoded = TouchDecoder(grid, encoder.parameters).frames(body, len(frames))
     counts = [
-        violations(*(np.ascontiguousarray(f.to_dense().reshape(-1, 3)) for f in pair), spec.k, spec.f0_n)
-        for pair in zip(frames, decoded, strict=True)
+        violations(before.to_dense().reshape(-1, 3), after.to_dense().reshape(-1, 3), spec.k, spec.f0_n)
+        for before, after in zip(frames, decoded, strict=True)
     ]
     row = {"source": name, "k": spec.k, "effort": spec.effort, "bytes": len(body)}
     row |= {"worst": max(one.worst_ratio or 0.0 for one in counts), "beyond": sum(one.count for one in counts)}

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,8 @@ PUSH_N, DESK_POINTS = 3.0, 24
 
 def plate(thickness_m: float) -> ForceField:
     """A plate of 60 x 40 mm."""
-    return field_of(Box((0.0, 0.0, 0.0), (0.03, 0.02, thickness_m / 2)))
+    field: ForceField = field_of(Box((0.0, 0.0, 0.0), (0.03, 0.02, thickness_m / 2)))
+    return field
 
 
 def is_held(field: ForceField, start: Any, push: Any, is_proxy: bool) -> bool:
@@ -53,38 +53,31 @@ def is_held(field: ForceField, start: Any, push: Any, is_proxy: bool) -> bool:
 
 def holds() -> Figures:
     """How many of the presses of each kind hold."""
-    cases: dict[str, list[tuple[ForceField, Any, Callable[[], Any]]]] = {}
+    cases: dict[str, list[tuple[ForceField, Any, Any]]] = {}
     for mm in (1, 2, 5):
         field = plate(1e-3 * mm)
         cases[f"plate {mm} mm"] = [
-            (field, (x, y, 0.006), lambda: ramp_n((0, 0, -1), PUSH_N))
-            for x in (-0.01, 0.004)
-            for y in (-0.008, 0.003)
+            (field, (x, y, 0.006), ramp_n((0, 0, -1), PUSH_N)) for x in (-0.01, 0.004) for y in (-0.008, 0.003)
         ]
-        cases[f"plate {mm} mm, 4 mm from its edge"] = [
-            (field, (0.026, 0.0, 0.006), lambda: ramp_n((0, 0, -1), PUSH_N))
-        ]
+        cases[f"plate {mm} mm, 4 mm from its edge"] = [(field, (0.026, 0.0, 0.006), ramp_n((0, 0, -1), PUSH_N))]
     corner = field_of(Box((0, 0, 0), (0.03, 0.02, 0.004)), Box((0.02, 0, 0.012), (0.004, 0.02, 0.016)))
-    cases["inner corner"] = [(corner, (0.005, y, 0.0), lambda: ramp_n((1, 0, -1), PUSH_N)) for y in (0.0, 0.01)]
+    cases["inner corner"] = [(corner, (0.005, y, 0.0), ramp_n((1, 0, -1), PUSH_N)) for y in (0.0, 0.01)]
     edge = field_of(BLOCK)
-    cases["outer edge"] = [
-        (edge, (0.036, y, 0.021), lambda: ramp_n((-1, 0, -1), PUSH_N, 0.3, 500.0)) for y in (0, 0.01)
-    ]
+    cases["outer edge"] = [(edge, (0.036, y, 0.021), ramp_n((-1, 0, -1), PUSH_N, 0.3, 500.0)) for y in (0, 0.01)]
     if DESK.is_dir():
         desk = prepare(str(DESK), EncodeSpec(frames=(0, 10))).medium[0]
-        presses = []
+        presses: list[tuple[ForceField, Any, Any]] = []
         for point in points_on_surface(desk, DESK_POINTS, np.random.default_rng(0)):
             normal = desk.sample_n(point[None])[0]
             normal /= np.linalg.norm(normal)
             far = [x for x in (0.004, 0.006, 0.01) if not desk.sample_n((point + x * normal)[None]).any()]
             if far:
-                push = lambda normal=normal: ramp_n(-normal, PUSH_N, 0.3, 500.0)  # noqa: E731
-                presses.append((desk, point + far[0] * normal, push))
+                presses.append((desk, point + far[0] * normal, ramp_n(-normal, PUSH_N, 0.3, 500.0)))
         cases["TUM desk"] = presses
     told = {}
-    for name, presses in cases.items():
-        counts = [sum(is_held(f, start, push(), mode) for f, start, push in presses) for mode in (True, False)]
-        told[name] = {"presses": len(presses), "proxy": counts[0], "field": counts[1]}
+    for name, some in cases.items():
+        counts = [sum(is_held(f, start, push, mode) for f, start, push in some) for mode in (True, False)]
+        told[name] = {"presses": len(some), "proxy": counts[0], "field": counts[1]}
     return told
 
 
@@ -197,6 +190,13 @@ def hums(fields: dict[str, ForceField], count: int) -> Figures:
     return told
 
 
+def stiffness_of(field: ForceField) -> float:
+    """Stiffness of a field's wall, N/m."""
+    wall = wall_of(field)
+    assert wall is not None
+    return float(wall.stiffness_n_per_m)
+
+
 def measure(seconds: int, walks: int) -> Figures:
     """Everything, on the fields that are here."""
     fields: dict[str, ForceField] = {"ball": field_of(BALL), "block": field_of(BLOCK), "plate 2 mm": plate(0.002)}
@@ -204,7 +204,7 @@ def measure(seconds: int, walks: int) -> Figures:
     if DESK.is_dir():
         fields["TUM desk"] = prepare(str(DESK), EncodeSpec(frames=(0, 10))).medium[0]
     return {
-        "stiffness_n_per_m": {name: float(wall_of(field).stiffness_n_per_m) for name, field in fields.items()},
+        "stiffness_n_per_m": {name: stiffness_of(field) for name, field in fields.items()},
         "holds": holds(),
         "truth": truth(),
         "energy": energies(0.3, seconds),

@@ -15,7 +15,7 @@ from time import perf_counter_ns
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import njit, prange, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
@@ -80,7 +80,7 @@ class Peers:
 
 
 @intrinsic
-def counter(context):  # type: ignore[no-untyped-def]
+def _counter(context):  # type: ignore[no-untyped-def]
     """The processor's counter."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
@@ -88,6 +88,9 @@ def counter(context):  # type: ignore[no-untyped-def]
         return builder.call(read, [])
 
     return types.int64(), generate
+
+
+counter: Any = _counter
 
 
 @njit(nogil=True, parallel=True, fastmath=True)
@@ -123,6 +126,11 @@ def count_now():  # type: ignore[no-untyped-def]
     return counter()
 
 
+def call(compiled: Any, *values: Any) -> Any:
+    """What a compiled function returns: to the types it is an object that nothing can call."""
+    return compiled(*values)
+
+
 def counter_ns() -> float:
     """Nanoseconds of one count."""
     count_now()
@@ -130,7 +138,7 @@ def counter_ns() -> float:
     while perf_counter_ns() - began_ns < 50e6:
         pass
     ended_ns, ended = perf_counter_ns(), count_now()
-    return (ended_ns - began_ns) / (ended - began)
+    return float((ended_ns - began_ns) / (ended - began))
 
 
 def percentiles(us: Floats) -> dict[str, float]:
@@ -140,10 +148,11 @@ def percentiles(us: Floats) -> dict[str, float]:
 
 def compiled(sampler: FieldSampler, time_s: float, points_m: Floats) -> dict[str, float]:
     """One query in compiled code; what it takes to read the counter is taken off."""
-    block, a, b, blend = sampler.frames_at(time_s)
+    first, second, blend = sampler._instant(time_s)
+    pair = sampler._take(first, second)
     counts, forces = np.zeros((len(points_m), 2), np.int64), np.zeros(points_m.shape)
     for _ in range(2):
-        one_by_one(points_m, *block.views, a, b, blend, counts, forces)
+        call(one_by_one, points_m, *pair.memory.views, pair.first, pair.second, blend, counts, forces)
     return percentiles((counts[:, 0] - np.median(counts[:, 1])) * counter_ns() / 1e3)
 
 

@@ -24,7 +24,8 @@ import numpy as np
 import touchfield as tf
 from machine import SHARED, Bar, Figures, at_least, at_most, bench, figure
 from touchfield.job.prepare import prepare
-from touchfield.job.reduction import ReductionSpec, culled, hand_of
+from touchfield.job.reduction import culled, hand_of
+from touchfield.job.spec import ReductionSpec
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.reduction import Hand, Reduced, freedom, held_out, reach_of, reduced
 
@@ -40,7 +41,7 @@ exponents = [0.5, 0.5]
 
 def media(frames: int) -> dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]:
     """What is there, with the kinds of modes to try."""
-    meshes, found = SHARED / "meshes", {}
+    meshes, found = SHARED / "meshes", dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]()
     spec = tf.EncodeSpec(nw=6, representation="voxel")
     if (meshes / "fox" / "Fox.glb").exists():
         medium = prepare(meshes / "fox" / "Fox.glb", spec).medium
@@ -115,8 +116,10 @@ def pillow() -> tf.HapticMedium:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "pillow.toml"
         path.write_text(PILLOW)
-        solid = {"thickness_m": np.inf, "stiffness_n_per_m": 1500.0, "mapping": "1"}
-        return kept(prepare(path, tf.EncodeSpec(device="phantom-premium-1.5", nw=7, **solid)).medium)
+        spec = tf.EncodeSpec(
+            device="phantom-premium-1.5", nw=7, thickness_m=np.inf, stiffness_n_per_m=1500.0, mapping="1"
+        )
+        return kept(prepare(path, spec).medium)
 
 
 def floor() -> tf.HapticMedium:
@@ -197,7 +200,8 @@ def bars(figures: Figures) -> list[Bar]:
     rows, solid = figures["modes"], figures["culling"]
 
     def of(name: str, key: str) -> float | None:
-        return figure(rows, name, key)
+        value: float | None = figure(rows, name, key)
+        return value
 
     found = [
         at_most("fox, global modes: error", of("fox, global", "nmse_db"), -30.0, "dB"),
@@ -220,4 +224,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("reduction", __doc__, measure, bars, frames=(100, 24), paths=(10_000, 300))
+    bench("reduction", __doc__, measure, bars, frames=(100, 8), paths=(10_000, 60))

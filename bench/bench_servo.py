@@ -1,6 +1,6 @@
 """The servo's loop on the wall clock: rate, jitter and lateness, underruns, by scheduling class and load.
 
-    python bench/bench_servo.py [--quick] [--seconds 600] [--others 120]
+    python bench/bench_servo.py [--quick] [--seconds 150] [--others 45]
 
 A turning body in 64^3 voxels at 30 frames a second is decoded ahead from a file (effort fast) and looped; the device
 only tells where it is, on a circle through the body. Each row is a run of its own. `jitter` is |dT - 1/rate|;
@@ -168,7 +168,7 @@ def seeks(medium: HapticMedium) -> dict[str, float]:
     return {"min_ms": min(waited_ms), "median_ms": float(np.median(waited_ms))}
 
 
-def measure(seconds: float, others: float) -> Figures:
+def measure(seconds: float, others: float, offline: float) -> Figures:
     """The loop without a clock, a loop that does nothing, every row (the first for `seconds`), and seeks."""
     figures: Figures = {"seconds": seconds, "others_seconds": others}
     with tempfile.TemporaryDirectory() as folder:
@@ -179,7 +179,7 @@ def measure(seconds: float, others: float) -> Figures:
             still = medium.between(0, 1)
             run_offline(still, PROFILE, SimulatedCircle, seconds=0.1)
             began = time.perf_counter()
-            ticks = run_offline(still, PROFILE, SimulatedCircle, seconds=20.0).statistics["ticks"]
+            ticks = run_offline(still, PROFILE, SimulatedCircle, seconds=offline).statistics["ticks"]
             figures["offline_us_per_tick"] = 1e6 * (time.perf_counter() - began) / ticks
             figures["bare"] = bare(others)
             for name, rate_hz, is_realtime, is_loaded in ROWS:
@@ -209,4 +209,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("servo", __doc__, measure, bars, seconds=(600.0, 2.0), others=(120.0, 1.0))
+    bench("servo", __doc__, measure, bars, seconds=(150.0, 2.0), others=(45.0, 1.0), offline=(20.0, 2.0))

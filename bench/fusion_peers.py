@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,7 @@ TRUNCATION_VOXELS = 8.0
 
 def open3d_rate(data: Any) -> float:
     """Frames a second of VoxelBlockGrid on the CPU."""
-    import open3d as o3d
-
+    o3d: Any = import_module("open3d")
     core, device = o3d.core, o3d.core.Device("CPU:0")
     fx, fy, cx, cy = data["intrinsics"]
     intrinsic = core.Tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], core.float64)
@@ -43,7 +43,7 @@ def open3d_rate(data: Any) -> float:
 
 def vdbfusion_rate(data: Any) -> float:
     """Frames a second of VDBFusion, given points; making them of the depth map counts."""
-    import vdbfusion
+    vdbfusion: Any = import_module("vdbfusion")
 
     fx, fy, cx, cy = data["intrinsics"]
     voxel_m, depths, poses = float(data["voxel_m"]), data["depths_m"], data["poses"]

@@ -92,7 +92,7 @@ def makers() -> dict[str, Callable[[], Good]]:
     step[:, 10:, 2:] = step[:, 10:, :-2]
     rough = np.random.default_rng(1).normal(size=(*GRID.shape, 3)).astype(np.float32)
     noise = ForceField.from_dense(GRID, rough * (np.indices(GRID.shape).sum(0) < 20)[..., None])
-    flat = [ForceField(GRID, f.bricks, np.rint(f.forces_n * 4) / np.float32(4)) for f in walls]
+    flat = [ForceField(GRID, f.bricks, (np.rint(f.forces_n * 4) / 4).astype(np.float32)) for f in walls]
     cases: dict[str, tuple[list[ForceField], TouchSpec]] = {
         "plain": (walls, TouchSpec(guess="off")),
         "follows": (walls, TouchSpec(effort="fast", guess="off", interframe="on")),

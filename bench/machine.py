@@ -8,17 +8,35 @@ import math
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from fnmatch import fnmatch
 from importlib import metadata
 from pathlib import Path
-from time import perf_counter
-from typing import Any
+from typing import Any, NoReturn
+
+import provenance
+from timing import timed as timed
 
 RESULTS = Path(__file__).parent / "results"
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 """The optional folder of real inputs."""
 WIDEST = 9
 """Columns of a table; wider rows are told one by one."""
+LEFT_OUT = 77
+"""Exit status of a benchmark that lacks what it needs."""
+ABOUT = ("machine", "run", "code", "bars")
+"""Of a stored result: what is no figure."""
+QUICK = Path(__file__).parent / "reference" / "quick"
+"""The exact figures of quick runs by their path, a file for each benchmark."""
+STORE_QUICK = "TOUCHFIELD_BENCH_STORE_QUICK"
+EXACT = (
+    *("*bytes*", "*voxels*", "*support*", "*bricks*", "*triangles*", "*tiles*", "*cases*"),
+    *("*db", "*ratio*", "*worst*"),
+)
+"""Patterns of figures that no run changes."""
+NOT_EXACT = ("*peer*", "*_ms*", "*_us*", "*_s", "*_mb", "*per_s*", "*_hz*", "absent*")
+SAME = 1e-3
+"""Of an exact figure: processors round sums in different orders."""
 VERDICTS = {True: "met", False: "NOT MET", None: "not measured"}
 
 Figures = dict[str, Any]
@@ -26,20 +44,7 @@ Bar = dict[str, Any]
 """What a figure must be: "bar" (its name), "measured", "way" ("at most" or "at least"), "limit", "unit", "met"."""
 
 
-# -- measuring ------------------------------------------------------------------------------------------------
-
-
-def timed(call: Callable[[], Any], runs: int = 9, warm: int = 1) -> dict[str, float]:
-    """Minimum and median milliseconds of `runs` calls after `warm` ones."""
-    for _ in range(warm):
-        call()
-    times = []
-    for _ in range(runs):
-        began = perf_counter()
-        call()
-        times.append(1e3 * (perf_counter() - began))
-    times.sort()
-    return {"min_ms": times[0], "median_ms": times[len(times) // 2]}
+# -- the machine ----------------------------------------------------------------------------------------------
 
 
 def machine() -> Figures:
@@ -177,15 +182,36 @@ def arguments(doc: str | None, options: Mapping[str, tuple[Any, Any]]) -> tuple[
     return given | {name: value for name, value in asked.items() if value is not None}, is_quick
 
 
-def keep(name: str, figures: Figures, bars: list[Bar], is_quick: bool = False) -> None:
-    """Print a verdict for each bar; write ``results/NAME.json`` with the machine beside figures and bars."""
+def leave_out(reason: str) -> NoReturn:
+    """End a benchmark that cannot be run here, with the reason, and with the exit status that says so."""
+    print(f"left out: {reason}", flush=True)
+    sys.exit(LEFT_OUT)
+
+
+def keep(
+    name: str,
+    figures: Figures,
+    bars: list[Bar],
+    is_quick: bool = False,
+    run: Figures | None = None,
+    code: dict[str, str] | None = None,
+) -> None:
+    """Print a verdict for each bar; write ``results/NAME.json``, machine, run and code beside figures and bars."""
     print()
     for bar in bars:
         print(told(bar))
     print(f"{sum(bar['met'] is True for bar in bars)} of {len(bars)} bars met", flush=True)
     if not is_quick:
-        figures = {key: value for key, value in figures.items() if key not in ("machine", "bars")}
-        write(name, {"machine": machine(), **figures, "bars": bars})
+        figures = {key: value for key, value in figures.items() if key not in ABOUT}
+        about = {"machine": machine(), "run": run, "code": None if code is None else provenance.overall(code)}
+        write(name, {**about, **figures, "bars": bars})
+        if code is not None:
+            provenance.write_code(code_path(name), code)
+
+
+def code_path(name: str) -> Path:
+    """Where the hashes of the files are that a result was measured with."""
+    return RESULTS / "code" / f"{name}.txt"
 
 
 def write(name: str, content: Figures) -> None:
@@ -200,17 +226,105 @@ def stored(name: str) -> Figures:
     return dict(json.loads(path.read_text())) if path.exists() else {}
 
 
+def stale(name: str) -> list[str]:
+    """The files that differ from those that the stored result was measured with; empty if it is up to date."""
+    return provenance.changed(code_path(name), stored(name).get("code"))
+
+
+# -- exact figures --------------------------------------------------------------------------------------------
+
+
+def exact_figures(figures: Figures, without: Iterable[str] = ()) -> dict[str, float]:
+    """Numbers that a run does not change: bytes, counts and errors, by their path; no peer's and no time's.
+
+    `without` are patterns of paths that are left out.
+    """
+    patterns = [*NOT_EXACT, *without]
+    return {
+        path: value
+        for path, value in _numbers(figures)
+        if any(fnmatch(path, one) for one in EXACT) and not any(fnmatch(path, one) for one in patterns)
+    }
+
+
+def _numbers(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
+    """Every finite number within, with the keys that lead to it."""
+    if isinstance(value, Mapping):
+        for key, part in value.items():
+            yield from _numbers(part, f"{path}/{key}" if path else str(key))
+    elif isinstance(value, (list, tuple)):
+        for index, part in enumerate(value):
+            yield from _numbers(part, f"{path}/{_name_of(part) or index}")
+    elif value is not None and not isinstance(value, str) and math.isfinite(value):
+        yield path, float(value)
+
+
+def _name_of(row: Any) -> str:
+    """The texts of a row that come before its numbers: they tell it from others wherever it stands."""
+    texts = [one for one in row.values() if isinstance(one, str)] if isinstance(row, Mapping) else []
+    return ", ".join(texts)
+
+
+def stored_quick(name: str) -> dict[str, float]:
+    """The exact figures of a quick run; none if none are stored."""
+    path = QUICK / f"{name}.json"
+    return dict(json.loads(path.read_text())) if path.exists() else {}
+
+
+def quick_differences(name: str, figures: Figures, without: Iterable[str] = ()) -> list[str]:
+    """The exact figures of a quick run that are not those stored, a line each.
+
+    Those that are not there are no difference where the optional folder of inputs is absent.
+    """
+    found, lines = exact_figures(figures, without), []
+    for path, before in stored_quick(name).items():
+        now = found.get(path)
+        if now is None and not SHARED.is_dir():
+            continue
+        if now is None or abs(now - before) > SAME * abs(before):
+            lines.append(f"{path}: {text(now)} (stored {text(before)})")
+    return lines
+
+
+def check_quick(name: str, figures: Figures, without: Iterable[str] = ()) -> None:
+    """Hold a quick run against the stored exact figures, or store them where `STORE_QUICK` is set.
+
+    SystemExit, with the figures, where any differs.
+    """
+    if os.environ.get(STORE_QUICK):
+        QUICK.mkdir(parents=True, exist_ok=True)
+        content = json.dumps(exact_figures(figures, without), indent=1, sort_keys=True)
+        (QUICK / f"{name}.json").write_text(content + "\n")
+        return
+    if lines := quick_differences(name, figures, without):
+        hint = "If the change is meant, store them anew: bench/run_all.py --store-quick"
+        sys.exit("\n".join(["exact figures differ from bench/reference/quick:", *lines, hint]))
+
+
+# -- a benchmark ----------------------------------------------------------------------------------------------
+
+
 def bench(
     name: str,
     doc: str | None,
     measure: Callable[..., Figures],
     bars: Callable[[Figures], list[Bar]],
+    *,
+    reads: Iterable[str] = (),
+    without: Iterable[str] = (),
     **options: tuple[Any, Any],
 ) -> list[Bar]:
-    """Run a benchmark's command: figures of `measure(**options)`, told and kept with what `bars(figures)` says."""
+    """Run a benchmark's command: figures of `measure(**options)`, told and kept with what `bars(figures)` says.
+
+    `reads` are patterns of files that it measures and Python does not import; `without` are patterns of figures that
+    differ from run to run though they are named like exact ones.
+    """
     asked, is_quick = arguments(doc, options)
+    trace, run = provenance.Trace(), provenance.Run()
     figures = measure(**asked)
     show(figures)
     verdicts = bars(figures)
-    keep(name, figures, verdicts, is_quick)
+    keep(name, figures, verdicts, is_quick, run.summary(), provenance.code_of(trace.files(reads)))
+    if is_quick:
+        check_quick(name, figures, without)
     return verdicts

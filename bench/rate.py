@@ -6,7 +6,7 @@
 Two comparisons of one frame, and of five in one segment: the bytes at the NMSE of coder `paper` (n_q 6, 258
 directions, no deadband), and the bytes under the promise |e| <= max(F_0, k |F|), k = 0.1 and F_0 = 0.05 N, which
 every peer keeps too; among the peers is the source itself, coded (`rate_source`). Then the speed of each effort on
-two cores, and falling bodies as objects. At the end the bars, against the figures of ``results/rate_before.json``,
+two cores, and falling bodies as objects. At the end the bars, against the figures of ``reference/rate_before.json``,
 and the range of the best peer over ours. `--quick` takes one field at n_w 6. A peer that is not installed is
 named and left out. The speed is measured first, alone, and anew in every run; then every core has a process. With
 `--keep` the other figures are kept in a folder, and a run that was interrupted, or is repeated after a change of some
@@ -21,15 +21,16 @@ import math
 import os
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import provenance
 import rate_ours as ours
 import rate_peers as peers
-from machine import RESULTS, SHARED, Bar, Figures, at_least, at_most, keep, show, table, text
+from machine import RESULTS, SHARED, Bar, Figures, at_least, at_most, check_quick, keep, show, table, text
 from rate_fields import FRAMES, WALL_VOXELS, Case, cases
 from rate_pool import Job, Pool, fields_in, fingerprint, kept
 from rate_symbols import F0_N, K
@@ -54,7 +55,7 @@ TITLES = {
     ("NMSE", 5): "3. Five frames in a segment at the NMSE of coder paper: bytes of all",
     ("promise", 5): "4. Five frames in a segment at the promise: bytes of all",
 }
-BEFORE = json.loads((RESULTS / "rate_before.json").read_text())
+BEFORE = json.loads((Path(__file__).parent / "reference" / "rate_before.json").read_text())
 
 
 def best(sizes: Figures) -> tuple[str, float]:
@@ -67,6 +68,11 @@ def best(sizes: Figures) -> tuple[str, float]:
 def mean(ratios: Sequence[float]) -> float | None:
     """Geometric; None of nothing."""
     return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None
+
+
+def former_of(before: Figures, row: Figures) -> Any:
+    """The figure of the same field before; None if there is none."""
+    return before.get(row["field"])
 
 
 @dataclass
@@ -119,6 +125,15 @@ class Report:
         old = self.before[row["at"]].get(row["field"], {})
         return old.get(DEFAULT) if abs(old.get("nmse_db", row["nmse_db"]) - row["nmse_db"]) < SAME_DB else None
 
+    def bytes(self) -> Figures:
+        """Bytes of every effort for each field."""
+        return {
+            f"{row['field']}, {row['at']}, {row['frames']} frames": {
+                f"{effort}_bytes": n for effort, n in row["touch"].items()
+            }
+            for row in self.sizes
+        }
+
     def ranges(self) -> dict[str, list[float]]:
         """How many times as large as ours the best peer is over all fields, at least and at most."""
         found = {}
@@ -135,8 +150,8 @@ class Report:
             over = self._ratios(at, 1, lambda r: r["touch"].get(DEFAULT), self._former)
             told = f"{at}, one frame: bytes of {DEFAULT} over the former {DEFAULT}, {len(over)} fields"
             made.append(at_most(f"{told}, mean", mean(over), MEAN))
-            former = self.before[f"p_over_i, {at}"]
-            over = self._ratios(at, 5, lambda r: r["p_over_i"].get(DEFAULT), lambda r, f=former: f.get(r["field"]))
+            former = partial(former_of, self.before[f"p_over_i, {at}"])
+            over = self._ratios(at, 5, lambda r: r["p_over_i"].get(DEFAULT), former)
             told = f"{at}, five frames: P over I of {DEFAULT} over the former, {len(over)} fields, mean"
             made.append(at_most(told, mean(over), P_OVER_I))
         beyond = [row["beyond"] for row in self.sizes if row["at"] == "promise"]
@@ -248,7 +263,7 @@ def bars(figures: dict[str, Any]) -> list[Bar]:
 
 def main() -> None:
     """Print the tables and the bars, keep the figures, draw the picture."""
-    asked, began = arguments(), time.perf_counter()
+    asked, trace, run = arguments(), provenance.Trace(), provenance.Run()
     os.environ["TOUCHFIELD_THREADS"] = "1"  # a core has a segment, or a process, of its own
     chosen = list(cases(tuple(asked.nw), asked.fields and tuple(asked.fields)))
     where = "TUM desk and ICL living room" if SHARED.is_dir() else "the samples (../shared/data is not there)"
@@ -266,7 +281,10 @@ def main() -> None:
     figures |= {"best_peer_over_ours": report.ranges(), "speeds": report.speeds, "objects": report.objects}
     show(figures | {"failed": pool.failed})
     figures |= {"sizes": report.sizes, "curves": report.curves, "failed": pool.failed}
-    keep("rate", {**figures, "seconds": time.perf_counter() - began}, report.bars(), not asked.is_full)
+    code = provenance.code_of(trace.files())
+    keep("rate", figures, report.bars(), not asked.is_full, run.summary(), code)
+    if asked.quick:
+        check_quick("rate", report.bytes())
     sys.exit(bool(pool.failed))
 
 

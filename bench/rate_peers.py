@@ -244,7 +244,7 @@ def at_error(volume: Volume, target_db: float) -> dict[str, float]:
         return volume.nmse_db(made[1]) <= target_db
 
     for name, code in lossy().items():
-        made = lattices.coarsest(lambda t, c=code: c(forces, t), is_good, start / 64, start * 64)
+        made = lattices.coarsest(partial(code, forces), is_good, start / 64, start * 64)
         found[name] = made[0] + Volume.HEAD_BYTES if made else np.nan
     quantised = lattices.coarsest(lambda step: lattices.uniform(forces, step), is_good, start / 64, start * 64)
     return found | (lossless(quantised.symbols) if quantised else {})
@@ -257,11 +257,14 @@ def at_promise(volume: Volume) -> dict[str, float]:
         for name, size in lossless(one.symbols).items():
             found[name] = min(size, found.get(name, np.inf))
     bent = lattices.compand(forces).astype(np.float32)
+
+    def is_kept(decode: Callable[[Any], Any], made: tuple[Any, Any]) -> bool:
+        return lattices.is_kept(forces, decode(made[1]))
+
     for name, code in lossy().items():
         for volume_given, start, decode in ((forces, lattices.F0_N, np.asarray), (bent, 1.0, lattices.expand)):
             made = lattices.coarsest(
-                lambda t, c=code, v=volume_given: c(v, t),
-                lambda made, d=decode: lattices.is_kept(forces, d(made[1])), start / 16, start * 4,
+                partial(code, volume_given), partial(is_kept, decode), start / 16, start * 4,
             )  # fmt: skip
             if made:
                 found[name] = min(made[0] + Volume.HEAD_BYTES, found.get(name, np.inf))

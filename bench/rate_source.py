@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,8 @@ class Decoded(DepthSequence):
 
     def depth_m(self, frame: int) -> NDArray[np.float32]:
         """See `DepthSequence.depth_m`."""
-        return self.depths_m[frame]
+        depth: NDArray[np.float32] = self.depths_m[frame]
+        return depth
 
 
 @dataclass(frozen=True)
@@ -62,15 +64,17 @@ class Source:
     count: int
 
     @cached_property
-    def sequence(self) -> DepthSequence:
-        """The stored depth maps."""
-        return open_scene(self.case.source, replace(self.case.spec.source, reading="camera")).sequence
+    def sequence(self) -> Any:
+        """The stored depth maps: a `DepthSequence` that tells its units, `metres`."""
+        scene: Any = open_scene(self.case.source, replace(self.case.spec.source, reading="camera"))
+        return scene.sequence
 
     @cached_property
     def maps(self) -> Maps:
         """Stored units, int32 [frame, height, width]; 0 where unknown."""
         depths = np.stack([self.sequence.depth_m(i) for i in range(self.count)])
-        return np.rint(depths.astype(np.float64) * self.sequence.metres.units_per_m).astype(np.int32)
+        units: Maps = np.rint(depths.astype(np.float64) * self.sequence.metres.units_per_m).astype(np.int32)
+        return units
 
     @cached_property
     def unit(self) -> int:
@@ -92,13 +96,13 @@ class Source:
         return [medium[i] for i in range(len(maps))]
 
     @cached_property
-    def _prepared(self):  # type: ignore[no-untyped-def]
+    def _prepared(self) -> Any:
         return prepare(self.case.source, self.case.spec)  # for the lattice and the placement, which are told
 
-    def _scene(self, depths_m: NDArray[np.float64], shrink: int) -> Scene:
-        stored, shift, depths_m = self.sequence, (shrink - 1) / 2, depths_m.astype(np.float32)
+    def _scene(self, maps_m: NDArray[np.float64], shrink: int) -> Scene:
+        stored, shift, depths_m = self.sequence, (shrink - 1) / 2, maps_m.astype(np.float32)
         if self.case.kind == "height":
-            at = HeightScene.from_depth_sequence(stored)._cell_m
+            at: Any = HeightScene.from_depth_sequence(stored)._cell_m
             moved = {"x0_m": at.x0_m + shift * at.dx_m, "y0_m": at.y0_m + shift * at.dy_m}
             at = replace(at, **moved, dx_m=shrink * at.dx_m, dy_m=shrink * at.dy_m)
             return HeightScene(np.where(depths_m > 0, depths_m, np.nan), at, axes=CAMERA_AXES, rate_hz=stored.rate_hz)

@@ -14,8 +14,8 @@ What is at most F_0 long is dropped. Each takes the coarsest step with no violat
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
-from typing import NamedTuple, TypeVar
+from functools import cache, partial
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,11 +73,16 @@ def coarsest(
     return best
 
 
+def without_small(quantise: Callable[[Forces, float], Quantised], forces_n: Forces, scale: float) -> Quantised:
+    """Quantised at a scale, and what no mask needs dropped."""
+    return dropped(quantise(forces_n, scale), forces_n)
+
+
 def promised(forces_n: Forces) -> list[Quantised]:
     """The field on both lattices, each as coarse as the promise allows."""
     made = (
         coarsest(
-            lambda scale, q=quantise: dropped(q(forces_n, scale), forces_n),
+            partial(without_small, quantise, forces_n),
             lambda one: is_kept(forces_n, one.decoded), 0.5, 1.5, 6,
         )
         for quantise in (log_polar, companded)
@@ -96,7 +101,7 @@ def compand(forces_n: Forces) -> NDArray[np.float64]:
         return np.where(a > 0, forces_n * (g / a), 0.0)
 
 
-def expand(y: NDArray[np.float64]) -> Forces:
+def expand(y: NDArray[np.floating[Any]]) -> Forces:
     """The inverse of `compand`."""
     g = np.linalg.norm(y, axis=-1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):

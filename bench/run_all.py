@@ -1,35 +1,163 @@
 """Run every benchmark in turn; each prints its tables and keeps its last run in bench/results.
 
-    python bench/run_all.py [--quick] [--verdicts]
+    python bench/run_all.py [--quick] [--only NAME,NAME] [--jobs N] [--limit-s SECONDS]
+    python bench/run_all.py --stale | --rerun-stale | --verdicts | --store-quick
 
-`--quick` runs each with its smallest settings and keeps nothing. `--verdicts` runs none: the bars are held against
-the figures that are kept, `rate.py`'s too, and written beside them.
+`--quick` runs each with its smallest settings, keeps nothing, and holds its exact figures (bytes, counts, errors)
+against ``reference/quick``, which `--store-quick` writes. `--stale` runs none: it lists the results whose
+code has changed since, and ends with status 1 if one of them can be measured here; `--rerun-stale` measures these.
+`--verdicts` runs none either: the bars are held against the figures that are kept, and written beside them.
+
+A benchmark that fails or exceeds its time is named at the end, and the others run. One that lacks what it needs (a
+GPU, a compiler, a browser) is left out, with the reason.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import signal
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from shutil import which
+from tempfile import TemporaryFile
 
-from machine import RESULTS, stored, told, write
+from machine import LEFT_OUT, RESULTS, STORE_QUICK, stale, stored, table, told, write
+from touchfield.parallel import worker_count
 
 HERE = Path(__file__).parent
+QUICK_LIMIT_S, LIMIT_S = 600.0, 3600.0
+"""Seconds after which a script is ended."""
+GUARD = "guard"
+NEEDS = {"cuda": ("an NVIDIA GPU", ("nvidia-smi",)), "page": ("node and Chromium", ("node", "chromium"))}
+"""What a benchmark needs that not every machine has, and the programs that show it."""
 
 
-def modules() -> dict[str, str]:
+@dataclass(frozen=True)
+class Outcome:
+    """How a script ended."""
+
+    name: str
+    verdict: str
+    seconds: float
+    processor_s: float
+
+    @property
+    def is_failure(self) -> bool:
+        """Neither finished nor left out."""
+        return self.verdict not in ("finished", "left out")
+
+
+def scripts() -> dict[str, str]:
     """The script of each result, by the result's name."""
-    return {
-        path.stem.removeprefix("bench_"): path.stem for path in [*sorted(HERE.glob("bench_*.py")), HERE / "rate.py"]
-    }
+    paths = [*sorted(HERE.glob("bench_*.py")), HERE / "rate.py"]
+    return {path.stem.removeprefix("bench_"): path.stem for path in paths}
+
+
+def selected(only: str | None) -> list[str]:
+    """Names of the benchmarks to run; SystemExit for one that does not exist."""
+    names = list(scripts())
+    requested = names if only is None else [name for name in only.split(",") if name]
+    if unknown := [name for name in requested if name not in names]:
+        sys.exit(f"no benchmark {', '.join(unknown)}; there are {', '.join(names)}")
+    return requested
+
+
+# -- running --------------------------------------------------------------------------------------------------
+
+
+def run(name: str, is_quick: bool, limit_s: float, is_shown: bool = True) -> Outcome:
+    """One script in a process group of its own, ended with all its processes after `limit_s`.
+
+    Its output appears at once if `is_shown`, and else when it has ended.
+    """
+    script = HERE / f"{scripts()[name]}.py"
+    command = [sys.executable, str(script), *["--quick"] * is_quick]
+    title, start = f"\n== {script.name}", time.monotonic()
+    with TemporaryFile() as output:
+        if is_shown:
+            print(title, flush=True)
+        where = {} if is_shown else {"stdout": output, "stderr": subprocess.STDOUT}
+        process = subprocess.Popen(command, start_new_session=True, **where)  # type: ignore[call-overload]
+        status, processor_s = _waited(process.pid, start + limit_s)
+        process.returncode = -signal.SIGKILL if status is None else status
+        if not is_shown:
+            output.seek(0)
+            print(title, output.read().decode(errors="replace"), sep="\n", flush=True)
+    verdict = {0: "finished", LEFT_OUT: "left out", None: f"exceeded {limit_s:.0f} s"}
+    return Outcome(name, verdict.get(status, f"failed, status {status}"), time.monotonic() - start, processor_s)
+
+
+def _waited(pid: int, until_s: float) -> tuple[int | None, float]:
+    """Exit status, and processor seconds with those of its own children; its group is killed at `until_s`: None."""
+    is_late = False
+    while True:
+        ended, status, used = os.wait4(pid, os.WNOHANG)
+        if ended:
+            seconds = used.ru_utime + used.ru_stime
+            return None if is_late else os.waitstatus_to_exitcode(status), seconds
+        if not is_late and time.monotonic() > until_s:
+            is_late = True
+            os.killpg(pid, signal.SIGKILL)
+        time.sleep(0.05)
+
+
+def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> bool:
+    """Run them, `jobs` at once; a table of how each ended; whether none failed.
+
+    What guards the speed runs first and alone.
+    """
+    alone = [name for name in names if jobs == 1 or name == GUARD]
+    outcomes = [run(name, is_quick, limit_s) for name in alone]
+    with ThreadPoolExecutor(jobs) as pool:
+        rest = [name for name in names if name not in alone]
+        outcomes += pool.map(lambda name: run(name, is_quick, limit_s, is_shown=False), rest)
+    rows = [[one.name, one.verdict, f"{one.seconds:.1f}", f"{one.processor_s:.1f}"] for one in outcomes]
+    total = ["all", "", *(f"{sum(values):.1f}" for values in zip(*((o.seconds, o.processor_s) for o in outcomes)))]
+    print(table("benchmarks", ["", "verdict", "seconds", "processor s"], [*rows, total]))
+    failed = [one.name for one in outcomes if one.is_failure]
+    if failed:
+        print(f"\nfailed: {', '.join(failed)}", flush=True)
+    return not failed
+
+
+# -- kept results ---------------------------------------------------------------------------------------------
+
+
+def missing_need(name: str) -> str | None:
+    """What a benchmark needs and this machine has not."""
+    need, programs = NEEDS.get(name, ("", ()))
+    return None if all(map(which, programs)) else need
+
+
+def stale_results() -> dict[str, list[str]]:
+    """The changed files of each result that is not up to date."""
+    found = {name: stale(name) for name in scripts()}
+    return {name: files for name, files in found.items() if files}
+
+
+def show_stale() -> bool:
+    """List stale results with their commit and the files that changed; whether none can be measured here."""
+    elsewhere = []
+    for name, files in (every := stale_results()).items():
+        need = missing_need(name)
+        elsewhere += [name] * (need is not None)
+        commit = (stored(name).get("run") or {}).get("commit", "an unknown commit")
+        more = f" and {len(files) - 5} more" if len(files) > 5 else ""
+        print(f"{name} ({commit}): {', '.join(files[:5])}{more}" + (f" [needs {need}]" if need else ""))
+    print(f"{len(every)} of {len(scripts())} results are stale, {len(elsewhere)} of them not measurable here")
+    return len(every) == len(elsewhere)
 
 
 def verdicts() -> None:
     """Bars of all kept figures, those not met by name."""
     unmet = []
-    for name, stem in modules().items():
+    for name, stem in scripts().items():
         if (RESULTS / f"{name}.json").exists():
             figures = stored(name)
             figures["bars"] = import_module(stem).bars(figures)
@@ -42,18 +170,29 @@ def verdicts() -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="small settings; no result is kept")
-    parser.add_argument("--verdicts", action="store_true", help="bars against the figures that are kept")
-    asked = parser.parse_args()
-    if asked.verdicts:
+    parser.add_argument("--only", metavar="NAME,NAME", help="these benchmarks")
+    parser.add_argument("--jobs", type=int, help="scripts at once: 1; quickly, where times do not count, one a core")
+    parser.add_argument("--limit-s", type=float, help=f"for each script: {LIMIT_S:g}; quickly {QUICK_LIMIT_S:g}")
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--stale", action="store_true", help="results older than the code that they measured")
+    group.add_argument("--rerun-stale", action="store_true", help="measure these anew, as far as this machine can")
+    group.add_argument("--verdicts", action="store_true", help="bars against the figures that are kept")
+    group.add_argument("--store-quick", action="store_true", help="write the exact figures of quick runs")
+    options = parser.parse_args()
+    if options.verdicts:
         verdicts()
         return
-    failed = []
-    for script in sorted(HERE.glob("bench_*.py")):
-        print(f"\n== {script.name}", flush=True)
-        if subprocess.run([sys.executable, script, *["--quick"] * asked.quick], check=False).returncode:
-            failed.append(script.name)
-    if failed:
-        sys.exit(f"failed: {', '.join(failed)}")
+    if options.stale:
+        sys.exit(not show_stale())
+    names = selected(options.only)
+    if options.rerun_stale:
+        names = [name for name in names if name in stale_results() and missing_need(name) is None]
+    if options.store_quick:
+        os.environ[STORE_QUICK] = "1"
+    is_quick = options.quick or options.store_quick
+    limit_s = options.limit_s or (QUICK_LIMIT_S if is_quick else LIMIT_S)
+    jobs = options.jobs or (worker_count() if is_quick else 1)
+    sys.exit(not run_each(names, is_quick, limit_s, jobs))
 
 
 if __name__ == "__main__":

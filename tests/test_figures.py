@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,64 +13,58 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = " ".join(
-    " ".join((ROOT / "docs" / f"{page}.md").read_text() for page in ("coding", "depth-sequences")).split()
-)
+README = (ROOT / "README.md").read_text()
+PAGES = ["README.md", "docs/coding.md", "docs/depth-sequences.md"]
+BENCH = str(ROOT / "bench")
+
+
+@pytest.fixture(autouse=True)
+def within_reach(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Modules of bench/ import each other by their names."""
+    monkeypatch.setattr(sys, "path", [BENCH, *sys.path])
 
 
 def results(name: str) -> Any:
     return json.loads((ROOT / "bench" / "results" / f"{name}.json").read_text())
 
 
-def row(rows: list[dict[str, Any]], **wanted: Any) -> dict[str, Any]:
-    """The one row with these values."""
-    (one,) = (r for r in rows if all(r[key] == value for key, value in wanted.items()))
-    return one
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_quotes_the_figures_of_the_results(page: str) -> None:
+    quotes = importlib.import_module("quotes")
+    own = [quote for quote in quotes.quotes() if quote.page == page]
+    text = quotes.text_of(page)
+    assert own and quotes.missing(page, text) == []
+    assert quotes.written(page, text) == text
+    found = own[0].pattern.search(text)
+    assert found is not None
+    wrong = text[: found.start(1)] + "98765" + text[found.end(1) :]
+    assert quotes.missing(page, wrong) == [own[0]]
+    assert quotes.written(page, wrong) == text
 
 
-def of_rate() -> list[str]:
-    rate = results("rate")
-    peer = {key: [f"{value:.2g}" for value in pair] for key, pair in rate["best_peer_over_ours"].items()}
-    default, nmse = (peer[f"{key}, 1 frame"] for key in ("default, promise", "default, NMSE"))
-    return [
-        f"needs {default[0]} to {default[1]} times the bytes of effort `default`",
-        f"it needs {nmse[0]} to {nmse[1]} times those of `default`",
-        f"take {rate['objects']['file of objects, coder touch'] / 1000:.0f} kilobytes",
-    ]
+def test_every_quote_is_of_a_page_that_is_tested() -> None:
+    assert {quote.page for quote in importlib.import_module("quotes").quotes()} == set(PAGES)
 
 
-def of_motion() -> list[str]:
-    ball = row(results("motion")["slides"], field="ball", nw=7, speed_mm_s=100.0)
-    return [
-        f"takes {ball['bytes'] / 1000:.1f} kB",
-        f"meets an error of {ball['error_mn']:.1f} mN, where the lattice itself makes {ball['lattice_mn']:.1f}",
-    ]
+def test_readme_quotes_no_stale_result() -> None:
+    """Measure them anew: bench/run_all.py --rerun-stale, then bench/quotes.py --write."""
+    quotes, machine = importlib.import_module("quotes"), importlib.import_module("machine")
+    names = sorted({quote.result for quote in quotes.quotes() if quote.page == quotes.README})
+    outdated = {name: machine.stale(name)[:5] for name in names if machine.stale(name)}
+    assert names and outdated == {}
 
 
-def of_fusion() -> list[str]:
-    alone, fused = (row(results("fusion")["standing"], sequence="TUM fr1_rpy", world=w) for w in ("frames", "fused"))
-    assert fused["share"] == 0 and round(1 / fused["of_frames"]) == 5
-    return [
-        f"{100 * alone['share']:.0f} % of the samples change",
-        "Fusing ten frames removes every such change",
-        "to a fifth",
-    ]
-
-
-@pytest.mark.parametrize("make", [of_rate, of_motion, of_fusion], ids=lambda f: f.__name__[3:])
-def test_figures_are_those_of_the_benchmark(make: Any) -> None:
-    for words in make():
-        assert words in PAGES, words
+def test_readme_quotes_no_absolute_speed() -> None:
+    assert re.findall(r"\d (?:frames a second|frames/s|us\b|ms\b(?! of)|M/s)", README) == []
 
 
 def kept() -> list[str]:
-    """Names of the results that a script keeps; the figures that rate.py is held against are not one."""
-    return sorted(path.stem for path in (ROOT / "bench" / "results").glob("*.json") if path.stem != "rate_before")
+    """Names of the results that a script keeps."""
+    return sorted(path.stem for path in (ROOT / "bench" / "results").glob("*.json"))
 
 
 @pytest.mark.parametrize("name", kept())
-def test_a_result_has_bars_that_follow_from_its_figures(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), *sys.path])
+def test_a_result_has_bars_that_follow_from_its_figures(name: str) -> None:
     module = importlib.import_module("rate" if name == "rate" else f"bench_{name}")
     figures = results(name)
     bars = figures["bars"]

@@ -1,0 +1,232 @@
+"""No kernel gets slower unnoticed: its processor time over a frozen loop's of the same kind, beside the stored ratio.
+
+    python bench/bench_guard.py [--quick] [--only NAME,NAME] [--store]
+
+Ours and the frozen loop (`reference.kernels`) take turns on one thread, and each run of ours is divided by the frozen
+loop's before and after it, in processor time: neither other processes nor a slower machine change the median of these
+ratios much. One that looks too large is measured on, `TRIES` times as long at most: noise goes, a slow kernel stays.
+A ratio above `MARGIN` times the stored one is a failure, with exit status 1, in quick runs too.
+
+`--store` makes the ratios of this run those to be held (after a kernel has become faster, or slower on purpose).
+Stored ratios are of one model of processor; the loops resemble ours, so that others differ little, but store them
+anew before you judge a change on another model.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from math import inf
+from statistics import median
+from typing import Any, NamedTuple
+
+os.environ["TOUCHFIELD_THREADS"] = os.environ["NUMBA_NUM_THREADS"] = "1"
+
+import numpy as np
+
+import provenance
+from bench_depth import HIGH_M, LOW_M, Room, wall
+from bench_filter import shell
+from bench_mesh import BAND, bumpy
+from bench_objects import scene
+from bench_query import SIDE, SPACING_M, field, path
+from machine import Bar, Figures, arguments, at_most, keep, show, stored
+from reference import kernels as frozen
+from timing import Clock, inside, paired_cpu_ms, whole
+from touchfield.codec.touch import frame, frame_encoder
+from touchfield.codec.touch.decoder import TouchDecoder
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.filters.smoothing import GaussianFilter, gaussian, gaussian_taps
+from touchfield.medium import Grid, HapticMedium
+from touchfield.render.sampler import FieldSampler
+from touchfield.sources.depth_scene import DepthScene, force_bricks, query_of
+from touchfield.sources.kernels.depth import brick_forces, holds_force, may_hold_force
+from touchfield.sources.laws import ForceProfile
+from touchfield.sources.mesh_scene import MeshScene
+from touchfield.sources.scene import bricks_that
+
+MARGIN = 1.15
+"""A ratio over the stored one, at most: a third slower is 1.33, noise some hundredths."""
+TRIES = 6
+ROUNDS = {True: 15, False: 60}
+"""Runs of each of a pair, quickly and else."""
+SIGMA = 2.0
+
+
+class Pair(NamedTuple):
+    """A kernel of ours and the frozen loop that it is measured by."""
+
+    ours: Clock
+    reference: Clock
+
+    @classmethod
+    def of(cls, ours: Callable[[], Any], reference: Callable[[], Any]) -> Pair:
+        """Of two calls as a whole."""
+        return cls(whole(ours), whole(reference))
+
+
+def depth_pairs() -> dict[str, Pair]:
+    """Tangent planes of an image, the bricks that they reach, and the forces in these."""
+    sequence, grid = Room(), Grid.over_box(LOW_M, HIGH_M, (128, 128, 128))
+    known, image = DepthScene(sequence), sequence.depth_m(0)
+    step_per_m = known._noise_step_per_m()
+    query = query_of(known.planes(0), np.eye(4), grid, wall(grid))
+    bricks = force_bricks(query, grid)
+    candidates = bricks_that(lambda blocks, size: may_hold_force(blocks, size, query), grid)
+    planes, dense = np.zeros((*image.shape, 4), np.float32), np.zeros((96, 96, 96, 3), np.float32)
+    frozen.image_planes(image, planes)
+
+    def reference() -> None:
+        frozen.projected_forces(planes, dense)
+
+    return {
+        "depth, planes": Pair.of(
+            lambda: DepthScene(sequence, step_per_m=step_per_m).planes(0), lambda: frozen.image_planes(image, planes)
+        ),
+        "depth, bricks": Pair.of(lambda: holds_force(candidates, query), reference),
+        "depth, forces": Pair.of(lambda: brick_forces(bricks, query), reference),
+    }
+
+
+def mesh_pairs() -> dict[str, Pair]:
+    """From triangles to a band, and the band of a mesh whose tree is there."""
+    vertices, faces = bumpy(4)
+    grid = Grid.over_box((-1.0,) * 3, (1.0,) * 3, (128, 128, 128))
+    width = BAND * grid.spacing_m[0]
+    law = ForceProfile(((-width, width, 2.0, 1 / width),))
+    known, corners = MeshScene(vertices, faces), vertices[faces[::16]].astype(np.float64)
+    points = np.random.default_rng(0).uniform(-1, 1, (4000, 3))
+    out = np.zeros(len(points))
+
+    def reference() -> None:
+        frozen.triangle_distances(points, corners, out)
+
+    return {
+        "mesh, tree and band": Pair.of(lambda: MeshScene(vertices, faces).field(0, grid, law), reference),
+        "mesh, band": Pair.of(lambda: known.field(0, grid, law), reference),
+    }
+
+
+def gaussian_pairs() -> dict[str, Pair]:
+    """A dense field, and a wall of 2 % of its samples."""
+    side = 96
+    dense = np.random.default_rng(0).normal(size=(side, side, side, 3)).astype(np.float32)
+    taps = gaussian_taps(SIGMA).astype(np.float32)
+    between, out = np.zeros((side, side, 3 * side), np.float32), np.zeros((side, side, 3 * side), np.float32)
+    thin, smooth = shell(128, 0.37 - 5 / 128, 0.37), GaussianFilter(SIGMA / 128)
+
+    def reference() -> None:
+        frozen.smoothed(dense, taps, between, out)
+
+    return {
+        "gaussian, dense": Pair.of(lambda: gaussian(dense, SIGMA), reference),
+        "gaussian, wall": Pair.of(lambda: smooth(thin), reference),
+    }
+
+
+def query_pairs() -> dict[str, Pair]:
+    """Forces at many points: of one frame, between two, of seven objects, and one by one."""
+    rng, first = np.random.default_rng(1), field()
+    sampler = FieldSampler(HapticMedium.from_frames([first, first.scaled(0.5)], 1000.0))
+    objects, dense = FieldSampler(scene()), first.to_dense()
+    anywhere, along = rng.uniform(0, (SIDE - 1) * SPACING_M, (100_000, 3)), path(100_000, rng)
+    out = np.zeros(anywhere.shape, np.float32)
+
+    def reference(points: Any) -> Callable[[], Any]:
+        inside = np.minimum(points / SPACING_M, SIDE - 1.001)
+        return lambda: frozen.interpolated(dense, inside, out)
+
+    return {
+        "query, random": Pair.of(lambda: sampler.force_n(0.0, anywhere), reference(anywhere)),
+        "query, path": Pair.of(lambda: sampler.force_n(0.0, along), reference(along)),
+        "query, between frames": Pair.of(lambda: sampler.force_n(0.0004, along), reference(along)),
+        "query, objects": Pair.of(lambda: objects.force_n(0.0004, along[:20_000]), reference(along)),
+        "query, slopes": Pair.of(lambda: sampler.gradient_n_per_m(0.0, along[:20_000]), reference(along)),
+    }
+
+
+def coder_pairs() -> dict[str, Pair]:
+    """A segment of two frames of a depth camera, encoded and decoded: as a whole, and the passes over the voxels."""
+    grid = Grid.over_box(LOW_M, HIGH_M, (48, 48, 48))
+    frames = [DepthScene(Room()).field(0, grid, wall(grid))] * 2
+    symbols = (np.abs(np.random.default_rng(0).normal(0, 6, (40, 40, 40))) % 32).astype(np.uint8)
+    logits = np.arange(-2048, 2048)
+    squash = np.clip(np.rint(4096 / (1 + np.exp(-logits / 256))), 1, 4095).astype(np.int32)
+    chances = (np.arange(4096) + 0.5) / 4096
+    stretch = np.clip(np.rint(256 * np.log(chances / (1 - chances))), -2047, 2047).astype(np.int32)
+    out = np.zeros(1 << 16, np.uint8)
+    encoder = TouchEncoder(grid, TouchSpec())
+    body, decoder = encoder.encode_segment(frames).body, TouchDecoder(grid, encoder.parameters)
+
+    def encode() -> None:
+        encoder.encode_segment(frames)
+
+    def decode() -> None:
+        list(decoder.frames(body, len(frames)))
+
+    def reference() -> None:
+        frozen.coded_bits(symbols, squash, stretch, out)
+
+    return {
+        "encode": Pair.of(encode, reference),
+        "encode, pass": Pair(inside(frame_encoder, "encode_bricks", encode), whole(reference)),
+        "decode": Pair.of(decode, reference),
+        "decode, pass": Pair(inside(frame, "decode_bricks", decode), whole(reference)),
+    }
+
+
+GROUPS = {
+    "depth": depth_pairs, "mesh": mesh_pairs, "gaussian": gaussian_pairs, "query": query_pairs, "coder": coder_pairs,
+}  # fmt: skip
+
+
+def ratio_of(pair: Pair, rounds: int, limit: float) -> dict[str, float]:
+    """Milliseconds of both and the median of their ratios: of `rounds`, or of more until it is within the limit."""
+    pair.ours()
+    pair.reference()
+    pairs: list[tuple[float, float]] = []
+    for _ in range(TRIES):
+        pairs += paired_cpu_ms(*pair, rounds)
+        ratio = median(ours / reference for ours, reference in pairs)
+        if ratio <= limit:
+            break
+    ours, reference = (min(values) for values in zip(*pairs))
+    return {"ours_ms": ours, "reference_ms": reference, "ratio": ratio}
+
+
+def measure(only: str, store: bool, rounds: int) -> Figures:
+    """The ratio of each kernel, beside the stored one."""
+    before = stored("guard").get("rows", {})
+    rows: dict[str, Figures] = {}
+    for group in only.split(",") if only else GROUPS:
+        for name, pair in GROUPS[group]().items():
+            held = before.get(name, {}).get("stored_ratio")
+            is_new = store or held is None
+            row = ratio_of(pair, rounds, inf if is_new else MARGIN * held)
+            rows[name] = {**row, "stored_ratio": row["ratio"] if is_new else held}
+            rows[name]["over_stored"] = row["ratio"] / rows[name]["stored_ratio"]
+    return {"rows": rows}
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """No ratio more than `MARGIN` above the stored one."""
+    rows = figures["rows"].items()
+    return [at_most(f"{name}, over the stored ratio", row["over_stored"], MARGIN) for name, row in rows]
+
+
+def main() -> None:
+    options, is_quick = arguments(__doc__, {"only": ("", ""), "store": (False, False)})
+    trace, run = provenance.Trace(), provenance.Run()
+    figures = measure(options["only"], options["store"], ROUNDS[is_quick and not options["store"]])
+    show(figures)
+    verdicts = bars(figures)
+    is_kept = options["store"] or not (is_quick or options["only"])
+    keep("guard", figures, verdicts, not is_kept, run.summary(), provenance.code_of(trace.files()))
+    if any(bar["met"] is False for bar in verdicts):
+        sys.exit("slower than the stored ratio: see above; on purpose? store it: bench/bench_guard.py --store")
+
+
+if __name__ == "__main__":
+    main()

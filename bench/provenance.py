@@ -1,0 +1,210 @@
+"""Which code a result was measured with, on which commit, and under which load of the machine.
+
+A result's code is every source file that the processes of its benchmark loaded, the files that come with a loaded
+package (profiles, the page) and those that the benchmark names itself (C that it compiles). A file counts by what it
+says to the machine: comments, docstrings and layout of Python, C and TypeScript change no hash.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+BENCH: Final = Path(__file__).resolve().parent
+ROOT: Final = BENCH.parent
+FOLDERS: Final = ("src", "bench", "tests", "reproduction")
+NOT_MEASURED: Final = frozenset(
+    f"bench/{name}" for name in ("machine.py", "provenance.py", "run_all.py", "quotes.py", "trace/sitecustomize.py")
+)
+"""What runs, reports and stores; it takes no part in a measurement."""
+VARIABLE: Final = "TOUCHFIELD_BENCH_TRACE"
+_STRINGS: Final = r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'|`(?:\\.|[^`\\])*`"
+_C_TOKENS: Final = re.compile(rf"{_STRINGS}|//[^\n]*|/\*.*?\*/|\s+", re.DOTALL)
+
+
+# -- files and their hashes -----------------------------------------------------------------------------------
+
+
+class Trace:
+    """The files that this process and those it starts load, from now on."""
+
+    def __init__(self) -> None:
+        self._folder = TemporaryDirectory(prefix="touchfield-bench-")
+        before = os.environ.get("PYTHONPATH", "")
+        os.environ[VARIABLE] = self._folder.name
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(BENCH / "trace"), before]))
+
+    def files(self, also: Iterable[str] = ()) -> list[str]:
+        """Paths below the root of the repository, sorted; `also` are patterns of further files."""
+        loaded = {str(getattr(module, "__file__", None) or "") for module in list(sys.modules.values())}
+        loaded.add(str(Path(sys.argv[0]).resolve()))
+        for path in Path(self._folder.name).glob("*.txt"):
+            loaded.update(path.read_text(encoding="utf-8").splitlines())
+        sources = {path for name in loaded for path in _source(name)}
+        sources.update(path for pattern in also for path in ROOT.glob(pattern) if path.is_file())
+        packages = {path.parent for path in sources if path.name == "__init__.py"}
+        sources.update(path for package in packages for path in _data_of(package))
+        return sorted({path.relative_to(ROOT).as_posix() for path in sources} - NOT_MEASURED)
+
+
+def _source(name: str) -> Iterator[Path]:
+    """The file of a module, if it is one of the repository."""
+    path = Path(name)
+    if path.suffix == ".py" and path.is_relative_to(ROOT) and path.relative_to(ROOT).parts[0] in FOLDERS:
+        yield path
+
+
+def _data_of(package: Path) -> Iterator[Path]:
+    """Files of a package that are no Python and belong to no package within it."""
+    for path in package.iterdir():
+        if path.is_dir() and path.name != "__pycache__" and not (path / "__init__.py").exists():
+            yield from _data_of(path)
+        elif path.is_file() and path.suffix not in (".py", ".pyc", ".nbi", ".nbc", ".typed"):
+            yield path
+
+
+@cache
+def digest(file: str) -> str:
+    """Hash of a file below the root by what it says to the machine; "missing" if it is not there."""
+    path = ROOT / file
+    if not path.is_file():
+        return "missing"
+    text = path.read_bytes().decode("utf-8", "surrogateescape")
+    if path.suffix == ".py":
+        said = python_meaning(text, is_bench=file.startswith("bench/"))
+    elif path.suffix in (".c", ".h", ".ts", ".js", ".mjs"):
+        said = c_meaning(text)
+    elif path.suffix == ".toml":
+        said = json.dumps(tomllib.loads(text), sort_keys=True, default=str)
+    else:
+        said = text.replace("\r\n", "\n")
+    return hashlib.sha256(said.encode("utf-8", "surrogateescape")).hexdigest()[:16]
+
+
+def python_meaning(text: str, is_bench: bool = False) -> str:
+    """Python without comments, docstrings and layout, alike in all versions of Python.
+
+    Of a benchmark the function `bars` does not count either: it judges figures that are there.
+    """
+    parts: list[str] = []
+    _write_node(ast.parse(text), parts, is_bench)
+    return "".join(parts)
+
+
+def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
+    parts.append(f"({type(node).__name__}")
+    for name, value in ast.iter_fields(node):
+        if value is None or value == []:
+            continue  # newer versions of Python have more fields, empty mostly
+        parts.append(f" {name}=")
+        if isinstance(value, list):
+            for one in _without_strings(value) if name == "body" else value:
+                if is_bench and isinstance(node, ast.Module) and getattr(one, "name", "") == "bars":
+                    continue
+                if isinstance(one, ast.AST):
+                    _write_node(one, parts, is_bench)
+                else:
+                    parts.append(repr(one))
+        elif isinstance(value, ast.AST):
+            _write_node(value, parts, is_bench)
+        else:
+            parts.append(repr(value))
+    parts.append(")")
+
+
+def _without_strings(body: list[Any]) -> list[Any]:
+    """The statements of a body; a string that stands alone, as a docstring does, says nothing to the machine."""
+
+    def is_string(one: Any) -> bool:
+        return isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str)
+
+    return [one for one in body if not is_string(one)]
+
+
+def c_meaning(text: str) -> str:
+    """C or TypeScript without comments; any white space is one blank."""
+    return _C_TOKENS.sub(lambda found: found[0] if found[0][0] in "\"'`" else " ", text).replace("  ", " ").strip()
+
+
+# -- what is stored, and what of it is stale ------------------------------------------------------------------
+
+
+def code_of(files: Iterable[str]) -> dict[str, str]:
+    """The hash of each file, by its path."""
+    return {file: digest(file) for file in files}
+
+
+def overall(code: dict[str, str]) -> str:
+    """One hash of all."""
+    return hashlib.sha256(json.dumps(code, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def write_code(path: Path, code: dict[str, str]) -> None:
+    """A line for each file: hash and path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(f"{value}  {file}\n" for file, value in sorted(code.items())), encoding="utf-8")
+
+
+def read_code(path: Path) -> dict[str, str] | None:
+    """What `write_code` wrote; None if there is no such file."""
+    if not path.is_file():
+        return None
+    pairs = (line.split("  ", 1) for line in path.read_text(encoding="utf-8").splitlines())
+    return {file: value for value, file in pairs}
+
+
+def changed(path: Path, code: str | None) -> list[str]:
+    """Files that are not what they were when the result with this overall hash was measured; why, if unknown."""
+    before = read_code(path)
+    if before is None or code is None:
+        return ["(no record of the code that was measured)"]
+    if overall(before) != code:
+        return [f"(the record of the code, {path.name}, is of another run)"]
+    return [file for file, value in before.items() if digest(file) != value]
+
+
+# -- the run --------------------------------------------------------------------------------------------------
+
+
+class Run:
+    """Commit, load, and time of a run that begins now."""
+
+    def __init__(self) -> None:
+        self._load, self._wall, self._cpu = os.getloadavg()[0], time.monotonic(), _processor_s()
+
+    def summary(self) -> dict[str, Any]:
+        """Commit, whether the tree differed from it, load of a minute before and after, seconds."""
+        return {
+            "commit": _git("rev-parse", "--short=12", "HEAD") or "unknown",
+            "dirty": bool(_git("status", "--porcelain", "--", ".", ":!bench/results")),
+            "load": [round(self._load, 2), round(os.getloadavg()[0], 2)],
+            "seconds": round(time.monotonic() - self._wall, 1),
+            "processor_seconds": round(_processor_s() - self._cpu, 1),
+        }
+
+
+def _processor_s() -> float:
+    """Processor seconds of this process and of those it has waited for."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def _git(*words: str) -> str:
+    try:
+        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return done.stdout.strip()

@@ -1,0 +1,1 @@
+"""What never changes: yardsticks for the speed of our kernels, and figures of former versions."""

@@ -1,0 +1,73 @@
+"""Measuring time: one call alone, or several calls in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter, process_time
+from types import ModuleType
+from typing import Any
+
+
+def timed(call: Callable[[], Any], runs: int = 9, warm: int = 1) -> dict[str, float]:
+    """Minimum and median milliseconds of `runs` calls after `warm` ones."""
+    for _ in range(warm):
+        call()
+    times = []
+    for _ in range(runs):
+        began = perf_counter()
+        call()
+        times.append(1e3 * (perf_counter() - began))
+    times.sort()
+    return {"min_ms": times[0], "median_ms": times[len(times) // 2]}
+
+
+Clock = Callable[[], float]
+"""A run of something, and the processor milliseconds that it took."""
+
+
+def whole(call: Callable[[], Any]) -> Clock:
+    """The clock of all that a call does."""
+
+    def run() -> float:
+        start = process_time()
+        call()
+        return 1e3 * (process_time() - start)
+
+    return run
+
+
+def inside(module: ModuleType, name: str, call: Callable[[], Any]) -> Clock:
+    """The clock of one function of a module, of all its runs within a call."""
+    function, spent = getattr(module, name), [0.0]
+
+    def timed_function(*values: Any) -> Any:
+        start = process_time()
+        result = function(*values)
+        spent[0] += 1e3 * (process_time() - start)
+        return result
+
+    def run() -> float:
+        spent[0] = 0.0
+        setattr(module, name, timed_function)
+        try:
+            call()
+        finally:
+            setattr(module, name, function)
+        return spent[0]
+
+    return run
+
+
+def paired_cpu_ms(ours: Clock, reference: Clock, rounds: int) -> list[tuple[float, float]]:
+    """Processor milliseconds of ours and of the reference, which run in turn: one pair a round.
+
+    The reference's is the mean of the runs before and after ours, so that a processor that changes its speed, and
+    other processes that come and go, change both.
+    """
+    pairs, before = [], reference()
+    for _ in range(rounds):
+        own = ours()
+        after = reference()
+        pairs.append((own, (before + after) / 2))
+        before = after
+    return pairs

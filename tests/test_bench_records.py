@@ -1,0 +1,151 @@
+"""What benchmarks record: the code that was measured, exact figures of quick runs, and how each script ended."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+BENCH = Path(__file__).resolve().parents[1] / "bench"
+
+
+@pytest.fixture(autouse=True)
+def within_reach(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Modules of bench/ import each other by their names."""
+    monkeypatch.setattr(sys, "path", [str(BENCH), *sys.path])
+
+
+@pytest.fixture
+def provenance() -> Any:
+    return importlib.import_module("provenance")
+
+
+@pytest.fixture
+def machine() -> Any:
+    return importlib.import_module("machine")
+
+
+CODE = 'def f(a, b=2):\n    """Says."""\n    # why\n    return a + b\n\n\ndef bars(x):\n    return 1\n'
+
+
+@pytest.mark.parametrize(
+    "same",
+    [
+        CODE.replace('"""Says."""', '"""Says more."""'),
+        CODE.replace("    # why\n", ""),
+        CODE.replace("(a, b=2)", "(\n    a,\n    b=2,\n)"),
+        "\n\n" + CODE,
+    ],
+)
+def test_comments_docstrings_and_layout_change_no_hash(provenance: Any, same: str) -> None:
+    assert same != CODE
+    assert provenance.python_meaning(same) == provenance.python_meaning(CODE)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("a + b", "a - b"), ("b=2", "b=3"), ("return a", "return -a"), ("f(", "g(")]
+)
+def test_a_change_of_the_code_changes_the_hash(provenance: Any, old: str, new: str) -> None:
+    assert provenance.python_meaning(CODE.replace(old, new)) != provenance.python_meaning(CODE)
+
+
+def test_bars_count_outside_of_benchmarks_only(provenance: Any) -> None:
+    other = CODE.replace("return 1", "return 2")
+    assert provenance.python_meaning(other) != provenance.python_meaning(CODE)
+    assert provenance.python_meaning(other, is_bench=True) == provenance.python_meaning(CODE, is_bench=True)
+
+
+def test_c_by_its_tokens(provenance: Any) -> None:
+    code = 'int a = 1; // one\nchar *s = "// no comment";\n'
+    assert provenance.c_meaning(code) == provenance.c_meaning('int a = 1; /* 1 */\n\n  char *s = "// no comment";')
+    assert provenance.c_meaning(code) != provenance.c_meaning(code.replace("no comment", "a comment"))
+    assert provenance.c_meaning(code) != provenance.c_meaning(code.replace("1;", "2;"))
+
+
+def test_changed_files_are_named(provenance: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(provenance, "ROOT", tmp_path)
+    for name in ("a.py", "b.py"):
+        (tmp_path / name).write_text(CODE)
+    provenance.digest.cache_clear()
+    code = provenance.code_of(["a.py", "b.py"])
+    record = tmp_path / "code" / "it.txt"
+    provenance.write_code(record, code)
+    assert provenance.read_code(record) == code
+    assert provenance.changed(record, provenance.overall(code)) == []
+    (tmp_path / "a.py").write_text(CODE.replace("why", "because"))
+    (tmp_path / "b.py").write_text(CODE.replace("a + b", "a * b"))
+    provenance.digest.cache_clear()
+    assert provenance.changed(record, provenance.overall(code)) == ["b.py"]
+    (tmp_path / "a.py").unlink()
+    provenance.digest.cache_clear()
+    assert provenance.changed(record, provenance.overall(code)) == ["a.py", "b.py"]
+    assert "another run" in provenance.changed(record, "0" * 16)[0]
+    assert "no record" in provenance.changed(tmp_path / "none.txt", "0" * 16)[0]
+    provenance.digest.cache_clear()
+
+
+def test_a_trace_has_what_a_process_loads_and_the_files_of_its_packages(tmp_path: Path) -> None:
+    script = tmp_path / "traced.py"
+    script.write_text(
+        f"import subprocess, sys\nsys.path.insert(0, {str(BENCH)!r})\nimport provenance\ntrace = provenance.Trace()\n"
+        "subprocess.run([sys.executable, '-c', 'import touchfield.devices, touchfield.filters.fir'], check=True)\n"
+        "print(*trace.files(['c/*.h']), sep='\\n')\n"
+    )
+    files = subprocess.run([sys.executable, script], check=True, capture_output=True, text=True).stdout.split()
+    assert {"src/touchfield/filters/fir.py", "src/touchfield/devices/profiles/omega.3.toml", "c/touch.h"} <= {*files}
+    assert "bench/provenance.py" not in files and "src/touchfield/codec/touch/encoder.py" not in files
+
+
+def test_exact_figures_are_bytes_and_errors_and_no_times(machine: Any) -> None:
+    figures = {
+        "object": {"file_bytes": 19515, "encode_s": 1.5, "peak_mb": 90.0, "nmse_db": -20.5},
+        "rows": [{"name": "a", "supported_voxels": 7, "worst_ms": 3.0}, {"voxels": 8}],
+        "peers": {"zpaq_bytes": 3},
+        "absent": [],
+        "none_db": None,
+    }
+    exact = {"object/file_bytes": 19515, "object/nmse_db": -20.5, "rows/a/supported_voxels": 7, "rows/1/voxels": 8}
+    assert machine.exact_figures(figures) == exact
+    assert machine.exact_figures(figures, ["rows/*"]) == {k: v for k, v in exact.items() if k[0] == "o"}
+
+
+def test_a_byte_count_that_changed_fails_a_quick_run(
+    machine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(machine, "QUICK", tmp_path / "quick")
+    monkeypatch.setenv(machine.STORE_QUICK, "1")
+    machine.check_quick("it", {"file_bytes": 82669, "least_db": -20.0})
+    monkeypatch.delenv(machine.STORE_QUICK)
+    machine.check_quick("it", {"file_bytes": 82670, "least_db": -20.001})
+    for figures in ({"file_bytes": 19515, "least_db": -20.0}, {"least_db": -20.0}):
+        with pytest.raises(SystemExit, match="file_bytes"):
+            machine.check_quick("it", figures)
+
+
+@pytest.mark.parametrize(
+    ("code", "verdict", "is_failure"),
+    [
+        ("pass", "finished", False),
+        ("import sys; sys.exit(77)", "left out", False),
+        ("import sys; sys.exit(1)", "failed, status 1", True),
+        ("import time; time.sleep(60)", "exceeded 1 s", True),
+    ],
+)
+def test_how_a_script_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, verdict: str, is_failure: bool
+) -> None:
+    run_all = importlib.import_module("run_all")
+    monkeypatch.setattr(run_all, "HERE", tmp_path)
+    (tmp_path / "bench_it.py").write_text(code)
+    for is_shown in (True, False):
+        outcome = (
+            run_all.run("it", True, 1.0, is_shown) if "sleep" in code else run_all.run("it", True, 30.0, is_shown)
+        )
+        assert (outcome.verdict, outcome.is_failure) == (verdict, is_failure)
+        if "sleep" in code:
+            break
+    assert run_all.run_each(["it"], True, 1.0 if "sleep" in code else 30.0, 2) is not is_failure
