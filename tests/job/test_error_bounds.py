@@ -121,7 +121,7 @@ WRITERS = {
     "job/texture.py": "test_a_copy_keeps_the_law",
     "job/view.py": "",  # codes for the page that it opens, in mode "mask"
     "stream/live.py": "",  # wraps a segment that a live stream has sent, for decoders that know files alone
-    "stream/mux.py": "test_a_copy_keeps_the_law",
+    "stream/mux.py": "",  # copies a file and warns as it does: tests/stream/test_mux.py
     "stream/objects.py": "test_bodies_keep_the_law",
 }
 """Modules that write or code segments, beside the test of each."""

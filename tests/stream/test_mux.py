@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from fractions import Fraction
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,12 +13,13 @@ import pytest
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader
-from touchfield.errors import InvalidArgument, TouchfieldError
+from touchfield.errors import InvalidArgument, TouchfieldError, UnboundedError
 from touchfield.job import EncodeSpec, encode
 from touchfield.job.view import view
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.stream import mux as mux_module
 from touchfield.stream.mux import BEGINS, demux, mux
+from touchfield.stream.opened import open_stream
 
 av = pytest.importorskip("av", reason="movies need the extra video")
 
@@ -180,3 +182,15 @@ def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(
     with pytest.raises(TouchfieldError, match=r"both\.ts: INDX\.segments: found 6 frames; expected 9"):
         demux(out, back)
     assert not back.exists()
+
+
+def test_a_stream_without_an_error_bound_is_muxed_with_a_warning(folder: Path, tmp_path: Path) -> None:
+    with open_stream(folder / "noise.touch") as stream:
+        medium = stream.medium.between(0, 1)
+        with pytest.warns(UnboundedError):
+            encode(medium, tmp_path / "free.touch", EncodeSpec(touch=TouchSpec(mode="nmse")))
+    with pytest.warns(UnboundedError, match="mode nmse keeps a mean squared error"):
+        mux(folder / "movie.mp4", tmp_path / "free.touch", tmp_path / "free.mp4")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UnboundedError)
+        mux(folder / "movie.mp4", folder / "noise.touch", tmp_path / "both.mp4")
