@@ -139,3 +139,29 @@ def test_mutated_files_touch_no_memory_that_is_not_theirs(tmp_path: Path) -> Non
     assert done.returncode == 0, done.stderr
     counts = [int(line.split()[2]) for line in done.stdout.splitlines()]
     assert sum(counts) > 100 and counts[2] > 0 and counts[3] > 0
+
+
+@pytest.mark.parametrize("is_watched", [False, pytest.param(True, marks=pytest.mark.thorough)])
+def test_an_arena_that_is_too_small_is_told_as_such_wherever_it_ends(is_watched: bool, tmp_path: Path) -> None:
+    """Each piece of memory in turn is the last that is given: the decoder says so, and touches no other."""
+    options = ["-Og", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"] if is_watched else ["-O2"]
+    probe = tmp_path / "probe.c"
+    probe.write_text("int main(void) { return 0; }\n")
+    command = [str(COMPILER), *options, "-o", str(tmp_path / "probe"), str(probe)]
+    if subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("the compiler has no address sanitizer")
+    program = built(tmp_path, "arena", *options, f"-I{C}", source=Path(__file__).parent / "arena.c")
+    names = (
+        "touch-block",
+        "touch-lossless",
+        "touch-solid",
+        "vibration-touch",
+        "objects-touch",
+        "objects-touch-deforming",
+    )
+    streams = [CONFORMANCE / "v1" / f"{name}.touch" for name in names]
+    done = subprocess.run([program, *streams], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for line in done.stdout.splitlines():
+        tries, failed = map(int, line.split())
+        assert 0.8 * tries <= failed <= tries and tries > 10  # a piece may be given where another was before
