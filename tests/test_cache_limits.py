@@ -206,8 +206,10 @@ def test_datagrams_wait_for_a_lost_message_within_their_memory(
     sent = [one for message in messages for one in sender.add(message)] + sender.flush()
     coming = [one for one in sent if datagrams._told(one).number != 1]  # type: ignore[union-attr]
     out = [message for one in coming for message in gathering.receive(one)]
-    assert out == (messages[:1] if waits else [messages[0], *messages[2:]])
-    assert gathering.lost == (0 if waits else 1)
+    if waits:
+        assert out == messages[:1] and gathering.lost == 0
+    else:
+        assert out[-1] == messages[-1] and gathering.lost == len(messages) - len(out) > 0
 
 
 def test_an_index_of_files_is_described_within_its_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
