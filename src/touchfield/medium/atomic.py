@@ -40,6 +40,10 @@ def atomic_path(path: Path) -> Iterator[Path]:
         finally:
             os.close(handle)
         os.replace(temporary, target)
+    except SourceError as error:
+        if error.where != str(temporary):
+            raise
+        raise SourceError(str(path), error.found, error.expected, error.mend) from error  # of a writer within
     except OSError as error:
         reason = error.strerror or type(error).__name__
         elsewhere = error.filename is not None and Path(os.fsdecode(error.filename)) != temporary

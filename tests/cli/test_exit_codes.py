@@ -1,0 +1,209 @@
+"""Whatever the system refuses, of every command: an exit code above 0, one clear line, and no file left behind."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_every_option import TASKS
+
+from option_tables import ARGUMENTS
+from touchfield.cli.main import _exit_code
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.job import EncodeSpec, encode
+from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.sources.stored import StoredScene
+
+SPHERE = '[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n'
+
+WRITING = {
+    "encode": ("sphere.toml {out}.touch --nw 3",),
+    "filter": ("sphere.touch {out}.touch --gaussian 2mm", "sphere.touch {out}.npz --gaussian 2mm"),
+    "field": (
+        "sphere.toml {out}.npz --nw 3", "sphere.toml {out}.vti --nw 3", "sphere.toml --preview {out}.png --nw 3",
+    ),
+    "plan": ("sphere.toml --budget 60kB --nw 3 --plot {out}.png",),
+    "decode": ("sphere.touch {out}.npz", "sphere.touch {out}.vti"),
+    "export": (
+        "sphere.touch {out}.wav --trajectory hand.csv", "sphere.touch {out}.hjif --trajectory hand.csv",
+        "sphere.touch {out}.html",
+    ),
+    "edit": ("sphere.touch {out}.touch --operator gain:2", "sphere.touch {out}.npz --operator gain:2"),
+    "splice": ("sphere.touch sphere.touch {out}.touch",),
+    "resample": ("sphere.touch {out}.touch --nw 3", "sphere.touch {out}.vti --nw 3"),
+    "texture": ("drag.csv --out {out}.json --speed-m-s 0.1 --force-n 1",),
+    "deform": ("sphere.touch --out {out}.npz --yield-m-per-n 0.002",),
+    "view": ("sphere.touch --out {out}.html --no-open",),
+    "compare": ("sphere.toml sphere.touch --picture {out}.png",),
+    "play": (
+        "sphere.touch --offline --seconds 0.1 --log {out}.csv",
+        "sphere.touch --offline --seconds 0.1 --plot {out}.png",
+    ),
+    "measure": ("sphere.touch --no-limits --plot {out}.png",),
+    "reduce": ("moving.touch {out}.touch", "moving.touch --cull {out}.touch"),
+    "index": (". --index {out}.npz",),
+    "points": ("5 sphere.touch {out}.touch", "5 sphere.touch {out}.npz"),
+}  # fmt: skip
+"""Of each command that writes a file its arguments."""
+
+READING = {
+    "info": "{in}.touch",
+    "partition": "{in}.touch",
+    "lod": "{in}.touch",
+    "similar": "{in}.touch sphere.touch",
+    "search": "{in} sphere.touch",
+    "correlate": "{in}.png sphere.touch",
+    "import": "{in}.hjif new.touch",
+    "demux": "{in}.mp4 new.touch",
+    "mux": "{in}.mp4 sphere.touch new.mp4",
+    "serve": "{in} --port 0",
+    "live": "{in}.toml",
+    "encode": "{in}.toml new.touch",
+    "filter": "{in}.touch new.touch --gaussian 2mm",
+    "field": "{in}.toml new.npz",
+    "plan": "{in}.toml --budget 60kB",
+    "decode": "{in}.touch new.npz",
+    "export": "{in}.touch new.html",
+    "edit": "{in}.touch new.touch --operator gain:2",
+    "splice": "{in}.touch sphere.touch new.touch",
+    "resample": "{in}.touch new.touch --nw 3",
+    "texture": "{in}.wav --out new.json --speed-m-s 0.1 --force-n 1",
+    "deform": "{in}.touch --out new.npz --yield-m-per-n 0.002",
+    "view": "{in}.touch --out new.html --no-open",
+    "compare": "{in}.toml sphere.touch --no-picture",
+    "play": "{in}.touch --offline",
+    "measure": "{in}.touch",
+    "reduce": "{in}.touch",
+    "index": "{in}",
+    "points": "5 {in}.touch",
+}
+"""Of each command that reads a file its arguments; {in} is a name that is not there, or a folder."""
+
+NOTHING_READ = {"demo", "devices", "sources", "doctor", "warmup"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    here = tmp_path_factory.mktemp("refused")
+    (here / "sphere.toml").write_text(SPHERE)
+    encode(here / "sphere.toml", here / "sphere.touch", EncodeSpec(nw=4, thickness_m=0.01))
+    grid = Grid((8, 8, 8), (0.008,) * 3, (-0.028,) * 3)
+    forces = np.random.default_rng(1).normal(size=(4, *grid.shape, 3)).astype(np.float32)
+    medium = HapticMedium.from_frames(
+        [ForceField.from_dense(grid, one) for one in forces], 30.0, "x right, y up, z towards"
+    )
+    encode(StoredScene(medium), here / "moving.touch", EncodeSpec(nw=3, touch=TouchSpec(effort="fast")))
+    (here / "hand.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0.02\n0.1,0.004,0.002,0.006\n0.2,0,0,0.002\n")
+    times = np.arange(4000) / 4000
+    rows = "\n".join(f"{t:.6f},{np.sin(900 * t):.6f}" for t in times)
+    (here / "drag.csv").write_text(f"t_s,a_m_s2\n{rows}\n")
+    Image.fromarray(np.zeros((9, 9), np.uint8)).save(here / "look.png")
+    return here
+
+
+def refused(words: list[str], capsys: pytest.CaptureFixture[str], where: Path, code: int | None = None) -> str:
+    """The one line with which a command ends that must fail, and leave nothing new in a folder."""
+    before = sorted(where.rglob("*"))
+    capsys.readouterr()
+    found = _exit_code(words)
+    told = capsys.readouterr().err
+    assert found in ((1, 2) if code is None else (code,)), f"{words}: {found}, {told}"
+    lines = [line for line in told.splitlines() if not line.startswith("note: ")]
+    assert len(lines) == 1 and lines[0].startswith("touchfield: "), f"{words}: {told}"
+    assert "fault of touchfield itself" not in told and "Traceback" not in told, f"{words}: {told}"
+    assert sorted(where.rglob("*")) == before, f"{words} left something behind"
+    return lines[0]
+
+
+def test_the_tables_name_every_command() -> None:
+    assert READING.keys() | NOTHING_READ == ARGUMENTS.keys()
+
+
+@pytest.mark.parametrize("command", sorted(TASKS))
+def test_an_error_of_the_system_is_told_and_never_exit_code_0(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*_: Any, **__: Any) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", "there")
+
+    for task in TASKS[command]:
+        module, _, name = task.partition(":")
+        holder = import_module(f"touchfield.{module}")
+        if not name.startswith(("executor_of", "computing", "read_", "tool_of")):
+            monkeypatch.setattr(holder, name, fails)
+    monkeypatch.chdir(tmp_path)
+    for name in ("one.wav", "two.wav", "in.touch"):
+        (tmp_path / name).write_bytes(b"")
+    words = [command, *ARGUMENTS[command].format(tmp=tmp_path).split()]
+    told = refused(words, capsys, tmp_path, 1)
+    if command not in ("partition", "texture"):  # these read their files first
+        assert told == "touchfield: there: Permission denied. Check the path, the permissions and the free space"
+
+
+@pytest.mark.parametrize("command", sorted(READING))
+@pytest.mark.parametrize("kind", ["missing", "folder"])
+def test_a_missing_file_or_a_folder_in_its_place_is_one_line(
+    command: str, kind: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    takes_folders = command in ("search", "serve", "index")
+    if kind == "folder" and takes_folders:
+        return
+    monkeypatch.chdir(folder)
+    words = READING[command].replace("{in}", "not-there").split()
+    at = next(word for word in words if "not-there" in word)
+    if kind == "folder":
+        (folder / at).mkdir(exist_ok=True)
+    try:
+        told = refused([command, *words], capsys, folder)
+    finally:
+        if kind == "folder":
+            (folder / at).rmdir()
+    assert "not-there" in told, told
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("command", sorted(WRITING))
+def test_a_result_that_cannot_be_written_is_one_line_and_leaves_nothing(
+    command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No such folder; a folder of the result's name; a disk that is full."""
+    monkeypatch.chdir(folder)
+    for form in WRITING[command]:
+        assert "no" in refused([command, *form.replace("{out}", "nowhere/new").split()], capsys, folder)
+        words = form.replace("{out}", "new").split()
+        out = next(word for word in words if word.startswith("new"))
+        (folder / out).mkdir()
+        assert out in refused([command, *words], capsys, folder)
+        (folder / out).rmdir()
+
+        def full(handle: int) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", full)
+            told = refused([command, *words], capsys, folder, 1)
+        assert "No space left on device" in told and out in told
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+@pytest.mark.parametrize(
+    "words", ["--version", "sources --json", "devices", "doctor --json --device sim", "info sphere.touch"]
+)
+def test_what_cannot_be_printed_is_no_success(words: str, folder: Path) -> None:
+    program = [sys.executable, "-m", "touchfield", *words.split()]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(program, stdout=full, stderr=subprocess.PIPE, cwd=folder, text=True)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1 and "No space left on device" in done.stderr
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(program, stdout=writing, stderr=subprocess.PIPE, cwd=folder, text=True)
+    os.close(writing)
+    assert done.returncode == 1 and not done.stderr, "who closes a pipe wants to hear no more"
