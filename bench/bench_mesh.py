@@ -4,14 +4,20 @@
 
 Ours is timed from the triangles to the force field. Each peer that imports here (Warp, Open3D, libigl,
 point-cloud-utils) is timed with the making of its search tree, and is asked for exactly the samples of the band, with
-sign; none of them has to find out which those are. OpenVDB makes the band itself. Distances and signs are compared.
+sign; none of them has to find out which those are. OpenVDB makes the band itself, in a process of its own
+(`openvdb_peer.py`; also that of Debian's package python3-openvdb). Distances and signs are compared.
 """
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable, Iterable
 from functools import cache, partial
 from importlib import import_module, metadata
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +32,9 @@ from touchfield.sources.mesh_scene import MeshScene
 Floats = NDArray[np.floating[Any]]
 Peer = Callable[[Floats, NDArray[np.int32], Floats], Floats]
 BAND = 4  # voxels
+RUNS = 3  # of a peer
+OPENVDB = str(Path(__file__).with_name("openvdb_peer.py"))
+_BARE = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}  # of another interpreter
 
 
 def bumpy(subdivisions: int = 5) -> tuple[Floats, NDArray[np.int32]]:
@@ -98,19 +107,29 @@ def _warp_kernel(library: Any, winds: bool) -> Any:
     return library.kernel(signed_distance)
 
 
-def openvdb(vertices: Floats, faces: NDArray[np.int32], points: Floats) -> Floats:
-    """OpenVDB: its own narrow band, then the values of our samples."""
-    library = import_module("openvdb")
-    voxel = float(np.diff(np.unique(points[:, 2])[:2])[0])
-    transform = library.createLinearTransform(voxelSize=voxel)
-    low = points.min(axis=0)
-    grid = library.FloatGrid.createLevelSetFromPolygons(
-        vertices - low, triangles=faces, transform=transform, halfWidth=float(BAND + 1)
-    )
-    index = np.round((points - low) / voxel).astype(int)
-    dense = np.empty(tuple(index.max(axis=0) + 1), np.float32)
-    grid.copyToArray(dense)
-    return np.asarray(dense[tuple(index.T)])
+@cache
+def openvdb_python() -> tuple[str, str] | None:
+    """The interpreter that has OpenVDB, this one or the system's, and the version; None where neither has it."""
+    for interpreter in (sys.executable, "/usr/bin/python3"):
+        try:
+            found = subprocess.run([interpreter, OPENVDB], env=_BARE, check=True, capture_output=True, text=True)
+        except (OSError, subprocess.CalledProcessError):
+            continue
+        return interpreter, found.stdout.strip()
+    return None
+
+
+def openvdb(vertices: Floats, faces: NDArray[np.int32], points: Floats, runs: int) -> tuple[Floats, dict[str, float]]:
+    """OpenVDB, in a process of its own: signed distances, and milliseconds of the runs without the process."""
+    found = openvdb_python()
+    assert found is not None
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "mesh.npz", Path(folder) / "values.npz"
+        np.savez(source, vertices=vertices, faces=faces, points=points, band=BAND + 1)
+        subprocess.run([found[0], OPENVDB, source, target, str(runs)], env=_BARE, check=True)
+        result = np.load(target)
+        milliseconds = 1e3 * np.sort(result["seconds"])
+    return result["values"], {"min_ms": float(milliseconds[0]), "median_ms": float(milliseconds[runs // 2])}
 
 
 PEERS: dict[str, tuple[str, Peer]] = {
@@ -119,7 +138,6 @@ PEERS: dict[str, tuple[str, Peer]] = {
     "open3d": ("open3d", open3d),
     "warp-lang": ("warp", warp),
     "warp-lang, sign by winding": ("warp", partial(warp, winds=True)),
-    "openvdb": ("openvdb", openvdb),
 }
 
 
@@ -132,6 +150,16 @@ def missing(names: Iterable[str]) -> list[str]:
         except (ImportError, OSError):
             absent.append(name)
     return absent
+
+
+def differences(values: Floats, phi: Floats, voxel: float) -> dict[str, float]:
+    """How far a peer's signed distances are from ours."""
+    is_wrong = (values > 0) != (phi > 0)
+    return {
+        "largest_difference_voxels": float(np.abs(np.abs(values) - np.abs(phi)).max() / voxel),
+        "signs_that_differ": int(is_wrong.sum()),
+        "farthest_of_them_voxels": float(np.abs(phi[is_wrong]).max(initial=0) / voxel),
+    }
 
 
 def measure(samples: int) -> Figures:
@@ -154,14 +182,14 @@ def measure(samples: int) -> Figures:
         if name in absent:
             continue
         values = peer(vertices, faces, points)
-        wrong = (values > 0) != (phi > 0)
-        rows[name] = {
-            **timed(partial(peer, vertices, faces, points), runs=3, warm=0),
-            "version": metadata.version(name.split(",")[0]),
-            "largest_difference_voxels": float(np.abs(np.abs(values) - np.abs(phi)).max() / voxel),
-            "signs_that_differ": int(wrong.sum()),
-            "farthest_of_them_voxels": float(np.abs(phi[wrong]).max(initial=0) / voxel),
-        }
+        times = timed(partial(peer, vertices, faces, points), RUNS, warm=0)
+        rows[name] = {**times, "version": metadata.version(name.split(",")[0]), **differences(values, phi, voxel)}
+    found = openvdb_python()
+    if found:
+        values, times = openvdb(vertices, faces, points, RUNS)
+        rows["openvdb"] = {**times, "version": found[1], **differences(values, phi, voxel)}
+    else:
+        absent.append("openvdb")
     for row in rows.values():
         row["times_touchfield"] = row["min_ms"] / rows["touchfield"]["min_ms"]
     counts = {"samples": samples, "triangles": len(faces), "band_samples": len(points), "threads": worker_count()}
