@@ -1,10 +1,11 @@
-"""The figures that README and the docs quote: each a phrase of a page, and where its numbers come from in the results.
+"""The figures that README and the docs quote: each a phrase of a page, and the result that its numbers are of.
 
     python bench/quotes.py [--write]
 
 Lists the quoted phrases, those that a page does not have, and the results that are stale. `--write` puts the figures
 of the results into the pages. Speeds are quoted as ratios to a peer of the same run: machines change from day to day.
-Exit status 1 if a page lacks a phrase, or README quotes a stale result. README quotes only what is measured in minutes.
+Exit status 1 if a page lacks a phrase, or README quotes a stale result; so README quotes only
+what is measured in minutes.
 """
 
 from __future__ import annotations
