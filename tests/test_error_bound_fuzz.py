@@ -150,9 +150,12 @@ def _check_paper(frames: list[np.ndarray], grid: Grid, rng: np.random.Generator)
     """Coder paper bounds nothing: it decodes to finite forces, and says that there is no bound."""
     spec = PaperSpec(k=float(rng.choice([0.05, 0.3])), directions="ico1")
     encoder, fields = PaperEncoder(grid, spec), [ForceField.from_dense(grid, f) for f in frames]
-    if max(np.abs(f).max() for f in frames) > 1e6:  # no decoder takes such a level
+    largest_n = max(float(np.linalg.norm(f.astype(np.float64), axis=-1).max()) for f in frames)
+    if largest_n > 1e6:  # no decoder takes such a level
         with pytest.raises(InvalidArgument):
             encoder.encode_segment(fields)
+        return
+    if largest_n > 5e5:  # a change from frame to frame may be such a one
         return
     coded = encoder.encode_segment(fields)
     assert coded.worst is None
