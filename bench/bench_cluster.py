@@ -36,7 +36,7 @@ def seconds(out: Path, spec: EncodeSpec, workers: Executor | None) -> float:
     return perf_counter() - began
 
 
-def spread(frames: int) -> Figures:
+def spread(frames: int, rounds: int) -> Figures:
     """One worker, two, and none."""
     spec = EncodeSpec(nw=6, representation="voxel", frames=(0, frames))
     figures: Figures = {"frames": frames}
@@ -46,7 +46,7 @@ def spread(frames: int) -> Figures:
         alone = out.read_bytes()
         figures["bytes"] = len(alone)
         same = True
-        for count in (1, 2, 1, 2):
+        for count in (1, 2) * rounds:
             with executor_of(f"processes:{count}") as workers:
                 seconds(out, replace(spec, frames=(0, 256 * count)), workers)
                 took = seconds(out, spec, workers)
@@ -87,11 +87,11 @@ def in_a_process(nw: int | None) -> Figures:
     return {**json.loads(done.stdout), "most_bytes": most}
 
 
-def measure(frames: int, is_huge: int) -> Figures:
+def measure(frames: int, is_huge: int, rounds: int) -> Figures:
     """Both."""
     os.environ["TOUCHFIELD_THREADS"] = "1"
     shape = device("phantom-omni").lattice
-    return {"nominal": list(shape), "tiles": in_a_process(None if is_huge else 8), "spread": spread(frames)}
+    return {"nominal": list(shape), "tiles": in_a_process(None if is_huge else 8), "spread": spread(frames, rounds)}
 
 
 def bars(figures: Figures) -> list[Bar]:
@@ -105,4 +105,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("cluster", __doc__, measure, bars, frames=(2000, 512), is_huge=(1, 0))
+    bench("cluster", __doc__, measure, bars, frames=(2000, 512), is_huge=(1, 0), rounds=(2, 1))

@@ -4,7 +4,8 @@
 
 Ours and the frozen loop (`reference.kernels`) take turns on one thread, and each run of ours is divided by the frozen
 loop's before and after it, in processor time: neither other processes nor a slower machine change the median of these
-ratios much. One that looks too large is measured on, `TRIES` times as long at most: noise goes, a slow kernel stays.
+ratios much. One that looks too large is measured on, `TRIES` times as long at most, and then in up to `PROCESSES`
+other processes: noise goes, a slow kernel stays.
 A ratio above `MARGIN` times the stored one is a failure, with exit status 1, in quick runs too.
 
 `--store` makes the ratios of this run those to be held (after a kernel has become faster, or slower on purpose).
@@ -14,10 +15,13 @@ anew before you judge a change on another model.
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
 import sys
 from collections.abc import Callable
 from math import inf
+from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
@@ -49,7 +53,7 @@ from touchfield.sources.scene import bricks_that
 
 MARGIN = 1.15
 """A ratio over the stored one, at most: a third slower is 1.33, noise some hundredths."""
-TRIES = 6
+TRIES, PROCESSES = 4, 3
 ROUNDS = {True: 15, False: 60}
 """Runs of each of a pair, quickly and else."""
 SIGMA = 2.0
@@ -75,11 +79,11 @@ def depth_pairs() -> dict[str, Pair]:
     query = query_of(known.planes(0), np.eye(4), grid, wall(grid))
     bricks = force_bricks(query, grid)
     candidates = bricks_that(lambda blocks, size: may_hold_force(blocks, size, query), grid)
-    planes, dense = np.zeros((*image.shape, 4), np.float32), np.zeros((96, 96, 96, 3), np.float32)
+    planes = np.zeros((*image.shape, 4), np.float32)
     frozen.image_planes(image, planes)
 
     def reference() -> None:
-        frozen.projected_forces(planes, dense)
+        frozen.projected_forces(planes, np.empty((96, 96, 96, 3), np.float32))  # ours makes its array, too
 
     return {
         "depth, planes": Pair.of(
@@ -142,8 +146,8 @@ def query_pairs() -> dict[str, Pair]:
         "query, random": Pair.of(lambda: sampler.force_n(0.0, anywhere), reference(anywhere)),
         "query, path": Pair.of(lambda: sampler.force_n(0.0, along), reference(along)),
         "query, between frames": Pair.of(lambda: sampler.force_n(0.0004, along), reference(along)),
-        "query, objects": Pair.of(lambda: objects.force_n(0.0004, along[:20_000]), reference(along)),
-        "query, slopes": Pair.of(lambda: sampler.gradient_n_per_m(0.0, along[:20_000]), reference(along)),
+        "query, objects": Pair.of(lambda: objects.force_n(0.0004, along[:60_000]), reference(along)),
+        "query, slopes": Pair.of(lambda: sampler.gradient_n_per_m(0.0, along[:60_000]), reference(along)),
     }
 
 
@@ -207,7 +211,23 @@ def measure(only: str, store: bool, rounds: int) -> Figures:
             row = ratio_of(pair, rounds, inf if is_new else MARGIN * held)
             rows[name] = {**row, "stored_ratio": row["ratio"] if is_new else held}
             rows[name]["over_stored"] = row["ratio"] / rows[name]["stored_ratio"]
+            rows[name]["group"] = group
     return {"rows": rows}
+
+
+def measured_again(figures: Figures, rounds: int) -> Figures:
+    """What looks too slow, again in processes of their own: where their arrays lie in memory makes a difference."""
+    rows = dict(figures["rows"])
+    for _ in range(PROCESSES):
+        slow = {row["group"] for row in rows.values() if row["over_stored"] > MARGIN}
+        if not slow:
+            break
+        program = f"import json, bench_guard as g; print(json.dumps(g.measure({','.join(slow)!r}, False, {rounds})))"
+        command, folder = [sys.executable, "-c", program], Path(__file__).parent
+        done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder)
+        for name, row in json.loads(done.stdout.splitlines()[-1])["rows"].items():
+            rows[name] = min(row, rows[name], key=lambda one: one["over_stored"])
+    return {**figures, "rows": rows}
 
 
 def bars(figures: Figures) -> list[Bar]:
@@ -219,7 +239,8 @@ def bars(figures: Figures) -> list[Bar]:
 def main() -> None:
     options, is_quick = arguments(__doc__, {"only": ("", ""), "store": (False, False)})
     trace, run = provenance.Trace(), provenance.Run()
-    figures = measure(options["only"], options["store"], ROUNDS[is_quick and not options["store"]])
+    rounds = ROUNDS[is_quick and not options["store"]]
+    figures = measured_again(measure(options["only"], options["store"], rounds), rounds)
     show(figures)
     verdicts = bars(figures)
     is_kept = options["store"] or not (is_quick or options["only"])

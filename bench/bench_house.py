@@ -108,4 +108,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("house", __doc__, measure, bars)
+    bench("house", __doc__, measure, bars, reads=("src/touchfield/**/*.py",))

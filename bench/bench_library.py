@@ -145,4 +145,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("library", __doc__, measure, bars, files=(10_000, 800))
+    bench("library", __doc__, measure, bars, files=(10_000, 480))

@@ -55,4 +55,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("suite", __doc__, measure, bars, tests=("all", "one file"))
+    bench("suite", __doc__, measure, bars, reads=("src/**/*.py", "tests/**/*.py"), tests=("all", "one file"))

@@ -7,8 +7,8 @@ Two comparisons of one frame, and of five in one segment: the bytes at the NMSE 
 directions, no deadband), and the bytes under the promise |e| <= max(F_0, k |F|), k = 0.1 and F_0 = 0.05 N, which
 every peer keeps too; among the peers is the source itself, coded (`rate_source`). Then the speed of each effort on
 two cores, and falling bodies as objects. At the end the bars, against the figures of ``reference/rate_before.json``,
-and the range of the best peer over ours. `--quick` takes one field at n_w 6. A peer that is not installed is
-named and left out. The speed is measured first, alone, and anew in every run; then every core has a process. With
+and the range of the best peer over ours. `--quick` takes one frame of one field at n_w 5. A peer that is not installed
+is named and left out. The speed is measured first, alone, and anew in every run; then every core has a process. With
 `--keep` the other figures are kept in a folder, and a run that was interrupted, or is repeated after a change of some
 source, measures only what is not there. A full run also writes ``results/rate.json`` and ``results/rate.png``.
 """
@@ -220,7 +220,7 @@ def drawn_cases(chosen: Sequence[Case], folder: Path) -> list[Case]:
 def arguments() -> Any:
     """What was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one field at n_w 6, no speed and no objects")
+    parser.add_argument("--quick", action="store_true", help="one frame of one field at n_w 5")
     parser.add_argument("--nw", type=int, nargs="+", default=list(SIDES))
     parser.add_argument("--fields", nargs="+", help="names such as 'tum band'")
     parser.add_argument("--efforts", nargs="+", default=list(EFFORTS), choices=EFFORTS)
@@ -230,8 +230,8 @@ def arguments() -> Any:
     is_all = (tuple(asked.nw), asked.efforts, tuple(asked.only)) == (SIDES, list(EFFORTS), WHAT)
     asked.is_full = is_all and not asked.quick and not asked.fields
     if asked.quick:
-        asked.nw, asked.fields = [6], ["tum band", "motorcycle band"]
-        asked.only = [what for what in asked.only if what not in ("speed", "objects", "picture")]
+        asked.nw, asked.fields = [5], ["tum band", "motorcycle band"]
+        asked.only = [what for what in asked.only if what in ("NMSE", "promise")]
     return asked
 
 
