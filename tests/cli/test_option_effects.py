@@ -162,7 +162,11 @@ CASES: dict[str, list[str]] = {
     "similar moving.touch sphere.touch": ["--quantiser uniform:0.4", "--over voxel"],
     "similar moving.touch sphere.toml": ["--nw 4", "--looks 2"],
     "points 5 moving.touch": ["--modes 1"],
-    "deform moving.touch -o out.npz --yield-m-per-n 0.002": ["--controls 5", "--yield-m-per-n 0.004", "--relax-s 0.2"],
+    "deform moving.touch -o out.npz --yield-m-per-n 0.002": [
+        "--controls 5",
+        "--yield-m-per-n 0.004",
+        "--relax-s 0.2",
+    ],
     "deform snake.touch snake.glb -o out.npz --controls 4": [
         "--frames 2:7",
         "--rest-frame 3",
