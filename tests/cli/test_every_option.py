@@ -59,7 +59,7 @@ def leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
 class Recorder:
     """The calls of a run: of each function by its name its arguments, and what was asked of its result."""
 
-    METHODS = ("draw", "save", "open", "write_log", "write_text", "follow", "supported_voxels", "show")
+    METHODS = ("end", "draw", "save", "open", "write_log", "write_text", "follow", "supported_voxels", "show")
 
     def __init__(self) -> None:
         self.arguments: dict[str, dict[str, Any]] = {}
@@ -257,3 +257,16 @@ def check(
             return f"{command} --{name}: {leaf} is not {value!r}, but {changed}"
     stray = {path: new for path, new in changed.items() if not is_explained(path, one.leaves)}
     return f"{command} --{name} changes more than {one.leaves}: {stray}" if stray else ""
+
+
+def test_who_receives_is_told_the_end_of_a_live_stream(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    assert run("live", ["scene.stl"], folder, monkeypatch)["LiveServer().end"] == CALLED
+    servers: list[Stub] = []
+    monkeypatch.setattr("touchfield.stream.live_server.LiveServer", lambda *_: servers.append(Stub()) or servers[0])
+    monkeypatch.setattr("touchfield.job.live.opened_sender", lambda *_: RESULTS["opened_sender"])
+    monkeypatch.setattr("touchfield.job.live.broadcast", breaks)
+    assert _exit_code(["live", "scene.stl"]) == 1
+    assert servers[0].__enter__.return_value.end.called, "also where it is interrupted"

@@ -207,3 +207,15 @@ def test_what_cannot_be_printed_is_no_success(words: str, folder: Path) -> None:
     done = subprocess.run(program, stdout=writing, stderr=subprocess.PIPE, cwd=folder, text=True)
     os.close(writing)
     assert done.returncode == 1 and not done.stderr, "who closes a pipe wants to hear no more"
+
+
+def test_a_pipe_that_breaks_within_a_task_is_no_success(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def breaks(*_: object, **__: object) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr("touchfield.stream.opened.open_stream", breaks)
+    capsys.readouterr()
+    assert _exit_code(["info", "sphere.touch"]) == 1
+    assert capsys.readouterr() == ("", ""), "nobody is there to hear it"

@@ -15,6 +15,8 @@ import pytest
 from PIL import Image
 
 from depth_makers import write_frames
+from effect_makers import band, channel, document, effect, keyframe, written
+from gltf_makers import chain_rig
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.job import EncodeSpec, encode, open_stream
@@ -42,6 +44,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     heights = (np.add.outer(np.arange(24), np.arange(20)) % 17 * 3000).astype(np.uint16)
     Image.fromarray(heights).save(here / "heights.png")
     write_frames(here / "depth")
+    chain_rig(joints=4, triangles=300, frames=12).save(here / "snake.glb", "glb")
+    still = EncodeSpec(nw=4, frames=(0, 1), representation="voxel", touch=TouchSpec(effort="fast"))
+    encode(here / "snake.glb", here / "snake.touch", still)
+    wave = band("VectorialWave", effect([keyframe(0, 0.5, 100), keyframe(100, 0.5, 200)]))
+    written(here / "wave.hjif", document(channel(wave), channel(wave)))
+    times = np.arange(4000) / 4000
+    for number, name in enumerate(("one", "two")):
+        rows = "\n".join(f"{t:.6f},{np.sin(900 * (1 + number) * t):.6f}" for t in times)
+        (here / f"{name}.csv").write_text(f"t_s,a_m_s2\n{rows}\n")
+    grey = np.random.default_rng(2).integers(0, 255, (48, 48), np.uint8)
+    Image.fromarray(np.stack([grey] * 3, axis=-1)).save(here / "look.png")
     (here / "hand.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0.02\n0.1,0.004,0.002,0.006\n0.2,0,0,0.002\n")
     encode(here / "sphere.toml", here / "sphere.touch", EncodeSpec(nw=4, thickness_m=0.01))
     encode(here / "sphere.toml", here / "fine.touch", EncodeSpec(nw=5, thickness_m=0.01))
@@ -149,6 +162,27 @@ CASES: dict[str, list[str]] = {
     "similar moving.touch sphere.touch": ["--quantiser uniform:0.4", "--over voxel"],
     "similar moving.touch sphere.toml": ["--nw 4", "--looks 2"],
     "points 5 moving.touch": ["--modes 1"],
+    "deform moving.touch -o out.npz --yield-m-per-n 0.002": [
+        "--controls 5",
+        "--yield-m-per-n 0.004",
+        "--relax-s 0.2",
+    ],
+    "deform snake.touch snake.glb -o out.npz --controls 4": [
+        "--frames 2:7",
+        "--rest-frame 3",
+        "--rate-hz 20",
+        "--controls 6",
+    ],
+    "import wave.hjif out.touch": ["--rate-hz 50", "--force-max-n 2"],
+    "export moving.touch out.hjif --trajectory hand.csv": ["--full-scale-n 4", "--device novint-falcon"],
+    "export moving.touch out.html": ["--source moving.npz"],
+    "correlate look.png moving.touch": ["--looks 2", "--reading first"],
+    "texture one.csv two.csv -o out.json --speed-m-s 0.1,0.2 --force-n 1": [
+        "--speed-m-s 0.1,0.3",
+        "--force-n 2",
+        "--name oak",
+        "--friction 0.4",
+    ],
 }  # fmt: skip
 
 
@@ -170,6 +204,8 @@ def observed(words: list[str], folder: Path, capsys: pytest.CaptureFixture[str])
 def content(path: Path) -> Any:
     if path.suffix == ".npz":
         with np.load(path) as file:
+            if "forces_n" not in file:  # a deformation
+                return {key: file[key].tobytes() for key in file}
             return {key: file[key].tobytes() for key in ("forces_n", "origin_m", "spacing_m", "rate_hz")}
     if path.suffix == ".touch":
         with open_stream(path) as stream:

@@ -137,6 +137,13 @@ def test_what_is_kept_of_a_file_elsewhere_is_bounded(folder: Path, monkeypatch: 
         assert source.requests == before
         far.read_segment(0)
         assert source.requests == before + 1
+        far.read_segment(7)  # used last: another one makes room
+        far.read_segment(1)
+        before = source.requests
+        far.read_segment(7)
+        assert source.requests == before
+        far.read_segment(0)
+        assert source.requests == before + 1
 
 
 @pytest.mark.parametrize("name", ["noise.touch", "bodies.touch"])
