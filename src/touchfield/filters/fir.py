@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Float64s
+from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import (
@@ -36,13 +36,14 @@ from touchfield.filters.separable import (
 from touchfield.medium import BRICK, ForceField
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import blocks_around, bricks_of, frozen, numbers_of
-from touchfield.parallel import for_chunks
+from touchfield.parallel import for_chunks, worker_count
 
 if TYPE_CHECKING:
     from touchfield.filters.separable import Axes
     from touchfield.medium import Grid
 
 ANCHORS: Final = ("centred", "causal")
+_MANY: Final = 1 << 20  # numbers: fewer are checked by numpy
 
 
 def fir_filter(
@@ -73,18 +74,29 @@ def checked_signal(signal: ArrayLike, boundary: str) -> NDArray[Any]:
     require_one_of("boundary", boundary, BOUNDARIES)
     kind = np.float32 if getattr(signal, "dtype", None) == np.float32 else np.float64
     x = numbers_of("signal", signal, kind)
-    if not np.isfinite(x).all():
+    if not _is_all_finite(x):
         raise InvalidArgument("signal", "a number that is not finite", "finite numbers")
     return x
 
 
 def without_overflow(sums: NDArray[Any], where: str) -> NDArray[Any]:
     """The result of a filter of finite numbers; `InvalidArgument` naming `where` if a sum went beyond its type."""
-    if not np.isfinite(sums).all():
+    if not _is_all_finite(sums):
         expected = f"sums below {np.finfo(sums.dtype).max:.3g}"
         mend = "Scale the signal or the taps down."
         raise InvalidArgument(where, f"numbers whose sums are beyond {sums.dtype}", expected, mend)
     return sums
+
+
+def _is_all_finite(x: NDArray[Any]) -> bool:
+    """Whether all numbers are finite; of many, by all threads and without an array of answers."""
+    if x.size < _MANY or not x.flags.c_contiguous:
+        return bool(np.isfinite(x).all())
+    from touchfield.filters.kernels.separable import COUNTED, count_not_finite
+
+    counts = np.zeros(-(-x.size // COUNTED), np.int64)
+    for_chunks(count_not_finite, len(counts), frozen(x).reshape(-1), np.finfo(x.dtype).max, counts)
+    return not counts.any()
 
 
 def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
@@ -101,10 +113,7 @@ def _checked_taps(taps: ArrayLike, anchor: str) -> Float64s:
 def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
     """The sums of a box of taps, by `scipy.ndimage`, or of one row after the other."""
     if isinstance(taps, list):
-        out = np.empty(x.shape, x.dtype)
-        for axis, (row, origin) in enumerate(zip(taps, origins, strict=True)):
-            _sums_along(out if axis else np.ascontiguousarray(x), row[::-1], origin, axis, boundary, out)
-        return out
+        return _separable_sums(x, taps, origins, boundary)
     from scipy import ndimage
 
     # scipy counts the origin from the middle of the mirrored kernel
@@ -114,9 +123,34 @@ def direct_sums(x: NDArray[Any], taps: Float64s | list[Float64s], origins: list[
     return np.asarray(ndimage.correlate(x, mirrored, mode=SCIPY_MODES[boundary], origin=[*places, *[0] * beside]))
 
 
-def _sums_along(x: NDArray[Any], weights: Float64s, origin: int, axis: int, boundary: str, out: NDArray[Any]) -> None:
-    """Weighted sums of samples along one axis, the last weight of those `origin` ahead; `out` may be the array."""
-    from touchfield.filters.kernels.separable import COLUMNS, sums_along
+_Along = tuple[Int64s, Int64s, NDArray[Any], tuple[int, int, int]]
+"""Of an axis: runs, places, weights and sizes, as `touchfield.filters.kernels.separable.sums_along` takes them."""
+
+
+def _separable_sums(x: NDArray[Any], taps: list[Float64s], origins: list[int], boundary: str) -> NDArray[Any]:
+    """The sums along one axis after the other; those of a plane, of the last two of three axes, at once."""
+    from touchfield.filters.kernels.separable import sums_along, sums_along_float32, sums_of_planes
+
+    is_float32, source, out = x.dtype == np.float32, np.ascontiguousarray(x), np.empty(x.shape, x.dtype)
+    along = [
+        _along(x, row[::-1], origin, axis, boundary)
+        for axis, (row, origin) in enumerate(zip(taps, origins, strict=True))
+    ]
+    counts = [math.prod(x.shape[:axis]) for axis in range(len(taps))]  # of the rows that an axis has
+    has_planes = is_float32 and len(taps) > 2 and counts[-2] >= 2 * worker_count()
+    for (runs, places, weights, sizes), count in list(zip(along, counts, strict=True))[: -2 if has_planes else None]:
+        blocks, arrays = -(-sizes[1] // sizes[2]), (frozen(source).reshape(count, -1), runs, places, weights, sizes)
+        for_chunks(sums_along_float32 if is_float32 else sums_along, count * blocks, *arrays, out.reshape(count, -1))
+        source = out
+    if has_planes:
+        rows, lines = (out.reshape(count, -1) for count in counts[-2:])
+        for_chunks(sums_of_planes, counts[-2], rows, lines, *along[-2:])
+    return out
+
+
+def _along(x: NDArray[Any], weights: Float64s, origin: int, axis: int, boundary: str) -> _Along:
+    """What sums of samples along an axis are made of, the last weight of those `origin` ahead."""
+    from touchfield.filters.kernels.separable import COLUMNS
 
     count, beside = x.shape[axis], math.prod(x.shape[axis + 1 :])
     # the samples that a line continues with, and which of them lie one behind the other; -1 for zero
@@ -125,11 +159,9 @@ def _sums_along(x: NDArray[Any], weights: Float64s, origin: int, axis: int, boun
     begins = held if beside > COLUMNS else held[np.diff(line[held], prepend=-2) != 1]
     runs = np.stack([begins, line[begins], np.diff(begins, append=held[-1:] + 1)], axis=1)
     places = np.flatnonzero(weights)
-    fill = 0, -len(places) % 4  # the kernel takes four weights at once
+    fill = 0, 0 if x.dtype == np.float32 else -len(places) % 4  # the kernel of float64 takes four weights at once
     some, places = np.pad(weights[places].astype(x.dtype), fill), np.pad(places, fill)
-    rows, width = (math.prod(x.shape[:axis]), count * beside), max(1, min(beside, COLUMNS))
-    sizes, arrays = (len(line), beside, width), (frozen(x).reshape(rows), runs, places, some)
-    for_chunks(sums_along, rows[0] * -(-beside // width), *arrays, sizes, out.reshape(rows))
+    return runs, places, some, (len(line), beside, max(1, min(beside, COLUMNS)))
 
 
 @dataclass(frozen=True)

@@ -272,9 +272,79 @@ def filtered_bricks(begin, end, items, source, keys_of_passes, lattice, before, 
                     made_y[keys_y[s] - base] = 0
 
 
-COLUMNS = 256
+_AT_ONCE = 4 * ROW
+"""Numbers that `four_rows` sums at once."""
+COLUMNS = 2 * _AT_ONCE
 """Of a dense array, filtered at once: their samples along an axis stay in the cache."""
-_AT_ONCE = 1024  # sums, of columns narrower than that
+_NARROW = 10 * _AT_ONCE  # sums at once, of columns narrower than that
+
+
+@inner
+def _line_filled(line, source, runs, beside, first, columns, width):
+    """The samples of `columns` columns from `first` on, as `runs` says, into `line`, `width` numbers a sample."""
+    for n in range(len(runs)):
+        p, q = np.uint64(runs[n, 0] * width), np.uint64(runs[n, 1] * beside + first)
+        for i in range(np.uint64(columns * runs[n, 2])):
+            line[p + i] = source[q + i]
+
+
+@inner
+def _sums_of_items(begin, end, source, along, out):
+    """As `sums_along`, of float32: the sums are held in registers (`four_rows`), and each is rounded in one order.
+
+    The last numbers are summed together with some before them, once more; fewer than `_AT_ONCE` with zeros.
+    """
+    runs, places, weights, (samples, beside, width) = along
+    blocks, count = -(-beside // width), out.shape[1] // max(1, beside)
+    many = max(1, _NARROW // width) if blocks == 1 else 1
+    line, few = np.zeros(samples * width + _AT_ONCE, np.float32), np.empty(_AT_ONCE, np.float32)
+    offsets, taps = places * width, len(places)
+    for item in range(begin, end):
+        first = item % blocks * width
+        columns, target = min(width, beside - first), out[item // blocks]
+        _line_filled(line, source[item // blocks], runs, beside, first, columns, width)
+        for row in range(0, count, many):
+            o, at, size = row * beside + first, row * width, columns * min(many, count - row)
+            if size < _AT_ONCE:
+                four_rows(few, 0, ROW, line, at, ROW, offsets, weights, taps)
+                for i in range(size):
+                    target[o + i] = few[i]
+                continue
+            for n in range(0, size, _AT_ONCE):
+                n = min(n, size - _AT_ONCE)
+                four_rows(target, o + n, ROW, line, at + n, ROW, offsets, weights, taps)
+
+
+@kernel
+def sums_along_float32(begin, end, source, runs, places, weights, sizes, out):
+    """See `sums_along`; of float32."""
+    _sums_of_items(begin, end, source, (runs, places, weights, sizes), out)
+
+
+@kernel
+def sums_of_planes(begin, end, rows, lines, along_rows, along_lines):
+    """Sums along the last two axes of float32, in place: a plane stays in the cache between them.
+
+    `rows` [a, n m] and `lines` [a n, m] are the same numbers; the others are what `sums_along` takes, of each axis.
+    """
+    blocks, count = -(-along_rows[3][1] // along_rows[3][2]), len(lines) // len(rows)
+    for a in range(begin, end):
+        _sums_of_items(a * blocks, (a + 1) * blocks, rows, along_rows, rows)
+        _sums_of_items(a * count, (a + 1) * count, lines, along_lines, lines)
+
+
+COUNTED = 1 << 14
+"""Numbers that `count_not_finite` counts at once."""
+
+
+@kernel
+def count_not_finite(begin, end, numbers, limit, counts):
+    """Of each `COUNTED` numbers, how many are not finite: larger than `limit`, or none."""
+    for block in range(begin, end):
+        count = 0
+        for i in range(np.uint64(block * COUNTED), np.uint64(min(len(numbers), (block + 1) * COUNTED))):
+            count += not abs(numbers[i]) <= limit
+        counts[block] = count
 
 
 @kernel(fastmath={"contract"})
@@ -287,14 +357,11 @@ def sums_along(begin, end, source, runs, places, weights, sizes, out):
     """
     samples, beside, width = sizes
     blocks, count = -(-beside // width), out.shape[1] // max(1, beside)
-    line, many = np.zeros(samples * width, out.dtype), _AT_ONCE // width if blocks == 1 else 1
+    line, many = np.zeros(samples * width, out.dtype), max(1, _NARROW // width) if blocks == 1 else 1
     for item in range(begin, end):
         a, first = item // blocks, item % blocks * width
         columns = min(width, beside - first)
-        for n in range(len(runs)):
-            p, q = np.uint64(runs[n, 0] * width), np.uint64(runs[n, 1] * beside + first)
-            for i in range(np.uint64(columns * runs[n, 2])):
-                line[p + i] = source[a, q + i]
+        _line_filled(line, source[a], runs, beside, first, columns, width)
         for row in range(0, count, many):
             o, size = np.uint64(row * beside + first), np.uint64(columns * min(many, count - row))
             for i in range(size):
