@@ -144,13 +144,8 @@ PLACE_TOLERANCE_M: Final = 1e-5
 _RIGID_SEGMENT_FRAMES: Final = 2048
 _SHARE_STEP: Final = 0.93
 _LEAST_SHARE: Final = 1 / 64
-<<<<<<< HEAD
 # Of bodies with exact samples: half the mask leaves few samples beyond it. Of the shares 0.12 to 1 it is within 16 %
 # of the fewest bytes in 14 scenes of bodies that meet; the whole mask takes up to 2.3 times as many.
-=======
-# Of bodies with exact samples: half the mask leaves few samples beyond it. Of shares from 0.12 to 1 it is within 16 %
-# of the fewest bytes in 14 scenes of bodies that meet; all of the mask takes up to 2.3 times as many.
->>>>>>> bound
 _SHARE_BESIDE_EXACT: Final = 0.5
 _MAX_SHARE_STEPS: Final = 100
 _LEAST_K: Final = 0.001
