@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from osc_listener import Listener, listening
 from touchfield import job
 from touchfield.adapters.registry import array_device
 from touchfield.job import EncodeSpec
 from touchfield.job.array_medium import array_drives
+from touchfield.job.play import PlaySpec, play
 from touchfield.render.array_player import ArrayPlayer
 from touchfield.sources.tiny_scenes import tiny_scenes
 
@@ -41,3 +43,16 @@ def test_a_file_is_felt_frame_by_frame(tmp_path: Path) -> None:
         near = min(float(np.abs(shown - one).max()) for one in between)
         assert near <= 0.5 / 255 + 1e-6 or not shown.any()
     assert any(shown.any() for shown in sent)
+
+
+@pytest.mark.parametrize(("stalled", "is_starved"), [(0, False), (1, True)])
+def test_frames_that_came_too_late_for_an_array_are_told(
+    stalled: int, is_starved: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "ramp.touch"
+    job.encode(tiny_scenes()[0], path, EncodeSpec(device=VEST))
+    own = ArrayPlayer.statistics
+    monkeypatch.setattr(ArrayPlayer, "statistics", lambda self: {**own(self), "stalled": stalled, "sent": 4})
+    with listening() as line:
+        played = play(path, PlaySpec(f"osc:127.0.0.1:{line.getsockname()[1]}", seconds=0.2))
+    assert played.statistics["stalled_share"] == stalled / 4 and played.is_starved == is_starved

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -119,6 +120,21 @@ def test_the_client_hands_over_the_last_segment_of_a_stream_that_has_ended(form:
                 number = frames.stream_frame(i)  # type: ignore[attr-defined]
                 assert number == 5 * (COUNT - 1) + i
                 np.testing.assert_allclose(stream.medium[i].to_dense(), field(number).to_dense(), atol=0.2)
+
+
+def test_a_manifest_without_a_segment_yet_is_no_end() -> None:
+    sender, _ = sender_of(0)
+    with LiveServer(sender, Access(port=0)) as server:
+
+        def begin() -> None:
+            server.add(segment(0))
+            server.end()
+
+        timer = Timer(0.6, begin)
+        timer.start()
+        with open_live(f"http://{server.address}/live.json") as stream:
+            np.testing.assert_allclose(stream.medium[4].to_dense(), field(4).to_dense(), atol=0.2)
+        timer.join()
 
 
 @pytest.mark.parametrize("origins", [(), ("https://a.example",), ("*",)])
