@@ -24,6 +24,7 @@ from touchfield.job.encode import encode
 from touchfield.job.measure import MeasureSpec, measure_medium
 from touchfield.job.play import PlaySpec, play
 from touchfield.job.spec import EncodeSpec
+from touchfield.lean import kernel_folder
 from touchfield.medium import HapticMedium
 from touchfield.parallel import Report, silent, worker_count
 from touchfield.render.sampler import FieldSampler
@@ -97,12 +98,9 @@ def host_checks() -> list[Check]:
     mend = "Free some of /dev/shm, or enlarge it (mount -o remount,size=1G /dev/shm)."
     checks.append(Check(what, free is None or free >= _LEAST_SHARED_BYTES, found, mend))
 
-    what, named = "a folder in which compiled kernels are kept", os.environ.get("NUMBA_CACHE_DIR")
-    cache = Path.home() / ".cache"
-    places = [Path(named)] if named else [Path(__file__).parent, cache if cache.exists() else Path.home()]
-    kept = next((place for place in places if os.access(place, os.W_OK)), None)
-    mend = "Set NUMBA_CACHE_DIR to a folder of yours."
-    return [*checks, Check(what, kept is not None, "not writeable" if kept is None else f"{kept}", mend)]
+    kernels, mend = kernel_folder(), "Set NUMBA_CACHE_DIR to a folder of yours."
+    found = "not writeable" if kernels is None else f"{kernels}"
+    return [*checks, Check("a folder in which compiled kernels are kept", kernels is not None, found, mend)]
 
 
 def _realtime() -> Check:
