@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, signal
 
 from touchfield.errors import InvalidArgument
+from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid
 from touchfield.perception.mask import (
     SpatialMasking,
@@ -198,3 +199,24 @@ def test_violations_are_judged_by_what_the_neighbours_hide() -> None:
     error = np.linalg.norm((y - x).astype(float), axis=1)
     assert masked.count == np.count_nonzero(error > spatial.field_mask_n(field)[field.mask] * (1 + 1e-5))
     assert 0 < masked.count < plain.count
+
+
+def test_a_meter_takes_what_hides_from_the_brick_where_it_lies() -> None:
+    """Bricks of very different forces, one of which only the decoded field has, beside a dense reckoning."""
+    rng = np.random.default_rng(4)
+    grid = Grid((40, 8, 8), (0.001,) * 3, (0.0,) * 3)
+    dense = rng.normal(size=(*grid.shape, 3)) * np.repeat([4.0, 0.02, 1.0, 0.0, 0.2], 8)[:, None, None, None]
+    original = ForceField.from_dense(grid, dense.astype(np.float32))
+    decoded = ForceField.from_dense(grid, (original.to_dense() + rng.normal(0, 0.03, dense.shape)).astype(np.float32))
+    meter = FidelityMeter(0.05, 0.01, masking=(0.3, 0.0025))
+    meter.add(original, decoded)
+    hidden = np.zeros(grid.shape)
+    around = SpatialMasking(0.0, 0.0, 0.3, 0.0025).hidden_n(original)
+    for (x, y, z), block in zip(8 * original.bricks, around, strict=True):
+        hidden[x : x + 8, y : y + 8, z : z + 8] = block
+    force, error = (
+        np.linalg.norm(v, axis=-1) for v in (original.to_dense(), decoded.to_dense() - original.to_dense())
+    )
+    ratio = error / np.maximum(0.01, 0.05 * force + hidden)
+    assert meter.mask_violations == np.count_nonzero(ratio > 1) > 100
+    assert meter.worst_mask_ratio == pytest.approx(ratio.max(), rel=1e-5)

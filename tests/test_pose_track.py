@@ -107,6 +107,16 @@ def test_a_part_of_a_track() -> None:
         track.between(2, 2)
 
 
+def test_a_part_may_begin_with_the_first_and_end_with_the_last_pose() -> None:
+    track = PoseTrack(np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)), np.arange(15.0).reshape(5, 3))
+    assert track.between(0, 5) == track
+    for start, stop in ((0, 1), (4, 5)):
+        np.testing.assert_array_equal(track.between(start, stop).positions_m, track.positions_m[start:stop])
+    for start, stop in ((-1, 3), (0, 6), (5, 5), (5, 6)):
+        with pytest.raises(InvalidArgument, match=f"{start}:{stop}"):
+            track.between(start, stop)
+
+
 @pytest.mark.parametrize(
     ("quaternions", "positions", "words"),
     [

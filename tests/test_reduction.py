@@ -18,7 +18,7 @@ from touchfield.job.reduction import culled, reduce_medium
 from touchfield.job.spec import ReductionSpec
 from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach, reach_of, reduced, snapshots
-from touchfield.reduction.reach import _layers
+from touchfield.reduction.reach import _Flood, _layers
 
 HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
 STEP_M, COUNT = 0.003, 40
@@ -250,6 +250,9 @@ def test_a_layer_turns_a_hand_by_the_rule_at_the_head_of_the_module(hand: Hand) 
         double_energy = hand.mass_kg * hand.speed_m_s**2
         least = hand.push_n + double_energy / layer.start_m + double_energy / (2 * (layer.depth_m - layer.start_m))
         assert least <= layer.need_n <= 2 * least
+        flood = _Flood(floor(), layer, hand)  # with 5 % to spare, and neither more nor less
+        assert flood.turn_nm == pytest.approx(1.05 * double_energy)
+        assert flood.need_n == pytest.approx(1.05 * (least - double_energy / layer.start_m))
     assert len(_layers(floor(), Hand(0.4 * 8.0 / 1.05, 0.01, 0.01), 8.0)) == 1  # nothing to spare in the weaker one
 
 
