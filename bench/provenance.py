@@ -65,7 +65,7 @@ class Trace:
 def _require_own_package() -> None:
     """SystemExit if Python would import the package of another folder: its figures would get the wrong code."""
     found = find_spec("touchfield")
-    origin = found and found.origin
+    origin = None if found is None else found.origin
     if origin is None or not Path(origin).is_relative_to(ROOT):
         sys.exit(f"touchfield is {origin or 'not installed'}, not that of {ROOT}: pip install -e {ROOT}")
 
