@@ -20,7 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
-from machine import Bar, Figures, at_least, at_most, bench, figure
+from machine import Bar, Figures, at_least, at_most, bench, figure, need_module
 from touchfield import EncodeSpec, TouchSpec, device, encode
 from touchfield.job.executors import executor_of
 from touchfield.job.tiles import encode_tiles
@@ -89,6 +89,7 @@ def in_a_process(nw: int | None) -> Figures:
 
 def measure(frames: int, is_huge: int, rounds: int) -> Figures:
     """Both."""
+    need_module("zarr")
     os.environ["TOUCHFIELD_THREADS"] = "1"
     shape = device("phantom-omni").lattice
     return {"nominal": list(shape), "tiles": in_a_process(None if is_huge else 8), "spread": spread(frames, rounds)}

@@ -46,6 +46,7 @@ from touchfield.filters.smoothing import GaussianFilter, gaussian, gaussian_taps
 from touchfield.medium import Grid, HapticMedium
 from touchfield.render.sampler import FieldSampler
 from touchfield.sources.depth_scene import DepthScene, force_bricks, query_of
+from touchfield.sources.kernels.depth import _fill as fill_bricks
 from touchfield.sources.kernels.depth import brick_forces, holds_force, may_hold_force
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh_scene import MeshScene
@@ -78,19 +79,20 @@ def depth_pairs() -> dict[str, Pair]:
     step_per_m = known._noise_step_per_m()
     query = query_of(known.planes(0), np.eye(4), grid, wall(grid))
     bricks = force_bricks(query, grid)
+    out = brick_forces(bricks, query).reshape(-1)
     candidates = bricks_that(lambda blocks, size: may_hold_force(blocks, size, query), grid)
-    planes = np.zeros((*image.shape, 4), np.float32)
+    planes, dense = np.zeros((*image.shape, 4), np.float32), np.zeros((96, 96, 96, 3), np.float32)
     frozen.image_planes(image, planes)
 
     def reference() -> None:
-        frozen.projected_forces(planes, np.empty((96, 96, 96, 3), np.float32))  # ours makes its array, too
+        frozen.projected_forces(planes, dense)
 
     return {
         "depth, planes": Pair.of(
             lambda: DepthScene(sequence, step_per_m=step_per_m).planes(0), lambda: frozen.image_planes(image, planes)
         ),
         "depth, bricks": Pair.of(lambda: holds_force(candidates, query), reference),
-        "depth, forces": Pair.of(lambda: brick_forces(bricks, query), reference),
+        "depth, forces": Pair.of(lambda: fill_bricks(0, len(bricks), bricks, query, out), reference),
     }
 
 

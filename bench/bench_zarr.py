@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
-from machine import Bar, Figures, at_least, bench, figure
+from machine import Bar, Figures, at_least, bench, figure, need_module
 from touchfield import EncodeSpec, TouchSpec, prepare
 from touchfield.job.tiles import encode_tiles
 from touchfield.medium.npz import read_npz, write_npz
@@ -36,6 +36,7 @@ def size(path: Path) -> int:
 
 def measure(nw: int, runs: int) -> Figures:
     """Each way, several times."""
+    need_module("zarr")
     spec = EncodeSpec(nw=nw, representation="voxel", touch=TouchSpec())
     medium = prepare(SOURCE, spec).medium
     frames = [medium[0]]

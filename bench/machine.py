@@ -10,12 +10,13 @@ import platform
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatch
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any, NoReturn
 
 import provenance
 from timing import timed as timed
+from touchfield.errors import MissingExtra
 
 RESULTS = Path(__file__).parent / "results"
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -188,6 +189,14 @@ def leave_out(reason: str) -> NoReturn:
     sys.exit(LEFT_OUT)
 
 
+def need_module(name: str) -> None:
+    """Leave a benchmark out if a library that it measures does not import, with the reason."""
+    try:
+        import_module(name)
+    except Exception as error:  # zarr, for one, ends with a ValueError beside zfpy 1.0.1.post0
+        leave_out(f"{name} does not import: {type(error).__name__}: {error}")
+
+
 def keep(
     name: str,
     figures: Figures,
@@ -321,7 +330,10 @@ def bench(
     """
     asked, is_quick = arguments(doc, options)
     trace, run = provenance.Trace(), provenance.Run()
-    figures = measure(**asked)
+    try:
+        figures = measure(**asked)
+    except MissingExtra as error:
+        leave_out(str(error))
     show(figures)
     verdicts = bars(figures)
     keep(name, figures, verdicts, is_quick, run.summary(), provenance.code_of(trace.files(reads)))

@@ -19,6 +19,7 @@ import time
 import tomllib
 from collections.abc import Iterable, Iterator
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -42,6 +43,7 @@ class Trace:
     """The files that this process and those it starts load, from now on."""
 
     def __init__(self) -> None:
+        _require_own_package()
         self._folder = TemporaryDirectory(prefix="touchfield-bench-")
         before = os.environ.get("PYTHONPATH", "")
         os.environ[VARIABLE] = self._folder.name
@@ -58,6 +60,14 @@ class Trace:
         packages = {path.parent for path in sources if path.name == "__init__.py"}
         sources.update(path for package in packages for path in _data_of(package))
         return sorted({path.relative_to(ROOT).as_posix() for path in sources} - NOT_MEASURED)
+
+
+def _require_own_package() -> None:
+    """SystemExit if Python would import the package of another folder: its figures would get the wrong code."""
+    found = find_spec("touchfield")
+    origin = None if found is None else found.origin
+    if origin is None or not Path(origin).is_relative_to(ROOT):
+        sys.exit(f"touchfield is {origin or 'not installed'}, not that of {ROOT}: pip install -e {ROOT}")
 
 
 def _source(name: str) -> Iterator[Path]:

@@ -5,12 +5,13 @@
 
 Two comparisons of one frame, and of five in one segment: the bytes at the NMSE of coder `paper` (n_q 6, 258
 directions, no deadband), and the bytes under the promise |e| <= max(F_0, k |F|), k = 0.1 and F_0 = 0.05 N, which
-every peer keeps too; among the peers is the source itself, coded (`rate_source`). Then the speed of each effort on
-two cores, and falling bodies as objects. At the end the bars, against the figures of ``reference/rate_before.json``,
-and the range of the best peer over ours. `--quick` takes one frame of one field at n_w 5. A peer that is not installed
-is named and left out. The speed is measured first, alone, and anew in every run; then every core has a process. With
-`--keep` the other figures are kept in a folder, and a run that was interrupted, or is repeated after a change of some
-source, measures only what is not there. A full run also writes ``results/rate.json`` and ``results/rate.png``.
+every peer keeps too; among the peers is the source itself, coded (`rate_source`). Then the speed of each
+effort on two cores, and falling bodies as objects. At the end the bars, against the figures of
+``reference/rate_before.json``, and the range of the best peer over ours. `--quick` takes one frame of one
+field at n_w 5. A peer that is not installed is named and left out. The speed is measured first, alone, and
+anew in every run; then every core has a process. With `--keep` the other figures are kept in a folder, and a
+run that was interrupted, or is repeated after a change of some source, measures only what is not there. A
+full run also writes ``results/rate.json`` and ``results/rate.png``.
 """
 
 from __future__ import annotations
