@@ -62,7 +62,8 @@ def test_the_device_in_one_file_plays(
 
 def test_the_commands_exist(capsys: pytest.CaptureFixture[str]) -> None:
     pages = README + "".join(page.read_text() for page in sorted((ROOT / "docs").glob("**/*.md")))
-    commands = set(re.findall(r"^touchfield (\w+)", pages, re.MULTILINE))
+    blocks = re.findall(r"^```sh\n(.*?)^```", pages, re.DOTALL | re.MULTILINE)
+    commands = set(re.findall(r"^touchfield (\w+)", "".join(blocks), re.MULTILINE))
     assert {"encode", "compare", "play", "serve"} <= commands
     for command in commands:
         assert _exit_code([command, "--help"]) == 0
