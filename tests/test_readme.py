@@ -64,7 +64,7 @@ def test_the_commands_exist(capsys: pytest.CaptureFixture[str]) -> None:
     pages = README + "".join(page.read_text() for page in sorted((ROOT / "docs").glob("**/*.md")))
     blocks = re.findall(r"^```sh\n(.*?)^```", pages, re.DOTALL | re.MULTILINE)
     commands = set(re.findall(r"^touchfield (\w+)", "".join(blocks), re.MULTILINE))
-    assert {"encode", "compare", "play", "serve"} <= commands
+    assert len(commands) > 10 and {"encode", "compare", "play"} <= commands
     for command in commands:
         assert _exit_code([command, "--help"]) == 0
         assert capsys.readouterr().out
