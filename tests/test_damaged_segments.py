@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -124,4 +125,4 @@ def test_a_play_that_an_error_ended_shows_its_figures_and_fails(
     assert _exit_code(["play", str(path), "--json"]) == 1
     told = capsys.readouterr()
     assert '"haply"' in told.out and "as far as it came" in told.out
-    assert told.err.splitlines()[-1].startswith("touchfield: haply: found a cable pulled")
+    assert json.loads(told.err.splitlines()[-1])["error"].startswith("haply: found a cable pulled")
