@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -101,6 +102,26 @@ def test_reach(name: str, text: str) -> None:
     assert ((after >= low) & (after <= high)).all()
     if claims.keeps_support:
         assert {tuple(p) for p in after.tolist()} <= {tuple(p) for p in before.tolist()}
+
+
+UNEQUAL = Grid((20, 17, 23), (0.0008, 0.001, 0.0014), (-0.008, 0.0, 0.01))
+
+
+@pytest.mark.parametrize("order", [(1, 2, 0), (1, 0, 2), (0, 2, 1)], ids=str)
+@pytest.mark.parametrize(("name", "text"), [case for case in CASES if case.values[0] != "texture"])
+def test_axes_of_unequal_spacings_may_be_permuted_before_or_after(
+    name: str, text: str, order: tuple[int, ...]
+) -> None:
+    """No axis gets the spacing of another; a texture is left out, as its grains are drawn for each place."""
+
+    def permuted(field: ForceField) -> ForceField:
+        shape, spacing_m, origin_m = (tuple(row[axis] for axis in order) for row in astuple(field.grid))
+        dense = field.to_dense().transpose(*order, 3)[..., order]
+        return ForceField.from_dense(Grid(shape, spacing_m, origin_m), np.ascontiguousarray(dense))
+
+    chosen, _ = made(name, text)
+    field = blob(5, UNEQUAL, 5)
+    close(permuted(chosen(field)), chosen(permuted(field)), 1e-4)
 
 
 @pytest.mark.parametrize(("name", "text"), claiming("linear"))

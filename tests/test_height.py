@@ -126,6 +126,36 @@ def test_noise_hardly_turns_the_normal_and_a_step_does_not() -> None:
     np.testing.assert_array_equal(held, np.arange(190) > 95)  # the wall stands midway between the samples
 
 
+@pytest.mark.parametrize("axis", ["columns", "rows"])
+@pytest.mark.parametrize("facing", [1, -1])
+@pytest.mark.parametrize(("dx_m", "dy_m"), [(0.01, 0.004), (0.004, -0.01), (0.006, -0.006)])
+def test_beside_a_step_the_plane_of_the_nearest_sample_goes_on(
+    dx_m: float, dy_m: float, facing: int, axis: str
+) -> None:
+    """A plane on either side of a cliff, of columns and rows that are unequally wide and may run downwards."""
+    a, b, cliff_m = 0.3, -0.2, 0.5
+    lattice = HeightLattice(-9.5 * dx_m, dx_m, -9.5 * dy_m, dy_m, facing, step_m=0.1)
+    x, y = (step_m * (np.arange(20) - 9.5) for step_m in (dx_m, dy_m))
+    across = np.arange(20) >= 10
+    raised = across if axis == "columns" else across[:, None]
+    scene = HeightScene(a * x + b * y[:, None] + cliff_m * raised, lattice)
+    normal = facing * np.array([-a, -b, 1.0]) / np.sqrt(1 + a * a + b * b)
+    checked = 0
+    for level_m in (0.0, cliff_m):
+        low = [-2.0 * abs(dx_m), -2.0 * abs(dy_m), level_m - 0.004]
+        grid = Grid.over_box(low, [-low[0], -low[1], level_m + 0.004], (24, 28, 18))
+        dense, at = scene.field(0, grid, SOLID).to_dense(), mesh_m(grid)
+        # in cells of the lattice from the middle of the cliff
+        beyond = at[..., 0] / dx_m if axis == "columns" else at[..., 1] / dy_m
+        height_m = a * at[..., 0] + b * at[..., 1] + cliff_m * (beyond > 0)
+        phi = (at[..., 2] - height_m) * normal[2]
+        is_clear = (np.abs(beyond) > 1e-6) & (np.min([np.abs(phi - e) for e in (0.0, 0.004)], axis=0) > 1e-6)
+        expected = SOLID(phi)[..., None] * normal
+        np.testing.assert_allclose(dense[is_clear], expected[is_clear], atol=2e-4, rtol=1e-5)
+        checked += int((is_clear & (np.abs(beyond) < 0.5) & (np.abs(phi) < 0.004)).sum())
+    assert checked > 500
+
+
 def test_frames_over_time_lazy_or_not() -> None:
     stack = np.stack([np.full((3, 3), h) for h in (0.0, 1.0, 2.0)])
     asked = []

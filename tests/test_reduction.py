@@ -18,6 +18,7 @@ from touchfield.job.reduction import culled, reduce_medium
 from touchfield.job.spec import ReductionSpec
 from touchfield.measure.estimators import binary_entropy_bits
 from touchfield.reduction import Hand, freedom, held_out, klt, pod, reach, reach_of, reduced, snapshots
+from touchfield.reduction.kernels import weak_cells
 from touchfield.reduction.reach import _Flood, _layers
 
 HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
@@ -254,6 +255,57 @@ def test_a_layer_turns_a_hand_by_the_rule_at_the_head_of_the_module(hand: Hand) 
         assert flood.turn_nm == pytest.approx(1.05 * double_energy)
         assert flood.need_n == pytest.approx(1.05 * (least - double_energy / layer.start_m))
     assert len(_layers(floor(), Hand(0.4 * 8.0 / 1.05, 0.01, 0.01), 8.0)) == 1  # nothing to spare in the weaker one
+
+
+PLACES = np.array([(i, j, 7) for i in (3, 4) for j in (3, 4)])
+"""Nodes above a cell whose corners are nodes 3 and 4 of each axis."""
+
+
+def is_weak(corners: Any, place: Any, step_m: Any, turn_nm: float, friction: float) -> bool:
+    """True if forces at the corners of a cell, [2, 2, 2, 3], do not hold back a hand that comes from a place."""
+    edges, weak = np.zeros((2, 8, 8, 8), bool), np.zeros(1, bool)
+    edges[(0, *place)] = True
+    cells, frames = np.full((1, 3), 3), corners[None].astype(np.float32)
+    weak_cells(0, 1, cells, np.ones(1), edges, 2.0, 3, frames, np.array(step_m), 0.0, turn_nm, friction, weak)
+    return bool(weak[0])
+
+
+def least_held_nm(corners: Any, place: Any, step_m: Any, friction: float, points: int) -> float:
+    """The least of -(x - a) . F - mu |(x - a) x F| at points of a cell, N m, of forces between its corners."""
+    share = np.linspace(0.0, 1.0, points)
+    weights = np.stack([1.0 - share, share])
+    forces = np.einsum("ia,jb,kc,ijkn->abcn", weights, weights, weights, corners.astype(np.float32).astype(float))
+    x = np.stack(np.meshgrid(share, share, share, indexing="ij"), axis=-1) * step_m
+    away = x - (np.array(place) - 3) * step_m
+    across = np.linalg.norm(np.cross(away, forces), axis=-1)
+    return float((-(away * forces).sum(axis=-1) - friction * across).min())
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_cell_that_holds_at_its_corners_is_strong_only_if_it_holds_between_them(friction: float) -> None:
+    rng, step_m, dips, strong = np.random.default_rng(4), (0.002, 0.003, 0.004), 0, 0
+    for n in range(400):
+        corners = np.array([0.0, 0.0, 3.0]) + rng.normal(size=(2, 2, 2, 3)) * [1.0, 1.0, 0.1]
+        place = PLACES[n % 4]
+        at_corners, between = (least_held_nm(corners, place, step_m, friction, points) for points in (2, 9))
+        turn_nm = at_corners - 0.0004 * rng.random()
+        dips += between < turn_nm
+        if not is_weak(corners, place, step_m, turn_nm, friction):
+            strong += 1
+            assert between >= turn_nm - 1e-9
+    assert dips > 40 and (strong > 20 or friction)
+
+
+@pytest.mark.parametrize("place", PLACES.tolist(), ids=str)
+@pytest.mark.parametrize("axis", range(3))
+def test_a_force_that_rises_from_corner_to_corner_loses_nothing_between_them(axis: int, place: list[int]) -> None:
+    corners, step_m = np.zeros((2, 2, 2, 3)), (0.002, 0.003, 0.004)
+    corners[..., 2] = 3.0
+    corners[..., axis] += np.indices((2, 2, 2))[axis] - 0.5
+    held_nm = least_held_nm(corners, place, step_m, 0.0, 2)
+    assert least_held_nm(corners, place, step_m, 0.0, 9) >= held_nm - 1e-9
+    assert not is_weak(corners, place, step_m, held_nm - 1e-6, 0.0)
+    assert is_weak(corners, place, step_m, held_nm + 1e-6, 0.0)
 
 
 # -- the command ---------------------------------------------------------------------------------------------------

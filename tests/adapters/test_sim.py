@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
 
 from touchfield.adapters.registry import point_device
 from touchfield.adapters.sim import KIND, SimHand
@@ -68,6 +69,28 @@ def test_follow_agrees_with_linear_interpolation(times, data) -> None:
         t += dt
         wanted = np.interp(t, times, places)
         assert hand.position_m() == pytest.approx([wanted] * 3, rel=1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["follow", "spring"])
+@given(st.lists(st.sampled_from([-1.0, 1.0]), min_size=4, max_size=4), st.integers(0, 2**31))
+def test_the_hand_turns_the_shorter_way_whatever_the_signs_of_its_quaternions(kind, signs, seed) -> None:
+    """q and -q are one orientation: between samples too, where the hand turns at even speed within half a degree."""
+    rng = np.random.default_rng(seed)
+    steps = rng.normal(size=(4, 3))
+    steps *= rng.uniform(0.1, 0.6, (4, 1)) / np.linalg.norm(steps, axis=1, keepdims=True)
+    turns = [Rotation.random(random_state=seed)]
+    for step in steps[1:]:
+        turns.append(Rotation.from_rotvec(step) * turns[-1])
+    quaternions = np.array([turn.as_quat()[[3, 0, 1, 2]] for turn in turns]) * np.array(signs)[:, None]
+    hand = SimHand(Trace(np.arange(4) * 0.1, np.zeros((4, 3)), quaternions), kind)
+    hand.open()
+    expected = Slerp(np.arange(4) * 0.1, Rotation.concatenate(turns))
+    for n in range(31):
+        w, x, y, z = hand.orientation()
+        assert math.hypot(w, x, y, z) == pytest.approx(1.0, abs=1e-12)
+        apart = Rotation.from_quat([x, y, z, w]) * expected(min(n * 0.01, 0.3)).inv()
+        assert apart.magnitude() < math.radians(0.5)
+        hand.advance(0.01)
 
 
 def test_the_spring_swings_as_the_equation_of_a_damped_oscillator() -> None:

@@ -184,6 +184,50 @@ def test_what_exceeds_the_peak_is_shortened(tmp_path: Path) -> None:
     assert other.shown["force_max_n"] == device("novint-falcon").force_max_n
 
 
+LIMIT, SCALE, CLIP = "exceed 3.3 N and are shortened", "Full scale is", "clip above"
+NOTHING, PINS, FEWER = "Nothing can be felt", "knows no pins", "20 actuators become one"
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "name", "full_scale_n", "expected"),
+    [
+        (0.035, "f.wav", 1.0, (LIMIT, SCALE)), (0.035, "f.hjif", 1.0, (LIMIT, CLIP)),
+        (0.035, "f.hjif", 5.0, (LIMIT,)),
+        (0.005, "f.wav", 1.0, (SCALE,)), (0.005, "f.hjif", 1.0, (CLIP,)), (0.005, "f.hjif", 5.0, ()),
+        (0.3, "f.wav", 1.0, (NOTHING,)), (0.3, "f.hjif", 1.0, (NOTHING,)),
+    ],
+)  # fmt: skip
+def test_each_note_on_a_force_stands_beside_the_others(
+    depth_m: float, name: str, full_scale_n: float, expected: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = probe(tmp_path / "p.csv", [(t, 0, 0, depth_m) for t in (0.0, 0.05)])
+    done = export(wall_stream(tmp_path / "a.touch"), tmp_path / name, trajectory=path, full_scale_n=full_scale_n)
+    assert [text in note for text, note in zip(expected, done.notes, strict=True)] == [True] * len(expected)
+
+
+@pytest.mark.parametrize("drive", [0.0, 0.5])
+@pytest.mark.parametrize(
+    ("name", "array", "kind", "expected"),
+    [
+        ("tactsuit-x40", None, "ahap", (FEWER,)), ("tactsuit-x40", None, "haptic", (FEWER,)),
+        ("tactsuit-x40", None, "tact", ()), ("tactsuit-x40", None, "wav", ()), ("tactsuit-x40", None, "hjif", ()),
+        ("graphiti", "tactsuit-x40", "ahap", (FEWER, PINS)), ("graphiti", "tactsuit-x40", "haptic", (FEWER, PINS)),
+        ("graphiti", "tactsuit-x40", "hjif", (PINS,)), ("graphiti", None, "tact", (PINS,)),
+    ],
+)  # fmt: skip
+def test_each_note_on_drives_stands_beside_the_others(
+    name: str, array: str | None, kind: str, expected: tuple[str, ...], drive: float, tmp_path: Path
+) -> None:
+    chosen = device(name)
+    forces = np.zeros((*chosen.lattice, 3), np.float32)
+    forces[..., 2] = chosen.force_max_n * drive
+    field = ForceField.from_dense(device_grid(chosen), forces)
+    path = stream(tmp_path / "a.touch", HapticMedium.from_frames([field] * 2, 20.0), name)
+    done = export(path, tmp_path / f"a.{kind}", array)
+    expected = (*expected, *(() if drive else (NOTHING,)))
+    assert [text in note for text, note in zip(expected, done.notes, strict=True)] == [True] * len(expected)
+
+
 def test_effects_of_others_become_streams(tmp_path: Path) -> None:
     wave = band("VectorialWave", effect([keyframe(0, 0.5, 100), keyframe(100, 0.5, 200)]))
     written(tmp_path / "e.hjif", document(channel(wave), channel(wave)))

@@ -164,6 +164,20 @@ def test_the_damper_acts_along_the_force_alone_and_takes_no_more() -> None:
     assert [f for _, f in bench.along(flees)][-1] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
 
 
+@pytest.mark.parametrize("speed_m_s", [-1.0, -0.11, -0.04, 0.04, 0.09, 1.0])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_the_damper_is_no_more_than_the_force_however_fast_a_hand_comes_or_goes(axis: int, speed_m_s: float) -> None:
+    """At 0.5 N and 5 N s/m the limit is 0.1 m/s: a faster hand feels 0 N as it leaves, and 1 N as it comes."""
+    direction = np.eye(3)[axis]
+    bench = Bench(constant(*(0.5 * direction)), device=STRONG)
+    bench.memory.f8[W.BRAKE] = 5.0
+    bench.settled(*(-0.05 * np.sign(speed_m_s) * direction))
+    path = (-0.05 * np.sign(speed_m_s) + 1e-3 * speed_m_s * np.arange(1, 100))[:, None] * direction
+    forces = np.array([force for _, force in bench.along(path)]) @ direction
+    assert forces.min() >= -1e-6 and forces.max() <= 2 * 0.5 + 1e-6
+    assert forces[-1] == pytest.approx(0.5 - min(max(5.0 * speed_m_s, -0.5), 0.5), abs=1e-3)
+
+
 def test_in_free_space_nothing_is_damped() -> None:
     bench = Bench(wall(1000.0), device=STRONG)
     bench.memory.f8[W.BRAKE] = 20.0

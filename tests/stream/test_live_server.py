@@ -30,7 +30,7 @@ from touchfield.medium import ForceField, HapticMedium
 from touchfield.render.player import Player
 from touchfield.sources.stored import StoredScene
 from touchfield.stream import live_client
-from touchfield.stream.access import Access
+from touchfield.stream.access import Access, guarded, run, web
 from touchfield.stream.live import (
     ENDLESS,
     LiveReceiver,
@@ -271,6 +271,53 @@ def test_no_more_are_served_than_can_be(monkeypatch: pytest.MonkeyPatch) -> None
             others.enter_context(socket.create_connection((host, int(port))))
         with socket.create_connection((host, int(port)), timeout=5) as link, suppress(ConnectionError):
             assert link.recv(1) == b""
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [("GET", "/none", 404), ("GET", "/moved", 302), ("GET", "/fault", 500), ("GET", "/gone", 0),
+     ("GET", "/absent", 404), ("POST", "/none", 405)],
+)  # fmt: skip
+def test_an_answer_that_fails_gives_its_place_back(
+    method: str, path: str, status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With room for one answer at once: an error of each kind, and next to it an answer."""
+    monkeypatch.setattr("touchfield.stream.access._MOST_BUSY", 1)
+    application = guarded(Access(port=0))
+
+    async def answer(request: web.Request) -> web.Response:
+        if request.path == "/":
+            return web.Response(text="here")
+        if request.path == "/gone":
+            assert request.transport is not None
+            request.transport.abort()
+            raise ConnectionResetError
+        raise {"/none": web.HTTPNotFound(), "/moved": web.HTTPFound("/")}.get(request.path, ValueError())
+
+    for one in ("/", "/none", "/moved", "/fault", "/gone"):
+        application.router.add_get(one, answer)
+
+    async def status_after(address: str, method: str, path: str) -> int:
+        host, port = address.split(":")
+        reader, writer = await asyncio.open_connection(host, int(port))
+        writer.write(f"{method} {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n".encode())
+        try:
+            words = (await reader.read()).split()
+        except ConnectionError:
+            words = []
+        writer.close()
+        return int(words[1]) if words else 0
+
+    async def statuses() -> list[int]:
+        is_over, address = asyncio.Event(), asyncio.get_running_loop().create_future()
+        server = asyncio.ensure_future(run(application, Access(port=0), address.set_result, is_over))
+        where = await address
+        found = [await status_after(where, *asked) for asked in ((method, path), ("GET", "/"), ("GET", "/"))]
+        is_over.set()
+        await server
+        return found
+
+    assert asyncio.run(statuses()) == [status, 200, 200]
 
 
 def test_an_address_that_is_taken_is_told() -> None:

@@ -13,6 +13,7 @@ import pytest
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader
+from touchfield.container.wire import OPENING_SIZE, ByteSource, records_between
 from touchfield.errors import InvalidArgument, TouchfieldError, UnboundedError
 from touchfield.job import EncodeSpec, encode
 from touchfield.job.view import view
@@ -35,6 +36,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     encode(
         medium, folder / "noise.touch", EncodeSpec(touch=TouchSpec(segment_frames=3, effort="fast"), vibration=None)
     )
+    walls = np.zeros((6, 16, 16, 16, 3), np.float32)
+    for i, wall in enumerate(walls):
+        wall[:, :, : 4 + i, 2] = 1.0 + 0.1 * i
+    sinking = HapticMedium.from_array(walls, Grid((16,) * 3, (0.004,) * 3, (-0.03,) * 3), 10.0)
+    touch = TouchSpec(segment_frames=2, effort="fast")
+    encode(sinking, folder / "vibrating.touch", EncodeSpec(touch=touch, vibration="gain=0.25,frequency=80..240"))
     encode("sample:falling-4", folder / "bodies.touch", EncodeSpec(nw=5, frames=(0, 900)))
     with av.open(str(folder / "movie.mp4"), "w") as sink:
         video, audio = sink.add_stream("mpeg4", rate=25), sink.add_stream("aac", rate=8000)
@@ -182,6 +189,32 @@ def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(
     with pytest.raises(TouchfieldError, match=r"both\.ts: INDX\.segments: found 6 frames; expected 9"):
         demux(out, back)
     assert not back.exists()
+
+
+@pytest.mark.parametrize("name", ["vibrating.touch", "bodies.touch"])
+def test_each_damaged_record_in_a_movie_is_an_error_and_leaves_no_file(
+    folder: Path, tmp_path: Path, name: str
+) -> None:
+    """The head, objects, and of each segment, the last one too, the forces and the vibration."""
+    movie, back, spoilt = tmp_path / "both.mp4", tmp_path / "back.touch", tmp_path / "spoilt.mp4"
+    mux(folder / "movie.mp4", folder / name, movie)
+    data, stream = movie.read_bytes(), (folder / name).read_bytes()
+    with (folder / name).open("rb") as file:
+        records = list(records_between(ByteSource(file), OPENING_SIZE, len(stream)))
+    tags = [record.tag for record in records]
+    assert tags.count("SEGM") >= 3 and tags.count("VIBR" if name == "vibrating.touch" else "OBJT") >= 3
+    for record in records:
+        if record.tag in ("INDX", "TEND"):  # which are made again
+            continue
+        at = data.index(stream[record.offset : record.end])
+        changed = bytearray(data)
+        changed[at + (record.end - record.offset) // 2] ^= 1
+        spoilt.write_bytes(changed)
+        with pytest.raises(TouchfieldError, match=r"spoilt\.mp4"):
+            demux(spoilt, back)
+        assert not back.exists(), record
+    demux(movie, back)
+    assert back.read_bytes() == stream
 
 
 def test_a_stream_without_an_error_bound_is_muxed_with_a_warning(folder: Path, tmp_path: Path) -> None:
