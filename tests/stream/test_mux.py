@@ -202,7 +202,7 @@ def test_each_damaged_record_in_a_movie_is_an_error_and_leaves_no_file(
     with (folder / name).open("rb") as file:
         records = list(records_between(ByteSource(file), OPENING_SIZE, len(stream)))
     tags = [record.tag for record in records]
-    assert tags.count("SEGM") >= 3 and tags.count("VIBR" if name == "vibrating.touch" else "OBJT") >= 3
+    assert min(tags.count(tag) for tag in (("SEGM", "VIBR") if name == "vibrating.touch" else ("OBJT",))) >= 3
     for record in records:
         if record.tag in ("INDX", "TEND"):  # which are made again
             continue
