@@ -359,7 +359,7 @@ def levels_of_detail(
     fits = [row["level"] for row in rows if most_bytes is None or row["file_bytes"] <= most_bytes]
     best = min(fits, default=None)
     note = f"no level takes {most_bytes} bytes or less" if best is None else f"level {best} is the finest that fits"
-    notes = () if most_bytes is None else (note,)
+    notes: tuple[str, ...] = () if most_bytes is None else (note,)
     if medium.vibration is not None and wanted > 0:
         notes += ("levels from 1 on: the vibration is left out",)
     return Result({"level": best, "levels": rows}, notes)
