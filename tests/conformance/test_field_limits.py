@@ -11,8 +11,9 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import singledispatch
+from functools import cache, singledispatch
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from test_c import CODES, COMPILER, built, run, run_with
 
 from container_strategies import OPENING, assembled, cursor_on, framed, good_bytes, refused
 from live_makers import HEAD
-from object_makers import moving_scene
+from object_makers import ball
 from touchfield.codec.kernels import NUMBER_ROOM, code_numbers, end_of, fresh, writer
 from touchfield.codec.objects import layout
 from touchfield.codec.objects.decoder import MODELS, code_residuals
@@ -35,7 +36,7 @@ from touchfield.container.fields import Array, FieldType, Listed, Octets, Real, 
 from touchfield.container.records import RECORD_OF, rows_of
 from touchfield.errors import FormatError
 from touchfield.job import open_stream
-from touchfield.medium import ForceField, Grid, HapticScene
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
 
@@ -303,7 +304,15 @@ def vibration_cases() -> Iterator[Case]:
 
 # -- bodies ----------------------------------------------------------------------------------------------------------
 
-SCENE: HapticScene = replace(moving_scene(3), objects=moving_scene(3).objects[:1])
+OWN = Grid((4, 3, 3), (0.01,) * 3, (0.0,) * 3)
+SCENE = HapticScene(
+    Grid((5, 4, 3), (0.01,) * 3, (0.0,) * 3),
+    1000.0,
+    (HapticObject("one", HapticMedium.from_frames([ball(OWN, 0.03)], 1000.0), PoseTrack.still(3)),),
+    1.25,
+    0.0,
+    "x east, y north, z up",
+)
 STEPS = (-20, -20)
 ONE = 1 << 20
 
@@ -322,14 +331,21 @@ def coded_poses(numbers: list[list[int]], orders: list[int]) -> bytes:
     return bytes(end_of(bits))
 
 
+@cache
+def body_records() -> tuple[tuple[str, bytes], ...]:
+    """Records of a file of one rigid body."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "body.touch"
+        make_golden.write_scene(path, SCENE, TouchSpec(effort="fast"))
+        return tuple(split(path.read_bytes()))
+
+
 def body_file(
-    tmp: Path, poses: bytes | None = None, worst: tuple[int, ...] = (0,), parameters: bytes | None = None,
+    poses: bytes | None = None, worst: tuple[int, ...] = (0,), parameters: bytes | None = None,
     steps: tuple[int, int] = STEPS,
 ) -> bytes:  # fmt: skip
     """A file of one rigid body, with some of its numbers given."""
-    path = tmp / "body.touch"
-    make_golden.write_scene(path, SCENE, TouchSpec(effort="fast"))
-    records = dict(split(path.read_bytes()))
+    records = dict(body_records())
     numbers = [[0, 0, 0, ONE, 0, 0, 0]] * 3
     own = coded_poses(numbers, [0] * 7) if poses is None else poses
     values = values_of("OBJT", records["OBJT"])
@@ -346,7 +362,7 @@ def body_file(
     return joined(list(records.items()))
 
 
-def body_cases(tmp: Path) -> Iterator[Case]:
+def body_cases() -> Iterator[Case]:
     """Numbers of the coder `objects` at and beyond their limits."""
     still = [0, 0, 0, ONE, 0, 0, 0]
     far = 1 << 50
@@ -362,35 +378,35 @@ def body_cases(tmp: Path) -> Iterator[Case]:
             if not frame:
                 numbers = [numbers[0]] * 3
             name = f"pose number {c} of {value}, frame {frame}"
-            yield Case(name, body_file(tmp, coded_poses(numbers, orders)), is_right)
+            yield Case(name, body_file(coded_poses(numbers, orders)), is_right)
     for order, is_right in ((3, True), (4, False), (-1, False)):
         coded = coded_poses([still] * 3, [0, 0, 0, 0, 0, 0, order])
-        yield Case(f"order {order}", body_file(tmp, coded), is_right)
+        yield Case(f"order {order}", body_file(coded), is_right)
     for steps, is_right in (
         ((-40, -20), True), ((-41, -20), False), ((0, -20), True), ((1, -20), False), ((-20, -31), False),
         ((-20, -1), False),
     ):  # fmt: skip
-        yield Case(f"steps {steps}", body_file(tmp, steps=steps), is_right)
+        yield Case(f"steps {steps}", body_file(steps=steps), is_right)
     for power in (-30, -2):
         coded = coded_poses([[0, 0, 0, 1 << -power, 0, 0, 0]] * 3, [0] * 7)
-        yield Case(f"turn {power}", body_file(tmp, coded, steps=(-20, power)), is_right=True)
+        yield Case(f"turn {power}", body_file(coded, steps=(-20, power)), is_right=True)
     last = (1 << 20) - 1
     for worst, is_right in (
         ((1, 0, 0, 0, 0), True), ((65536, 2, last, last, last), True), ((65537, 0, 0, 0, 0), False),
         ((9, 3, 0, 0, 0), False), ((9, 0, last + 1, 0, 0), False), ((9, 0, 0, 0, last + 1), False),
     ):  # fmt: skip
-        yield Case(f"worst {worst}", body_file(tmp, worst=worst), is_right)
+        yield Case(f"worst {worst}", body_file(worst=worst), is_right)
     largest = float(np.finfo(np.float64).max)
     for count, damping, place, is_right in (
         (1, 0.0, 0.0, True), (1, 1e30, largest, True), (0, 0.0, 0.0, False), (2, 0.0, 0.0, False),
         (1, -5e-324, 0.0, False), (1, float("inf"), 0.0, False), (1, float("nan"), 0.0, False),
         (1, 0.0, -5e-324, False), (1, 0.0, float("inf"), False), (1, 0.0, float("nan"), False),
     ):  # fmt: skip
-        data = body_file(tmp, parameters=struct.pack("<Idd", count, damping, place))
+        data = body_file(parameters=struct.pack("<Idd", count, damping, place))
         yield Case(f"parameters {count}, {damping}, {place}", data, is_right)
     whole = layout.Parameters(1, 0.0, 0.0).to_bytes()
-    yield Case("parameters short", body_file(tmp, parameters=whole[:-1]), is_right=False)
-    yield Case("parameters long", body_file(tmp, parameters=whole + b"\0"), is_right=False)
+    yield Case("parameters short", body_file(parameters=whole[:-1]), is_right=False)
+    yield Case("parameters long", body_file(parameters=whole + b"\0"), is_right=False)
 
 
 def decoders_say(program: Path, path: Path) -> list[str]:
@@ -419,7 +435,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("kind", ["vibration", "bodies"])
 def test_decoders_have_the_same_limits(kind: str, program: Path, tmp_path: Path) -> None:
-    cases = list(vibration_cases() if kind == "vibration" else body_cases(tmp_path))
+    cases = list(vibration_cases() if kind == "vibration" else body_cases())
     wrong = []
     for case in cases:
         path = tmp_path / "case.touch"
