@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all bench lint gallery site reproduction golden core web browser-tests clean
+.PHONY: demo test test-thorough test-all bench lint gallery site reproduction golden core web browser-tests clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -16,10 +16,12 @@ test: .venv/ready
 	beside=$$!; $(BIN)/python -m pytest -m "not thorough" $(HERE); here=$$?; wait $$beside; there=$$?; cat $$told; rm $$told; \
 	test $$here -eq 0 && test $$there -eq 0
 
-# What `make test` leaves out: long searches for faults, and every benchmark with its smallest settings.
-test-all: .venv/ready
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m thorough tests
+# What `make test` leaves out: the tests marked thorough, and every benchmark with its smallest settings.
+test-all: test-thorough
 	$(BIN)/python bench/run_all.py --quick
+
+test-thorough: .venv/ready
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m thorough tests
 
 bench: .venv/ready
 	$(BIN)/python bench/run_all.py
