@@ -9,8 +9,8 @@ other processes: noise goes, a slow kernel stays.
 A ratio above `MARGIN` times the stored one is a failure, with exit status 1, in quick runs too.
 
 `--store` makes the ratios of this run those to be held (after a kernel has become faster, or slower on purpose).
-Stored ratios are of one model of processor. On another model the loops may differ otherwise than ours do: the ratios are
-shown there, and no failure; store them anew to judge a change.
+Stored ratios are of one model of processor. On another model the loops may differ otherwise than ours do: the ratios
+are shown there, and none is a failure; store them anew to judge a change.
 """
 
 from __future__ import annotations
