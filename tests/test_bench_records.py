@@ -117,6 +117,7 @@ def test_a_byte_count_that_changed_fails_a_quick_run(
     machine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(machine, "QUICK", tmp_path / "quick")
+    monkeypatch.setattr(machine, "SHARED", tmp_path)  # a folder of inputs is there: no figure may be absent
     monkeypatch.setenv(machine.STORE_QUICK, "1")
     machine.check_quick("it", {"file_bytes": 82669, "least_db": -20.0})
     monkeypatch.delenv(machine.STORE_QUICK)
