@@ -34,7 +34,7 @@ Peer = Callable[[Floats, NDArray[np.int32], Floats], Floats]
 BAND = 4  # voxels
 RUNS = 3  # of a peer
 APPROXIMATE = ("point-cloud-utils", "openvdb")
-"""Peers whose distances are not exact. OpenVDB also smooths its band: some signs differ from those of all others."""
+"""Peers whose distances are not exact. At some samples of its band the signs of OpenVDB differ from all others."""
 OPENVDB = str(Path(__file__).with_name("openvdb_peer.py"))
 _BARE = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}  # of another interpreter
 

@@ -2,7 +2,8 @@
 
 A result's code is every source file that the processes of its benchmark loaded, the files that come with a loaded
 package (profiles, the page) and those that the benchmark names itself (C that it compiles). A file counts by what it
-says to the machine: comments, docstrings and layout of Python, C and TypeScript change no hash.
+says to the machine: comments, docstrings and layout of Python, C and TypeScript change no hash, nor does moving a
+file to another folder, for which other files import the same names from another module.
 """
 
 from __future__ import annotations
@@ -107,14 +108,25 @@ def digest(file: str) -> str:
 def python_meaning(text: str, is_bench: bool = False) -> str:
     """Python without comments, docstrings and layout, alike in all versions of Python.
 
+    Of imports only the names count, in alphabetical order: the modules that they come from are files of their own.
     Of a benchmark the function `bars` does not count either: it judges figures that are there.
     """
-    parts: list[str] = []
-    _write_node(ast.parse(text), parts, is_bench)
+    tree = ast.parse(text)
+    parts = [f"imports {' '.join(sorted(_imported_names(tree)))}\n"]
+    _write_node(tree, parts, is_bench)
     return "".join(parts)
 
 
+def _imported_names(tree: ast.Module) -> Iterator[str]:
+    """Names that imports define, with the names they had in their modules."""
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.Import, ast.ImportFrom)):
+            yield from (f"{one.name.rpartition('.')[2]}:{one.asname or ''}" for one in node.names)
+
+
 def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
+    if isinstance(node, (ast.Import, ast.ImportFrom)):
+        return
     parts.append(f"({type(node).__name__}")
     for name, value in ast.iter_fields(node):
         if value is None or value == []:
@@ -177,13 +189,26 @@ def read_code(path: Path) -> dict[str, str] | None:
 
 
 def changed(path: Path, code: str | None) -> list[str]:
-    """Files that are not what they were when the result with this overall hash was measured; why, if unknown."""
+    """Files that are not what they were when the result with this overall hash was measured; why, if unknown.
+
+    A file that was moved is still what it was.
+    """
     before = read_code(path)
     if before is None or code is None:
         return ["(no record of the code that was measured)"]
     if overall(before) != code:
         return [f"(the record of the code, {path.name}, is of another run)"]
-    return [file for file, value in before.items() if digest(file) != value]
+    candidates = [file for file, value in before.items() if digest(file) != value]
+    present = _all_digests() if candidates else frozenset()
+    return [file for file in candidates if before[file] not in present]
+
+
+@cache
+def _all_digests() -> frozenset[str]:
+    """The hash of every file that can be measured, wherever it lies."""
+    suffixes = (".py", ".toml", ".json", ".html", ".c", ".h")
+    found = (path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.suffix in suffixes)
+    return frozenset(digest(path.relative_to(ROOT).as_posix()) for path in found)
 
 
 # -- the run --------------------------------------------------------------------------------------------------

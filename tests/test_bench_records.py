@@ -83,9 +83,22 @@ def test_changed_files_are_named(provenance: Any, tmp_path: Path, monkeypatch: p
     (tmp_path / "a.py").unlink()
     provenance.digest.cache_clear()
     assert provenance.changed(record, provenance.overall(code)) == ["a.py", "b.py"]
+    moved = tmp_path / "src" / "package" / "c.py"
+    moved.parent.mkdir(parents=True)
+    moved.write_text(CODE)
+    provenance._all_digests.cache_clear()
+    assert provenance.changed(record, provenance.overall(code)) == []
     assert "another run" in provenance.changed(record, "0" * 16)[0]
     assert "no record" in provenance.changed(tmp_path / "none.txt", "0" * 16)[0]
     provenance.digest.cache_clear()
+    provenance._all_digests.cache_clear()
+
+
+def test_of_imports_the_names_count_and_not_the_modules(provenance: Any) -> None:
+    code = "from touchfield.job.view import scene, page as shown\n"
+    moved = "from touchfield.viewer import page as shown\nfrom touchfield.tasks import scene\n"
+    assert provenance.python_meaning(moved) == provenance.python_meaning(code)
+    assert provenance.python_meaning(code.replace("scene", "scenes")) != provenance.python_meaning(code)
 
 
 def test_a_trace_has_what_a_process_loads_and_the_files_of_its_packages(tmp_path: Path) -> None:
